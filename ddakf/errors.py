@@ -1,0 +1,46 @@
+"""Errors. Each message is one sentence: the field, what was expected, what came."""
+
+
+class DdakfError(Exception):
+    """Base of every error that ddakf raises on purpose."""
+
+
+class InvalidArgument(DdakfError, ValueError):
+    """An input that cannot be used; nothing has been changed.
+
+    Attributes:
+        field: name of the argument or of the part of it, e.g. ``points`` or ``garment.faces``.
+        expected: what would have been accepted.
+        got: what came.
+    """
+
+    def __init__(self, field: str, expected: str, got: str):
+        self.field, self.expected, self.got = field, expected, got
+        super().__init__(f"{field}: expected {expected}, got {got}")
+
+    def __reduce__(self):
+        return type(self), (self.field, self.expected, self.got)
+
+
+class InvalidMesh(InvalidArgument):
+    """A mesh that cannot serve as a garment or body."""
+
+
+class InvalidFrame(InvalidArgument):
+    """A frame that cannot be tracked: points, time, origin or body."""
+
+
+class InvalidConfig(InvalidArgument):
+    """A configuration value outside its range, or an unknown field."""
+
+
+class InvalidFile(InvalidArgument):
+    """A file that is not what its name or its use says."""
+
+
+class InvalidSnapshot(InvalidArgument):
+    """Bytes that are no snapshot of a tracker, or of an unknown version."""
+
+
+class MissingDependency(DdakfError, ImportError):
+    """An optional package, or a system library that it needs, is absent; the message says what to install."""

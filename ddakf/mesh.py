@@ -1,0 +1,160 @@
+"""Triangle meshes: topology and rest shape, constant for the life of a tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ddakf.errors import InvalidMesh
+
+MIN_FACE_AREA = 1e-12  # m^2: a triangle below a square micrometre has no usable normal
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh; for a garment, ``vertices`` are the rest shape.
+
+    Args:
+        vertices: (V, 3) positions in metres, finite.
+        faces: (F, 3) vertex indices, counter-clockwise seen from outside.
+
+    Raises:
+        InvalidMesh: wrong shape or dtype, an index out of range, a non-finite vertex, no area; or unreferenced vertices,
+            duplicate faces, degenerate faces, edges with more than two faces, which :meth:`cleaned` repairs.
+    """
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def __post_init__(self) -> None:
+        vertices, faces = _checked_arrays(self.vertices, self.faces)
+        object.__setattr__(self, "vertices", vertices)
+        object.__setattr__(self, "faces", faces)
+        defects = _defects(vertices, faces)
+        if any(defects.values()):
+            counts = ", ".join(f"{count} {name}" for name, count in defects.items() if count)
+            raise InvalidMesh("mesh", "a clean mesh (Mesh.cleaned() or clean=true repairs it)", counts)
+        vertices.setflags(write=False)
+        faces.setflags(write=False)
+
+    @classmethod
+    def cleaned(cls, vertices, faces) -> tuple[Mesh, np.ndarray]:
+        """Repairs what exported garments often have, and says which vertices remain.
+
+        Removes degenerate and duplicate faces, at every edge with more than two faces the smallest surplus ones, and then
+        the vertices that no face uses.
+
+        Args:
+            vertices: (V, 3) metres.
+            faces: (F, 3) vertex indices.
+
+        Returns:
+            The mesh, and the vertex map (V',) int: vertex i of the mesh is vertex ``map[i]`` of the input.
+
+        Raises:
+            InvalidMesh: what cannot be repaired: shapes, indices, non-finite vertices, nothing left.
+        """
+        vertices, faces = _checked_arrays(vertices, faces)
+        faces = faces[~_degenerate(vertices, faces)]
+        faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
+        faces = _without_surplus_faces(vertices, faces)
+        if len(faces) == 0:
+            raise InvalidMesh("mesh.faces", "at least one face with an area", "none after cleaning")
+        kept, flat = np.unique(faces, return_inverse=True)
+        return cls(vertices[kept], flat.reshape(-1, 3)), kept
+
+    @property
+    def n_vertices(self) -> int:
+        return len(self.vertices)
+
+    @property
+    def n_faces(self) -> int:
+        return len(self.faces)
+
+    @cached_property
+    def edges(self) -> np.ndarray:
+        """(E, 2) int64, each undirected edge once, first index smaller, in lexicographic order."""
+        return np.unique(np.sort(_directed_edges(self.faces), axis=1), axis=0)
+
+    @cached_property
+    def boundary_vertices(self) -> np.ndarray:
+        """(V,) bool: vertices on an open boundary (hem, cuff, neck)."""
+        edges, count = np.unique(np.sort(_directed_edges(self.faces), axis=1), axis=0, return_counts=True)
+        on_boundary = np.zeros(self.n_vertices, bool)
+        on_boundary[edges[count == 1]] = True
+        return on_boundary
+
+    @cached_property
+    def edge_length(self) -> float:
+        """Mean length of the edges, metres."""
+        ends = self.vertices[self.edges]
+        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
+
+
+def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals (V, 3); zero where the adjacent faces have no area."""
+    corners = vertices[faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], face_normals)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+
+
+def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+    vertices, faces = np.asarray(vertices), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
+        raise InvalidMesh("mesh.vertices", "numbers of shape (V, 3)", f"{vertices.dtype} of shape {vertices.shape}")
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InvalidMesh("mesh.faces", "integers of shape (F, 3)", f"{faces.dtype} of shape {faces.shape}")
+    if len(vertices) == 0 or len(faces) == 0:
+        raise InvalidMesh("mesh", "at least one face", f"{len(vertices)} vertices and {len(faces)} faces")
+    vertices = np.array(vertices, np.float64, order="C")
+    faces = np.array(faces, np.int64, order="C")
+    bad = ~np.isfinite(vertices).all(axis=1)
+    if bad.any():
+        raise InvalidMesh("mesh.vertices", "finite numbers", f"{bad.sum()} non-finite, the first at {bad.argmax()}")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        worst = faces.min() if faces.min() < 0 else faces.max()
+        raise InvalidMesh("mesh.faces", f"indices in [0, {len(vertices)})", str(worst))
+    if not (_areas(vertices, faces) > MIN_FACE_AREA).any():
+        raise InvalidMesh("mesh", "a surface with an area", "only degenerate faces")
+    return vertices, faces
+
+
+def _defects(vertices: np.ndarray, faces: np.ndarray) -> dict[str, int]:
+    count = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_counts=True)[1]
+    return {
+        "unreferenced vertices": len(vertices) - len(np.unique(faces)),
+        "duplicate faces": len(faces) - len(np.unique(np.sort(faces, axis=1), axis=0)),
+        "degenerate faces": int(_degenerate(vertices, faces).sum()),
+        "non-manifold edges": int((count > 2).sum()),
+    }
+
+
+def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces]
+    return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
+
+def _degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    return _areas(vertices, faces) <= MIN_FACE_AREA
+
+
+def _directed_edges(faces: np.ndarray) -> np.ndarray:
+    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+
+
+def _without_surplus_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Of the faces at an edge keeps the two largest."""
+    area = _areas(vertices, faces)
+    edges, index = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_inverse=True)
+    face_of = np.tile(np.arange(len(faces)), 3)
+    order = np.lexsort((-area[face_of], index.ravel()))
+    start = np.searchsorted(index.ravel()[order], np.arange(len(edges)))
+    rank = np.arange(len(order)) - start[index.ravel()[order]]
+    surplus = np.zeros(len(faces), bool)
+    surplus[face_of[order[rank >= 2]]] = True
+    return faces[~surplus]
