@@ -1,0 +1,213 @@
+"""PLY files: ascii and binary of either byte order, points and polygon meshes; further properties are skipped."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+
+SCALARS = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+INDEX_LISTS = ("vertex_indices", "vertex_index")
+
+
+@dataclass(frozen=True)
+class _Property:
+    name: str
+    type: str  # numpy code of the value
+    length_type: str | None = None  # numpy code of a list's length; None for a scalar
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: tuple[_Property, ...]
+
+    @property
+    def has_list(self) -> bool:
+        return any(p.length_type for p in self.properties)
+
+
+def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Reads a PLY file.
+
+    Returns:
+        (V, 3) float64 vertices, and the polygons as a list of integer arrays of shape (polygons, corners).
+
+    Raises:
+        InvalidFile: not a PLY file, a broken header, too few data, no x, y, z.
+    """
+    order, elements, body = _parse_header(path, path.read_bytes())
+    source = _Ascii(path, body) if order is None else _Binary(path, body, order)
+    vertices, polygons = None, []
+    for element in elements:
+        columns, lists = source.read(element)
+        if element.name == "vertex":
+            if not {"x", "y", "z"} <= columns.keys():
+                raise InvalidFile(f"{path.name}: vertex", "properties x, y and z", ", ".join(columns) or "none")
+            vertices = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+        elif element.name == "face":
+            polygons = next((lists[name] for name in INDEX_LISTS if name in lists), [])
+    if vertices is None:
+        raise InvalidFile(f"{path.name}: header", "an element vertex", "none")
+    return vertices, polygons
+
+
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray | None) -> None:
+    """Writes binary little-endian PLY: float32 vertices (V, 3), and int32 triangles (F, 3) unless ``faces`` is None."""
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header += [f"property float {axis}" for axis in "xyz"]
+    body = np.ascontiguousarray(vertices, "<f4").tobytes()
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+        records = np.empty(len(faces), [("n", "u1"), ("index", "<i4", 3)])
+        records["n"], records["index"] = 3, faces
+        body += records.tobytes()
+    path.write_bytes("\n".join([*header, "end_header", ""]).encode() + body)
+
+
+def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], bytes]:
+    end = data.find(b"end_header")
+    if not data.startswith(b"ply") or end < 0:
+        raise InvalidFile(path.name, "a PLY header from 'ply' to 'end_header'", repr(data[:16]))
+    lines = [line.split() for line in data[:end].decode("latin-1").splitlines()[1:]]
+    order, declared = "missing", []
+    for number, words in enumerate(lines, start=2):
+        match words:
+            case [] | ["comment" | "obj_info", *_]:
+                continue
+            case ["format", name, *_] if name in FORMATS:
+                order = FORMATS[name]
+            case ["element", name, count] if count.isdigit():
+                declared.append((name, int(count), []))
+            case ["property", "list", length, kind, name] if declared and length in SCALARS and kind in SCALARS:
+                declared[-1][2].append(_Property(name, SCALARS[kind], SCALARS[length]))
+            case ["property", kind, name] if declared and kind in SCALARS:
+                declared[-1][2].append(_Property(name, SCALARS[kind]))
+            case _:
+                raise InvalidFile(f"{path.name}: header line {number}", "a PLY statement", " ".join(words)[:60])
+    if order == "missing":
+        raise InvalidFile(f"{path.name}: header", "a format line", "none")
+    elements = [_Element(name, count, tuple(properties)) for name, count, properties in declared]
+    return order, elements, data[data.index(b"\n", end) + 1 :] if b"\n" in data[end:] else b""
+
+
+class _Ascii:
+    """One line per record; reads elements in the order of the header."""
+
+    def __init__(self, path: Path, body: bytes):
+        self.path = path
+        self.lines = [line for line in body.decode("latin-1").splitlines() if line.strip()]
+        self.at = 0
+
+    def read(self, element: _Element):
+        rows = self.lines[self.at : self.at + element.count]
+        self.at += element.count
+        if len(rows) < element.count:
+            raise _too_short(self.path, element, len(rows))
+        values: dict[str, list] = {p.name: [] for p in element.properties}
+        for number, row in enumerate(rows):
+            try:
+                self._read_row(element, row.split(), values)
+            except (ValueError, IndexError, OverflowError):
+                raise InvalidFile(f"{self.path.name}: {element.name} {number}", _described(element), row[:60]) from None
+        columns = {p.name: np.array(values[p.name], np.float64) for p in element.properties if not p.length_type}
+        return columns, {p.name: _by_length(values[p.name]) for p in element.properties if p.length_type}
+
+    @staticmethod
+    def _read_row(element: _Element, words: list[str], values: dict[str, list]) -> None:
+        at = 0
+        for p in element.properties:
+            if p.length_type is None:
+                values[p.name].append(float(words[at]))
+                at += 1
+            else:
+                length = int(words[at])
+                if length < 0 or at + 1 + length > len(words):
+                    raise ValueError
+                values[p.name].append(np.array(words[at + 1 : at + 1 + length]).astype(np.float64).astype(np.int64))
+                at += 1 + length
+
+
+class _Binary:
+    """Packed records; whole elements at once where every record has the same size."""
+
+    def __init__(self, path: Path, body: bytes, order: str):
+        self.path, self.body, self.order = path, body, order
+        self.at = 0
+
+    def read(self, element: _Element):
+        if element.count == 0:
+            return {p.name: np.zeros(0) for p in element.properties if not p.length_type}, {}
+        record = self._uniform_record(element)
+        if record is None:
+            return self._read_one_by_one(element)
+        table = np.frombuffer(self.body, record, element.count, self.at)
+        self.at += table.nbytes
+        columns = {p.name: table[p.name] for p in element.properties if not p.length_type}
+        return columns, {p.name: [table[p.name].astype(np.int64)] for p in element.properties if p.length_type}
+
+    def _uniform_record(self, element: _Element) -> np.dtype | None:
+        """The dtype of all records, taking list lengths from the first; None when some record differs from it."""
+        fields, size = [], 0
+        for p in element.properties:
+            if p.length_type:
+                length = int(self._scalar(element, p.length_type, self.at + size, 0))
+                if not 0 <= length <= len(self.body):
+                    raise InvalidFile(f"{self.path.name}: {element.name} 0", "a list that fits the file", str(length))
+                fields.append((f"length of {p.name}", self.order + p.length_type))
+                fields.append((p.name, self.order + p.type, (length,)))
+            else:
+                fields.append((p.name, self.order + p.type))
+            size = np.dtype(fields).itemsize
+        record = np.dtype(fields)
+        if self.at + element.count * record.itemsize > len(self.body):
+            if element.has_list:
+                return None
+            raise _too_short(self.path, element, (len(self.body) - self.at) // max(record.itemsize, 1))
+        table = np.frombuffer(self.body, record, element.count, self.at)
+        lengths = [table[f"length of {p.name}"] for p in element.properties if p.length_type]
+        return record if all((column == column[0]).all() for column in lengths) else None
+
+    def _read_one_by_one(self, element: _Element):
+        values: dict[str, list] = {p.name: [] for p in element.properties}
+        for number in range(element.count):
+            for p in element.properties:
+                length = 1
+                if p.length_type:
+                    length = int(self._scalar(element, p.length_type, self.at, number))
+                    self.at += np.dtype(p.length_type).itemsize
+                size = length * np.dtype(p.type).itemsize
+                if length < 0 or self.at + size > len(self.body):
+                    raise _too_short(self.path, element, number)
+                value = np.frombuffer(self.body, self.order + p.type, length, self.at)
+                self.at += size
+                values[p.name].append(value if p.length_type else value[0])
+        columns = {p.name: np.array(values[p.name], np.float64) for p in element.properties if not p.length_type}
+        return columns, {p.name: _by_length(values[p.name]) for p in element.properties if p.length_type}
+
+    def _scalar(self, element: _Element, code: str, at: int, number: int):
+        if at + np.dtype(code).itemsize > len(self.body):
+            raise _too_short(self.path, element, number)
+        return np.frombuffer(self.body, self.order + code, 1, at)[0]
+
+
+def _by_length(rows: list) -> list[np.ndarray]:
+    lengths = np.array([len(row) for row in rows], int)
+    return [np.array([rows[i] for i in np.flatnonzero(lengths == n)], np.int64) for n in np.unique(lengths) if n]
+
+
+def _described(element: _Element) -> str:
+    names = ", ".join(f"list {p.name}" if p.length_type else p.name for p in element.properties)
+    return f"numbers for {names}"
+
+
+def _too_short(path: Path, element: _Element, got: int) -> InvalidFile:
+    return InvalidFile(f"{path.name}: {element.name}", f"{element.count} records", f"{got}")

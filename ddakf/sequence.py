@@ -1,0 +1,143 @@
+"""Recorded garments with ground truth: a mesh per frame, perhaps with the body beneath, in an ``.npz`` file.
+
+Keys: ``garment_V (T, V, 3)``, ``garment_F (F, 3)``, ``fps``; optionally ``body_V (T, B, 3)`` with ``body_F``, and
+``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and ``body_V`` are replaced
+by the second differences in time of whole multiples of ``quantum`` metres.
+"""
+
+from __future__ import annotations
+
+import lzma
+import tokenize
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+
+PACKED = "_second_difference"
+UNREADABLE = (ValueError, OSError, EOFError, KeyError, MemoryError, NotImplementedError, RuntimeError, TypeError,
+              zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Sequence:
+    """A garment in motion.
+
+    Attributes:
+        name: of the file, without its ending.
+        garment_vertices: (T, V, 3) float32, metres, y up: the truth of every frame.
+        garment_faces: (F, 3) int64.
+        fps: frames per second.
+        garment_rest: (V, 3) float32 rest shape, metres, or None.
+        body_vertices: (T, B, 3) float32, metres, or None.
+        body_faces: (G, 3) int64, or None exactly when there is no body.
+    """
+
+    name: str
+    garment_vertices: np.ndarray
+    garment_faces: np.ndarray
+    fps: float
+    garment_rest: np.ndarray | None = None
+    body_vertices: np.ndarray | None = None
+    body_faces: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        """The number of frames T."""
+        return len(self.garment_vertices)
+
+    @property
+    def has_body(self) -> bool:
+        return self.body_vertices is not None
+
+    @property
+    def template(self) -> np.ndarray:
+        """(V, 3) rest shape: ``garment_rest``, or the first frame where there is none."""
+        return self.garment_vertices[0] if self.garment_rest is None else self.garment_rest
+
+    def timestamp(self, frame: int) -> float:
+        """Time of a frame in seconds; frame 0 is at 0."""
+        return frame / self.fps
+
+
+def load_sequence(path) -> Sequence:
+    """Reads a sequence file. Nothing pickled is ever loaded.
+
+    Raises:
+        InvalidFile: not an ``.npz``, a missing key, a wrong shape or dtype, an index out of range, non-finite numbers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InvalidFile(str(path), "a sequence file (.npz)", "nothing there")
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+            arrays = {key: archive[key] for key in archive.files}
+    except UNREADABLE as error:
+        raise InvalidFile(str(path), "an .npz archive of plain arrays", f"{type(error).__name__}: {error}") from error
+    return _checked(path, arrays)
+
+
+def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
+    garment = _vertices(path, arrays, "garment_V", "(T, V, 3)")
+    faces = _faces(path, arrays, "garment_F", garment.shape[1])
+    fps = _required(path, arrays, "fps")
+    if fps.shape != () or fps.dtype.kind not in "fiu" or not 0 < fps < 1e6:
+        raise InvalidFile(f"{path.name}: fps", "one positive number", f"{fps.dtype} {fps!s:.40}")
+    rest = body = body_faces = None
+    if "garment_rest" in arrays:
+        rest = _finite(path, "garment_rest", arrays["garment_rest"])
+        if rest.shape != garment.shape[1:]:
+            raise InvalidFile(f"{path.name}: garment_rest", f"shape {garment.shape[1:]} as garment_V", f"{rest.shape}")
+    if any(key in arrays for key in ("body_V", "body_V" + PACKED)):
+        body = _vertices(path, arrays, "body_V", "(T, B, 3)")
+        body_faces = _faces(path, arrays, "body_F", body.shape[1])
+        if len(body) != len(garment):
+            raise InvalidFile(f"{path.name}: body_V", f"{len(garment)} frames as garment_V", f"{len(body)}")
+    return Sequence(path.stem, garment, faces, float(fps), rest, body, body_faces)
+
+
+def _required(path: Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray:
+    if key not in arrays:
+        raise InvalidFile(f"{path.name}: {key}", "to be in the file", f"only {', '.join(sorted(arrays)) or 'nothing'}")
+    return arrays[key]
+
+
+def _vertices(path: Path, arrays: dict[str, np.ndarray], key: str, shape: str) -> np.ndarray:
+    if key + PACKED in arrays:
+        vertices = _unpacked(path, key + PACKED, arrays[key + PACKED], _required(path, arrays, "quantum"))
+    else:
+        vertices = _required(path, arrays, key)
+    if vertices.ndim != 3 or vertices.shape[2] != 3 or 0 in vertices.shape:
+        raise InvalidFile(f"{path.name}: {key}", f"shape {shape}", str(vertices.shape))
+    return _finite(path, key, vertices)
+
+
+def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
+    if values.dtype.kind not in "fiu":
+        raise InvalidFile(f"{path.name}: {key}", "numbers", str(values.dtype))
+    with np.errstate(over="ignore"):
+        values = np.ascontiguousarray(values, np.float32)
+    if not np.isfinite(values).all():
+        raise InvalidFile(f"{path.name}: {key}", "finite numbers", f"{(~np.isfinite(values)).sum()} non-finite")
+    return values
+
+
+def _faces(path: Path, arrays: dict[str, np.ndarray], key: str, n_vertices: int) -> np.ndarray:
+    faces = _required(path, arrays, key)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu" or len(faces) == 0:
+        raise InvalidFile(f"{path.name}: {key}", "integers of shape (F, 3)", f"{faces.dtype} of shape {faces.shape}")
+    if faces.min() < 0 or faces.max() >= n_vertices:
+        worst = faces.min() if faces.min() < 0 else faces.max()
+        raise InvalidFile(f"{path.name}: {key}", f"indices in [0, {n_vertices})", str(worst))
+    return faces.astype(np.int64)
+
+
+def _unpacked(path: Path, key: str, differences: np.ndarray, quantum: np.ndarray) -> np.ndarray:
+    """(T, V, 3) metres from int16 (T, 3, V); inverse of :func:`ddakf.data.pack.second_differences`."""
+    if differences.ndim != 3 or differences.dtype.kind != "i" or quantum.shape != () or quantum.dtype.kind != "f":
+        raise InvalidFile(f"{path.name}: {key}", "integers of shape (T, 3, V) and one number quantum", str(differences.shape))
+    steps = np.cumsum(np.cumsum(differences, axis=0, dtype=np.int64), axis=0)
+    return (steps * float(quantum)).astype(np.float32).transpose(0, 2, 1)
