@@ -1,0 +1,42 @@
+"""gRPC channel options of both sides. They belong together: a client that pings faster than its server permits is cut off."""
+
+from __future__ import annotations
+
+MAX_MESSAGE_BYTES = 64 * 1024 * 1024
+KEEPALIVE_SECONDS = 30.0
+"""How often a client asks whether the connection lives, while a call is open."""
+KEEPALIVE_TIMEOUT_SECONDS = 10.0
+"""How long it waits for the answer."""
+
+Options = list[tuple[str, int]]
+
+
+def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
+    """Options of a client's channel."""
+    return [
+        *_message_limits(max_message_bytes),
+        ("grpc.keepalive_time_ms", int(1000 * KEEPALIVE_SECONDS)),
+        ("grpc.keepalive_timeout_ms", int(1000 * KEEPALIVE_TIMEOUT_SECONDS)),
+        ("grpc.keepalive_permit_without_calls", 0),
+        # Streams are silent while no frames come: without this, pings stop after two.
+        ("grpc.http2.max_pings_without_data", 0),
+    ]
+
+
+def server_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
+    """Options of a server that clients with :func:`client_options` may ping."""
+    return [
+        *_message_limits(max_message_bytes),
+        # Half the clients' interval, so that a delayed ping followed by a punctual one is no offence.
+        ("grpc.http2.min_ping_interval_without_data_ms", int(500 * KEEPALIVE_SECONDS)),
+        ("grpc.keepalive_time_ms", int(1000 * KEEPALIVE_SECONDS)),
+        ("grpc.keepalive_timeout_ms", int(1000 * KEEPALIVE_TIMEOUT_SECONDS)),
+        ("grpc.http2.max_pings_without_data", 0),
+    ]
+
+
+def _message_limits(max_message_bytes: int) -> Options:
+    return [
+        ("grpc.max_receive_message_length", max_message_bytes),
+        ("grpc.max_send_message_length", max_message_bytes),
+    ]

@@ -1,0 +1,35 @@
+"""The version handshake: a peer of another major version is refused in one sentence."""
+
+from __future__ import annotations
+
+import re
+
+from ddakf_api import API_VERSION
+from ddakf_api.errors import VersionMismatch
+
+
+def require_compatible(peer_version: str, *, peer: str) -> None:
+    """Checks the API version that the other side names.
+
+    Args:
+        peer_version: "major.minor".
+        peer: what the other side is, "client" or "server".
+
+    Raises:
+        VersionMismatch: another major version, or no version at all.
+    """
+    match = re.fullmatch(r"(\d{1,4})\.(\d{1,4})", peer_version)
+    if match and int(match[1]) == int(API_VERSION.split(".")[0]):
+        return
+    this = "server" if peer == "client" else "client"
+    raise VersionMismatch(
+        f"this {this} speaks ddakf API {API_VERSION}, the {peer} {_named(peer_version)}: "
+        f"install a ddakf-client of the server's release",
+        field="api_version",
+        expected=f"{API_VERSION.split('.')[0]}.x",
+        got=_named(peer_version),
+    )
+
+
+def _named(version: str) -> str:
+    return repr(version[:20]) if version else "none"
