@@ -1,6 +1,6 @@
 """Points and meshes from and to files; units and axes are those of the file.
 
-``.ply``, ``.obj``, ``.xyz``, ``.txt`` and ``.csv`` are read here; every other format goes through Open3D when it is installed.
+``.ply``, ``.obj``, ``.xyz``, ``.txt`` and ``.csv`` are read here; other formats go through Open3D when it is installed.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
     """Reads a triangle mesh; polygons become fans of triangles.
 
     Returns:
-        (V, 3) float64 finite vertices and (F, 3) int64 faces, with indices inside the vertices. Defects of the topology stay:
-        pass the arrays to :class:`ddakf.Mesh`, which refuses them, or to ``Mesh.cleaned``, which repairs them.
+        (V, 3) float64 finite vertices and (F, 3) int64 faces, with indices inside the vertices. Defects of the topology
+        stay: pass the arrays to :class:`ddakf.Mesh`, which refuses them, or to ``Mesh.cleaned``, which repairs them.
 
     Raises:
         InvalidFile: no such file, malformed, no faces, an index out of range.
@@ -102,7 +102,8 @@ def _write(path: Path, vertices: np.ndarray, faces: np.ndarray | None) -> None:
     elif suffix == ".xyz" and faces is None:
         path.write_text("".join(f"{row}\n" for row in rows))
     else:
-        raise InvalidFile(str(path), "a name that ends in .ply or .obj" + (", or .xyz" if faces is None else ""), suffix)
+        accepted = ".ply or .obj" if faces is not None else ".ply, .obj or .xyz"
+        raise InvalidFile(str(path), f"a name that ends in {accepted}", suffix)
 
 
 def _existing(path) -> Path:
@@ -115,7 +116,8 @@ def _existing(path) -> Path:
 def _finite(path: Path, points: np.ndarray) -> np.ndarray:
     bad = ~np.isfinite(points).all(axis=1)
     if bad.any():
-        raise InvalidFile(f"{path.name}: vertices", "finite numbers", f"{bad.sum()} non-finite, the first at {bad.argmax()}")
+        found = f"{bad.sum()} non-finite, the first at {bad.argmax()}"
+        raise InvalidFile(f"{path.name}: vertices", "finite numbers", found)
     return points
 
 

@@ -30,13 +30,13 @@ def import_open3d():
 
 
 def read_points(path: Path) -> np.ndarray:
-    """(N, 3) float64 points of a file in any format that Open3D reads, for instance .pcd; NaN rows (no return) are left out."""
+    """(N, 3) float64 points of a file that Open3D reads, for instance .pcd; NaN rows (no return) are left out."""
     o3d = import_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=True, remove_infinite_points=True)
     points = np.asarray(cloud.points, np.float64).reshape(-1, 3)
     if len(points) == 0:
-        raise InvalidFile(str(path), "a point cloud that Open3D reads", f"no points in a {path.suffix or 'nameless'} file")
+        raise InvalidFile(str(path), "a point cloud that Open3D reads", "no points")
     return points
 
 
@@ -47,5 +47,5 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:
         mesh = o3d.io.read_triangle_mesh(str(path))
     faces = np.asarray(mesh.triangles, np.int64).reshape(-1, 3)
     if len(faces) == 0:
-        raise InvalidFile(str(path), "a triangle mesh that Open3D reads", f"no faces in a {path.suffix or 'nameless'} file")
+        raise InvalidFile(str(path), "a triangle mesh that Open3D reads", "no faces")
     return np.asarray(mesh.vertices, np.float64).reshape(-1, 3), faces

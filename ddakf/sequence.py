@@ -1,8 +1,8 @@
 """Recorded garments with ground truth: a mesh per frame, perhaps with the body beneath, in an ``.npz`` file.
 
 Keys: ``garment_V (T, V, 3)``, ``garment_F (F, 3)``, ``fps``; optionally ``body_V (T, B, 3)`` with ``body_F``, and
-``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and ``body_V`` are replaced
-by the second differences in time of whole multiples of ``quantum`` metres.
+``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and ``body_V`` are
+replaced by the second differences in time of whole multiples of ``quantum`` metres.
 """
 
 from __future__ import annotations
@@ -138,6 +138,7 @@ def _faces(path: Path, arrays: dict[str, np.ndarray], key: str, n_vertices: int)
 def _unpacked(path: Path, key: str, differences: np.ndarray, quantum: np.ndarray) -> np.ndarray:
     """(T, V, 3) metres from int16 (T, 3, V); inverse of :func:`ddakf.data.pack.second_differences`."""
     if differences.ndim != 3 or differences.dtype.kind != "i" or quantum.shape != () or quantum.dtype.kind != "f":
-        raise InvalidFile(f"{path.name}: {key}", "integers of shape (T, 3, V) and one number quantum", str(differences.shape))
+        expected = "integers of shape (T, 3, V) and one number quantum"
+        raise InvalidFile(f"{path.name}: {key}", expected, str(differences.shape))
     steps = np.cumsum(np.cumsum(differences, axis=0, dtype=np.int64), axis=0)
     return (steps * float(quantum)).astype(np.float32).transpose(0, 2, 1)

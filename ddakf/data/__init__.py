@@ -1,4 +1,4 @@
-"""The recording that ships with ddakf: a simulated T-shirt on a moving body, 150 frames at 30 per second (CC0, see README.md)."""
+"""The recording that ships with ddakf: a simulated T-shirt on a moving body, 150 frames, 30 per second (CC0)."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ SAMPLE = Path(__file__).with_name("sample.npz")
 
 
 def sample() -> Sequence:
-    """The bundled recording: arm swing, twist, squat, crossed arms, raised arms; 2,658 garment and 5,502 body vertices."""
+    """Arm swing, twist, squat, crossed arms, raised arms; 2,658 garment and 5,502 body vertices."""
     return load_sequence(SAMPLE)

@@ -1,7 +1,7 @@
 """Packs a sequence file so that it may ship: ``python -m ddakf.data.pack SOURCE.npz TARGET.npz [--quantum METRES]``.
 
-Coordinates are rounded to multiples of the quantum and stored as second differences in time, which deflate squeezes to about
-half the size of the plain coordinates under LZMA: smooth motion leaves only small numbers.
+Coordinates are rounded to multiples of the quantum and stored as second differences in time, which deflate squeezes to
+about half the size of the plain coordinates under LZMA: smooth motion leaves only small numbers.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ DEFAULT_QUANTUM = 2.0**-13  # m
 
 
 def second_differences(vertices: np.ndarray, quantum: float) -> np.ndarray:
-    """(T, 3, V) int16 second differences in time of (T, V, 3) metres / quantum; the two frames before the first count as zero."""
+    """(T, 3, V) int16 second differences in time of (T, V, 3) metres / quantum; frames before the first count as zero."""
     steps = np.rint(vertices.astype(np.float64) / quantum).astype(np.int64).transpose(0, 2, 1)
     differences = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int64))
     if np.abs(differences).max() > np.iinfo(np.int16).max:
