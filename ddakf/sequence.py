@@ -1,8 +1,8 @@
 """Recorded garments with ground truth: a mesh per frame, perhaps with the body beneath, in an ``.npz`` file.
 
 Keys: ``garment_V (T, V, 3)``, ``garment_F (F, 3)``, ``fps``; optionally ``body_V (T, B, 3)`` with ``body_F``, and
-``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and ``body_V`` are
-replaced by the second differences in time of whole multiples of ``quantum`` metres.
+``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and
+``body_V`` are replaced by the second differences in time of whole multiples of ``quantum`` metres.
 """
 
 from __future__ import annotations

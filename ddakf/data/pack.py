@@ -17,7 +17,7 @@ DEFAULT_QUANTUM = 2.0**-13  # m
 
 
 def second_differences(vertices: np.ndarray, quantum: float) -> np.ndarray:
-    """(T, 3, V) int16 second differences in time of (T, V, 3) metres / quantum; frames before the first count as zero."""
+    """(T, 3, V) int16 second differences in time of (T, V, 3) metres / quantum; frames before the first are zero."""
     steps = np.rint(vertices.astype(np.float64) / quantum).astype(np.int64).transpose(0, 2, 1)
     differences = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int64))
     if np.abs(differences).max() > np.iinfo(np.int16).max:
