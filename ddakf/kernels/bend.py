@@ -1,0 +1,46 @@
+"""Bending: signed dihedral angle of a hinge and its gradient.
+
+Edge e = x1 - x0, n1 = e x (x2 - x0), n2 = (x3 - x0) x e, m_f = n_f / |n_f|^2:
+theta = atan2((n1 x n2) . e / |e|, n1 . n2), and
+dtheta/dx2 = -|e| m1, dtheta/dx3 = -|e| m2,
+dtheta/dx1 = ((x2 - x0) . e m1 + (x3 - x0) . e m2) / |e|, dtheta/dx0 = -(the sum of the others).
+"""
+
+from math import atan2, floor, pi, sqrt
+
+from numba import njit
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def linearize(positions, stencil, rest_angle, least, residual, jacobian):
+    for c in range(stencil.shape[0]):
+        i0, i1, i2, i3 = stencil[c, 0], stencil[c, 1], stencil[c, 2], stencil[c, 3]
+        x, y, z = positions[i0, 0], positions[i0, 1], positions[i0, 2]
+        ex, ey, ez = positions[i1, 0] - x, positions[i1, 1] - y, positions[i1, 2] - z
+        ax, ay, az = positions[i2, 0] - x, positions[i2, 1] - y, positions[i2, 2] - z
+        bx, by, bz = positions[i3, 0] - x, positions[i3, 1] - y, positions[i3, 2] - z
+        n1x, n1y, n1z = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+        n2x, n2y, n2z = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+        length = sqrt(ex * ex + ey * ey + ez * ez)
+        inverse = 1.0 / length if length > 1e-12 else 0.0
+        # (n1 x n2) . e / |e| = -|e| n1 . (x3 - x0), without the cross product of the normals
+        sine = -length * (n1x * bx + n1y * by + n1z * bz)
+        cosine = n1x * n2x + n1y * n2y + n1z * n2z
+        difference = atan2(sine, cosine) - rest_angle[c]
+        residual[c] = difference - 2.0 * pi * floor((difference + pi) / (2.0 * pi))
+
+        m1 = 1.0 / max(n1x * n1x + n1y * n1y + n1z * n1z, least[c, 0])
+        m2 = 1.0 / max(n2x * n2x + n2y * n2y + n2z * n2z, least[c, 1])
+        along1 = (ax * ex + ay * ey + az * ez) * inverse * m1
+        along2 = (bx * ex + by * ey + bz * ez) * inverse * m2
+        m1, m2 = -length * m1, -length * m2
+        normals = ((n1x, n2x), (n1y, n2y), (n1z, n2z))
+        for a in range(3):
+            n1, n2 = normals[a]
+            g1 = along1 * n1 + along2 * n2
+            g2 = m1 * n1
+            g3 = m2 * n2
+            jacobian[c, 0, a] = -(g1 + g2 + g3)
+            jacobian[c, 1, a] = g1
+            jacobian[c, 2, a] = g2
+            jacobian[c, 3, a] = g3

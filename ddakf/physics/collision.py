@@ -1,0 +1,63 @@
+"""Stage E, body collision (paper, section 2.4): garment vertices stay a thickness outside the body.
+
+Per vertex one constraint, r = min(0, n . (p - q) - thickness) in metres, with q and n the closest point and outward normal of
+the body (``proximity.py``), held while the solver iterates. Weight: the vertex's share of the rest area, m^2, so that k is in
+J/m^4 = Pa/m, contact pressure per depth. A vertex that does not touch, or has no body within reach, has weight 0.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.errors import InvalidConfig
+from ddakf.kernels import collision as kernels
+from ddakf.mesh import Mesh
+from ddakf.physics import Linearization
+from ddakf.physics.proximity import Contact
+
+
+class CollisionConstants(NamedTuple):
+    """One constraint per vertex; C = V."""
+
+    stencil: np.ndarray  # (C, 1) int32
+    weight: np.ndarray  # (C,) m^2, of a touching vertex
+    thickness: float  # m
+
+
+def build(mesh: Mesh, thickness: float = 0.002) -> CollisionConstants:
+    """Constants of a garment.
+
+    Args:
+        mesh: the garment, at rest.
+        thickness: distance that the fabric's middle keeps from the skin, metres.
+
+    Raises:
+        InvalidConfig: thickness negative or not finite.
+    """
+    if not 0.0 <= thickness < np.inf:
+        raise InvalidConfig("thickness", "metres, at least 0", str(thickness))
+    corners = mesh.vertices[mesh.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = np.bincount(mesh.faces.ravel(), np.repeat(area / 3.0, 3), mesh.n_vertices)
+    stencil = np.arange(mesh.n_vertices, dtype=np.int32)[:, None]
+    return CollisionConstants(stencil, share, float(thickness))
+
+
+def linearize(
+    positions: np.ndarray, constants: CollisionConstants, contact: Contact, out: Linearization | None = None
+) -> Linearization:
+    """Residuals (penetration, metres, at most 0) and Jacobians at positions (V, 3) metres.
+
+    ``contact`` holds, for every vertex, the body's closest point. ``out``, a former result for a garment of the same size, is
+    overwritten and returned.
+    """
+    if out is None:
+        count = len(constants.stencil)
+        out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
+    kernels.linearize(
+        positions, contact.face, contact.point, contact.normal, constants.thickness, constants.weight,
+        out.residual, out.jacobian, out.weight,
+    )  # fmt: skip
+    return out

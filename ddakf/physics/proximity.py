@@ -1,0 +1,170 @@
+"""The body's closest-point structure, shared by collision (stage E) and contact-aware prediction (stage A).
+
+Topology and a balanced tree over the faces are built once per body; per frame the tree's boxes are refitted to the new vertices
+(no rebuilding, no grid whose size would depend on where the body is). Queries are exact: the tree prunes by box distances only.
+The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), right at edges and corners too.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.kernels import proximity as kernels
+from ddakf.mesh import Mesh
+
+FACES_PER_LEAF = 4
+
+
+class Body(NamedTuple):
+    """Constant for the life of a session. Faces are renumbered so that a leaf's faces are consecutive; L = 2^d leaves."""
+
+    faces: np.ndarray  # (F, 3) int32, in leaf order
+    original_face: np.ndarray  # (F,) int32, index in the mesh of a face in leaf order
+    leaf_start: np.ndarray  # (L + 1,) int32, first face of each leaf
+    neighbour: np.ndarray  # (F, 3) int32, the face across the edge from corner c to c + 1; -1 at a boundary
+    ring_start: np.ndarray  # (B + 1,) int32
+    ring_face: np.ndarray  # (3 F,) int32, the faces around vertex i are ring_face[ring_start[i]:ring_start[i + 1]]
+
+
+class BodySurface(NamedTuple):
+    """A body in the pose of one frame."""
+
+    corners: np.ndarray  # (F, 3, 3) m, in leaf order
+    boxes: np.ndarray  # (2 L, 6) m, lower and upper corner per node; node n has children 2n and 2n + 1, the root is 1
+
+
+class Contact(NamedTuple):
+    """Closest points of N points on a body. Without a body within the radius: face -1, the rest 0, distance infinite."""
+
+    face: np.ndarray  # (N,) int32, in leaf order
+    barycentric: np.ndarray  # (N, 3)
+    point: np.ndarray  # (N, 3) m, on the body
+    normal: np.ndarray  # (N, 3) unit, outward: the gradient of the signed distance
+    distance: np.ndarray  # (N,) m, negative inside
+
+
+class SurfaceMotion(NamedTuple):
+    """What the body's motion does to points near it."""
+
+    position: np.ndarray  # (N, 3) m, after the motion
+    weight: np.ndarray  # (N,) share of the body's motion that was applied, in [0, 1]
+
+
+def build(mesh: Mesh) -> Body:
+    """Adjacency and tree of a body; the tree is shaped by the pose of ``mesh``, and right in any other."""
+    order, leaf_start = _tree_order(mesh.vertices[mesh.faces].mean(axis=1))
+    faces = np.ascontiguousarray(mesh.faces[order], np.int32)
+    by_vertex = np.argsort(faces.ravel(), kind="stable")
+    ring_start = np.zeros(mesh.n_vertices + 1, np.int32)
+    ring_start[1:] = np.cumsum(np.bincount(faces.ravel(), minlength=mesh.n_vertices))
+    ring_face = (by_vertex // 3).astype(np.int32)
+    return Body(faces, order.astype(np.int32), leaf_start, _neighbours(faces), ring_start, ring_face)
+
+
+def refresh(body: Body, vertices: np.ndarray, out: BodySurface | None = None) -> BodySurface:
+    """The body with its vertices (B, 3) at a new place. ``out``, a former surface of this body, is overwritten."""
+    if out is None:
+        n_leaves = len(body.leaf_start) - 1
+        corners, boxes = np.empty((len(body.faces), 3, 3)), np.zeros((2 * n_leaves, 6))
+        out = BodySurface(corners, boxes)
+    kernels.refit(vertices, body.faces, body.leaf_start, out.corners, out.boxes)
+    return out
+
+
+def closest_points(
+    body: Body,
+    surface: BodySurface,
+    points: np.ndarray,
+    radius: float,
+    hint: np.ndarray | None = None,
+    out: Contact | None = None,
+) -> Contact:
+    """Exact closest points on the body's surface.
+
+    Args:
+        body, surface: from :func:`build` and :func:`refresh`.
+        points: (N, 3) metres.
+        radius: how far to look, metres.
+        hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the frame before; makes the search
+            faster, never changes the distance. May be ``out.face``.
+        out: a former result for N points, overwritten and returned.
+    """
+    n = len(points)
+    if out is None:
+        out = Contact(np.full(n, -1, np.int32), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
+    if hint is None:
+        hint = np.full(n, -1, np.int32)
+    kernels.closest_points(
+        surface.corners, surface.boxes, body.leaf_start, points, radius, hint, out.face, out.barycentric, out.point
+    )
+    kernels.signed_distances(
+        surface.corners, body.faces, body.neighbour, body.ring_start, body.ring_face,
+        points, out.face, out.barycentric, out.point, out.normal, out.distance,
+    )  # fmt: skip
+    return out
+
+
+def surface_motion(
+    body: Body,
+    last: np.ndarray,
+    now: np.ndarray,
+    points: np.ndarray,
+    contact: Contact,
+    radius: float,
+    near: float = 0.02,
+) -> SurfaceMotion:
+    """Carries points with the body's surface under them, from one frame to the next.
+
+    Every face has a rotation (the polar factor of its in-plane deformation, with its normal), every vertex the mean of its
+    one-ring's, and a point the barycentric mean of its face's vertices: the offset from the body turns continuously from face to
+    face. Degenerate faces count for nothing; where there are only such, the motion is a translation. Within ``near`` the point
+    moves with the body, from there the share falls smoothly to none at ``radius``.
+
+    Args:
+        body: from :func:`build`.
+        last: (B, 3) body vertices when ``points`` were estimated, metres.
+        now: (B, 3) body vertices to move to, metres.
+        points: (N, 3) metres.
+        contact: the points' faces and barycentric coordinates, found in any pose of this body.
+        radius: distance from the body at which its motion has no influence, metres.
+        near: distance up to which a point moves with the body, metres.
+    """
+    position, weight = np.empty_like(points), np.empty(len(points))
+    rotation = np.empty((len(last), 4))
+    kernels.vertex_rotations(last, now, body.faces, rotation)
+    kernels.carry(
+        last, now, rotation, body.faces, contact.face, contact.barycentric, points, near, radius, position, weight
+    )
+    return SurfaceMotion(position, weight)
+
+
+def _tree_order(centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Faces in leaf order, and each leaf's start: every level halves each range at the median of its longest axis."""
+    n = len(centroids)
+    depth = max(0, int(np.ceil(np.log2(n / FACES_PER_LEAF)))) if n > FACES_PER_LEAF else 0
+    leaf_start = np.arange(2**depth + 1) * n // 2**depth
+    leaf = np.searchsorted(leaf_start, np.arange(n), side="right") - 1
+    order = np.arange(n)
+    for level in range(depth):
+        segment = leaf >> (depth - level)
+        first = np.searchsorted(segment, np.arange(2**level))
+        lower = np.minimum.reduceat(centroids[order], first)
+        extent = np.maximum.reduceat(centroids[order], first) - lower
+        order = order[np.lexsort((centroids[order, extent.argmax(axis=1)[segment]], segment))]
+    return order, leaf_start.astype(np.int32)
+
+
+def _neighbours(faces: np.ndarray) -> np.ndarray:
+    """(F, 3) int32: the other face at each edge."""
+    n = len(faces)
+    start, end = faces.T.ravel(), np.roll(faces, -1, axis=1).T.ravel()
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    order = np.lexsort((high, low))
+    first, second = order[:-1], order[1:]
+    paired = (low[first] == low[second]) & (high[first] == high[second])
+    first, second = first[paired], second[paired]
+    neighbour = np.full(3 * n, -1, np.int32)
+    neighbour[first], neighbour[second] = second % n, first % n
+    return np.ascontiguousarray(neighbour.reshape(3, n).T)
