@@ -30,7 +30,7 @@ def generate(out: Path) -> None:
 
 
 def stale_files() -> list[str]:
-    """Paths, relative to ``protos``, of generated files that are missing, surplus or different from what the schema gives."""
+    """Paths, relative to ``protos``, of generated files that are missing, surplus or not what the schema gives."""
     with tempfile.TemporaryDirectory() as folder:
         generate(Path(folder))
         fresh, committed = _contents(Path(folder)), _contents(ROOT)

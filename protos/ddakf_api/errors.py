@@ -1,7 +1,7 @@
-"""The errors of the service: one class per name, with its codes. The wire carries the name, both clients raise the class.
+"""The errors of the service: one class per name, with its codes. The wire carries the name, clients raise the class.
 
-An error travels as a gRPC status whose trailing metadata ``ddakf-error-bin`` holds an ``ErrorDetail``, as the ``error`` of a
-``FrameError`` inside a stream, and as JSON with the same fields over HTTP.
+An error travels as a gRPC status whose trailing metadata ``ddakf-error-bin`` holds an ``ErrorDetail``, as the ``error``
+of a ``FrameError`` inside a stream, and as JSON with the same fields over HTTP.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ class ServiceError(Exception):
         cls.status, cls.http_status, cls.retryable = status, http, retryable
         ERRORS[cls.__name__] = cls
 
-    def __init__(self, message: str = "", *, field: str = "", expected: str = "", got: str = "", retry_after: float = 0.0):
+    def __init__(
+        self, message: str = "", *, field: str = "", expected: str = "", got: str = "", retry_after: float = 0.0
+    ):
         self.message = message or f"{field}: expected {expected}, got {got}"
         self.field, self.expected, self.got, self.retry_after = field, expected, got, retry_after
         self.sequence: int | None = None
@@ -122,7 +124,7 @@ class Unavailable(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryab
 
 
 class WorkerLost(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
-    """The process that tracked the session died; the session goes on from its checkpoint, or has to be created again."""
+    """The process that tracked the session died; the session goes on from its checkpoint or has to be created again."""
 
 
 class Draining(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
@@ -146,7 +148,7 @@ class Internal(ServiceError, status=StatusCode.INTERNAL, http=500):
 
 
 def class_of(error: BaseException) -> type[ServiceError]:
-    """The class that stands for an exception on the wire: by its own name or its nearest base's, else :class:`Internal`.
+    """The class that stands for an exception on the wire: of its name or its nearest base's, else :class:`Internal`.
 
     By name, so that ``ddakf.errors.InvalidMesh`` and the like need no table of their own.
     """
@@ -154,7 +156,7 @@ def class_of(error: BaseException) -> type[ServiceError]:
 
 
 def to_detail(error: BaseException) -> pb.ErrorDetail:
-    """What the wire says about an exception. An unexpected one gives its type alone: its text may hold what is private."""
+    """What the wire says about an exception; of an unexpected one its type alone: its text may hold what is private."""
     cls = class_of(error)
     if cls is Internal and not isinstance(error, Internal):
         return pb.ErrorDetail(name=cls.__name__, message=f"internal error ({type(error).__name__})")
@@ -185,7 +187,7 @@ def from_detail(detail: pb.ErrorDetail) -> ServiceError:
 
 
 def from_rpc_error(error: grpc.RpcError) -> ServiceError:
-    """The exception for a failed gRPC call: by its detail, or by its status code when a proxy or gRPC itself refused."""
+    """The exception for a failed gRPC call: by its detail, or by its status code where gRPC itself refused."""
     for key, value in error.trailing_metadata() or ():
         if key == ERROR_METADATA_KEY:
             return from_detail(pb.ErrorDetail.FromString(value))

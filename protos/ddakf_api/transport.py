@@ -1,4 +1,4 @@
-"""gRPC channel options of both sides. They belong together: a client that pings faster than its server permits is cut off."""
+"""gRPC options of both sides. They belong together: a client that pings faster than its server permits is cut off."""
 
 from __future__ import annotations
 

@@ -1,0 +1,134 @@
+"""Numpy arrays as ``PackedArray`` messages and back. Every length is checked before memory is taken for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from ddakf_api.errors import InvalidArgument, InvalidMesh
+from ddakf_api.v1 import tracking_pb2 as pb
+
+FLOATS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT64)
+
+_DTYPES = {
+    pb.ARRAY_ENCODING_FLOAT32: np.dtype("<f4"),
+    pb.ARRAY_ENCODING_FLOAT64: np.dtype("<f8"),
+    pb.ARRAY_ENCODING_FLOAT16: np.dtype("<f2"),
+    pb.ARRAY_ENCODING_QUANTISED_16: np.dtype("<u2"),
+    pb.ARRAY_ENCODING_QUANTISED_8: np.dtype("u1"),
+    pb.ARRAY_ENCODING_INT32: np.dtype("<i4"),
+    pb.ARRAY_ENCODING_UINT32: np.dtype("<u4"),
+    pb.ARRAY_ENCODING_BOOL: np.dtype("u1"),
+}
+_QUANTISED = (pb.ARRAY_ENCODING_QUANTISED_16, pb.ARRAY_ENCODING_QUANTISED_8)
+
+
+def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32) -> pb.PackedArray:
+    """Packs an array of shape (n,) or (n, components).
+
+    Quantised encodings spread their steps over the array's own range: the error is at most half a step, that is the
+    largest component's range divided by 131,070 (16 bit) or 510 (8 bit). They need finite values.
+    """
+    dtype = _DTYPES[encoding]
+    if encoding not in _QUANTISED:
+        return pb.PackedArray(encoding=encoding, data=np.ascontiguousarray(array, dtype=dtype).tobytes())
+    values = np.asarray(array, dtype=np.float64)
+    columns = values.reshape(len(values), -1) if values.size else np.zeros((1, *values.shape[1:])).reshape(1, -1)
+    low, high = columns.min(axis=0), columns.max(axis=0)
+    step = float((high - low).max()) / np.iinfo(dtype).max or 1.0
+    data = np.rint((values - low) / step).astype(dtype).tobytes()
+    return pb.PackedArray(encoding=encoding, data=data, offset=low, step=step)
+
+
+def unpack(
+    packed: pb.PackedArray,
+    components: int | None = None,
+    *,
+    field: str,
+    max_items: int,
+    encodings: Sequence[int] = tuple(_DTYPES),
+    error: type[InvalidArgument] = InvalidArgument,
+) -> np.ndarray:
+    """The array of a message, of shape (n,), or (n, components) when `components` is given.
+
+    Floats of 16 and 32 bits and quantised values come as float32, the others as what they are; all native and writable.
+
+    Args:
+        field: name for errors.
+        max_items: the largest n.
+        encodings: those that the field may have.
+        error: class of what is raised.
+
+    Raises:
+        InvalidArgument: another encoding, bytes that are no whole number of items, too many items.
+    """
+    if packed.encoding not in encodings:
+        names = " or ".join(pb.ArrayEncoding.Name(e) for e in encodings)
+        raise error(field=f"{field}.encoding", expected=names, got=_encoding_name(packed.encoding))
+    dtype = _DTYPES[packed.encoding]
+    item_bytes = dtype.itemsize * (components or 1)
+    items, rest = divmod(len(packed.data), item_bytes)
+    if rest:
+        got = f"{len(packed.data)} bytes"
+        raise error(field=f"{field}.data", expected=f"a multiple of {item_bytes} bytes", got=got)
+    if items > max_items:
+        raise error(field=field, expected=f"at most {max_items} items", got=str(items))
+    raw = np.frombuffer(packed.data, dtype).reshape((items,) if components is None else (items, components))
+    if packed.encoding in _QUANTISED:
+        return (_offset(packed, components or 1, field, error) + packed.step * raw).astype(np.float32)
+    if packed.encoding == pb.ARRAY_ENCODING_BOOL:
+        return raw != 0
+    if packed.encoding == pb.ARRAY_ENCODING_FLOAT16:
+        return raw.astype(np.float32)
+    return raw.astype(dtype.newbyteorder("="))
+
+
+def pack_mesh(vertices: np.ndarray, faces: np.ndarray) -> pb.Mesh:
+    """A mesh message from (V, 3) metres, sent as float64 so that the server has the very mesh, and (F, 3) indices.
+
+    Raises:
+        InvalidMesh: shapes or types that are no mesh, indices that are no unsigned 32-bit numbers.
+    """
+    vertices, faces = np.asarray(vertices), np.asarray(faces)
+    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
+        raise InvalidMesh(field="mesh.vertices", expected="numbers of shape (V, 3)", got=_described(vertices))
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InvalidMesh(field="mesh.faces", expected="integers of shape (F, 3)", got=_described(faces))
+    if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
+        got = f"{faces.min()} to {faces.max()}"
+        raise InvalidMesh(field="mesh.faces", expected=f"indices from 0 to {len(vertices) - 1}", got=got)
+    return pb.Mesh(vertices=pack(vertices, pb.ARRAY_ENCODING_FLOAT64), faces=pack(faces, pb.ARRAY_ENCODING_UINT32))
+
+
+def unpack_mesh(mesh: pb.Mesh, *, field: str, max_vertices: int, max_faces: int) -> tuple[np.ndarray, np.ndarray]:
+    """(V, 3) float64 metres and (F, 3) int64 of a mesh message. Whether they make a mesh is for the tracker to say.
+
+    Raises:
+        InvalidMesh: encodings or lengths that do not fit, more vertices or faces than allowed.
+    """
+    vertices = unpack(
+        mesh.vertices, 3, field=f"{field}.vertices", max_items=max_vertices, encodings=FLOATS, error=InvalidMesh
+    )
+    indices = (pb.ARRAY_ENCODING_UINT32,)
+    faces = unpack(mesh.faces, 3, field=f"{field}.faces", max_items=max_faces, encodings=indices, error=InvalidMesh)
+    return vertices.astype(np.float64), faces.astype(np.int64)
+
+
+def _offset(packed: pb.PackedArray, components: int, field: str, error: type[InvalidArgument]) -> np.ndarray:
+    offset = np.array(packed.offset)
+    if len(offset) != components or not np.isfinite(offset).all():
+        got = f"{len(offset)} of them" if len(offset) != components else "a number that is not finite"
+        raise error(field=f"{field}.offset", expected=f"{components} finite numbers", got=got)
+    if not (math.isfinite(packed.step) and packed.step > 0):
+        raise error(field=f"{field}.step", expected="a finite number above 0", got=repr(packed.step))
+    return offset
+
+
+def _encoding_name(encoding: int) -> str:
+    return pb.ArrayEncoding.Name(encoding) if encoding in pb.ArrayEncoding.values() else f"unknown encoding {encoding}"
+
+
+def _described(array: np.ndarray) -> str:
+    return f"{array.dtype} of shape {array.shape}"

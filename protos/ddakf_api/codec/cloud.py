@@ -1,0 +1,160 @@
+"""Points to ``PointCloud`` messages and back, by the codec's name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf_api.codec import morton, planes
+from ddakf_api.codec.quantise import DEFAULT_STEP, dequantise, quantise, require_finite_range
+from ddakf_api.errors import CodecError, Unimplemented
+from ddakf_api.v1 import tracking_pb2 as pb
+
+CODECS = {
+    "raw": pb.POINT_CODEC_RAW_FLOAT32,
+    "quantised": pb.POINT_CODEC_QUANTISED_16,
+    "morton-zstd": pb.POINT_CODEC_MORTON_ZSTD,
+    "morton-deflate": pb.POINT_CODEC_MORTON_DEFLATE,
+}
+"""The codecs that this package reads and writes, by the name that users give them."""
+
+DEFAULT_CODEC = "morton-zstd"
+
+_COMPRESS = {
+    pb.POINT_CODEC_MORTON_ZSTD: planes.zstd_compress,
+    pb.POINT_CODEC_MORTON_DEFLATE: planes.deflate_compress,
+}
+_DECOMPRESS = {
+    pb.POINT_CODEC_MORTON_ZSTD: planes.zstd_decompress,
+    pb.POINT_CODEC_MORTON_DEFLATE: planes.deflate_decompress,
+}
+
+
+class Encoded(NamedTuple):
+    """A cloud ready to send.
+
+    Attributes:
+        cloud: the message.
+        order: (N,) int64: point i of the decoded cloud is point ``order[i]`` of the given one, for data that belongs to
+            points; None when the codec keeps the order.
+    """
+
+    cloud: pb.PointCloud
+    order: np.ndarray | None
+
+
+def encode(
+    points: np.ndarray, codec: str = DEFAULT_CODEC, *, step: float = DEFAULT_STEP, runs: Sequence[int] | None = None
+) -> Encoded:
+    """Encodes a cloud.
+
+    Args:
+        points: (N, 3) metres, finite; N may be 0.
+        codec: a name of :data:`CODECS`.
+        step: quantisation step, metres; the error is at most half of it per axis. Not used by ``raw``.
+        runs: lengths of the consecutive runs of points, one per sensor, that have to stay runs; default: one.
+
+    Raises:
+        CodecError: unknown codec, points that are not finite numbers of shape (N, 3), an extent too large for the step,
+            runs that do not sum to N.
+    """
+    if codec not in CODECS:
+        raise CodecError(field="codec", expected=" or ".join(CODECS), got=repr(codec))
+    points = _checked_points(points)
+    runs = _checked_runs(runs, len(points))
+    cloud = pb.PointCloud(codec=CODECS[codec], point_count=len(points))
+    if codec == "raw":
+        cloud.data = _as_float32(points).tobytes()
+        return Encoded(cloud, None)
+    coordinates, origin = quantise(points, step, 16 if codec == "quantised" else morton.BITS)
+    cloud.step = step
+    cloud.origin.x, cloud.origin.y, cloud.origin.z = origin.tolist()
+    if codec == "quantised":
+        cloud.data = coordinates.T.astype("<u2", order="C").tobytes()
+        return Encoded(cloud, None)
+    codes, order = morton.sort_within_runs(morton.interleave(coordinates), runs)
+    if len(points):
+        cloud.data = _COMPRESS[cloud.codec](planes.to_planes(codes))
+    return Encoded(cloud, order)
+
+
+def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
+    """Decodes a cloud.
+
+    Args:
+        cloud: the message; anything may have happened to it.
+        max_points: the largest N that is accepted; memory stays below about 100 bytes per point of it.
+
+    Returns:
+        (N, 3) float64 metres, finite.
+
+    Raises:
+        CodecError: too many points, an unknown codec, or bytes that are not what they should be.
+        Unimplemented: Draco.
+    """
+    count = cloud.point_count
+    if count > max_points:
+        raise CodecError(field="point_cloud.point_count", expected=f"at most {max_points} points", got=str(count))
+    codec = cloud.codec or CODECS[DEFAULT_CODEC]
+    if codec == pb.POINT_CODEC_DRACO:
+        raise Unimplemented("point_cloud.codec: this server does not decode Draco", field="point_cloud.codec")
+    if codec not in CODECS.values():
+        raise CodecError(field="point_cloud.codec", expected=" or ".join(CODECS), got=f"unknown codec {codec}")
+    if count == 0:
+        _require_length(cloud.data, 0)
+        return np.empty((0, 3))
+    if codec == pb.POINT_CODEC_RAW_FLOAT32:
+        return _decode_raw(cloud.data, count)
+    origin = np.array([cloud.origin.x, cloud.origin.y, cloud.origin.z])
+    step = cloud.step or DEFAULT_STEP
+    if codec == pb.POINT_CODEC_QUANTISED_16:
+        require_finite_range(origin, step, 16)
+        _require_length(cloud.data, 6 * count)
+        return dequantise(np.frombuffer(cloud.data, "<u2").reshape(count, 3).T, origin, step)
+    require_finite_range(origin, step, morton.BITS)
+    codes = planes.from_planes(_DECOMPRESS[codec](cloud.data, count), count)
+    return dequantise(morton.separate(codes), origin, step)
+
+
+def _decode_raw(data: bytes, count: int) -> np.ndarray:
+    _require_length(data, 12 * count)
+    points = np.frombuffer(data, "<f4").reshape(count, 3).astype(np.float64)
+    if not np.isfinite(points).all():
+        bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
+        raise CodecError(field="point_cloud.data", expected="finite positions", got=f"{bad} points that are not")
+    return points
+
+
+def _require_length(data: bytes, expected: int) -> None:
+    if len(data) != expected:
+        raise CodecError(
+            field="point_cloud.data", expected=f"{expected} bytes for point_count points", got=f"{len(data)} bytes"
+        )
+
+
+def _checked_points(points: np.ndarray) -> np.ndarray:
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
+        got = f"{points.dtype} of shape {points.shape}"
+        raise CodecError(field="points", expected="numbers of shape (N, 3)", got=got)
+    return points
+
+
+def _checked_runs(runs: Sequence[int] | None, count: int) -> list[int]:
+    if runs is None:
+        return [count]
+    if any(length < 0 for length in runs) or sum(runs) != count:
+        raise CodecError(field="runs", expected=f"lengths that sum to {count} points", got=str(list(runs))[:80])
+    return list(runs)
+
+
+def _as_float32(points: np.ndarray) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        narrow = points.astype("<f4", order="C")
+    finite = np.isfinite(narrow)
+    if not finite.all():
+        got = f"{int(np.count_nonzero(~finite.all(axis=1)))} of {len(points)} points that are not"
+        raise CodecError(field="points", expected="finite positions within float32", got=got)
+    return narrow

@@ -1,0 +1,76 @@
+"""Which sensor saw which point: consecutive runs of points, one per sensor, in the order of ``Frame.sensors``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ddakf_api.errors import InvalidFrame
+from ddakf_api.v1 import tracking_pb2 as pb
+
+MAX_SENSORS = 64
+
+
+def group_by_sensor(origins: np.ndarray) -> tuple[np.ndarray, list[int], np.ndarray]:
+    """Groups points by the optical centre that saw them.
+
+    Args:
+        origins: (N, 3) metres, one per point, of at most 64 different values.
+
+    Returns:
+        The permutation (N,) int64 that puts the points into runs (stable inside each), the runs' lengths, and the S
+        different origins (S, 3).
+
+    Raises:
+        InvalidFrame: too many different origins.
+    """
+    different, sensor = np.unique(origins, axis=0, return_inverse=True)
+    if len(different) > MAX_SENSORS:
+        raise InvalidFrame(
+            field="sensor_origin", expected=f"at most {MAX_SENSORS} different origins", got=str(len(different))
+        )
+    sensor = sensor.ravel()
+    return np.argsort(sensor, kind="stable"), np.bincount(sensor, minlength=len(different)).tolist(), different
+
+
+def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | None:
+    """Where the points of a frame were seen from.
+
+    Args:
+        sensors: ``Frame.sensors``.
+        count: N, the number of points.
+
+    Returns:
+        None when the frame names no sensor, (3,) metres for one, (N, 3) for several.
+
+    Raises:
+        InvalidFrame: too many sensors, none placed, run lengths that do not sum to N, or a pose that is none.
+    """
+    if not sensors:
+        return None
+    if len(sensors) > MAX_SENSORS:
+        raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(len(sensors)))
+    origins = np.array([_origin(sensor, f"sensors[{index}]") for index, sensor in enumerate(sensors)])
+    runs = [sensor.point_count for sensor in sensors]
+    if len(sensors) == 1 and runs[0] == 0:
+        return origins[0]
+    if sum(runs) != count:
+        raise InvalidFrame(field="sensors.point_count", expected=f"a sum of {count}, the points", got=str(sum(runs)))
+    return origins[0] if len(sensors) == 1 else np.repeat(origins, runs, axis=0)
+
+
+def _origin(sensor: pb.Sensor, field: str) -> tuple[float, float, float]:
+    placement = sensor.WhichOneof("placement")
+    if placement is None:
+        raise InvalidFrame(field=field, expected="an origin or a pose", got="neither")
+    if placement == "origin":
+        origin = (sensor.origin.x, sensor.origin.y, sensor.origin.z)
+    else:
+        matrix = sensor.pose.matrix or [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
+        if len(matrix) != 12:
+            raise InvalidFrame(field=f"{field}.pose.matrix", expected="12 numbers", got=str(len(matrix)))
+        origin = (matrix[3], matrix[7], matrix[11])
+    if not np.isfinite(origin).all():
+        raise InvalidFrame(field=f"{field}.{placement}", expected="finite numbers", got=str(origin))
+    return origin
