@@ -1,0 +1,120 @@
+"""Pinhole cameras: look at a scene, render the depth of meshes, and turn depth images into points.
+
+World: metres, y up, right-handed. Camera axes: x right, y down, z forward. The centre of the pixel in row v and
+column u is at (u, v). A depth is the z coordinate in camera axes, not the length of the ray.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddakf.errors import InvalidArgument
+from ddakf.kernels import zbuffer
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """Image size, focal lengths and principal point, pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A camera in the world.
+
+    Attributes:
+        intrinsics: see :class:`Intrinsics`.
+        eye: (3,) position, metres.
+        axes: (3, 3), whose rows are the camera's x, y and z axes in the world.
+    """
+
+    intrinsics: Intrinsics
+    eye: np.ndarray
+    axes: np.ndarray
+
+    @classmethod
+    def looking_at(cls, intrinsics: Intrinsics, eye, target) -> Camera:
+        """A camera at ``eye`` (3,) with ``target`` (3,) in the middle and the world's y axis upwards in the image."""
+        eye, target = np.asarray(eye, float), np.asarray(target, float)
+        z = (target - eye) / np.linalg.norm(target - eye)
+        x = np.cross(z, [0.0, 1.0, 0.0])
+        x /= np.linalg.norm(x)
+        return cls(intrinsics, eye, np.stack([x, np.cross(z, x), z]))
+
+    @classmethod
+    def at_origin(cls, intrinsics: Intrinsics) -> Camera:
+        """A camera whose world is its own frame: at the origin, looking along -z, y up, x right."""
+        return cls(intrinsics, np.zeros(3), np.diag([1.0, -1.0, -1.0]))
+
+    def to_camera(self, points: np.ndarray) -> np.ndarray:
+        """(N, 3) world points in camera axes, float64, contiguous."""
+        return np.ascontiguousarray((np.asarray(points, np.float64) - self.eye) @ self.axes.T)
+
+    def project(self, points: np.ndarray) -> np.ndarray:
+        """(N, 2) pixel coordinates (u, v) of world points (N, 3) in front of the camera."""
+        c, i = self.to_camera(points), self.intrinsics
+        return c[:, :2] / c[:, 2:] * [i.fx, i.fy] + [i.cx, i.cy]
+
+    def render(self, meshes) -> tuple[np.ndarray, np.ndarray]:
+        """Draws meshes with mutual occlusion.
+
+        Args:
+            meshes: pairs of vertices (V, 3), metres, and faces (F, 3).
+
+        Returns:
+            Depth (H, W) float64, metres, infinity where there is nothing; and face (H, W) int32: the index of the face
+            in the concatenation of all faces, -1 where there is nothing.
+        """
+        i, label = self.intrinsics, 0
+        depth = np.full((i.height, i.width), np.inf)
+        face = np.full((i.height, i.width), -1, np.int32)
+        for vertices, faces in meshes:
+            faces = np.ascontiguousarray(faces, np.int64)
+            zbuffer.rasterize(self.to_camera(vertices), faces, i.fx, i.fy, i.cx, i.cy, label, depth, face)
+            label += len(faces)
+        return depth, face
+
+    def unproject(self, depth: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
+        """World points of the pixels of a depth image, row by row.
+
+        Args:
+            depth: (H, W) metres; zero, negative or non-finite where nothing was seen.
+            keep: (H, W) bool, the pixels to use; default all that saw something.
+
+        Returns:
+            (N, 3) float64, metres.
+        """
+        i = self.intrinsics
+        if depth.shape != (i.height, i.width):
+            raise InvalidArgument("depth", f"an image of shape {(i.height, i.width)}", str(depth.shape))
+        seen = np.isfinite(depth) & (depth > 0)
+        v, u = np.nonzero(seen if keep is None else seen & keep)
+        z = depth[v, u].astype(np.float64)
+        return np.column_stack([(u - i.cx) / i.fx * z, (v - i.cy) / i.fy * z, z]) @ self.axes + self.eye
+
+
+def without_fliers(depth: np.ndarray, jump: float) -> np.ndarray:
+    """(H, W) bool: pixels no farther than ``jump`` metres behind the nearest of their eight neighbours.
+
+    At the edge of an object a depth camera mixes foreground and background; such points float behind the edge.
+
+    Args:
+        depth: (H, W) metres; zero, negative or non-finite where nothing was seen.
+    """
+    seen = np.isfinite(depth) & (depth > 0)
+    z = np.where(seen, depth, np.inf)
+    padded = np.pad(z, 1, constant_values=np.inf)
+    height, width = z.shape
+    nearest = z.copy()
+    for row in range(3):
+        for column in range(3):
+            np.minimum(nearest, padded[row : row + height, column : column + width], out=nearest)
+    return seen & (z < nearest + jump)

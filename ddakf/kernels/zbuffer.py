@@ -1,0 +1,81 @@
+"""A z-buffer: which face of a mesh every pixel of a pinhole camera sees, and how far away. Twin: tests/evaluation."""
+
+from math import ceil, floor
+
+import numpy as np
+from numba import njit
+
+NEAR = 0.05  # m: faces with a corner nearer than this, or behind the camera, are left out whole
+
+
+@njit(nogil=True, cache=True)
+def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
+    """Draws triangles, both sides, into a depth image.
+
+    Args:
+        vertices: (V, 3) float64 in camera axes, x right, y down, z forward, metres.
+        faces: (F, 3) int64.
+        fx, fy, cx, cy: pixels; the centre of the pixel in row v and column u is at (u, v).
+        label: added to the face's index before it is stored, so that several meshes share a buffer.
+        depth: (H, W) float64 z of the nearest surface so far, infinity where there is none; updated.
+        face: (H, W) int32 label + index of the face at that depth; updated.
+    """
+    height, width = depth.shape
+    screen = np.empty((vertices.shape[0], 3))  # u, v, 1/z
+    for i in range(vertices.shape[0]):
+        z = vertices[i, 2]
+        screen[i, 2] = 1.0 / z if z >= NEAR else -1.0
+        screen[i, 0] = vertices[i, 0] * screen[i, 2] * fx + cx
+        screen[i, 1] = vertices[i, 1] * screen[i, 2] * fy + cy
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        wa, wb, wc = screen[a, 2], screen[b, 2], screen[c, 2]
+        if wa < 0 or wb < 0 or wc < 0:
+            continue
+        ua, va, ub, vb, uc, vc = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+        area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
+        if area == 0.0:
+            continue
+        first_row = max(0, ceil(max(min(va, vb, vc), -1.0)))
+        last_row = min(height - 1, floor(min(max(va, vb, vc), float(height))))
+        first_column = max(0, ceil(max(min(ua, ub, uc), -1.0)))
+        last_column = min(width - 1, floor(min(max(ua, ub, uc), float(width))))
+        for v in range(first_row, last_row + 1):
+            for u in range(first_column, last_column + 1):
+                alpha = ((ub - u) * (vc - v) - (vb - v) * (uc - u)) / area
+                beta = ((uc - u) * (va - v) - (vc - v) * (ua - u)) / area
+                gamma = 1.0 - alpha - beta
+                if alpha < 0.0 or beta < 0.0 or gamma < 0.0:
+                    continue
+                z = 1.0 / (alpha * wa + beta * wb + gamma * wc)  # 1/z is linear on the screen
+                if z < depth[v, u]:
+                    depth[v, u] = z
+                    face[v, u] = label + f
+
+
+@njit(nogil=True, cache=True)
+def splat(points, fx, fy, cx, cy, radius, depth, index):
+    """Draws points as discs that face the camera, where nothing nearer is.
+
+    Args:
+        points: (N, 3) float64 in camera axes, metres.
+        fx, fy, cx, cy: pixels.
+        radius: of a disc, pixels.
+        depth: (H, W) float64, updated.
+        index: (H, W) int32, the point's index; updated.
+    """
+    height, width = depth.shape
+    reach = ceil(radius)
+    for i in range(points.shape[0]):
+        z = points[i, 2]
+        if z < NEAR:
+            continue
+        u, v = points[i, 0] / z * fx + cx, points[i, 1] / z * fy + cy
+        if not (-reach <= u < width + reach and -reach <= v < height + reach):
+            continue
+        column, row = floor(u + 0.5), floor(v + 0.5)
+        for y in range(max(0, row - reach), min(height, row + reach + 1)):
+            for x in range(max(0, column - reach), min(width, column + reach + 1)):
+                if (x - u) ** 2 + (y - v) ** 2 <= radius * radius and z < depth[y, x]:
+                    depth[y, x] = z
+                    index[y, x] = i
