@@ -1,0 +1,126 @@
+"""Recordings: depth images of a known scene give points and a template on it; folders come in order of number."""
+
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+from ddakf import io
+from ddakf.data import sample
+from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.evaluation import datasets, metrics
+from ddakf.evaluation.camera import Camera
+from ddakf.evaluation.datasets import KINECT
+from ddakf.evaluation.depth_template import template_from_depth
+from ddakf.mesh import Mesh, vertex_normals
+
+
+@pytest.fixture(scope="module")
+def person():
+    """A body 2.5 m in front of the sensor, in the sensor's frame: vertices, faces, depth image in metres."""
+    sequence = sample()
+    vertices = sequence.body_vertices[0].astype(float)
+    vertices += np.array([0, 0, -2.5]) - vertices.mean(axis=0)
+    depth = Camera.at_origin(KINECT).render([(vertices, sequence.body_faces)])[0]
+    return vertices, sequence.body_faces, np.where(np.isfinite(depth), depth, 0)
+
+
+@pytest.fixture
+def depth_file(tmp_path, person):
+    millimetres = np.rint(person[2] * 1e3).astype(np.uint16)[:, ::-1]  # mirrored, as the sensor delivers it
+    savemat(tmp_path / "a1_depth.mat", {"d_depth": np.stack([millimetres] * 3, axis=2)})
+    return tmp_path / "a1_depth.mat"
+
+
+def test_depth_points_lie_on_the_person_unmirrored(depth_file, person):
+    recording = datasets.load_recording(depth_file)
+    cloud = recording.cloud(1)
+    mesh, kept = Mesh.cleaned(person[0], person[1])
+    assert len(recording) == 3
+    assert recording.timestamp(2) == pytest.approx(2 / 30)
+    assert np.array_equal(cloud.sensor_origin, np.zeros(3))
+    assert metrics.SurfaceDistance(mesh)(cloud.points, person[0][kept]).max() < 0.001
+    assert 0.8 * (person[2] > 0).sum() < len(cloud.points) <= (person[2] > 0).sum()
+
+
+def test_template_is_the_visible_surface_facing_the_sensor(depth_file, person):
+    template = datasets.load_recording(depth_file).template()
+    mesh, kept = Mesh.cleaned(person[0], person[1])
+    assert 2500 <= template.n_vertices <= 4000
+    assert np.percentile(metrics.SurfaceDistance(mesh)(template.vertices, person[0][kept]), 90) < 0.01
+    facing = (vertex_normals(template.vertices, template.faces) * -template.vertices).sum(axis=1) > 0
+    assert facing.mean() > 0.99
+    lengths = np.linalg.norm(np.diff(template.vertices[template.edges], axis=1), axis=2)
+    assert lengths.max() < 0.07
+
+
+def test_template_does_not_bridge_depth_jumps_and_forgets_specks():
+    depth = np.zeros((KINECT.height, KINECT.width))
+    depth[60:120, 60:120] = 2.0
+    depth[60:120, 120:180] = 2.2
+    depth[200:204, 10:14] = 2.0
+    template = template_from_depth(depth, Camera.at_origin(KINECT))
+    depths = -template.vertices[template.faces][:, :, 2]
+    assert np.ptp(depths, axis=1).max() < 0.01
+    assert {*np.round(depths, 1).ravel()} == {2.0, 2.2}
+    assert template.vertices[:, 1].min() > -1  # the speck would be at the lower left
+    assert len(template.vertices) > 2500
+
+
+def test_template_of_nothing_is_refused():
+    with pytest.raises(InvalidArgument, match="16 connected pixels"):
+        template_from_depth(np.zeros((KINECT.height, KINECT.width)), Camera.at_origin(KINECT))
+
+
+def test_broken_depth_files_give_one_sentence(tmp_path):
+    with pytest.raises(InvalidFile, match="nothing there"):
+        datasets.load_depth(tmp_path / "none.mat")
+    (tmp_path / "bad.mat").write_bytes(b"MATLAB 5.0 but not really" * 9)
+    with pytest.raises(InvalidFile, match="a MATLAB file"):
+        datasets.load_depth(tmp_path / "bad.mat")
+    savemat(tmp_path / "other.mat", {"depth": np.zeros(3)})
+    with pytest.raises(InvalidFile, match="d_depth"):
+        datasets.load_depth(tmp_path / "other.mat")
+    savemat(tmp_path / "shape.mat", {"d_depth": np.zeros((24, 32, 2), np.uint16)})
+    with pytest.raises(InvalidFile, match="of shape"):
+        datasets.load_depth(tmp_path / "shape.mat")
+
+
+def test_folders_are_read_in_the_order_of_their_numbers(tmp_path):
+    for number in (10, 9, 1):
+        io.write_points(tmp_path / f"frame_{number}.xyz", np.full((2, 3), number))
+    (tmp_path / "notes.md").write_text("no frame")
+    recording = datasets.load_recording(tmp_path, fps=10)
+    assert [recording.cloud(k).points[0, 0] for k in range(3)] == [1, 9, 10]
+    assert recording.cloud(0).sensor_origin is None
+    assert recording.timestamp(1) == 0.1
+    with pytest.raises(InvalidArgument, match="template"):
+        recording.template()
+
+
+def test_a_folder_that_begins_with_a_mesh_is_its_own_template(tmp_path):
+    vertices, faces = np.eye(3), np.array([[0, 1, 2]])
+    io.write_mesh(tmp_path / "0.ply", vertices, faces)
+    assert np.array_equal(datasets.load_folder(tmp_path).template().vertices, vertices)
+    io.write_points(tmp_path / "0.ply", vertices)
+    with pytest.raises(InvalidArgument, match="template"):
+        datasets.load_folder(tmp_path).template()
+
+
+def test_folders_without_frames_and_rates_without_sense(tmp_path):
+    with pytest.raises(InvalidFile, match="none in the folder"):
+        datasets.load_folder(tmp_path)
+    with pytest.raises(InvalidFile, match="no folder"):
+        datasets.load_folder(tmp_path / "none")
+    io.write_points(tmp_path / "0.xyz", np.eye(3))
+    with pytest.raises(InvalidArgument, match="fps"):
+        datasets.load_folder(tmp_path, fps=0)
+
+
+@pytest.mark.parametrize("name", ["a1_s1_t1", "a12_s2_t1", "a26_s3_t1"])
+def test_kinect_recordings_give_a_template_of_a_person(recording, name):
+    frames = datasets.load_depth(recording(f"depth/utd-mhad/{name}_depth.mat"))
+    template = frames.template()
+    distance = metrics.SurfaceDistance(template)(frames.cloud(0).points, template.vertices)
+    assert 2500 <= template.n_vertices <= 4000
+    assert 1.3 < np.ptp(template.vertices[:, 1]) < 2.0
+    assert np.median(distance) < 0.015
