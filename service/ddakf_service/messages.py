@@ -1,0 +1,189 @@
+"""Messages of the contract to what the tracker takes, and back. Runs in the workers.
+
+Every length is checked against its limit before memory is taken; errors name the field of the message.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+
+import numpy as np
+from ddakf_api import codec
+from ddakf_api.arrays import FLOATS, pack, pack_mesh, unpack, unpack_mesh
+from ddakf_api.errors import InvalidConfig, InvalidFrame, Unimplemented
+from ddakf_api.v1 import tracking_pb2 as pb
+
+import ddakf
+from ddakf import errors as library
+from ddakf.types import FrameResult
+
+_MAX_CONFIG_CHARACTERS = 1 << 16
+# The arguments of Tracker.step by the fields of a frame that they come from.
+_FRAME_FIELDS = {"points": "point_cloud", "timestamp": "capture_time", "sensor_origin": "sensors"}
+_UPPER_TRIANGLE = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
+
+# What a client may ask for, per array; the first is the default.
+_VERTEX_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT64, pb.ARRAY_ENCODING_QUANTISED_16)
+_SIGMA_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT16)
+_RELIABILITY_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_QUANTISED_8)
+RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_ENCODINGS})
+
+
+def garment(
+    request: pb.CreateSessionRequest, max_vertices: int, max_faces: int
+) -> tuple[ddakf.Mesh, np.ndarray | None]:
+    """The garment, and with ``clean`` the vertex map (V,) of the repair."""
+    vertices, faces = unpack_mesh(
+        request.session.garment, field="garment", max_vertices=max_vertices, max_faces=max_faces
+    )
+    with _fields_of("garment"):
+        return ddakf.Mesh.cleaned(vertices, faces) if request.clean else (ddakf.Mesh(vertices, faces), None)
+
+
+def body(session: pb.Session, max_vertices: int, max_faces: int) -> ddakf.Mesh | None:
+    """The body, if there is one."""
+    if not session.HasField("body"):
+        return None
+    vertices, faces = unpack_mesh(session.body, field="body", max_vertices=max_vertices, max_faces=max_faces)
+    with _fields_of("body"):
+        return ddakf.Mesh(vertices, faces)
+
+
+def config(session: pb.Session) -> ddakf.Config:
+    """The tracker's configuration: ``config_json`` over the defaults, then ``fabric``."""
+    text = session.config_json
+    if len(text) > _MAX_CONFIG_CHARACTERS:
+        raise InvalidConfig(
+            field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text))
+        )
+    try:
+        chosen = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidConfig(field="config_json", expected="a JSON object", got=str(error)) from None
+    return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
+
+
+def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:
+    """What the server keeps of a new session."""
+    garment, body = tracker.garment, tracker.body
+    session = pb.Session(
+        config_json=json.dumps(tracker.config.to_dict()),
+        fabric=fabric,
+        garment=pack_mesh(garment.vertices, garment.faces),
+        garment_vertex_count=garment.n_vertices,
+        garment_face_count=garment.n_faces,
+    )
+    if body is not None:
+        session.body.CopyFrom(pack_mesh(body.vertices, body.faces))
+        session.body_vertex_count = body.n_vertices
+    if vertex_map is not None:
+        session.vertex_map.CopyFrom(pack(vertex_map, pb.ARRAY_ENCODING_UINT32))
+    return session
+
+
+def step_arguments(frame: pb.Frame, max_points: int, max_body_vertices: int) -> dict:
+    """The arguments of ``Tracker.step`` for a frame."""
+    if frame.WhichOneof("payload") == "depth_image":
+        raise Unimplemented("depth_image: this server takes point clouds only", field="depth_image")
+    points = codec.decode(frame.point_cloud, max_points=max_points)
+    return {
+        "points": points,
+        "timestamp": frame.capture_time,
+        "sensor_origin": codec.sensor_origins(frame.sensors, len(points)),
+        "body_vertices": _body_vertices(frame.body_vertices, max_body_vertices),
+    }
+
+
+@contextmanager
+def frame_fields():
+    """Makes errors of the tracker name the fields of the frame."""
+    try:
+        yield
+    except library.InvalidFrame as error:
+        field = _FRAME_FIELDS.get(error.field, error.field)
+        raise InvalidFrame(field=field, expected=error.expected, got=error.got) from None
+
+
+def require_known_encodings(options: pb.ResultOptions) -> None:
+    """Refuses, before the frame is tracked, options that its result could not be encoded with."""
+    for field, allowed in (
+        ("vertex_encoding", _VERTEX_ENCODINGS),
+        ("sigma_encoding", _SIGMA_ENCODINGS),
+        ("reliability_encoding", _RELIABILITY_ENCODINGS),
+    ):
+        asked = getattr(options, field)
+        if asked and asked not in allowed:
+            names = " or ".join(pb.ArrayEncoding.Name(e) for e in allowed)
+            known = asked in pb.ArrayEncoding.values()
+            got = pb.ArrayEncoding.Name(asked) if known else f"unknown encoding {asked}"
+            raise InvalidFrame(field=f"result_options.{field}", expected=names, got=got)
+
+
+def result(frame: pb.Frame, outcome: FrameResult, options: pb.ResultOptions) -> pb.Result:
+    """The answer to a frame, without what only the server knows: counters and queueing time."""
+    answer = pb.Result(
+        sequence_number=frame.sequence_number,
+        capture_time=frame.capture_time,
+        state=pb.TrackerState.Value(f"TRACKER_STATE_{outcome.state.upper()}"),
+        reliability=outcome.reliability,
+        paper_score=outcome.paper_score,
+        coverage=outcome.coverage,
+        timings=outcome.timings,
+        vertices=pack(outcome.vertices, options.vertex_encoding or _VERTEX_ENCODINGS[0]),
+        sigma=pack(outcome.sigma, options.sigma_encoding or _SIGMA_ENCODINGS[0]),
+        vertex_reliability=pack(outcome.vertex_reliability, options.reliability_encoding or _RELIABILITY_ENCODINGS[0]),
+        observed=pack(outcome.observed, pb.ARRAY_ENCODING_BOOL),
+    )
+    if options.include_velocities:
+        answer.velocities.CopyFrom(pack(outcome.velocities))
+    if options.include_covariance:
+        answer.covariance.CopyFrom(pack(outcome.covariance[:, *_UPPER_TRIANGLE]))
+    return answer
+
+
+def optional_array(message, field: str, max_items: int) -> np.ndarray | None:
+    """(n, 3) numbers of an optional PackedArray."""
+    if not message.HasField(field):
+        return None
+    return unpack(getattr(message, field), 3, field=field, max_items=max_items, encodings=FLOATS).astype(np.float64)
+
+
+def warm_up_session() -> tuple[pb.CreateSessionRequest, pb.Frame]:
+    """A hand-sized sheet above a body, and a first frame of it: what a worker tracks before it takes sessions."""
+    side, spacing = 12, 0.02
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    sheet = spacing * np.stack([x.ravel(), y.ravel(), np.zeros(side * side)], axis=1)
+    corner = (x[:-1, :-1] * side + y[:-1, :-1]).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + side, corner + 1], 1), np.stack([corner + 1, corner + side, corner + side + 1], 1)]
+    )
+    below = sheet - [0, 0, 0.05]
+    request = pb.CreateSessionRequest(session=pb.Session(garment=pack_mesh(sheet, faces), body=pack_mesh(below, faces)))
+    frame = pb.Frame(
+        sequence_number=1,
+        sensors=[pb.Sensor(origin=pb.Vector3(z=1.0))],
+        body_vertices=below.astype("<f4").tobytes(),
+        point_cloud=codec.encode(sheet).cloud,
+    )
+    return request, frame
+
+
+def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:
+    if not data:
+        return None
+    if len(data) % 12:
+        raise InvalidFrame(field="body_vertices", expected="float32 triples, 12 bytes each", got=f"{len(data)} bytes")
+    if len(data) > 12 * max_vertices:
+        raise InvalidFrame(field="body_vertices", expected=f"at most {max_vertices}", got=str(len(data) // 12))
+    return np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float64)
+
+
+@contextmanager
+def _fields_of(name: str):
+    """Makes errors of a mesh say which mesh."""
+    try:
+        yield
+    except library.InvalidMesh as error:
+        field = error.field.replace("mesh", name, 1)
+        raise library.InvalidMesh(field, error.expected, error.got) from None

@@ -1,0 +1,270 @@
+"""Sessions as JSON, and JSON as the contract's messages: the same names, enumerations in lower case."""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+from datetime import datetime
+from typing import Any, Literal
+
+import numpy as np
+from ddakf_api.arrays import unpack
+from ddakf_api.errors import InvalidArgument
+from ddakf_api.v1 import tracking_pb2 as pb
+from pydantic import BaseModel, ConfigDict, Field
+
+StateName = Literal["initializing", "tracking", "recovering", "lost", "idle", "expired", "closed"]
+
+_FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
+_INTEGERS = {"uint32": pb.ARRAY_ENCODING_UINT32}
+_STATE_PREFIX = "SESSION_STATE_"
+
+TRIANGLE = {"vertices": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "faces": [[0, 1, 2]]}
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class PackedFloats(_Strict):
+    """Numbers as base64 of packed little-endian rows of three."""
+
+    encoding: Literal["float32", "float64"]
+    data: str = Field(description="base64")
+
+
+class PackedIndices(_Strict):
+    """Indices as base64 of packed little-endian rows of three."""
+
+    encoding: Literal["uint32"]
+    data: str = Field(description="base64")
+
+
+class MeshIn(_Strict):
+    """A triangle mesh; metres."""
+
+    vertices: list[tuple[float, float, float]] | PackedFloats = Field(description="(V, 3) positions, metres")
+    faces: list[tuple[int, int, int]] | PackedIndices = Field(
+        description="(F, 3) vertex indices, counter-clockwise seen from outside"
+    )
+
+
+class LimitsIn(_Strict):
+    """Bounds of a session; what is left out, or more than the server allows, becomes the server's."""
+
+    max_points: int = Field(0, ge=0, le=2**32 - 1, description="points per frame")
+    idle_timeout: float = Field(0.0, ge=0, description="seconds without a frame after which the session expires")
+    max_frames_in_flight: int = Field(0, ge=0, le=2**32 - 1, description="frames that may wait in lossless flow")
+
+
+class CreateSession(_Strict):
+    """A garment to track."""
+
+    model_config = ConfigDict(
+        extra="forbid", json_schema_extra={"examples": [{"garment": TRIANGLE, "fabric": "cotton"}]}
+    )
+
+    garment: MeshIn = Field(description="the garment in its rest shape")
+    body: MeshIn | None = Field(None, description="the body in its pose at the start")
+    config: dict[str, Any] | None = Field(
+        None, description="the tracker's configuration; what is left out keeps its default"
+    )
+    fabric: str = Field("", max_length=64, description="a fabric preset by name")
+    labels: dict[str, str] = Field(default_factory=dict, description="free key-value pairs")
+    limits: LimitsIn = Field(default_factory=LimitsIn)
+    session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
+    request_id: str = Field("", max_length=64, description="makes a repeated call harmless")
+    clean: bool = Field(False, description="repair the garment rather than refuse it, and answer the vertex map")
+    api_version: str = Field("1.0", description="version of the contract that the client speaks")
+
+    def to_message(self) -> pb.CreateSessionRequest:
+        session = pb.Session(
+            labels=self.labels,
+            config_json=json.dumps(self.config) if self.config is not None else "",
+            fabric=self.fabric,
+            limits=pb.SessionLimits(**self.limits.model_dump()),
+            garment=_mesh_message(self.garment, "garment"),
+        )
+        if self.body is not None:
+            session.body.CopyFrom(_mesh_message(self.body, "body"))
+        return pb.CreateSessionRequest(
+            api_version=self.api_version,
+            session=session,
+            session_id=self.session_id,
+            request_id=self.request_id,
+            clean=self.clean,
+        )
+
+
+class Limits(BaseModel):
+    max_points: int
+    idle_timeout: float
+    max_frames_in_flight: int
+
+
+class Statistics(BaseModel):
+    """As of the last frame."""
+
+    frames_applied: int
+    frames_dropped: int = Field(description="overtaken by a newer frame in realtime flow")
+    frames_rejected: int = Field(description="answered with an error")
+    frame_rate: float = Field(description="frames applied per second over the last few seconds")
+    reliability: float = Field(description="in [0, 1]; high means low error")
+    paper_score: float
+    coverage: float = Field(description="share of the vertices that were measured")
+    last_sequence_number: int
+    last_capture_time: float = Field(description="seconds of the client's clock")
+    last_frame_time: datetime | None = None
+    last_latency: float = Field(description="seconds from arrival at the server to the result")
+
+
+class PackedOut(BaseModel):
+    encoding: str
+    data: str = Field(description="base64 of packed little-endian rows")
+
+
+class MeshOut(BaseModel):
+    vertices: PackedOut
+    faces: PackedOut
+
+
+class SessionOut(BaseModel):
+    """A session."""
+
+    name: str
+    labels: dict[str, str]
+    state: StateName
+    create_time: datetime
+    config: dict[str, Any] = Field(description="the whole configuration in force")
+    fabric: str
+    limits: Limits
+    statistics: Statistics
+    etag: str
+    garment_vertex_count: int
+    garment_face_count: int
+    body_vertex_count: int
+    vertex_map: list[int] | None = Field(
+        None,
+        description="vertex i of the tracked garment is vertex vertex_map[i] of the mesh that was sent; with clean",
+    )
+    garment: MeshOut | None = Field(None, description="in the full view")
+    body: MeshOut | None = Field(None, description="in the full view")
+
+    @classmethod
+    def of(cls, session: pb.Session) -> SessionOut:
+        statistics = {f.name: getattr(session.statistics, f.name) for f in pb.SessionStatistics.DESCRIPTOR.fields}
+        has_frame = session.statistics.HasField("last_frame_time")
+        statistics["last_frame_time"] = session.statistics.last_frame_time.ToDatetime() if has_frame else None
+        has_map = session.HasField("vertex_map")
+        return cls(
+            name=session.name,
+            labels=dict(session.labels),
+            state=pb.SessionState.Name(session.state).removeprefix(_STATE_PREFIX).lower(),
+            create_time=session.create_time.ToDatetime(),
+            config=json.loads(session.config_json),
+            fabric=session.fabric,
+            limits=Limits(**{name: getattr(session.limits, name) for name in Limits.model_fields}),
+            statistics=Statistics(**statistics),
+            etag=session.etag,
+            garment_vertex_count=session.garment_vertex_count,
+            garment_face_count=session.garment_face_count,
+            body_vertex_count=session.body_vertex_count,
+            vertex_map=_indices(session.vertex_map) if has_map else None,
+            garment=_mesh_out(session.garment) if session.HasField("garment") else None,
+            body=_mesh_out(session.body) if session.HasField("body") else None,
+        )
+
+
+class SessionList(BaseModel):
+    """One page, oldest session first."""
+
+    sessions: list[SessionOut]
+    next_page_token: str = Field(description="empty on the last page")
+
+
+class ErrorBody(BaseModel):
+    """What went wrong, in one sentence and in parts."""
+
+    name: str
+    field: str
+    expected: str
+    got: str
+    message: str
+    retry_after: float = Field(0.0, description="seconds after which trying again makes sense; 0: not said")
+
+
+class ErrorOut(BaseModel):
+    error: ErrorBody
+
+    @classmethod
+    def of(cls, detail: pb.ErrorDetail) -> ErrorOut:
+        return cls(error=ErrorBody(**{name: getattr(detail, name) for name in ErrorBody.model_fields}))
+
+
+class Info(BaseModel):
+    """Versions and limits of the server."""
+
+    api_version: str
+    server_version: str
+    point_codecs: list[str]
+    fabrics: list[str]
+    max_message_bytes: int
+    max_vertices: int
+    max_limits: Limits
+    draining: bool
+
+    @classmethod
+    def of(cls, info: pb.ServerInfo) -> Info:
+        return cls(
+            api_version=info.api_version,
+            server_version=info.server_version,
+            point_codecs=[pb.PointCodec.Name(c).removeprefix("POINT_CODEC_").lower() for c in info.point_codecs],
+            fabrics=list(info.fabrics),
+            max_message_bytes=info.max_message_bytes,
+            max_vertices=info.max_vertices,
+            max_limits=Limits(**{name: getattr(info.max_limits, name) for name in Limits.model_fields}),
+            draining=info.draining,
+        )
+
+
+def states_from(names: list[str]) -> list[int]:
+    """SessionState values by their lower-case names."""
+    known = {name.removeprefix(_STATE_PREFIX).lower(): value for name, value in pb.SessionState.items() if value}
+    for name in names:
+        if name not in known:
+            raise InvalidArgument(field="state", expected=" or ".join(known), got=repr(name[:80]))
+    return [known[name] for name in names]
+
+
+def _mesh_message(mesh: MeshIn, field: str) -> pb.Mesh:
+    return pb.Mesh(
+        vertices=_packed(mesh.vertices, f"{field}.vertices", "float64", _FLOATS),
+        faces=_packed(mesh.faces, f"{field}.faces", "uint32", _INTEGERS),
+    )
+
+
+def _packed(value, field: str, list_encoding: str, encodings: dict[str, int]) -> pb.PackedArray:
+    if isinstance(value, list):
+        try:
+            data = np.array(value, np.dtype(list_encoding).newbyteorder("<")).tobytes()
+        except OverflowError:
+            raise InvalidArgument(field=field, expected=f"numbers within {list_encoding}", got="one outside") from None
+        return pb.PackedArray(encoding=encodings[list_encoding], data=data)
+    try:
+        return pb.PackedArray(encoding=encodings[value.encoding], data=base64.b64decode(value.data, validate=True))
+    except binascii.Error as error:
+        raise InvalidArgument(field=f"{field}.data", expected="base64", got=str(error)) from None
+
+
+def _packed_out(array: pb.PackedArray) -> PackedOut:
+    encoding = pb.ArrayEncoding.Name(array.encoding).removeprefix("ARRAY_ENCODING_").lower()
+    return PackedOut(encoding=encoding, data=base64.b64encode(array.data).decode())
+
+
+def _mesh_out(mesh: pb.Mesh) -> MeshOut:
+    return MeshOut(vertices=_packed_out(mesh.vertices), faces=_packed_out(mesh.faces))
+
+
+def _indices(array: pb.PackedArray) -> list[int]:
+    return unpack(array, field="vertex_map", max_items=len(array.data)).tolist()

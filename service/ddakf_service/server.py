@@ -1,0 +1,132 @@
+"""The service: startup, main loop, shutdown."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import signal
+from collections.abc import Callable
+from typing import NamedTuple
+
+from .grpc_service import GrpcServer
+from .http import HttpServer, create_app
+from .sessions import Sessions
+from .settings import Settings
+from .telemetry import Metrics
+from .workers.local import LocalPool
+from .workers.pool import Limits, Progress
+
+log = logging.getLogger(__name__)
+
+_LAST_WORDS = 0.5  # seconds that ended streams have to deliver their status
+
+
+class Addresses(NamedTuple):
+    """Where the service listens."""
+
+    host: str
+    grpc_port: int
+    http_port: int
+
+    @property
+    def grpc(self) -> str:
+        return f"{_bracketed(self.host)}:{self.grpc_port}"
+
+    @property
+    def http(self) -> str:
+        return f"http://{_bracketed(self.host)}:{self.http_port}"
+
+
+class Server:
+    """gRPC and REST in one event loop, in front of a pool of workers."""
+
+    def __init__(self, settings: Settings):
+        self._settings = settings
+        self._metrics = Metrics()
+        self._pool = LocalPool(
+            settings.workers,
+            Limits(settings.max_points, settings.max_vertices, settings.max_faces, settings.max_body_vertices),
+            frame_timeout=settings.frame_timeout,
+            warm_timeout=settings.warm_timeout,
+            on_lost=lambda ids: self._sessions.lose(ids),
+            on_change=self._follow_workers,
+        )
+        self._sessions = Sessions(self._pool, settings, self._metrics)
+        self._grpc = GrpcServer(self._sessions, settings)
+        self._http = HttpServer(create_app(self._sessions, settings, self._metrics, self._not_ready), settings)
+        self._warm = False
+        self._restarts_seen = 0
+        self._stopping = asyncio.Event()
+
+    async def run(self, progress: Progress, ready: Callable[[Addresses], None]) -> None:
+        """Serves until SIGTERM or SIGINT; a second one ends the process at once.
+
+        Args:
+            progress: told about the warm-up.
+            ready: told the addresses, once sessions are taken.
+
+        Raises:
+            InvalidConfig: a port cannot be had.
+            WorkerStartFailed: a worker cannot track.
+        """
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._on_signal)
+        try:
+            addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
+            warming = asyncio.create_task(self._start_pool(progress))
+            stopping = asyncio.create_task(self._stopping.wait())
+            await asyncio.wait((warming, stopping), return_when=asyncio.FIRST_COMPLETED)
+            if warming.done():
+                await warming
+                ready(addresses)
+                log.info("ready", extra={"grpc": addresses.grpc, "http": addresses.http})
+                await self._serve()
+            else:
+                warming.cancel()
+                await asyncio.gather(warming, return_exceptions=True)
+        finally:
+            await self._shut_down()
+
+    async def _start_pool(self, progress: Progress) -> None:
+        await self._pool.start(progress)
+        self._warm = True
+        await self._grpc.serving(True)
+
+    async def _serve(self) -> None:
+        expiring = asyncio.create_task(self._sessions.expire_idle())
+        await self._stopping.wait()
+        expiring.cancel()
+        log.info("stopping")
+        await self._grpc.serving(False)
+        await self._sessions.drain(self._settings.drain_grace)
+
+    async def _shut_down(self) -> None:
+        await self._grpc.stop(_LAST_WORDS)
+        await self._http.stop()
+        await self._pool.stop()
+        log.info("stopped")
+
+    def _on_signal(self) -> None:
+        if self._stopping.is_set():
+            log.warning("stopped by a second signal")
+            os._exit(1)  # the workers end with their pipes
+        self._stopping.set()
+
+    def _not_ready(self) -> str:
+        if self._stopping.is_set():
+            return "the server is about to stop"
+        if not self._warm:
+            return "the workers are compiling their kernels"
+        return "" if self._pool.health().ready else "no worker is ready"
+
+    def _follow_workers(self) -> None:
+        health = self._pool.health()
+        self._metrics.workers_ready.set(health.ready)
+        self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
+        self._restarts_seen = health.restarts
+
+
+def _bracketed(host: str) -> str:
+    return f"[{host}]" if ":" in host else host

@@ -1,0 +1,150 @@
+"""Settings of the service: flags over environment over file over defaults."""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict
+
+from ddakf.errors import InvalidConfig
+
+ENV_PREFIX = "DDAKF_"
+CONFIG_VARIABLE = ENV_PREFIX + "CONFIG"
+
+# More workers than this gain nothing that a user of an unconfigured server asked for, and each holds its own memory.
+DEFAULT_MAX_WORKERS = 4
+
+
+def _default_workers() -> int:
+    return min(
+        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, DEFAULT_MAX_WORKERS
+    )
+
+
+class Settings(BaseSettings):
+    """Everything that an operator can set. Each field is also the flag, the key in the file and ``DDAKF_<FIELD>``."""
+
+    model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, extra="forbid", frozen=True, validate_default=True)
+
+    host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
+    grpc_port: int = Field(7701, ge=0, le=65535, description="port of gRPC; 0 takes a free one")
+    http_port: int = Field(7702, ge=0, le=65535, description="port of REST and metrics; 0 takes a free one")
+    workers: int = Field(
+        default_factory=_default_workers,
+        ge=1,
+        le=256,
+        description=f"worker processes; the default is one per core, at most {DEFAULT_MAX_WORKERS}",
+    )
+
+    max_sessions: int = Field(64, ge=1, description="sessions at a time")
+    max_message_bytes: int = Field(64 << 20, ge=1 << 16, le=1 << 30, description="largest request, bytes")
+    max_points: int = Field(500_000, ge=1, description="points in one frame")
+    max_vertices: int = Field(100_000, ge=3, description="vertices of a garment")
+    max_faces: int = Field(300_000, ge=1, description="triangles of a garment or body")
+    max_body_vertices: int = Field(100_000, ge=3, description="vertices of a body")
+
+    default_flow: Literal["realtime", "lossless"] = Field(
+        "realtime", description="flow of sessions that do not ask: realtime drops old frames, lossless keeps all"
+    )
+    lossless_queue: int = Field(
+        8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops"
+    )
+    idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
+    frame_timeout: float = Field(
+        30.0, gt=0, description="seconds that one frame may take before its worker is replaced"
+    )
+    warm_timeout: float = Field(
+        900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame"
+    )
+    drain_grace: float = Field(
+        5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown"
+    )
+
+    log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
+    log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
+
+    @classmethod
+    def settings_customise_sources(cls, settings_cls, init_settings, **_):
+        # load() merges the layers itself, because it also reports which one each value came from.
+        return (init_settings,)
+
+
+class Origin(NamedTuple):
+    """Where a value came from: "flag", "environment", "file" or "default", and its name there."""
+
+    layer: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.layer} {self.name}".rstrip()
+
+
+def load(
+    flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None
+) -> tuple[Settings, dict[str, Origin]]:
+    """Reads all layers.
+
+    Args:
+        flags: values given on the command line, by field name.
+        config_file: a TOML file; without it the one that ``DDAKF_CONFIG`` names, if any.
+
+    Returns:
+        the settings, and for each field where its value came from.
+
+    Raises:
+        InvalidConfig: naming the setting, what was expected and what came.
+    """
+    path = config_file or os.environ.get(CONFIG_VARIABLE)
+    layers = {
+        "flag": dict(flags or {}),
+        "environment": EnvSettingsSource(Settings)(),
+        "file": _read_file(Path(path)) if path else {},
+    }
+    values: dict[str, Any] = {}
+    origins = {name: Origin("default", "") for name in Settings.model_fields}
+    for layer in reversed(layers):
+        for name, value in layers[layer].items():
+            values[name] = value
+            origins[name] = Origin(layer, _name_in(layer, name, path))
+    try:
+        return Settings(**values), origins
+    except ValidationError as error:
+        raise _as_invalid_config(error, origins) from None
+
+
+def flag_of(name: str) -> str:
+    """The command-line flag of a field."""
+    return "--" + name.replace("_", "-")
+
+
+def _name_in(layer: str, name: str, path) -> str:
+    if layer == "flag":
+        return flag_of(name)
+    if layer == "environment":
+        return ENV_PREFIX + name.upper()
+    return str(path)
+
+
+def _read_file(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InvalidConfig("config", "a readable TOML file", f"{path}: {error.strerror}") from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise InvalidConfig("config", "a TOML file", f"{path}: {error}") from None
+
+
+def _as_invalid_config(error: ValidationError, origins: Mapping[str, Origin]) -> InvalidConfig:
+    first = error.errors(include_url=False)[0]
+    name = str(first["loc"][0])
+    if first["type"] == "extra_forbidden":
+        return InvalidConfig(
+            name, f"one of the settings {', '.join(Settings.model_fields)}", f"an unknown name from {origins[name]}"
+        )
+    expected = first["msg"].removeprefix("Input should be ").split(", unable to")[0]
+    return InvalidConfig(name, expected, f"{first['input']!r} from {origins[name]}")

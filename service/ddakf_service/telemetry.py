@@ -1,0 +1,110 @@
+"""Logs (one line per event, with the session's id) and the Prometheus metrics of the service."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from contextvars import ContextVar
+
+from ddakf_api.v1 import tracking_pb2 as pb
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
+
+# Set by whoever works for a session, so that every line logged meanwhile carries its id.
+current_session: ContextVar[str] = ContextVar("current_session", default="-")
+
+_PLAIN_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "session"}
+
+
+def configure_logging(level: str, format: str) -> None:
+    """Sends all logs to standard error as ``text`` or ``json`` lines, from ``level`` upward."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(JsonFormatter() if format == "json" else TextFormatter())
+    handler.addFilter(_add_session)
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(level.upper())
+    # The service says itself when it starts and stops.
+    logging.getLogger("uvicorn").setLevel(max(logging.WARNING, root.level))
+
+
+def _add_session(record: logging.LogRecord) -> bool:
+    if not hasattr(record, "session"):
+        record.session = current_session.get()
+    return True
+
+
+def _fields(record: logging.LogRecord) -> dict:
+    return {k: v for k, v in vars(record).items() if k not in _PLAIN_FIELDS}
+
+
+class TextFormatter(logging.Formatter):
+    def __init__(self):
+        super().__init__("%(asctime)s %(levelname)-7s %(session)s %(message)s")
+
+    def formatMessage(self, record):
+        fields = "".join(f" {key}={value}" for key, value in _fields(record).items())
+        return super().formatMessage(record) + fields
+
+
+class JsonFormatter(logging.Formatter):
+    def format(self, record):
+        line = {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "session": record.session,
+            "message": record.getMessage(),
+            **_fields(record),
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)
+
+
+_LATENCY_BUCKETS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.033, 0.05, 0.066, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
+_STAGE_BUCKETS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.033, 0.066, 0.1, 0.5, 1.0)
+
+
+class Metrics:
+    """What ``/metrics`` exports. Labels are few and bounded: never a session's id.
+
+    ddakf_frames_total{outcome}: frames by what became of them: applied, dropped (a newer one came first), rejected (bad
+        input) or failed (worker lost or internal error).
+    ddakf_frame_stage_seconds{stage}: time of each of the tracker's stages in a worker.
+    ddakf_frame_seconds: from the arrival of a frame to its result, seconds.
+    ddakf_frame_reliability: reliability of each applied frame, 0 to 1.
+    ddakf_sessions: sessions that exist. ddakf_streams: sessions with an open stream.
+    ddakf_workers_ready: workers that take frames. ddakf_worker_restarts_total: workers that were replaced.
+    """
+
+    def __init__(self):
+        self.registry = CollectorRegistry()
+        add = {"registry": self.registry}
+        self.frames = Counter("ddakf_frames_total", "Frames by outcome", ["outcome"], **add)
+        self.stage_seconds = Histogram(
+            "ddakf_frame_stage_seconds", "Time of a stage of the tracker", ["stage"], buckets=_STAGE_BUCKETS, **add
+        )
+        self.frame_seconds = Histogram(
+            "ddakf_frame_seconds", "From the arrival of a frame to its result", buckets=_LATENCY_BUCKETS, **add
+        )
+        self.reliability = Histogram(
+            "ddakf_frame_reliability", "Reliability of a frame", buckets=[i / 10 for i in range(1, 11)], **add
+        )
+        self.sessions = Gauge("ddakf_sessions", "Sessions that exist", **add)
+        self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
+        self.workers_ready = Gauge("ddakf_workers_ready", "Workers that take frames", **add)
+        self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were replaced", **add)
+        ProcessCollector(registry=self.registry)
+        for outcome in ("applied", "dropped", "rejected", "failed"):
+            self.frames.labels(outcome)
+
+    def observe(self, result: pb.Result) -> None:
+        """Counts an applied frame."""
+        self.frames.labels("applied").inc()
+        self.frame_seconds.observe(result.timings["server"])
+        self.reliability.observe(result.reliability)
+        for stage, seconds in result.timings.items():
+            if stage != "server":
+                self.stage_seconds.labels(stage).observe(seconds)

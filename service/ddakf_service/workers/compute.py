@@ -1,0 +1,106 @@
+"""The sessions of one worker: serialised messages in, serialised messages out, trackers between."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from time import perf_counter
+
+from ddakf_api.errors import InvalidSnapshot, SessionNotFound
+from ddakf_api.v1 import tracking_pb2 as pb
+
+import ddakf
+from ddakf import kernels
+
+from .. import messages
+from .pool import Limits
+from .wire import Kind, Message, split
+
+
+class Compute:
+    """Trackers by session id. One call at a time."""
+
+    def __init__(self, limits: Limits):
+        self._limits = limits
+        self._trackers: dict[str, ddakf.Tracker] = {}
+        self._handlers: dict[Kind, Callable[[str, bytes], bytes]] = {
+            Kind.OPEN: self.open,
+            Kind.RESTORE: self.restore,
+            Kind.FRAME: self.frame,
+            Kind.RESET: self.reset,
+            Kind.SNAPSHOT: self.snapshot,
+            Kind.CLOSE: self.close,
+        }
+
+    def handle(self, request: Message) -> bytes:
+        """Answers one request of the server."""
+        return self._handlers[request.kind](request.session_id, request.payload)
+
+    def warm(self, progress: Callable[[int, int, str], None]) -> None:
+        """Compiles the kernels, and tracks a first frame the way that every later one goes."""
+        kernels.warm(progress)
+        request, frame = messages.warm_up_session()
+        self.open("warm-up", request.SerializeToString())
+        self._track("warm-up", frame, pb.ResultOptions(include_covariance=True))
+        self.close("warm-up", b"")
+
+    def open(self, session_id: str, payload: bytes) -> bytes:
+        """CreateSessionRequest in, Session with its meshes out."""
+        request = pb.CreateSessionRequest.FromString(payload)
+        session, limits = request.session, self._limits
+        garment, vertex_map = messages.garment(request, limits.max_vertices, limits.max_faces)
+        body = messages.body(session, limits.max_body_vertices, limits.max_faces)
+        tracker = ddakf.Tracker(garment, body=body, config=messages.config(session))
+        self._trackers[session_id] = tracker
+        return messages.opened(tracker, session.fabric, vertex_map).SerializeToString()
+
+    def restore(self, session_id: str, payload: bytes) -> bytes:
+        """RestoreSessionRequest in, Session with its meshes out."""
+        tracker = ddakf.Tracker.restore(pb.RestoreSessionRequest.FromString(payload).data)
+        if tracker.garment.n_vertices > self._limits.max_vertices:
+            expected, got = f"at most {self._limits.max_vertices} vertices", str(tracker.garment.n_vertices)
+            raise InvalidSnapshot(field="data", expected=expected, got=got)
+        self._trackers[session_id] = tracker
+        return messages.opened(tracker).SerializeToString()
+
+    def frame(self, session_id: str, payload: bytes) -> bytes:
+        """ResultOptions and Frame in, Result out."""
+        options, frame = split(payload)
+        return self._track(session_id, pb.Frame.FromString(frame), pb.ResultOptions.FromString(options))
+
+    def reset(self, session_id: str, payload: bytes) -> bytes:
+        """ResetSessionRequest in."""
+        tracker = self._tracker(session_id)
+        request = pb.ResetSessionRequest.FromString(payload)
+        vertices = messages.optional_array(request, "vertices", self._limits.max_vertices)
+        velocities = messages.optional_array(request, "velocities", self._limits.max_vertices)
+        tracker.reset(vertices, velocities=velocities)
+        return b""
+
+    def snapshot(self, session_id: str, payload: bytes) -> bytes:
+        """The tracker's state out."""
+        return self._tracker(session_id).snapshot()
+
+    def close(self, session_id: str, payload: bytes) -> bytes:
+        """Forgets a session."""
+        self._trackers.pop(session_id, None)
+        return b""
+
+    def _track(self, session_id: str, frame: pb.Frame, options: pb.ResultOptions) -> bytes:
+        started = perf_counter()
+        tracker = self._tracker(session_id)
+        messages.require_known_encodings(options)
+        arguments = messages.step_arguments(frame, self._limits.max_points, self._limits.max_body_vertices)
+        decoded = perf_counter()
+        with messages.frame_fields():
+            outcome = tracker.step(**arguments)
+        tracked = perf_counter()
+        result = messages.result(frame, outcome, options)
+        result.timings["decode"] = decoded - started
+        result.timings["encode"] = perf_counter() - tracked
+        return result.SerializeToString()
+
+    def _tracker(self, session_id: str) -> ddakf.Tracker:
+        try:
+            return self._trackers[session_id]
+        except KeyError:
+            raise SessionNotFound(f"there is no session {session_id!r} in this worker") from None

@@ -1,0 +1,65 @@
+"""A worker process: started with its end of a pipe, it computes until the pipe closes.
+
+Run as ``python -m ddakf_service.workers.process DESCRIPTOR LIMITS``, LIMITS being the JSON of :class:`Limits`.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import logging
+import os
+import signal
+import socket
+import sys
+
+from ddakf_api.errors import to_detail
+
+from ..telemetry import configure_logging, current_session
+from .compute import Compute
+from .pool import Limits
+from .wire import BlockingChannel, Kind, Message
+
+log = logging.getLogger(__name__)
+
+_PR_SET_PDEATHSIG = 1
+
+
+def main(descriptor: int, limits: Limits) -> None:
+    """Warms up, says so, and answers requests one after the other."""
+    # A Ctrl-C or a stop reaches the whole group; the server decides when its workers end, by closing their pipes.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    _die_with_parent()
+    channel = BlockingChannel(socket.socket(fileno=descriptor))
+    compute = Compute(limits)
+    compute.warm(lambda *step: channel.send(Message(Kind.PROGRESS, payload=json.dumps(step).encode())))
+    channel.send(Message(Kind.READY))
+    while (request := channel.receive()) is not None:
+        channel.send(_answer(compute, request))
+
+
+def _answer(compute: Compute, request: Message) -> Message:
+    current_session.set(request.session_id)
+    try:
+        payload = compute.handle(request)
+        return Message(Kind.RESULT, request.number, payload=payload)
+    except Exception as error:
+        detail = to_detail(error)
+        if detail.name == "Internal":
+            log.exception("a request failed")
+        return Message(Kind.ERROR, request.number, payload=detail.SerializeToString())
+
+
+def _die_with_parent() -> None:
+    """Asks the kernel to kill this process when the server dies, even in the middle of a compilation."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+if __name__ == "__main__":
+    configure_logging(os.environ.get("DDAKF_LOG_LEVEL", "info"), os.environ.get("DDAKF_LOG_FORMAT", "text"))
+    try:
+        main(int(sys.argv[1]), Limits.from_json(sys.argv[2]))
+    except (BrokenPipeError, ConnectionResetError):
+        sys.exit(0)  # the server is gone, and so is the work
