@@ -85,7 +85,7 @@ def unpack(
     return raw.astype(dtype.newbyteorder("="))
 
 
-def pack_mesh(vertices: np.ndarray, faces: np.ndarray) -> pb.Mesh:
+def pack_mesh(vertices: np.ndarray, faces: np.ndarray, *, field: str = "mesh") -> pb.Mesh:
     """A mesh message from (V, 3) metres, sent as float64 so that the server has the very mesh, and (F, 3) indices.
 
     Raises:
@@ -93,12 +93,12 @@ def pack_mesh(vertices: np.ndarray, faces: np.ndarray) -> pb.Mesh:
     """
     vertices, faces = np.asarray(vertices), np.asarray(faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
-        raise InvalidMesh(field="mesh.vertices", expected="numbers of shape (V, 3)", got=_described(vertices))
+        raise InvalidMesh(field=f"{field}.vertices", expected="numbers of shape (V, 3)", got=_described(vertices))
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InvalidMesh(field="mesh.faces", expected="integers of shape (F, 3)", got=_described(faces))
+        raise InvalidMesh(field=f"{field}.faces", expected="integers of shape (F, 3)", got=_described(faces))
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         got = f"{faces.min()} to {faces.max()}"
-        raise InvalidMesh(field="mesh.faces", expected=f"indices from 0 to {len(vertices) - 1}", got=got)
+        raise InvalidMesh(field=f"{field}.faces", expected=f"indices from 0 to {len(vertices) - 1}", got=got)
     return pb.Mesh(vertices=pack(vertices, pb.ARRAY_ENCODING_FLOAT64), faces=pack(faces, pb.ARRAY_ENCODING_UINT32))
 
 

@@ -1,0 +1,36 @@
+"""Client of the ddakf garment tracking service: numpy in, numpy out, over gRPC.
+
+with connect("127.0.0.1:7701") as client, client.create_session(vertices, faces) as session:
+    for result in session.track(frames):
+        show(result.vertices, result.sigma)
+"""
+
+from ddakf_api import errors
+from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_STEP
+from ddakf_api.errors import ServiceError
+
+from ddakf_client.aio import AsyncClient, AsyncSession, aconnect
+from ddakf_client.client import Client, Session, connect
+from ddakf_client.frames import Frame
+from ddakf_client.results import FrameError, Limits, Notice, Result, ServerInfo, SessionInfo
+
+__all__ = [
+    "CODECS",
+    "DEFAULT_CODEC",
+    "DEFAULT_STEP",
+    "AsyncClient",
+    "AsyncSession",
+    "Client",
+    "Frame",
+    "FrameError",
+    "Limits",
+    "Notice",
+    "Result",
+    "ServerInfo",
+    "ServiceError",
+    "Session",
+    "SessionInfo",
+    "aconnect",
+    "connect",
+    "errors",
+]

@@ -1,0 +1,213 @@
+"""The asynchronous client: as ``client``, with ``async with`` and ``async for``. Arguments and errors are described there."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Generator, Iterable
+from dataclasses import replace
+from typing import Any, Generic, TypeVar
+
+import grpc
+import numpy as np
+from ddakf_api import API_VERSION
+from ddakf_api.codec import DEFAULT_CODEC, DEFAULT_STEP
+from ddakf_api.errors import ServiceError, SessionNotFound
+from ddakf_api.transport import MAX_MESSAGE_BYTES, client_options
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
+
+from ddakf_client import calls
+from ddakf_client.aio_stream import track
+from ddakf_client.exchange import Plan
+from ddakf_client.results import FrameError, Result, ServerInfo, SessionInfo, session_info_from, vertex_map_from
+
+T = TypeVar("T", bound="AsyncClient | AsyncSession")
+
+
+class Opening(Generic[T]):
+    """A client or session that is being made: ``await`` it, or enter it with ``async with``."""
+
+    def __init__(self, coroutine: Coroutine[Any, Any, T]):
+        self._coroutine = coroutine
+
+    def __await__(self) -> Generator[Any, None, T]:
+        return self._coroutine.__await__()
+
+    async def __aenter__(self) -> T:
+        self._opened = await self._coroutine
+        return self._opened
+
+    async def __aexit__(self, *error: object) -> None:
+        await self._opened.__aexit__(*error)
+
+
+def aconnect(
+    target: str,
+    *,
+    timeout: float = calls.TIMEOUT,
+    credentials: grpc.ChannelCredentials | None = None,
+    api_key: str | None = None,
+    max_message_bytes: int = MAX_MESSAGE_BYTES,
+) -> Opening[AsyncClient]:
+    """As :func:`ddakf_client.connect`: ``async with aconnect(target) as client``, or ``client = await aconnect(target)``."""
+
+    async def opened() -> AsyncClient:
+        options = client_options(max_message_bytes)
+        if credentials is None:
+            channel = grpc.aio.insecure_channel(target, options)
+        else:
+            channel = grpc.aio.secure_channel(target, credentials, options)
+        client = AsyncClient(channel, target, timeout=timeout, api_key=api_key)
+        try:
+            client.server = await client.server_info()
+        except ServiceError:
+            await client.close()
+            raise
+        return client
+
+    return Opening(opened())
+
+
+class AsyncClient:
+    """As :class:`ddakf_client.Client`, made by :func:`aconnect`."""
+
+    server: ServerInfo
+
+    def __init__(self, channel: grpc.aio.Channel, target: str, *, timeout: float, api_key: str | None):
+        self._channel, self.target, self.timeout = channel, target, timeout
+        self._stub = TrackingServiceStub(channel)
+        self._metadata = calls.metadata_for(api_key)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
+        await self._channel.close()
+
+    async def server_info(self) -> ServerInfo:
+        """What the server is and allows; raises VersionMismatch when it does not fit."""
+        return calls.checked_server(await self.call("GetServerInfo", pb.GetServerInfoRequest(api_version=API_VERSION)))
+
+    def create_session(
+        self,
+        garment: object,
+        faces: np.ndarray | None = None,
+        *,
+        flow: str = "realtime",
+        codec: str = DEFAULT_CODEC,
+        step: float = DEFAULT_STEP,
+        **session: Any,
+    ) -> Opening[AsyncSession]:
+        """As :meth:`ddakf_client.Client.create_session`, with the same further arguments."""
+        request = calls.create_request(garment, faces, **session)
+        return self._session("CreateSession", request, keep=False, flow=flow, codec=codec, step=step)
+
+    def open_session(
+        self, session_id: str, *, flow: str = "realtime", codec: str = DEFAULT_CODEC, step: float = DEFAULT_STEP
+    ) -> Opening[AsyncSession]:
+        """As :meth:`ddakf_client.Client.open_session`."""
+        request = pb.GetSessionRequest(name=calls.session_name(session_id))
+        return self._session("GetSession", request, keep=True, flow=flow, codec=codec, step=step)
+
+    def restore_session(
+        self,
+        snapshot: bytes,
+        *,
+        flow: str = "realtime",
+        codec: str = DEFAULT_CODEC,
+        step: float = DEFAULT_STEP,
+        **session: Any,
+    ) -> Opening[AsyncSession]:
+        """As :meth:`ddakf_client.Client.restore_session`, with the same further arguments."""
+        request = calls.restore_request(snapshot, **session)
+        return self._session("RestoreSession", request, keep=False, flow=flow, codec=codec, step=step)
+
+    async def sessions(self, **which: Any) -> AsyncIterator[SessionInfo]:
+        """As :meth:`ddakf_client.Client.sessions`, with the same arguments."""
+        page_token = ""
+        while True:
+            page = await self.call("ListSessions", calls.list_request(**which, page_token=page_token))
+            for message in page.sessions:
+                yield session_info_from(message)
+            page_token = page.next_page_token
+            if not page_token:
+                return
+
+    def _session(self, method: str, request: object, *, keep: bool, **options: Any) -> Opening[AsyncSession]:
+        plan = Plan("", self.timeout, **options)
+        calls.require_codec(plan.codec, self.server)
+
+        async def opened() -> AsyncSession:
+            message = await self.call(method, request)
+            return AsyncSession(self, message, replace(plan, name=message.name), keep=keep)
+
+        return Opening(opened())
+
+    async def call(self, method: str, request: object, timeout: float | None = None) -> Any:
+        """A unary call by its name in the schema; errors as the classes of ``errors``."""
+        timeout = self.timeout if timeout is None else timeout
+        try:
+            return await getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
+        except grpc.RpcError as error:
+            raise calls.failure(error, self.target, timeout) from None
+
+    def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
+        return self._stub.Track(requests, metadata=self._metadata)
+
+
+class AsyncSession:
+    """As :class:`ddakf_client.Session`, made by :meth:`AsyncClient.create_session`."""
+
+    def __init__(self, client: AsyncClient, message: pb.Session, plan: Plan, *, keep: bool):
+        self._client, self._plan = client, plan
+        self.name = message.name
+        self.session_id = message.name.removeprefix("sessions/")
+        self.vertex_map = vertex_map_from(message)
+        self.keep = keep
+
+    async def __aenter__(self) -> AsyncSession:
+        return self
+
+    async def __aexit__(self, error_type: type[BaseException] | None, *_: object) -> None:
+        if self.keep:
+            return
+        try:
+            await self.delete()
+        except SessionNotFound:
+            pass  # it has expired, or was deleted by hand
+        except ServiceError:
+            if error_type is None:  # otherwise what went wrong inside is the news
+                raise
+
+    def track(
+        self, frames: AsyncIterable[object] | Iterable[object], **options: Any
+    ) -> AsyncIterator[Result | FrameError]:
+        """As :meth:`ddakf_client.Session.track`, with the same options. An ordinary iterator of frames runs in a thread."""
+        plan = replace(self._plan, **options)
+        calls.require_codec(plan.codec, self._client.server)
+        return track(self._client.open_track, frames, plan, self._client.target)
+
+    async def info(self) -> SessionInfo:
+        """State and statistics as of the last frame."""
+        return session_info_from(await self._client.call("GetSession", pb.GetSessionRequest(name=self.name)))
+
+    async def reset(self, vertices: np.ndarray | None = None, *, velocities: np.ndarray | None = None) -> SessionInfo:
+        """As :meth:`ddakf_client.Session.reset`."""
+        request = calls.reset_request(self.name, vertices, velocities=velocities)
+        return session_info_from(await self._client.call("ResetSession", request))
+
+    async def update(self, **changes: Any) -> SessionInfo:
+        """As :meth:`ddakf_client.Session.update`, with the same arguments."""
+        request = calls.update_request(self.name, **changes)
+        return session_info_from(await self._client.call("UpdateSession", request))
+
+    async def snapshot(self) -> bytes:
+        """The tracker's state, for ``restore_session``."""
+        return (await self._client.call("SnapshotSession", pb.SnapshotSessionRequest(name=self.name))).data
+
+    async def delete(self) -> None:
+        """Ends the session on the server."""
+        await self._client.call("DeleteSession", pb.DeleteSessionRequest(name=self.name))

@@ -1,0 +1,173 @@
+"""What the synchronous and the asynchronous client share: requests, checks of answers, errors."""
+
+from __future__ import annotations
+
+import json
+import uuid
+from collections.abc import Mapping
+
+import grpc
+import numpy as np
+from ddakf_api import API_VERSION
+from ddakf_api.arrays import pack, pack_mesh
+from ddakf_api.errors import (
+    CodecError,
+    DeadlineExceeded,
+    InvalidArgument,
+    InvalidConfig,
+    InvalidMesh,
+    ServiceError,
+    Unavailable,
+    from_rpc_error,
+)
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.version import require_compatible
+
+from ddakf_client.results import Limits, ServerInfo, server_info_from
+
+TIMEOUT = 10.0
+"""Seconds that a call, or the answer to a frame, may take unless the caller says otherwise."""
+
+
+def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
+    return (("authorization", f"Bearer {api_key}"),) if api_key else ()
+
+
+def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
+    """The exception for a failed call; one that the server did not write says which server and how long."""
+    failed = from_rpc_error(error)
+    if type(failed) is Unavailable:
+        return Unavailable(f"{target} does not answer: {failed.message}", retry_after=failed.retry_after)
+    if type(failed) is DeadlineExceeded:
+        return DeadlineExceeded(f"{target} gave no answer within {timeout:g} s")
+    return failed
+
+
+def checked_server(message: pb.ServerInfo) -> ServerInfo:
+    """The server's description.
+
+    Raises:
+        VersionMismatch: it speaks another major version.
+    """
+    require_compatible(message.api_version, peer="server")
+    return server_info_from(message)
+
+
+def require_codec(codec: str, server: ServerInfo) -> None:
+    """Raises :class:`CodecError` unless both sides know the codec."""
+    if codec not in server.codecs:
+        expected = f"one that the server has, {' or '.join(server.codecs)}"
+        raise CodecError(field="codec", expected=expected, got=repr(codec))
+
+
+def create_request(
+    garment: object,
+    faces: np.ndarray | None,
+    *,
+    body: object = None,
+    config: object = None,
+    fabric: str = "",
+    clean: bool = False,
+    labels: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    session_id: str = "",
+) -> pb.CreateSessionRequest:
+    """The request of ``create_session``; its arguments are described there."""
+    session = pb.Session(labels=labels, config_json=_config_json(config), fabric=fabric)
+    session.garment.CopyFrom(_mesh(garment, faces, "garment"))
+    if body is not None:
+        session.body.CopyFrom(_mesh(*body, "body") if isinstance(body, tuple) else _mesh(body, None, "body"))
+    if limits is not None:
+        session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+    return pb.CreateSessionRequest(
+        api_version=API_VERSION, session=session, session_id=session_id, request_id=str(uuid.uuid4()), clean=clean
+    )
+
+
+def restore_request(
+    data: bytes,
+    *,
+    labels: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
+    session_id: str = "",
+) -> pb.RestoreSessionRequest:
+    request = pb.RestoreSessionRequest(
+        api_version=API_VERSION, session_id=session_id, request_id=str(uuid.uuid4()), data=data
+    )
+    request.session.labels.update(labels or {})
+    if limits is not None:
+        request.session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+    return request
+
+
+def update_request(
+    name: str,
+    *,
+    labels: Mapping[str, str] | None = None,
+    config: object = None,
+    fabric: str | None = None,
+    limits: Limits | None = None,
+) -> pb.UpdateSessionRequest:
+    request = pb.UpdateSessionRequest(session=pb.Session(name=name))
+    given = {"labels": labels, "config_json": config, "fabric": fabric, "limits": limits}
+    request.update_mask.paths.extend(path for path, value in given.items() if value is not None)
+    request.session.labels.update(labels or {})
+    request.session.config_json = _config_json(config)
+    request.session.fabric = fabric or ""
+    if limits is not None:
+        request.session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+    return request
+
+
+def reset_request(
+    name: str, vertices: np.ndarray | None = None, *, velocities: np.ndarray | None = None
+) -> pb.ResetSessionRequest:
+    request = pb.ResetSessionRequest(name=name)
+    for field, array in (("vertices", vertices), ("velocities", velocities)):
+        if array is None:
+            continue
+        array = np.asarray(array)
+        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+            raise InvalidArgument(
+                field=field, expected="numbers of shape (V, 3)", got=f"{array.dtype} of {array.shape}"
+            )
+        getattr(request, field).CopyFrom(pack(array, pb.ARRAY_ENCODING_FLOAT64))
+    return request
+
+
+def list_request(
+    *, state: str | None = None, labels: Mapping[str, str] | None = None, page_token: str = ""
+) -> pb.ListSessionsRequest:
+    request = pb.ListSessionsRequest(labels=labels, page_token=page_token)
+    if state is not None:
+        names = {name.removeprefix("SESSION_STATE_").lower(): value for name, value in pb.SessionState.items() if value}
+        if state not in names:
+            raise InvalidArgument(field="state", expected=" or ".join(names), got=repr(state))
+        request.states.append(names[state])
+    return request
+
+
+def session_name(session_id: str) -> str:
+    """ "sessions/{id}" of an id or of such a name."""
+    return session_id if session_id.startswith("sessions/") else f"sessions/{session_id}"
+
+
+def _mesh(mesh: object, faces: np.ndarray | None, field: str) -> pb.Mesh:
+    if faces is None:
+        if not (hasattr(mesh, "vertices") and hasattr(mesh, "faces")):
+            expected = "vertices and faces, or an object with both"
+            raise InvalidMesh(field=field, expected=expected, got=f"{type(mesh).__name__} alone")
+        mesh, faces = mesh.vertices, mesh.faces
+    return pack_mesh(mesh, faces, field=field)
+
+
+def _config_json(config: object) -> str:
+    if config is None:
+        return ""
+    values = config.to_dict() if hasattr(config, "to_dict") else config
+    if not isinstance(values, Mapping):
+        raise InvalidConfig(field="config", expected="a dict or a ddakf.Config", got=type(config).__name__)
+    try:
+        return json.dumps(values, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InvalidConfig(field="config", expected="values that JSON has", got=str(error)) from None

@@ -1,0 +1,221 @@
+"""One stream's state, without any waiting: the synchronous and the asynchronous client each put theirs around it.
+
+Frames go through a slot for one. In lossless flow the slot has to be free before a frame is offered; in realtime flow a newer
+frame replaces the one in the slot. The slot is emptied while fewer than `in_flight` frames are unanswered, so that neither
+a slow server nor a slow line makes frames pile up in buffers that nobody sees.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ddakf_api import API_VERSION
+from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_STEP
+from ddakf_api.errors import DeadlineExceeded, InvalidArgument, ServiceError
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from ddakf_client.frames import Frame, to_message
+from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
+
+FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}
+IN_FLIGHT = 8
+"""Frames unanswered at most: enough to keep a server busy over a line of 200 ms at 30 frames per second."""
+
+ON_ERROR = ("raise", "yield")
+
+log = logging.getLogger("ddakf_client")
+
+
+def log_notice(notice: Notice) -> None:
+    """What happens to notices unless the caller takes them."""
+    log.warning("%s: %s", notice.kind, notice.message)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a caller wants from a stream; the fields are described in :meth:`ddakf_client.Session.track`.
+
+    Raises:
+        InvalidArgument: a flow, codec or way to report errors that does not exist.
+    """
+
+    name: str
+    timeout: float
+    flow: str = "realtime"
+    codec: str = DEFAULT_CODEC
+    step: float = DEFAULT_STEP
+    on_error: str = "raise"
+    on_notice: Callable[[Notice], None] = log_notice
+    velocities: bool = False
+    covariance: bool = False
+    takeover: bool = False
+
+    def __post_init__(self) -> None:
+        for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR)):
+            if getattr(self, field) not in allowed:
+                raise InvalidArgument(field=field, expected=" or ".join(allowed), got=repr(getattr(self, field)))
+
+    def start(self) -> pb.TrackRequest:
+        options = pb.ResultOptions(include_velocities=self.velocities, include_covariance=self.covariance)
+        return pb.TrackRequest(
+            start=pb.Start(
+                name=self.name,
+                api_version=API_VERSION,
+                flow_mode=FLOWS[self.flow],
+                result_options=options,
+                takeover=self.takeover,
+            )
+        )
+
+
+class Offered(NamedTuple):
+    """A frame on its way: its number, the caller's object, when it was handed over (monotonic clock, seconds)."""
+
+    sequence: int
+    frame: object
+    handed_over: float
+
+
+class Exchange:
+    """Frames in, answers out. Times are given in, on the monotonic clock; the caller guards against concurrent use.
+
+    Attributes:
+        started: the server has opened the stream.
+        exhausted: no more frames will be offered.
+        failure: why the stream has to end before its time, to be raised to the caller.
+    """
+
+    def __init__(self, plan: Plan, now: float):
+        self.plan = plan
+        self.started = self.exhausted = False
+        self.failure: BaseException | None = None
+        self._lossless = plan.flow == "lossless"
+        self._in_flight = IN_FLIGHT
+        self._next_sequence = 1
+        self._slot: Offered | None = None
+        self._dropped = 0
+        self._refused: list[FrameError] = []
+        # Frames without an answer: sequence number to (handed over, sent). In realtime those up to _passed count as answered.
+        self._unanswered: dict[int, tuple[float, float]] = {}
+        self._passed = 0
+        self._owed_since = now  # since when the server owes what is no answer to a frame: opening, closing
+        self._reading_since: float | None = None
+
+    # Frames in ------------------------------------------------------------------------------------------------------
+
+    def can_offer(self) -> bool:
+        return self.started and not (self._lossless and self._slot)
+
+    def offer(self, frame: object, now: float) -> None:
+        """Puts a frame into the slot; in realtime flow the one that is there goes."""
+        self._dropped += self._slot is not None
+        self._slot = Offered(self._next_sequence, frame, now)
+        self._next_sequence += 1
+
+    def can_take(self) -> bool:
+        waiting = sum(sequence > self._passed for sequence in self._unanswered)
+        return self._slot is not None and waiting < self._in_flight
+
+    def take(self, now: float) -> Offered:
+        """Empties the slot, to send what was in it."""
+        offered, self._slot = self._slot, None
+        self._unanswered[offered.sequence] = offered.handed_over, now
+        return offered
+
+    def is_done(self) -> bool:
+        """Nothing more will be sent."""
+        return self.failure is not None or (self.exhausted and self._slot is None)
+
+    def finish(self, now: float) -> None:
+        """Says that the end has been sent: the server owes its own."""
+        self._owed_since = now
+
+    def refuse(self, offered: Offered, error: ServiceError) -> None:
+        """Notes that a frame could not be made a message."""
+        del self._unanswered[offered.sequence]
+        error.sequence = offered.sequence
+        if self.plan.on_error == "raise":
+            self.failure = error
+        timestamp = getattr(offered.frame, "timestamp", None)
+        self._refused.append(FrameError(offered.sequence, timestamp, error))
+
+    # Answers out ----------------------------------------------------------------------------------------------------
+
+    def reading(self, now: float | None) -> None:
+        """Says since when the caller waits for an answer; None: it does something else."""
+        self._reading_since = now
+
+    def receive(self, response: pb.TrackResponse, now: float) -> list[Result | FrameError | Notice]:
+        """What an answer gives to the caller, after the frames that could not be sent before it.
+
+        Raises:
+            ServiceError: a frame was refused and the plan says to raise.
+        """
+        kind = response.WhichOneof("message")
+        if kind == "started":
+            self._start(response.started)
+        elif kind == "notice":
+            return [notice_from(response.notice)]
+        elif kind == "result":
+            latency = self._answered(response.result.sequence_number, now)
+            result = result_from(response.result, dropped_before_sending=self._dropped, latency=latency)
+            return [*self.refused(), result]
+        elif kind == "frame_error":
+            return [*self.refused(), self._rejected(frame_error_from(response.frame_error))]
+        return []
+
+    def refused(self) -> list[FrameError]:
+        """The frames that could not be sent since this was last asked."""
+        refused, self._refused = self._refused, []
+        return refused
+
+    def deadline(self, now: float) -> float:
+        """When the server has to have said something; the plan's timeout from now when it owes nothing."""
+        if self._reading_since is None or not (self._unanswered or self._owes_more()):
+            return now + self.plan.timeout
+        oldest = min((sent for _, sent in self._unanswered.values()), default=self._owed_since)
+        return max(oldest, self._reading_since) + self.plan.timeout
+
+    def overdue(self) -> DeadlineExceeded:
+        """The error for a passed deadline."""
+        owed = f"frame {min(self._unanswered)}" if self._unanswered else "the end of the stream"
+        return DeadlineExceeded(
+            f"no answer to {owed if self.started else 'the start of the stream'} within {self.plan.timeout:g} s"
+        )
+
+    def _owes_more(self) -> bool:
+        return not self.started or self.is_done()
+
+    def _start(self, started: pb.Started) -> None:
+        self.started = True
+        self._next_sequence = started.last_sequence_number + 1
+        self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
+
+    def _answered(self, sequence: int, now: float) -> float:
+        """Results come in order, so every earlier frame has been answered or dropped."""
+        handed_over, _ = self._unanswered.get(sequence, (now, now))
+        self._unanswered = {other: times for other, times in self._unanswered.items() if other > sequence}
+        return now - handed_over
+
+    def _rejected(self, refused: FrameError) -> FrameError:
+        """A refusal may overtake the results of earlier frames; in realtime they may also have been dropped."""
+        if self.plan.on_error == "raise":
+            raise refused.error
+        self._unanswered.pop(refused.sequence, None)
+        if not self._lossless:
+            self._passed = max(self._passed, refused.sequence)
+            oldest = refused.sequence - 2 * IN_FLIGHT
+            self._unanswered = {other: times for other, times in self._unanswered.items() if other > oldest}
+        return refused
+
+
+def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
+    """The request of a frame.
+
+    Raises:
+        ServiceError: it cannot be sent.
+    """
+    return pb.TrackRequest(frame=to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step))

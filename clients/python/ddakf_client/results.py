@@ -1,0 +1,250 @@
+"""Answers of the server as plain objects. V garment vertices; metres and seconds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+import numpy as np
+from ddakf_api.arrays import unpack
+from ddakf_api.codec import CODECS
+from ddakf_api.errors import ServiceError, from_detail
+from ddakf_api.v1 import tracking_pb2 as pb
+
+_UPPER = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # xx xy xz yy yz zz to the nine elements of a symmetric matrix
+_MAX_ITEMS = 1 << 28  # what comes from the server is bounded by the message size
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The garment after one frame.
+
+    Attributes:
+        sequence: number of the frame: the i-th frame (from 0) of a stream has the number of its first one plus i.
+        timestamp: of the frame, seconds of the caller's clock.
+        state: "initializing", "tracking", "recovering" or "lost".
+        vertices: (V, 3) float32 metres.
+        sigma: (V,) float32, sqrt(trace(covariance) / 3), metres.
+        vertex_reliability: (V,) float32 in [0, 1].
+        observed: (V,) bool, a measurement of this frame reached the vertex.
+        velocities: (V, 3) float32 metres per second, or None when not asked for.
+        covariance: (V, 3, 3) float32 square metres, or None when not asked for.
+        reliability: of the frame, in [0, 1]; high means low error.
+        paper_score: s_k of the paper.
+        coverage: share of the vertices that were observed.
+        dropped: frames so far that a newer one overtook, in the server and before sending.
+        rejected: frames so far that the server refused.
+        applied: frames so far that the server tracked, in this session.
+        timings: seconds per stage of the tracker and of the server.
+        latency: seconds from the moment the frame was handed over to the moment the result arrived.
+    """
+
+    sequence: int
+    timestamp: float
+    state: str
+    vertices: np.ndarray
+    sigma: np.ndarray
+    vertex_reliability: np.ndarray
+    observed: np.ndarray
+    velocities: np.ndarray | None
+    covariance: np.ndarray | None
+    reliability: float
+    paper_score: float
+    coverage: float
+    dropped: int
+    rejected: int
+    applied: int
+    timings: dict[str, float]
+    latency: float
+
+
+@dataclass(frozen=True)
+class FrameError:
+    """A frame that was refused; the session is as it was.
+
+    Attributes:
+        sequence: number of the frame.
+        timestamp: of the frame, seconds of the caller's clock; None when it had none.
+        error: what ``on_error="raise"`` would have raised.
+    """
+
+    sequence: int
+    timestamp: float | None
+    error: ServiceError
+
+
+@dataclass(frozen=True)
+class Notice:
+    """What the server says between results.
+
+    Attributes:
+        kind: "draining", "slow_down" or "reconnect".
+        message: one sentence.
+        value: draining: seconds left; slow_down: frames per second that can be tracked.
+        target: reconnect: where to, may be empty.
+    """
+
+    kind: str
+    message: str
+    value: float
+    target: str
+
+
+class Limits(NamedTuple):
+    """Bounds of a session; 0: the server's default in a request, not bounded in an answer.
+
+    Points per frame, frames per second, seconds without a frame, seconds since creation, unanswered frames in lossless flow.
+    """
+
+    max_points: int = 0
+    max_frame_rate: float = 0.0
+    idle_timeout: float = 0.0
+    max_lifetime: float = 0.0
+    max_frames_in_flight: int = 0
+
+
+@dataclass(frozen=True)
+class SessionInfo:
+    """A session as the server sees it; reliability, paper_score and coverage are those of the last frame.
+
+    Attributes:
+        name: "sessions/{session_id}".
+        state: as in :class:`Result`, or "idle", "expired", "closed".
+        config: the whole configuration in force.
+        frame_rate: frames per second over the last few seconds.
+        last_sequence, last_timestamp: of the last frame that was applied; 0 when none was.
+    """
+
+    name: str
+    session_id: str
+    state: str
+    labels: dict[str, str]
+    create_time: datetime
+    config: dict[str, Any]
+    fabric: str
+    limits: Limits
+    n_vertices: int
+    n_faces: int
+    n_body_vertices: int
+    applied: int
+    dropped: int
+    rejected: int
+    frame_rate: float
+    reliability: float
+    paper_score: float
+    coverage: float
+    last_sequence: int
+    last_timestamp: float
+
+
+@dataclass(frozen=True)
+class ServerInfo:
+    """What a server is and allows; codecs by the names that this client uses."""
+
+    api_version: str
+    server_version: str
+    codecs: tuple[str, ...]
+    fabrics: tuple[str, ...]
+    max_message_bytes: int
+    max_vertices: int
+    max_limits: Limits
+    draining: bool
+
+
+def result_from(message: pb.Result, *, dropped_before_sending: int, latency: float) -> Result:
+    """The result of a message. Arrays that the message leaves out are empty, or None for those on request."""
+    optional = {name: _array(message, name, n) for name, n in (("velocities", 3), ("covariance", 6))}
+    covariance = optional["covariance"]
+    return Result(
+        sequence=message.sequence_number,
+        timestamp=message.capture_time,
+        state=_name(pb.TrackerState, message.state),
+        vertices=_array(message, "vertices", 3, np.empty((0, 3), np.float32)),
+        sigma=_array(message, "sigma", None, np.empty(0, np.float32)),
+        vertex_reliability=_array(message, "vertex_reliability", None, np.empty(0, np.float32)),
+        observed=_array(message, "observed", None, np.empty(0, bool)),
+        velocities=optional["velocities"],
+        covariance=None if covariance is None else covariance[:, _UPPER].reshape(-1, 3, 3),
+        reliability=message.reliability,
+        paper_score=message.paper_score,
+        coverage=message.coverage,
+        dropped=message.frames_dropped + dropped_before_sending,
+        rejected=message.frames_rejected,
+        applied=message.frames_applied,
+        timings=dict(message.timings),
+        latency=latency,
+    )
+
+
+def frame_error_from(message: pb.FrameError) -> FrameError:
+    error = from_detail(message.error)
+    error.sequence = message.sequence_number
+    return FrameError(message.sequence_number, message.capture_time, error)
+
+
+def notice_from(message: pb.Notice) -> Notice:
+    return Notice(_name(pb.NoticeKind, message.kind), message.message, message.value, message.target)
+
+
+def session_info_from(message: pb.Session) -> SessionInfo:
+    statistics = message.statistics
+    return SessionInfo(
+        name=message.name,
+        session_id=message.name.removeprefix("sessions/"),
+        state=_name(pb.SessionState, message.state),
+        labels=dict(message.labels),
+        create_time=message.create_time.ToDatetime(UTC),
+        config=json.loads(message.config_json or "{}"),
+        fabric=message.fabric,
+        limits=_limits_from(message.limits),
+        n_vertices=message.garment_vertex_count,
+        n_faces=message.garment_face_count,
+        n_body_vertices=message.body_vertex_count,
+        applied=statistics.frames_applied,
+        dropped=statistics.frames_dropped,
+        rejected=statistics.frames_rejected,
+        frame_rate=statistics.frame_rate,
+        reliability=statistics.reliability,
+        paper_score=statistics.paper_score,
+        coverage=statistics.coverage,
+        last_sequence=statistics.last_sequence_number,
+        last_timestamp=statistics.last_capture_time,
+    )
+
+
+def vertex_map_from(message: pb.Session) -> np.ndarray | None:
+    """(V,) uint32, vertex i of the garment is vertex map[i] of the mesh that was sent; None when it was not cleaned."""
+    return _array(message, "vertex_map", None)
+
+
+def server_info_from(message: pb.ServerInfo) -> ServerInfo:
+    return ServerInfo(
+        api_version=message.api_version,
+        server_version=message.server_version,
+        codecs=tuple(name for name, codec in CODECS.items() if codec in message.point_codecs),
+        fabrics=tuple(message.fabrics),
+        max_message_bytes=message.max_message_bytes,
+        max_vertices=message.max_vertices,
+        max_limits=_limits_from(message.max_limits),
+        draining=message.draining,
+    )
+
+
+def _limits_from(message: pb.SessionLimits) -> Limits:
+    return Limits(*(getattr(message, name) for name in Limits._fields))
+
+
+def _array(message, name: str, components: int | None, missing: np.ndarray | None = None) -> np.ndarray | None:
+    if not message.HasField(name):
+        return missing
+    return unpack(getattr(message, name), components, field=name, max_items=_MAX_ITEMS)
+
+
+def _name(enum, value: int) -> str:
+    """The value's name as the library writes it: without the enum's own name, in lower case."""
+    if value not in enum.values():
+        return f"unknown_{value}"
+    prefix = enum.Name(0).removesuffix("UNSPECIFIED")
+    return enum.Name(value).removeprefix(prefix).lower()
