@@ -1,198 +1,249 @@
-"""Closest points on a body through a tree of boxes, signs by pseudo-normals, and the motion of the surface."""
+"""Closest points on a body through a tree of boxes, signs by pseudo-normals, and the motion of the surface.
+
+The tree has eight children per node and eight faces per leaf, side by side in memory, so that one pass of vector instructions
+tests all eight. Inner nodes are 0..G-1, leaves follow; the children of node n are 8 n + shift + lane. The root has 1 to 8
+children, in its last lanes, which makes shift = (number of them) - 7 the same for every node.
+"""
 
 from math import acos, inf, sqrt
 
 import numpy as np
 from numba import njit
 
-STACK = 64  # nodes waiting in a depth-first search of a balanced tree: its depth plus one, at most 32 for int32 faces
+LANES = 8
+STACK = 128  # nodes waiting in a depth-first search: at most eight per level, and 2^31 faces have eleven levels
+FAR = 1e30  # m: bound of an empty box, finite because the vectorised sums below assume that
 SURFACE = 1e-7  # m: closer than this, the direction to the closest point is rounding noise
 FEATURE = 1e-9  # barycentric coordinate below which the closest point lies on an edge or a corner
 FACE_AREA = 1e-12  # m^2 of double area against which a degenerate face's rotation counts for nothing
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def refit(vertices, faces, leaf_start, corners, boxes):
-    """Copies the corners in leaf order and fits the boxes, leaves first."""
-    n_leaves = leaf_start.shape[0] - 1
-    for leaf in range(n_leaves):
-        node = n_leaves + leaf
-        for a in range(3):
-            boxes[node, a], boxes[node, 3 + a] = inf, -inf
-        for f in range(leaf_start[leaf], leaf_start[leaf + 1]):
-            for s in range(3):
-                i = faces[f, s]
-                for a in range(3):
-                    x = vertices[i, a]
-                    corners[f, s, a] = x
-                    boxes[node, a] = min(boxes[node, a], x)
-                    boxes[node, 3 + a] = max(boxes[node, 3 + a], x)
-    for node in range(n_leaves - 1, 0, -1):
-        for a in range(3):
-            boxes[node, a] = min(boxes[2 * node, a], boxes[2 * node + 1, a])
-            boxes[node, 3 + a] = max(boxes[2 * node, 3 + a], boxes[2 * node + 1, 3 + a])
+def edges(vertices, faces, f):
+    """Corner 0 of a face and the edges from it to corners 1 and 2."""
+    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
+    a = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+    b = vertices[j, 0] - a[0], vertices[j, 1] - a[1], vertices[j, 2] - a[2]
+    c = vertices[k, 0] - a[0], vertices[k, 1] - a[1], vertices[k, 2] - a[2]
+    return a, b, c
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def box_distance(boxes, node, x, y, z):
-    """Squared distance from a point to a box, 0 inside."""
-    dx = max(boxes[node, 0] - x, 0.0, x - boxes[node, 3])
-    dy = max(boxes[node, 1] - y, 0.0, y - boxes[node, 4])
-    dz = max(boxes[node, 2] - z, 0.0, z - boxes[node, 5])
-    return dx * dx + dy * dy + dz * dz
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def triangle_distance(corners, f, x, y, z):
-    """Squared distance to a triangle and the closest point's coordinates (v, w) on corners 1 and 2 (Ericson 2005, 5.1.5)."""
-    ax, ay, az = x - corners[f, 0, 0], y - corners[f, 0, 1], z - corners[f, 0, 2]
-    bx, by, bz = corners[f, 1, 0] - corners[f, 0, 0], corners[f, 1, 1] - corners[f, 0, 1], corners[f, 1, 2] - corners[f, 0, 2]
-    cx, cy, cz = corners[f, 2, 0] - corners[f, 0, 0], corners[f, 2, 1] - corners[f, 0, 1], corners[f, 2, 2] - corners[f, 0, 2]
-    bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
-    d1, d2 = bx * ax + by * ay + bz * az, cx * ax + cy * ay + cz * az
-    d3, d4 = d1 - bb, d2 - bc
-    d5, d6 = d1 - bc, d2 - cc
+def cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def refit(vertices, faces, leaf_start, shift, triangles, boxes):
+    """Writes what the searches need of every face, and fits the boxes, leaves first.
+
+    triangles[leaf, :, lane]: corner 0, both edges from it, inverse squared lengths of the three edges, and the inverse Gram
+    matrix of the two; inverses of zero are zero. Spare lanes repeat the leaf's last face.
+    """
+    n_inner = boxes.shape[0]
+    for lane in range(LANES):
+        for a in range(3):
+            boxes[0, a, lane], boxes[0, 3 + a, lane] = FAR, -FAR
+    for node in range(n_inner + leaf_start.shape[0] - 2, 0, -1):
+        parent, lane = (node - shift) // LANES, (node - shift) % LANES
+        for a in range(3):
+            boxes[parent, a, lane], boxes[parent, 3 + a, lane] = FAR, -FAR
+        if node < n_inner:
+            for a in range(3):
+                for child in range(LANES):
+                    boxes[parent, a, lane] = min(boxes[parent, a, lane], boxes[node, a, child])
+                    boxes[parent, 3 + a, lane] = max(boxes[parent, 3 + a, lane], boxes[node, 3 + a, child])
+            continue
+        leaf = node - n_inner
+        for spot in range(LANES):
+            p, b, c = edges(vertices, faces, min(leaf_start[leaf] + spot, leaf_start[leaf + 1] - 1))
+            bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
+            opposite, det = bb + cc - 2.0 * bc, bb * cc - bc * bc
+            for a in range(3):
+                lower, upper = p[a] + min(0.0, b[a], c[a]), p[a] + max(0.0, b[a], c[a])
+                boxes[parent, a, lane] = min(boxes[parent, a, lane], lower)
+                boxes[parent, 3 + a, lane] = max(boxes[parent, 3 + a, lane], upper)
+                triangles[leaf, a, spot], triangles[leaf, 3 + a, spot], triangles[leaf, 6 + a, spot] = p[a], b[a], c[a]
+            inverse = 1.0 / det if det > 0.0 else 0.0
+            triangles[leaf, 9, spot] = 1.0 / bb if bb > 0.0 else 0.0
+            triangles[leaf, 10, spot] = 1.0 / cc if cc > 0.0 else 0.0
+            triangles[leaf, 11, spot] = 1.0 / opposite if opposite > 0.0 else 0.0
+            triangles[leaf, 12, spot] = cc * inverse
+            triangles[leaf, 13, spot] = -bc * inverse
+            triangles[leaf, 14, spot] = bb * inverse
+
+
+# The two loops below run over boxes.shape[2] and triangles.shape[2], not over LANES: with a constant the compiler unrolls them
+# before it vectorises, and the search takes twice as long.
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def box_distances(boxes, node, x, y, z, squared):
+    """Squared distances from a point to the boxes of a node's children, 0 inside."""
+    for s in range(boxes.shape[2]):
+        dx = max(max(boxes[node, 0, s] - x, x - boxes[node, 3, s]), 0.0)
+        dy = max(max(boxes[node, 1, s] - y, y - boxes[node, 4, s]), 0.0)
+        dz = max(max(boxes[node, 2, s] - z, z - boxes[node, 5, s]), 0.0)
+        squared[s] = dx * dx + dy * dy + dz * dz
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def leaf_distances(triangles, leaf, x, y, z, squared):
+    """Squared distances from a point to the faces of a leaf: to the plane above the inside, else to the nearest edge."""
+    for s in range(triangles.shape[2]):
+        ax, ay, az = x - triangles[leaf, 0, s], y - triangles[leaf, 1, s], z - triangles[leaf, 2, s]
+        bx, by, bz = triangles[leaf, 3, s], triangles[leaf, 4, s], triangles[leaf, 5, s]
+        cx, cy, cz = triangles[leaf, 6, s], triangles[leaf, 7, s], triangles[leaf, 8, s]
+        ex, ey, ez = cx - bx, cy - by, cz - bz
+        fx, fy, fz = ax - bx, ay - by, az - bz
+        along_b, along_c, along_e = ax * bx + ay * by + az * bz, ax * cx + ay * cy + az * cz, fx * ex + fy * ey + fz * ez
+        t = min(max(along_b * triangles[leaf, 9, s], 0.0), 1.0)
+        rx, ry, rz = ax - t * bx, ay - t * by, az - t * bz
+        edge_b = rx * rx + ry * ry + rz * rz
+        t = min(max(along_c * triangles[leaf, 10, s], 0.0), 1.0)
+        rx, ry, rz = ax - t * cx, ay - t * cy, az - t * cz
+        edge_c = rx * rx + ry * ry + rz * rz
+        t = min(max(along_e * triangles[leaf, 11, s], 0.0), 1.0)
+        rx, ry, rz = fx - t * ex, fy - t * ey, fz - t * ez
+        edge_e = rx * rx + ry * ry + rz * rz
+        v = triangles[leaf, 12, s] * along_b + triangles[leaf, 13, s] * along_c
+        w = triangles[leaf, 13, s] * along_b + triangles[leaf, 14, s] * along_c
+        rx, ry, rz = ax - v * bx - w * cx, ay - v * by - w * cy, az - v * bz - w * cz
+        plane = rx * rx + ry * ry + rz * rz
+        # all three first, then the choice: a selection of values is vectorised, a choice of what to compute is not
+        edge, inside = min(min(edge_b, edge_c), edge_e), min(min(v, w), 1.0 - v - w)
+        squared[s] = plane if inside > 0.0 else edge
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def closest_on_triangle(p, b, c):
+    """Coordinates (v, w) on the edges b and c of the point closest to p, all relative to corner 0 (Ericson 2005, 5.1.5)."""
+    bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
+    d1, d2 = dot(b, p), dot(c, p)
+    d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
     va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
     if d1 <= 0.0 and d2 <= 0.0:
-        v, w = 0.0, 0.0
-    elif d3 >= 0.0 and d4 <= d3:
-        v, w = 1.0, 0.0
-    elif d6 >= 0.0 and d5 <= d6:
-        v, w = 0.0, 1.0
-    elif vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and bb > 0.0:
-        v, w = d1 / (d1 - d3), 0.0
-    elif vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        v, w = 0.0, d2 / (d2 - d6)
-    elif va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
+        return 0.0, 0.0
+    if d3 >= 0.0 and d4 <= d3:
+        return 1.0, 0.0
+    if d6 >= 0.0 and d5 <= d6:
+        return 0.0, 1.0
+    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and bb > 0.0:
+        return d1 / bb, 0.0
+    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
+        return 0.0, d2 / cc
+    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
         w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        v = 1.0 - w
-    else:
-        scale = 1.0 / max(va + vb + vc, 1e-300)  # no area is left only by rounding; any point of the face is a bound then
-        v, w = min(vb * scale, 1.0), min(vc * scale, 1.0)
-    dx, dy, dz = ax - v * bx - w * cx, ay - v * by - w * cy, az - v * bz - w * cz
-    return dx * dx + dy * dy + dz * dz, v, w
+        return 1.0 - w, w
+    total = max(va + vb + vc, 1e-300)  # zero only by rounding, on a face without area; any point of it will do then
+    return min(vb / total, 1.0), min(vc / total, 1.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def closest_points(corners, boxes, leaf_start, points, radius, hint, face, barycentric, point):
-    n_leaves = leaf_start.shape[0] - 1
-    node_stack = np.empty(STACK, np.int64)
-    distance_stack = np.empty(STACK)
+def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, hint, face):
+    """The nearest face of every point, -1 where none is within the radius."""
+    n_inner = boxes.shape[0]
+    nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
+    squared = np.empty(LANES)
     previous = -1  # neighbours in the garment's numbering are mostly neighbours in space
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best, best_face, best_v, best_w = radius * radius, -1, 0.0, 0.0
-        first = hint[i] if hint[i] >= 0 else previous
-        if first >= 0:
-            squared, v, w = triangle_distance(corners, first, x, y, z)
-            if squared <= best:
-                best, best_face, best_v, best_w = squared, first, v, w
+        best, best_face = radius * radius, -1
+        start = leaf_of[hint[i]] if hint[i] >= 0 else previous
         top = 0
-        node_stack[0], distance_stack[0] = 1, box_distance(boxes, 1, x, y, z)
+        nodes[0], lower[0] = 0, 0.0
+        if start >= 0:  # a good bound first: on the stack after the root, so looked at before it
+            top = 1
+            nodes[1], lower[1] = n_inner + start, 0.0
         while top >= 0:
-            node, lower = node_stack[top], distance_stack[top]
+            node, bound = nodes[top], lower[top]
             top -= 1
-            if lower >= best:
+            if bound >= best:
                 continue
-            while node < n_leaves:
-                left, right = 2 * node, 2 * node + 1
-                dl, dr = box_distance(boxes, left, x, y, z), box_distance(boxes, right, x, y, z)
-                if dr < dl:
-                    left, right, dl, dr = right, left, dr, dl
-                if dr < best:
-                    top += 1
-                    node_stack[top], distance_stack[top] = right, dr
-                node = left
-                if dl >= best:
-                    break
-            else:
-                leaf = node - n_leaves
-                for f in range(leaf_start[leaf], leaf_start[leaf + 1]):
-                    squared, v, w = triangle_distance(corners, f, x, y, z)
-                    if squared < best:
-                        best, best_face, best_v, best_w = squared, f, v, w
+            if node >= n_inner:
+                leaf = node - n_inner
+                leaf_distances(triangles, leaf, x, y, z, squared)
+                for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
+                    if squared[s] < best:
+                        best, best_face, previous = squared[s], leaf_start[leaf] + s, leaf
+                continue
+            box_distances(boxes, node, x, y, z, squared)
+            nearest, at = best, top
+            for s in range(LANES):  # written before it is known whether it stays: cheaper than a branch that goes either way
+                nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
+                top += 1 if squared[s] < best else 0
+                nearer = squared[s] < nearest
+                at, nearest = top if nearer else at, squared[s] if nearer else nearest
+            if at >= 0:  # the nearest child on top
+                nodes[at], nodes[top] = nodes[top], nodes[at]
+                lower[at], lower[top] = lower[top], lower[at]
         face[i] = best_face
-        previous = best_face if best_face >= 0 else previous
-        if best_face < 0:
-            for a in range(3):
-                barycentric[i, a] = point[i, a] = 0.0
-            continue
-        u = 1.0 - best_v - best_w
-        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, best_v, best_w
-        for a in range(3):
-            point[i, a] = (
-                u * corners[best_face, 0, a] + best_v * corners[best_face, 1, a] + best_w * corners[best_face, 2, a]
-            )
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def face_normal(corners, f):
+def face_normal(vertices, faces, f):
     """Unit normal of a face, zero where it has no area."""
-    bx, by, bz = corners[f, 1, 0] - corners[f, 0, 0], corners[f, 1, 1] - corners[f, 0, 1], corners[f, 1, 2] - corners[f, 0, 2]
-    cx, cy, cz = corners[f, 2, 0] - corners[f, 0, 0], corners[f, 2, 1] - corners[f, 0, 1], corners[f, 2, 2] - corners[f, 0, 2]
-    x, y, z = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    length = sqrt(x * x + y * y + z * z)
+    _, b, c = edges(vertices, faces, f)
+    n = cross(b, c)
+    length = sqrt(dot(n, n))
     scale = 1.0 / length if length > 0.0 else 0.0
-    return x * scale, y * scale, z * scale
+    return n[0] * scale, n[1] * scale, n[2] * scale
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def corner_angle(corners, f, s):
-    """Angle of a face at its corner s, 0 where an edge has no length."""
-    t, r = (s + 1) % 3, (s + 2) % 3
-    dot = first = second = 0.0
-    for a in range(3):
-        b, c = corners[f, t, a] - corners[f, s, a], corners[f, r, a] - corners[f, s, a]
-        dot += b * c
-        first += b * b
-        second += c * c
-    lengths = sqrt(first * second)
-    return acos(min(1.0, max(-1.0, dot / lengths))) if lengths > 0.0 else 0.0
+def corner_angle(vertices, i, j, k):
+    """Angle at vertex i of the face i, j, k; 0 where an edge has no length."""
+    b = vertices[j, 0] - vertices[i, 0], vertices[j, 1] - vertices[i, 1], vertices[j, 2] - vertices[i, 2]
+    c = vertices[k, 0] - vertices[i, 0], vertices[k, 1] - vertices[i, 1], vertices[k, 2] - vertices[i, 2]
+    lengths = sqrt(dot(b, b) * dot(c, c))
+    return acos(min(1.0, max(-1.0, dot(b, c) / lengths))) if lengths > 0.0 else 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def pseudo_normal(corners, faces, neighbour, ring_start, ring_face, f, barycentric, i):
-    """Normal at a closest point, of any length: of the face, of both faces at an edge, by angle around a corner."""
-    x, y, z = face_normal(corners, f)
-    outside = 0
-    zero = corner = -1
-    for s in range(3):
-        if barycentric[i, s] <= FEATURE:
-            outside += 1
-            zero = s
-        else:
-            corner = s
-    if outside == 1:
-        other = neighbour[f, (zero + 1) % 3]
+def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w):
+    """Normal at a point of a face, of any length: the face's, both faces' at an edge, by angle around a corner."""
+    on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
+    x, y, z = face_normal(vertices, faces, f)
+    if on_edges == 1:
+        other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
         if other >= 0:
-            ox, oy, oz = face_normal(corners, other)
+            ox, oy, oz = face_normal(vertices, faces, other)
             x, y, z = x + ox, y + oy, z + oz
-    elif outside == 2:
-        vertex = faces[f, corner]
+    elif on_edges == 2:
+        corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
         x = y = z = 0.0
-        for r in range(ring_start[vertex], ring_start[vertex + 1]):
+        for r in range(ring_start[corner], ring_start[corner + 1]):
             g = ring_face[r]
-            s = 0 if faces[g, 0] == vertex else (1 if faces[g, 1] == vertex else 2)
-            angle = corner_angle(corners, g, s)
-            gx, gy, gz = face_normal(corners, g)
+            s = 0 if faces[g, 0] == corner else (1 if faces[g, 1] == corner else 2)
+            angle = corner_angle(vertices, corner, faces[g, (s + 1) % 3], faces[g, (s + 2) % 3])
+            gx, gy, gz = face_normal(vertices, faces, g)
             x, y, z = x + angle * gx, y + angle * gy, z + angle * gz
     return x, y, z
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def signed_distances(
-    corners, faces, neighbour, ring_start, ring_face, points, face, barycentric, point, normal, distance
-):
+def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, barycentric, point, normal, distance):
+    """Closest point on the given face of every point, and on which side of the body it lies."""
     for i in range(points.shape[0]):
         f = face[i]
         if f < 0:
-            normal[i, 0] = normal[i, 1] = normal[i, 2] = 0.0
+            for a in range(3):
+                barycentric[i, a] = point[i, a] = normal[i, a] = 0.0
             distance[i] = inf
             continue
-        x, y, z = pseudo_normal(corners, faces, neighbour, ring_start, ring_face, f, barycentric, i)
-        dx, dy, dz = points[i, 0] - point[i, 0], points[i, 1] - point[i, 1], points[i, 2] - point[i, 2]
+        p, b, c = edges(vertices, faces, f)
+        ax, ay, az = points[i, 0] - p[0], points[i, 1] - p[1], points[i, 2] - p[2]
+        v, w = closest_on_triangle((ax, ay, az), b, c)
+        u = 1.0 - v - w
+        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, v, w
+        x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
+        dx, dy, dz = ax - v * b[0] - w * c[0], ay - v * b[1] - w * c[1], az - v * b[2] - w * c[2]
         length = sqrt(dx * dx + dy * dy + dz * dz)
         sign = 1.0 if x * dx + y * dy + z * dz >= 0.0 else -1.0
+        point[i, 0], point[i, 1], point[i, 2] = points[i, 0] - dx, points[i, 1] - dy, points[i, 2] - dz
         distance[i] = sign * length
         if length > SURFACE:
             x, y, z, scale = dx, dy, dz, sign / length
@@ -203,17 +254,15 @@ def signed_distances(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def triangle_frame(vertices, i, j, k):
-    """Tangent along the first edge, normal, and the in-plane edges (l, 0) and (x, h); zeros where there is no area."""
-    bx, by, bz = vertices[j, 0] - vertices[i, 0], vertices[j, 1] - vertices[i, 1], vertices[j, 2] - vertices[i, 2]
-    cx, cy, cz = vertices[k, 0] - vertices[i, 0], vertices[k, 1] - vertices[i, 1], vertices[k, 2] - vertices[i, 2]
-    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
-    length, area = sqrt(bx * bx + by * by + bz * bz), sqrt(nx * nx + ny * ny + nz * nz)
+def triangle_frame(vertices, faces, f):
+    """Tangent along the first edge, normal, the in-plane edges (l, 0) and (x, h), and the double area; zeros without area."""
+    _, b, c = edges(vertices, faces, f)
+    n = cross(b, c)
+    length, area = sqrt(dot(b, b)), sqrt(dot(n, n))
     if area <= 0.0:
         return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0
-    tangent, normal = (bx / length, by / length, bz / length), (nx / area, ny / area, nz / area)
-    x = cx * tangent[0] + cy * tangent[1] + cz * tangent[2]
-    return tangent, normal, length, x, area / length, area
+    tangent = b[0] / length, b[1] / length, b[2] / length
+    return tangent, (n[0] / area, n[1] / area, n[2] / area), length, dot(c, tangent), area / length, area
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -240,19 +289,23 @@ def quaternion(t, u, n, t2, u2, n2):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def cross(a, b):
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def vertex_rotations(last, now, faces, face, needed, rotation):
+    """Unit quaternion of every vertex that a contact uses: its faces' rotations, by area, on one hemisphere.
 
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def vertex_rotations(last, now, faces, rotation):
-    """Sum, per vertex, of the faces' rotation quaternions, weighted by area and on one hemisphere; not normalised."""
+    needed (B,) uint8 is scratch. Half of the faces of a body are near no garment; leaving them out saves half of the time.
+    """
+    needed[:] = 0
+    for i in range(face.shape[0]):
+        if face[i] >= 0:
+            for s in range(3):
+                needed[faces[face[i], s]] = 1
     rotation[:] = 0.0
     rotation[:, 0] = FACE_AREA
     for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        t1, n1, l1, x1, h1, area1 = triangle_frame(last, i, j, k)
-        t2, n2, l2, x2, h2, area2 = triangle_frame(now, i, j, k)
+        if not (needed[faces[f, 0]] or needed[faces[f, 1]] or needed[faces[f, 2]]):
+            continue
+        t1, n1, l1, x1, h1, area1 = triangle_frame(last, faces, f)
+        t2, n2, l2, x2, h2, area2 = triangle_frame(now, faces, f)
         weight = min(area1, area2)
         # polar factor of the in-plane deformation [[l2/l1, (x2 - x1 l2/l1) / h1], [0, h2/h1]], multiplied by l1 h1
         c, s = l2 * h1 + h2 * l1, l2 * x1 - x2 * l1

@@ -14,15 +14,15 @@ import numpy as np
 from ddakf.kernels import proximity as kernels
 from ddakf.mesh import Mesh
 
-FACES_PER_LEAF = 4
-
-
 class Body(NamedTuple):
-    """Constant for the life of a session. Faces are renumbered so that a leaf's faces are consecutive; L = 2^d leaves."""
+    """Constant for the life of a session. The F faces are renumbered so that those of a leaf are consecutive; L leaves."""
 
     faces: np.ndarray  # (F, 3) int32, in leaf order
     original_face: np.ndarray  # (F,) int32, index in the mesh of a face in leaf order
     leaf_start: np.ndarray  # (L + 1,) int32, first face of each leaf
+    leaf_of: np.ndarray  # (F,) int32, leaf of each face
+    n_inner: int  # inner nodes of the tree
+    shift: int  # the children of node n are 8 n + shift + 0..7
     neighbour: np.ndarray  # (F, 3) int32, the face across the edge from corner c to c + 1; -1 at a boundary
     ring_start: np.ndarray  # (B + 1,) int32
     ring_face: np.ndarray  # (3 F,) int32, the faces around vertex i are ring_face[ring_start[i]:ring_start[i + 1]]
@@ -31,8 +31,9 @@ class Body(NamedTuple):
 class BodySurface(NamedTuple):
     """A body in the pose of one frame."""
 
-    corners: np.ndarray  # (F, 3, 3) m, in leaf order
-    boxes: np.ndarray  # (2 L, 6) m, lower and upper corner per node; node n has children 2n and 2n + 1, the root is 1
+    vertices: np.ndarray  # (B, 3) m
+    triangles: np.ndarray  # (L, 15, 8), the faces as the search reads them, eight to a leaf
+    boxes: np.ndarray  # (G, 6, 8) m, lower and upper corners of the eight children of every inner node
 
 
 class Contact(NamedTuple):
@@ -54,22 +55,24 @@ class SurfaceMotion(NamedTuple):
 
 def build(mesh: Mesh) -> Body:
     """Adjacency and tree of a body; the tree is shaped by the pose of ``mesh``, and right in any other."""
-    order, leaf_start = _tree_order(mesh.vertices[mesh.faces].mean(axis=1))
+    order, leaf_start, leaf_of = _tree_order(mesh.vertices[mesh.faces].mean(axis=1))
     faces = np.ascontiguousarray(mesh.faces[order], np.int32)
-    by_vertex = np.argsort(faces.ravel(), kind="stable")
     ring_start = np.zeros(mesh.n_vertices + 1, np.int32)
     ring_start[1:] = np.cumsum(np.bincount(faces.ravel(), minlength=mesh.n_vertices))
-    ring_face = (by_vertex // 3).astype(np.int32)
-    return Body(faces, order.astype(np.int32), leaf_start, _neighbours(faces), ring_start, ring_face)
+    ring_face = (np.argsort(faces.ravel(), kind="stable") // 3).astype(np.int32)
+    n_inner, shift = _tree_shape(len(leaf_start) - 1)
+    return Body(
+        faces, order.astype(np.int32), leaf_start, leaf_of, n_inner, shift, _neighbours(faces), ring_start, ring_face
+    )
 
 
 def refresh(body: Body, vertices: np.ndarray, out: BodySurface | None = None) -> BodySurface:
     """The body with its vertices (B, 3) at a new place. ``out``, a former surface of this body, is overwritten."""
     if out is None:
-        n_leaves = len(body.leaf_start) - 1
-        corners, boxes = np.empty((len(body.faces), 3, 3)), np.zeros((2 * n_leaves, 6))
-        out = BodySurface(corners, boxes)
-    kernels.refit(vertices, body.faces, body.leaf_start, out.corners, out.boxes)
+        triangles = np.zeros((len(body.leaf_start) - 1, 15, kernels.LANES))
+        out = BodySurface(np.empty((len(vertices), 3)), triangles, np.empty((body.n_inner, 6, kernels.LANES)))
+    out.vertices[:] = vertices
+    kernels.refit(out.vertices, body.faces, body.leaf_start, body.shift, out.triangles, out.boxes)
     return out
 
 
@@ -96,11 +99,11 @@ def closest_points(
         out = Contact(np.full(n, -1, np.int32), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
     if hint is None:
         hint = np.full(n, -1, np.int32)
-    kernels.closest_points(
-        surface.corners, surface.boxes, body.leaf_start, points, radius, hint, out.face, out.barycentric, out.point
+    kernels.nearest_faces(
+        surface.triangles, surface.boxes, body.leaf_start, body.leaf_of, body.shift, points, radius, hint, out.face
     )
-    kernels.signed_distances(
-        surface.corners, body.faces, body.neighbour, body.ring_start, body.ring_face,
+    kernels.contacts(
+        surface.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face,
         points, out.face, out.barycentric, out.point, out.normal, out.distance,
     )  # fmt: skip
     return out
@@ -132,28 +135,41 @@ def surface_motion(
         near: distance up to which a point moves with the body, metres.
     """
     position, weight = np.empty_like(points), np.empty(len(points))
-    rotation = np.empty((len(last), 4))
-    kernels.vertex_rotations(last, now, body.faces, rotation)
+    rotation, needed = np.empty((len(last), 4)), np.empty(len(last), np.uint8)
+    kernels.vertex_rotations(last, now, body.faces, contact.face, needed, rotation)
     kernels.carry(
         last, now, rotation, body.faces, contact.face, contact.barycentric, points, near, radius, position, weight
     )
     return SurfaceMotion(position, weight)
 
 
-def _tree_order(centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Faces in leaf order, and each leaf's start: every level halves each range at the median of its longest axis."""
+def _tree_order(centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Faces in leaf order, each leaf's start, each face's leaf: every level halves its ranges at the median of their longest axis.
+
+    A power of two of leaves, at least two, of at most eight faces.
+    """
     n = len(centroids)
-    depth = max(0, int(np.ceil(np.log2(n / FACES_PER_LEAF)))) if n > FACES_PER_LEAF else 0
+    depth = max(1, int(np.ceil(np.log2(n / kernels.LANES))))
     leaf_start = np.arange(2**depth + 1) * n // 2**depth
-    leaf = np.searchsorted(leaf_start, np.arange(n), side="right") - 1
+    leaf_of = np.searchsorted(leaf_start, np.arange(n), side="right") - 1
     order = np.arange(n)
     for level in range(depth):
-        segment = leaf >> (depth - level)
-        first = np.searchsorted(segment, np.arange(2**level))
-        lower = np.minimum.reduceat(centroids[order], first)
-        extent = np.maximum.reduceat(centroids[order], first) - lower
+        segment = leaf_of >> (depth - level)
+        first, segment = np.unique(segment, return_index=True, return_inverse=True)[1:]
+        extent = np.maximum.reduceat(centroids[order], first) - np.minimum.reduceat(centroids[order], first)
         order = order[np.lexsort((centroids[order, extent.argmax(axis=1)[segment]], segment))]
-    return order, leaf_start.astype(np.int32)
+    return order, leaf_start.astype(np.int32), leaf_of.astype(np.int32)
+
+
+def _tree_shape(n_leaves: int) -> tuple[int, int]:
+    """Number of inner nodes and shift of a tree with eight children per node, at the root as few as are needed."""
+    n_inner, at_root = 1, n_leaves
+    while at_root > kernels.LANES:
+        at_root //= kernels.LANES
+    level = at_root
+    while level < n_leaves:
+        n_inner, level = n_inner + level, level * kernels.LANES
+    return n_inner, at_root - 7
 
 
 def _neighbours(faces: np.ndarray) -> np.ndarray:
