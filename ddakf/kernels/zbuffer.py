@@ -79,3 +79,38 @@ def splat(points, fx, fy, cx, cy, radius, depth, index):
                 if (x - u) ** 2 + (y - v) ** 2 <= radius * radius and z < depth[y, x]:
                     depth[y, x] = z
                     index[y, x] = i
+
+
+@njit(nogil=True, cache=True)
+def interpolate(vertices, faces, values, fx, fy, cx, cy, label, face, image):
+    """Perspective-correct values of the vertices at the pixels where a mesh is visible; undoes :func:`rasterize`.
+
+    Args:
+        vertices, faces, fx, fy, cx, cy, label: as given to :func:`rasterize`.
+        values: (V, C) float64.
+        face: (H, W) int32, from :func:`rasterize`.
+        image: (H, W, C) float64; written where ``face`` is one of this mesh.
+    """
+    height, width = face.shape
+    for v in range(height):
+        for u in range(width):
+            f = face[v, u] - label
+            if face[v, u] < 0 or f < 0 or f >= faces.shape[0]:
+                continue
+            a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+            x, y = (u - cx) / fx, (v - cy) / fy
+            # The ray's triple products with the corners are the weights of the point that it hits
+            wa = _triple(vertices, b, c, x, y)
+            wb = _triple(vertices, c, a, x, y)
+            wc = _triple(vertices, a, b, x, y)
+            total = wa + wb + wc
+            for k in range(values.shape[1]):
+                image[v, u, k] = (wa * values[a, k] + wb * values[b, k] + wc * values[c, k]) / total
+
+
+@njit(nogil=True, cache=True)
+def _triple(vertices, i, j, x, y):
+    """(x, y, 1) . (vertex i x vertex j)"""
+    ax, ay, az = vertices[i, 0], vertices[i, 1], vertices[i, 2]
+    bx, by, bz = vertices[j, 0], vertices[j, 1], vertices[j, 2]
+    return x * (ay * bz - az * by) + y * (az * bx - ax * bz) + ax * by - ay * bx
