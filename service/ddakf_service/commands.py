@@ -1,145 +1,34 @@
-"""``ddakf serve``: the service in the foreground."""
+"""The command ``ddakf serve``; what it does is in ``serve.py``, which is imported only when it runs."""
 
 from __future__ import annotations
 
 import argparse
-import asyncio
-import json
-import os
-import sys
-from collections.abc import Mapping
 
-import uvloop
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
-from ddakf.errors import InvalidConfig
-
-from .info import server_version
-from .server import Addresses, Server
-from .settings import ENV_PREFIX, Origin, Settings, flag_of, load
-from .telemetry import configure_logging
-from .workers.local import WorkerStartFailed
-
-EXIT_FAILED, EXIT_MISUSED = 1, 2
+from .settings import Settings, flag_of
 
 
-def register_serve(subparsers) -> None:
+def register_serve(subparsers: argparse._SubParsersAction) -> None:
     """Adds ``serve``; one flag per setting."""
     parser = subparsers.add_parser(
         "serve",
         help="run the service in the foreground",
         description="Runs the service. Flags win over the environment (DDAKF_...), it over the file.",
     )
+    add_serve_arguments(parser)
+
+
+def add_serve_arguments(parser: argparse.ArgumentParser) -> None:
+    """The arguments of ``serve`` on a parser of one's own."""
     parser.add_argument("--config", metavar="FILE", help="a TOML file with settings (environment: DDAKF_CONFIG)")
-    parser.add_argument(
-        "--print-config", action="store_true", help="show the settings and where each comes from, and end"
-    )
+    parser.add_argument("--print-config", action="store_true", help="show the settings and where each is from, and end")
     parser.add_argument("--json", action="store_true", help="progress, addresses and settings as JSON lines")
+    parser.add_argument("--with-parent", action="store_true", help="stop when standard input closes")
     for name, field in Settings.model_fields.items():
         parser.add_argument(flag_of(name), dest=f"setting_{name}", metavar="VALUE", help=field.description)
-    parser.set_defaults(run=serve)
+    parser.set_defaults(run=_serve)
 
 
-def serve(args: argparse.Namespace) -> int:
-    """Runs until a signal; returns the exit status."""
-    flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
-    try:
-        settings, origins = load(flags, args.config)
-        if args.print_config:
-            _print_settings(settings, origins, args.json)
-            return 0
-        return _serve(settings, args.json)
-    except InvalidConfig as error:
-        print(f"ddakf serve: {error}", file=sys.stderr)
-        return EXIT_MISUSED
-    except WorkerStartFailed as error:
-        print(f"ddakf serve: {error}", file=sys.stderr)
-        return EXIT_FAILED
+def _serve(args: argparse.Namespace) -> int:
+    from .serve import serve  # gRPC and FastAPI would slow down every other command
 
-
-def _serve(settings: Settings, as_json: bool) -> int:
-    configure_logging(settings.log_level, settings.log_format)
-    # The workers read these, so that their lines look like the server's.
-    os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
-    announcer = JsonAnnouncer() if as_json else ConsoleAnnouncer()
-    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-        try:
-            runner.run(_run(settings, announcer))
-        finally:
-            announcer.close()
-    return 0
-
-
-async def _run(settings: Settings, announcer: ConsoleAnnouncer | JsonAnnouncer) -> None:
-    await Server(settings).run(announcer.progress, announcer.ready)
-
-
-class ConsoleAnnouncer:
-    """Progress line and addresses for a person."""
-
-    def __init__(self):
-        self._console = Console()
-        self._bar: Progress | None = None
-
-    def progress(self, done: int, total: int, name: str) -> None:
-        if self._bar is None:
-            self._bar = compile_bar(self._console)
-            self._bar.start()
-            self._task = self._bar.add_task("compiling kernels", total=total, name="")
-        self._bar.update(self._task, completed=done, total=total, name=name)
-
-    def ready(self, addresses: Addresses) -> None:
-        self.close()
-        for line in (
-            f"ddakf {server_version()} is ready; Ctrl-C stops it",
-            f"  gRPC  {addresses.grpc}",
-            f"  REST  {addresses.http}  (documentation at /docs, metrics at /metrics)",
-        ):
-            self._console.print(line, highlight=False, soft_wrap=True)
-
-    def close(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
-
-
-class JsonAnnouncer:
-    """The same as one JSON object per line, for a program."""
-
-    def progress(self, done: int, total: int, name: str) -> None:
-        self._write(event="compiling", done=done, total=total, name=name)
-
-    def ready(self, addresses: Addresses) -> None:
-        self._write(event="ready", grpc=addresses.grpc, http=addresses.http, pid=os.getpid())
-
-    def close(self) -> None:
-        """Nothing stays open."""
-
-    def _write(self, **event) -> None:
-        sys.stdout.write(json.dumps(event) + "\n")
-        sys.stdout.flush()
-
-
-def compile_bar(console: Console) -> Progress:
-    """A progress bar for the compilation of the kernels."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[name]}"),
-    )
-    return Progress(*columns, console=console, transient=True)
-
-
-def _print_settings(settings: Settings, origins: Mapping[str, Origin], as_json: bool) -> None:
-    if as_json:
-        rows = {name: {"value": getattr(settings, name), "from": str(origin)} for name, origin in origins.items()}
-        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
-        return
-    table = Table("setting", "value", "from", "meaning", box=None, header_style="bold")
-    for name, origin in origins.items():
-        table.add_row(name, str(getattr(settings, name)), str(origin), Settings.model_fields[name].description)
-    Console().print(table)
+    return serve(args)

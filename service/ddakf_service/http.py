@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import logging
 import math
 import socket
@@ -160,6 +161,7 @@ def _add_error_handlers(app: FastAPI) -> None:
     async def invalid(request: Request, error: RequestValidationError | ValidationError) -> JSONResponse:
         first = error.errors()[0]
         location = [str(part) for part in first["loc"] if part not in ("query", "path", "body")]
+        location = list(itertools.takewhile(_is_field, location))
         expected = first["msg"].removeprefix("Input should be ")
         got = _short(first.get("input"))
         return _error_response(InvalidArgument(field=".".join(location) or "body", expected=expected, got=got))
@@ -189,6 +191,11 @@ async def _bounded_body(request: Request) -> bytes:
             raise ResourceExhausted(field="body", expected=f"at most {_MAX_BODY_BYTES} bytes", got="more")
         chunks.append(chunk)
     return b"".join(chunks)
+
+
+def _is_field(part: str) -> bool:
+    """Whether a part of pydantic's location is a field or index, rather than the name of a type of a union."""
+    return (part.islower() and "[" not in part) or part.isdigit()
 
 
 def _key_value(text: str) -> tuple[str, str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any, Literal
 
 import numpy as np
@@ -155,13 +155,13 @@ class SessionOut(BaseModel):
     def of(cls, session: pb.Session) -> SessionOut:
         statistics = {f.name: getattr(session.statistics, f.name) for f in pb.SessionStatistics.DESCRIPTOR.fields}
         has_frame = session.statistics.HasField("last_frame_time")
-        statistics["last_frame_time"] = session.statistics.last_frame_time.ToDatetime() if has_frame else None
+        statistics["last_frame_time"] = session.statistics.last_frame_time.ToDatetime(UTC) if has_frame else None
         has_map = session.HasField("vertex_map")
         return cls(
             name=session.name,
             labels=dict(session.labels),
             state=pb.SessionState.Name(session.state).removeprefix(_STATE_PREFIX).lower(),
-            create_time=session.create_time.ToDatetime(),
+            create_time=session.create_time.ToDatetime(UTC),
             config=json.loads(session.config_json),
             fabric=session.fabric,
             limits=Limits(**{name: getattr(session.limits, name) for name in Limits.model_fields}),

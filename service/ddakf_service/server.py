@@ -89,6 +89,10 @@ class Server:
         finally:
             await self._shut_down()
 
+    def stop(self) -> None:
+        """Begins an orderly shutdown."""
+        self._stopping.set()
+
     async def _start_pool(self, progress: Progress) -> None:
         await self._pool.start(progress)
         self._warm = True
@@ -112,7 +116,7 @@ class Server:
         if self._stopping.is_set():
             log.warning("stopped by a second signal")
             os._exit(1)  # the workers end with their pipes
-        self._stopping.set()
+        self.stop()
 
     def _not_ready(self) -> str:
         if self._stopping.is_set():

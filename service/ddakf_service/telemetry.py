@@ -9,7 +9,7 @@ import time
 from contextvars import ContextVar
 
 from ddakf_api.v1 import tracking_pb2 as pb
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
 # Set by whoever works for a session, so that every line logged meanwhile carries its id.
 current_session: ContextVar[str] = ContextVar("current_session", default="-")
@@ -80,6 +80,7 @@ class Metrics:
     """
 
     def __init__(self):
+        disable_created_metrics()  # a second time series for each, which nobody reads
         self.registry = CollectorRegistry()
         add = {"registry": self.registry}
         self.frames = Counter("ddakf_frames_total", "Frames by outcome", ["outcome"], **add)

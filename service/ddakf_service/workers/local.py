@@ -188,7 +188,7 @@ class _Worker:
         """Spawns a process and returns when it has tracked its first frame."""
         ours, theirs = socket.socketpair()
         with theirs:
-            # Not the event loop's own way to start a process: that one forks, which gRPC's threads forbid, while this one
+            # Not the event loop's own way to start a process: it forks, which gRPC's threads forbid, while this one
             # goes straight to the new program.
             process = subprocess.Popen(
                 [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],

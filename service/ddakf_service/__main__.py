@@ -1,0 +1,12 @@
+"""``python -m ddakf_service`` is ``ddakf serve``."""
+
+import argparse
+import sys
+
+from .commands import add_serve_arguments
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(prog="ddakf_service", description="Runs the ddakf service.")
+    add_serve_arguments(parser)
+    args = parser.parse_args()
+    sys.exit(args.run(args))
