@@ -1,4 +1,4 @@
-"""The asynchronous client: as ``client``, with ``async with`` and ``async for``. Arguments and errors are described there."""
+"""The asynchronous client: as ``client``, which describes arguments and errors, with ``async``."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def aconnect(
     api_key: str | None = None,
     max_message_bytes: int = MAX_MESSAGE_BYTES,
 ) -> Opening[AsyncClient]:
-    """As :func:`ddakf_client.connect`: ``async with aconnect(target) as client``, or ``client = await aconnect(target)``."""
+    """As :func:`ddakf_client.connect`: ``async with aconnect(...) as client``, or ``client = await aconnect(...)``."""
 
     async def opened() -> AsyncClient:
         options = client_options(max_message_bytes)
@@ -185,7 +185,7 @@ class AsyncSession:
     def track(
         self, frames: AsyncIterable[object] | Iterable[object], **options: Any
     ) -> AsyncIterator[Result | FrameError]:
-        """As :meth:`ddakf_client.Session.track`, with the same options. An ordinary iterator of frames runs in a thread."""
+        """As :meth:`ddakf_client.Session.track`, with the same options; an ordinary iterator runs in a thread."""
         plan = replace(self._plan, **options)
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client.open_track, frames, plan, self._client.target)

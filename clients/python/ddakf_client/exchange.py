@@ -1,8 +1,8 @@
 """One stream's state, without any waiting: the synchronous and the asynchronous client each put theirs around it.
 
-Frames go through a slot for one. In lossless flow the slot has to be free before a frame is offered; in realtime flow a newer
-frame replaces the one in the slot. The slot is emptied while fewer than `in_flight` frames are unanswered, so that neither
-a slow server nor a slow line makes frames pile up in buffers that nobody sees.
+Frames go through a slot for one. In lossless flow the slot has to be free before a frame is offered; in realtime flow a
+newer frame replaces the one in the slot. The slot is emptied while fewer than :data:`IN_FLIGHT` frames are unanswered,
+so that neither a slow server nor a slow line makes frames pile up in buffers that nobody sees.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class Exchange:
         self._slot: Offered | None = None
         self._dropped = 0
         self._refused: list[FrameError] = []
-        # Frames without an answer: sequence number to (handed over, sent). In realtime those up to _passed count as answered.
+        # Frames without an answer: number to (handed over, sent). In realtime those up to _passed count as answered.
         self._unanswered: dict[int, tuple[float, float]] = {}
         self._passed = 0
         self._owed_since = now  # since when the server owes what is no answer to a frame: opening, closing

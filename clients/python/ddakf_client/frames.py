@@ -18,8 +18,8 @@ class Frame:
     Attributes:
         points: (N, 3) metres, world frame; N may be 0.
         timestamp: seconds of the caller's clock, strictly increasing.
-        sensor_origin: where the points were seen from, metres: (3,) for one sensor, (N, 3) one per point when several are
-            fused; None: unknown, no visibility test.
+        sensor_origin: where the points were seen from, metres: (3,) for one sensor, (N, 3) one per point when several
+            are fused; None: unknown, no visibility test.
         body_vertices: (B, 3) metres, the body in this frame; None: not known.
     """
 

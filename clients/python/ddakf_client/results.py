@@ -95,7 +95,8 @@ class Notice:
 class Limits(NamedTuple):
     """Bounds of a session; 0: the server's default in a request, not bounded in an answer.
 
-    Points per frame, frames per second, seconds without a frame, seconds since creation, unanswered frames in lossless flow.
+    Points per frame, frames per second, seconds without a frame, seconds since creation, unanswered frames in lossless
+    flow.
     """
 
     max_points: int = 0

@@ -62,7 +62,7 @@ class _Stream:
         with self._change():
             self._closed.set()
         self._call.cancel()
-        # So that the caller may go on with the same iterator of frames; nothing can interrupt one that waits for a camera.
+        # So that the caller may go on with the same iterator; nothing can interrupt one that waits for a camera.
         for thread in self._threads:
             thread.join(_JOIN_SECONDS)
 
