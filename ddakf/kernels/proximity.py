@@ -1,8 +1,8 @@
 """Closest points on a body through a tree of boxes, signs by pseudo-normals, and the motion of the surface.
 
-The tree has eight children per node and eight faces per leaf, side by side in memory, so that one pass of vector instructions
-tests all eight. Inner nodes are 0..G-1, leaves follow; the children of node n are 8 n + shift + lane. The root has 1 to 8
-children, in its last lanes, which makes shift = (number of them) - 7 the same for every node.
+The tree has eight children per node and eight faces per leaf, side by side in memory, so that one pass of vector
+instructions tests all eight. Inner nodes are 0..G-1, leaves follow; the children of node n are 8 n + shift + lane. The
+root has 1 to 8 children, in its last lanes, which makes shift = (number of them) - 7 the same for every node.
 """
 
 from math import acos, inf, sqrt
@@ -42,8 +42,8 @@ def cross(a, b):
 def refit(vertices, faces, leaf_start, shift, triangles, boxes):
     """Writes what the searches need of every face, and fits the boxes, leaves first.
 
-    triangles[leaf, :, lane]: corner 0, both edges from it, inverse squared lengths of the three edges, and the inverse Gram
-    matrix of the two; inverses of zero are zero. Spare lanes repeat the leaf's last face.
+    triangles[leaf, :, lane]: corner 0, both edges from it, inverse squared lengths of the three edges, and the
+    inverse Gram matrix of the two; inverses of zero are zero. Spare lanes repeat the leaf's last face.
     """
     n_inner = boxes.shape[0]
     for lane in range(LANES):
@@ -78,8 +78,8 @@ def refit(vertices, faces, leaf_start, shift, triangles, boxes):
             triangles[leaf, 14, spot] = bb * inverse
 
 
-# The two loops below run over boxes.shape[2] and triangles.shape[2], not over LANES: with a constant the compiler unrolls them
-# before it vectorises, and the search takes twice as long.
+# The loops of the next two functions run over the arrays' last axis, not over LANES: a constant makes the compiler
+# unroll them before it would vectorise them, and the search takes 1.4 times as long.
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def box_distances(boxes, node, x, y, z, squared):
     """Squared distances from a point to the boxes of a node's children, 0 inside."""
@@ -92,14 +92,15 @@ def box_distances(boxes, node, x, y, z, squared):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def leaf_distances(triangles, leaf, x, y, z, squared):
-    """Squared distances from a point to the faces of a leaf: to the plane above the inside, else to the nearest edge."""
+    """Squared distances from a point to a leaf's faces: to the plane above the inside, else to the nearest edge."""
     for s in range(triangles.shape[2]):
         ax, ay, az = x - triangles[leaf, 0, s], y - triangles[leaf, 1, s], z - triangles[leaf, 2, s]
         bx, by, bz = triangles[leaf, 3, s], triangles[leaf, 4, s], triangles[leaf, 5, s]
         cx, cy, cz = triangles[leaf, 6, s], triangles[leaf, 7, s], triangles[leaf, 8, s]
         ex, ey, ez = cx - bx, cy - by, cz - bz
         fx, fy, fz = ax - bx, ay - by, az - bz
-        along_b, along_c, along_e = ax * bx + ay * by + az * bz, ax * cx + ay * cy + az * cz, fx * ex + fy * ey + fz * ez
+        along_b, along_c = ax * bx + ay * by + az * bz, ax * cx + ay * cy + az * cz
+        along_e = fx * ex + fy * ey + fz * ez
         t = min(max(along_b * triangles[leaf, 9, s], 0.0), 1.0)
         rx, ry, rz = ax - t * bx, ay - t * by, az - t * bz
         edge_b = rx * rx + ry * ry + rz * rz
@@ -120,7 +121,7 @@ def leaf_distances(triangles, leaf, x, y, z, squared):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def closest_on_triangle(p, b, c):
-    """Coordinates (v, w) on the edges b and c of the point closest to p, all relative to corner 0 (Ericson 2005, 5.1.5)."""
+    """Coordinates (v, w) on edges b and c of the point closest to p, relative to corner 0 (Ericson 2005, 5.1.5)."""
     bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
     d1, d2 = dot(b, p), dot(c, p)
     d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
@@ -172,7 +173,7 @@ def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, 
                 continue
             box_distances(boxes, node, x, y, z, squared)
             nearest, at = best, top
-            for s in range(LANES):  # written before it is known whether it stays: cheaper than a branch that goes either way
+            for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
                 nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
                 top += 1 if squared[s] < best else 0
                 nearer = squared[s] < nearest
@@ -255,7 +256,7 @@ def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, ba
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def triangle_frame(vertices, faces, f):
-    """Tangent along the first edge, normal, the in-plane edges (l, 0) and (x, h), and the double area; zeros without area."""
+    """Tangent along the first edge, normal, in-plane edges (l, 0) and (x, h), double area; zeros without area."""
     _, b, c = edges(vertices, faces, f)
     n = cross(b, c)
     length, area = sqrt(dot(b, b)), sqrt(dot(n, n))
@@ -292,7 +293,8 @@ def quaternion(t, u, n, t2, u2, n2):
 def vertex_rotations(last, now, faces, face, needed, rotation):
     """Unit quaternion of every vertex that a contact uses: its faces' rotations, by area, on one hemisphere.
 
-    needed (B,) uint8 is scratch. Half of the faces of a body are near no garment; leaving them out saves half of the time.
+    needed (B,) uint8 is scratch. Half of the faces of a body are near no garment; leaving them out saves half of
+    the time.
     """
     needed[:] = 0
     for i in range(face.shape[0]):

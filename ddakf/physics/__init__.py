@@ -1,7 +1,8 @@
 """Stage E, cloth energies (paper, section 2.4), in residual form.
 
-Every energy is ``E(x) = 1/2 sum_c w_c r_c(x)^2`` over scalar constraints c, each on a fixed stencil of S vertices. A fabric's
-stiffness multiplies it from outside. As pseudo-measurements the constraints read z = 0, h = r_c, variance 1 / (lambda k w_c).
+Every energy is ``E(x) = 1/2 sum_c w_c r_c(x)^2`` over scalar constraints c, each on a fixed stencil of S vertices. A
+fabric's stiffness k multiplies it from outside. As pseudo-measurements the constraints read z = 0, h = r_c, variance
+1 / (lambda k w_c).
 
 Each module has ``build(mesh, ...) -> constants`` and ``linearize(positions, constants, ...) -> Linearization``.
 """

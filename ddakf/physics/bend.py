@@ -1,9 +1,9 @@
 """Stage E, bending (paper, section 2.4): hinges keep the dihedral angle of the rest shape.
 
-Per interior edge one constraint, r = theta - theta_rest, theta the signed angle between the normals of the two faces (0 when
-flat), the difference wrapped to [-pi, pi). Weight: 3 |e|^2 / (A_1 + A_2) from the rest shape, dimensionless, so that k is in
-joules (Grinspun, Hirani, Desbrun and Schroeder 2003, "Discrete shells", equation 3, whose |e| / h_e this is). Angle by atan2,
-gradient as in Bridson, Marino and Fedkiw 2003.
+Per interior edge one constraint, r = theta - theta_rest, theta the signed angle between the normals of the two faces
+(0 when flat), the difference wrapped to [-pi, pi). Weight: 3 |e|^2 / (A_1 + A_2) from the rest shape, dimensionless,
+so that k is in joules (Grinspun, Hirani, Desbrun and Schroeder 2003, "Discrete shells", whose |e| / h_e this is).
+Angle by atan2, gradient as in Bridson, Marino and Fedkiw 2003.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ MIN_HEIGHT_SHARE = 0.1  # the gradient grows as 1 / height; below this share of 
 
 
 class BendConstants(NamedTuple):
-    """One constraint per edge with two faces; stencil: both ends of the edge, then the opposite corner of either face."""
+    """One constraint per edge with two faces; stencil: its ends, then the corner opposite in either face."""
 
     stencil: np.ndarray  # (C, 4) int32
     rest_angle: np.ndarray  # (C,) rad
@@ -45,8 +45,8 @@ def build(mesh: Mesh) -> BendConstants:
 def linearize(positions: np.ndarray, constants: BendConstants, out: Linearization | None = None) -> Linearization:
     """Residuals (rad) and Jacobians at positions (V, 3) metres.
 
-    Exact where both faces have more than a tenth of their rest area at rest edge length; smaller ones get a bounded Jacobian, a
-    collapsed edge or face none.  ``out``, a former result for the same constants, is overwritten and returned.
+    Exact where both faces keep more than a tenth of their rest area; below, the Jacobian is held back, and a collapsed
+    edge or face has none. ``out``, a former result for the same constants, is overwritten and returned.
     """
     lin = allocate(constants.stencil, constants.weight) if out is None else out
     kernels.linearize(

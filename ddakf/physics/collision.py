@@ -1,8 +1,9 @@
 """Stage E, body collision (paper, section 2.4): garment vertices stay a thickness outside the body.
 
-Per vertex one constraint, r = min(0, n . (p - q) - thickness) in metres, with q and n the closest point and outward normal of
-the body (``proximity.py``), held while the solver iterates. Weight: the vertex's share of the rest area, m^2, so that k is in
-J/m^4 = Pa/m, contact pressure per depth. A vertex that does not touch, or has no body within reach, has weight 0.
+Per vertex one constraint, r = min(0, n . (p - q) - thickness) in metres, with q and n the closest point and outward
+normal of the body (``proximity.py``), held while the solver iterates. Weight: the vertex's share of the rest area,
+m^2, so that k is in J/m^4 = Pa/m, contact pressure per depth. A vertex that does not touch, or has no body within
+reach, has weight 0.
 """
 
 from __future__ import annotations
@@ -50,8 +51,8 @@ def linearize(
 ) -> Linearization:
     """Residuals (penetration, metres, at most 0) and Jacobians at positions (V, 3) metres.
 
-    ``contact`` holds, for every vertex, the body's closest point. ``out``, a former result for a garment of the same size, is
-    overwritten and returned.
+    ``contact`` holds, for every vertex, the body's closest point. ``out``, a former result for a garment of the
+    same size, is overwritten and returned.
     """
     if out is None:
         count = len(constants.stencil)

@@ -1,20 +1,21 @@
-"""Fabrics: relative stiffness of stretch, shear and bending (paper, section 2.4, "Fabric types and physical parameters").
+"""Fabrics: relative stiffness of stretch, shear and bending (paper, section 2.4).
 
-The presets are relative values, not material certificates. Column by column they are typical moduli divided by the geometric mean
-of the five fabrics, rounded, so that ``NORMALISED`` is the middle of ordinary clothing:
+The presets are relative values, not material certificates. Column by column they are typical moduli divided by the
+geometric mean of the five fabrics, rounded, so that ``NORMALISED`` is the middle of ordinary clothing:
 
-======== =========== ========= ============ =================================================================================
+======== =========== ========= ============ ========================================================================
 fabric   stretch N/m shear N/m bend 1e-6 Nm source
-======== =========== ========= ============ =================================================================================
-cotton   800         50        8            plain-weave shirting, middle of the ranges usual in KES-F measurements (Kawabata)
+======== =========== ========= ============ ========================================================================
+cotton   800         50        8            plain-weave shirting, middle of the ranges usual in KES-F measurements
 silk     700         15        3            light dress silk, the same
-denim    1000        150       64           stretch, bend: 11 oz black denim, Wang et al. 2011; shear: KES-F range
+denim    1000        150       64           stretch, bend: 11 oz black denim, Wang et al.; shear: KES-F range
 wool     300         35        12           suiting, middle of the KES-F ranges
-jersey   35          20        23           stretch, bend: grey interlock (T-shirt), Wang et al. 2011; shear: KES-F range
-======== =========== ========= ============ =================================================================================
+jersey   35          20        23           stretch, bend: grey interlock (T-shirt), Wang et al.; shear: KES-F range
+======== =========== ========= ============ ========================================================================
 
-Wang, O'Brien, Ramamoorthi 2011, "Data-driven elastic models for cloth" (values of its published material files at small strain);
-Kawabata 1980, "The standardization and analysis of hand evaluation". Samples of one fabric differ by a factor of two and more.
+Wang, O'Brien, Ramamoorthi 2011, "Data-driven elastic models for cloth" (its published material files at small strain);
+Kawabata 1980, "The standardization and analysis of hand evaluation" (KES-F; orders of magnitude, read off no one
+sample). Two samples of one fabric differ by a factor of two and more.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """The body's closest-point structure, shared by collision (stage E) and contact-aware prediction (stage A).
 
-Topology and a balanced tree over the faces are built once per body; per frame the tree's boxes are refitted to the new vertices
-(no rebuilding, no grid whose size would depend on where the body is). Queries are exact: the tree prunes by box distances only.
-The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), right at edges and corners too.
+Topology and a balanced tree over the faces are built once per body; per frame the tree's boxes are refitted to the
+new vertices (no rebuilding, no grid whose size would depend on where the body is). Queries are exact: the tree
+prunes by box distances only. The sign comes from angle-weighted pseudo-normals (Baerentzen and Aanaes 2005), right
+at edges and corners too.
 """
 
 from __future__ import annotations
@@ -14,8 +15,9 @@ import numpy as np
 from ddakf.kernels import proximity as kernels
 from ddakf.mesh import Mesh
 
+
 class Body(NamedTuple):
-    """Constant for the life of a session. The F faces are renumbered so that those of a leaf are consecutive; L leaves."""
+    """Constant for the life of a session. The F faces are renumbered: those of a leaf are consecutive; L leaves."""
 
     faces: np.ndarray  # (F, 3) int32, in leaf order
     original_face: np.ndarray  # (F,) int32, index in the mesh of a face in leaf order
@@ -37,7 +39,7 @@ class BodySurface(NamedTuple):
 
 
 class Contact(NamedTuple):
-    """Closest points of N points on a body. Without a body within the radius: face -1, the rest 0, distance infinite."""
+    """Closest points of N points on a body. With none within the radius: face -1, distance infinite, the rest 0."""
 
     face: np.ndarray  # (N,) int32, in leaf order
     barycentric: np.ndarray  # (N, 3)
@@ -116,14 +118,15 @@ def surface_motion(
     points: np.ndarray,
     contact: Contact,
     radius: float,
-    near: float = 0.02,
+    near: float = 0.05,
 ) -> SurfaceMotion:
     """Carries points with the body's surface under them, from one frame to the next.
 
-    Every face has a rotation (the polar factor of its in-plane deformation, with its normal), every vertex the mean of its
-    one-ring's, and a point the barycentric mean of its face's vertices: the offset from the body turns continuously from face to
-    face. Degenerate faces count for nothing; where there are only such, the motion is a translation. Within ``near`` the point
-    moves with the body, from there the share falls smoothly to none at ``radius``.
+    Every face has a rotation (the polar factor of its in-plane deformation, with its normal), every vertex the mean
+    of its one-ring's, and a point the barycentric mean of its face's vertices: the offset from the body turns
+    continuously from face to face. Degenerate faces count for nothing; where there are only such, the motion is a
+    translation. Within ``near`` the point moves with the body, from there the share falls smoothly to none at
+    ``radius``.
 
     Args:
         body: from :func:`build`.
@@ -144,9 +147,10 @@ def surface_motion(
 
 
 def _tree_order(centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Faces in leaf order, each leaf's start, each face's leaf: every level halves its ranges at the median of their longest axis.
+    """Faces in leaf order, each leaf's start, each face's leaf.
 
-    A power of two of leaves, at least two, of at most eight faces.
+    Every level halves its ranges at the median of their longest axis, down to at most eight faces. The number of
+    leaves is a power of two, and at least two.
     """
     n = len(centroids)
     depth = max(1, int(np.ceil(np.log2(n / kernels.LANES))))

@@ -25,7 +25,7 @@ def rest_frames(mesh: Mesh, warp=None) -> RestFrames:
 
     Args:
         mesh: the garment; its vertices are the rest shape.
-        warp: direction of the warp thread in the rest shape, (3,) or one per face (F, 3), any length. Where it is absent
+        warp: direction of the warp thread in the rest shape, (3,) or one per face (F, 3), any length. Where absent
             or nearly normal to a triangle, the triangle's first edge takes its place.
 
     Raises:

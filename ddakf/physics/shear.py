@@ -1,9 +1,10 @@
 """Stage E, shear (paper, section 2.4): warp and weft stay at right angles.
 
-Per triangle one constraint, r = w_u . w_v (Baraff and Witkin 1998, section 4.3), not divided by the lengths: a polynomial, hence
-smooth and finite on a collapsed triangle, and within a few per cent of the cosine at the strains of clothing. Weight: half the
-rest area, A / 2. Then stretch and shear with one stiffness k are, to first order, k A times the squared Frobenius norm of the
-strain, which no choice of thread direction changes; k is in J/m^2 = N/m.
+Per triangle one constraint, r = w_u . w_v (Baraff and Witkin 1998, section 4.3), not divided by the lengths: a
+polynomial, hence smooth and finite on a collapsed triangle, and close to the sine of the shear angle at the strains of
+clothing. Weight: half the rest area, A / 2. Then stretch and shear with one stiffness k are, to first order,
+k A / 2 times the squared Frobenius norm of the strain, which no choice of thread direction changes; k is in
+J/m^2 = N/m.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Stage E, stretch (paper, section 2.4): warp and weft threads keep their length.
 
-Per triangle two constraints, r_u = |w_u| - 1 and r_v = |w_v| - 1 (Baraff and Witkin 1998, equation 10), on the tangents of
-``rest.py``. Weight: the rest area A of the triangle, so that k is in J/m^2 = N/m, the resistance of a strip per width, and does
-not depend on the triangulation. A triangle measures strain in two directions with the area as its weight, which springs along
-edges only do on regular meshes.
+Per triangle two constraints, r_u = |w_u| - 1 and r_v = |w_v| - 1 (Baraff and Witkin 1998, equation 10), on the tangents
+of ``rest.py``. Weight: the rest area A of the triangle, so that k is in J/m^2 = N/m, the resistance of a strip per
+width, and does not depend on the triangulation. A triangle measures strain in two directions with the area as its
+weight, which springs along edges only do on regular meshes.
 """
 
 from __future__ import annotations

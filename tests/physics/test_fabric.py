@@ -1,0 +1,32 @@
+import pytest
+
+from ddakf.errors import InvalidConfig
+from ddakf.physics.fabric import PRESETS, Fabric
+
+
+@pytest.mark.parametrize("name", ["cotton", "silk", "denim", "wool", "jersey", "normalised"])
+def test_presets_by_attribute_and_by_name(name):
+    assert Fabric.named(name) is getattr(Fabric, name.upper())
+    assert Fabric.named(name.capitalize()) is PRESETS[name]
+
+
+def test_normalised_is_the_default_and_changes_nothing():
+    assert Fabric.NORMALISED == Fabric() == Fabric(1.0, 1.0, 1.0)
+
+
+def test_order_of_the_fabrics():
+    assert Fabric.SILK.bend < Fabric.COTTON.bend < Fabric.DENIM.bend
+    assert Fabric.JERSEY.stretch < Fabric.COTTON.stretch < Fabric.DENIM.stretch
+
+
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf"), "2", None, True])
+@pytest.mark.parametrize("field", ["stretch", "shear", "bend"])
+def test_impossible_multipliers_are_refused(field, value):
+    with pytest.raises(InvalidConfig, match=f"fabric.{field}"):
+        Fabric(**{field: value})
+
+
+@pytest.mark.parametrize("name", ["tweed", "", None, 3])
+def test_unknown_names_are_refused_with_the_known_ones(name):
+    with pytest.raises(InvalidConfig, match="cotton, silk, denim, wool, jersey, normalised"):
+        Fabric.named(name)
