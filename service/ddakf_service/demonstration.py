@@ -6,6 +6,7 @@ import argparse
 import json
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -84,18 +85,22 @@ def _prepare(console: Console, service: ServiceProcess, sequence: Sequence, coun
             sensor, rng = Sensor(view), np.random.default_rng(_SEED)
             clouds = []
             for frame in range(count):
+                if interrupted.is_set():
+                    break
                 clouds.append(sensor.capture(sequence, frame, rng))
                 bar.advance(rendering)
             return clouds
 
+        interrupted = threading.Event()
         clouds = renderer.submit(render)
         try:
             service.wait_until_ready(
                 lambda done, total, name: bar.update(compiling, completed=done, total=total, name=name)
             )
             return clouds.result()
-        finally:
-            renderer.shutdown(wait=False, cancel_futures=True)
+        except BaseException:
+            interrupted.set()
+            raise
 
 
 def _stream(console: Console, target: str, sequence: Sequence, clouds: list[Cloud]) -> Run:

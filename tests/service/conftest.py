@@ -1,0 +1,145 @@
+"""One running service for all tests of it, over real sockets, with real worker processes."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import NamedTuple
+
+import grpc
+import httpx
+import numpy as np
+import pytest
+from ddakf_api import API_VERSION, codec
+from ddakf_api.arrays import pack_mesh
+from ddakf_api.errors import from_rpc_error
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1 import tracking_pb2_grpc as rpc
+from ddakf_client import connect
+from ddakf_service.child import ServiceProcess
+
+TIMEOUT = 30.0  # seconds, of every call
+
+
+class Sheet(NamedTuple):
+    """A square of cloth, (V, 3) metres and (F, 3)."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def make_sheet(side: int = 12, spacing: float = 0.02) -> Sheet:
+    x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
+    vertices = spacing * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1)
+    corner = (x[:-1, :-1] * side + y[:-1, :-1]).ravel()
+    lower = np.stack([corner, corner + side, corner + 1], axis=1)
+    upper = np.stack([corner + 1, corner + side, corner + side + 1], axis=1)
+    return Sheet(vertices, np.concatenate([lower, upper]))
+
+
+class Api:
+    """The bare calls, for what the client library would not send."""
+
+    def __init__(self, target: str):
+        self.channel = grpc.insecure_channel(target, [("grpc.max_receive_message_length", 1 << 27)])
+        self.stub = rpc.TrackingServiceStub(self.channel)
+
+    def call(self, method: str, request):
+        try:
+            return getattr(self.stub, method)(request, timeout=TIMEOUT)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error) from None
+
+    def create(self, sheet: Sheet, session_id: str = "", **session) -> pb.Session:
+        session = pb.Session(garment=pack_mesh(*sheet), **session)
+        request = pb.CreateSessionRequest(api_version=API_VERSION, session=session, session_id=session_id)
+        return self.call("CreateSession", request)
+
+    def get(self, name: str) -> pb.Session:
+        return self.call("GetSession", pb.GetSessionRequest(name=name))
+
+    def delete(self, name: str) -> None:
+        self.call("DeleteSession", pb.DeleteSessionRequest(name=name))
+
+    def track(self, name: str, requests, flow=pb.FLOW_MODE_LOSSLESS, **start):
+        """The responses to some requests, lazily."""
+        begin = pb.Start(name=name, api_version=API_VERSION, flow_mode=flow, **start)
+        stream = itertools.chain([pb.TrackRequest(start=begin)], requests)
+        try:
+            yield from self.stub.Track(stream, timeout=TIMEOUT)
+        except grpc.RpcError as error:
+            raise from_rpc_error(error) from None
+
+
+def frame_of(sheet: Sheet, number: int, *, shift=(0.0, 0.0, 0.0), codec_name: str = "morton-zstd") -> pb.Frame:
+    """The sheet itself as a cloud, frame `number` of 30 per second."""
+    cloud = codec.encode(sheet.vertices + np.asarray(shift), codec_name).cloud
+    return pb.Frame(sequence_number=number, capture_time=number / 30, point_cloud=cloud)
+
+
+def request_of(frame: pb.Frame) -> pb.TrackRequest:
+    return pb.TrackRequest(frame=frame)
+
+
+def children(pid: int) -> list[int]:
+    """Processes whose parent is `pid`."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            parent = int(status.read_text().rpartition(")")[2].split()[1])
+        except (OSError, ValueError):
+            continue  # it has ended meanwhile
+        if parent == pid:
+            found.append(int(status.parent.name))
+    return found
+
+
+def is_running(pid: int) -> bool:
+    """Whether a process exists and is no zombie."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.fixture(scope="session")
+def sheet() -> Sheet:
+    return make_sheet()
+
+
+@pytest.fixture(scope="session")
+def service(tmp_path_factory):
+    process = ServiceProcess(["--workers", "2"], log=tmp_path_factory.mktemp("service") / "service.log")
+    try:
+        process.wait_until_ready()
+        yield process
+    finally:
+        status = process.stop()
+    assert status == 0
+
+
+@pytest.fixture
+def api(service):
+    api = Api(service.grpc)
+    with api.channel:
+        yield api
+
+
+@pytest.fixture
+def client(service):
+    with connect(service.grpc, timeout=TIMEOUT) as client:
+        yield client
+
+
+@pytest.fixture
+def http(service):
+    with httpx.Client(base_url=service.http, timeout=TIMEOUT) as http:
+        yield http
+
+
+@pytest.fixture
+def session(api, sheet):
+    """The name of a fresh session."""
+    name = api.create(sheet).name
+    yield name
+    api.delete(name)
