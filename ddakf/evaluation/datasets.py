@@ -42,8 +42,8 @@ class Recording(Protocol):
 
     def cloud(self, frame: int) -> Cloud: ...
 
-    def template(self) -> Mesh:
-        """A garment mesh from the first frame."""
+    def template(self, frame: int = 0) -> Mesh:
+        """A garment mesh from one frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +75,9 @@ class DepthRecording:
         points = self.camera.unproject(depth, without_fliers(depth, JUMP))
         return Cloud(points.astype(np.float32), self.camera.eye)
 
-    def template(self) -> Mesh:
-        """Grid mesh of the first frame, about 3,000 vertices."""
-        return template_from_depth(self.depth[0] * MM, self.camera)
+    def template(self, frame: int = 0) -> Mesh:
+        """Grid mesh of one frame, about 3,000 vertices."""
+        return template_from_depth(self.depth[frame] * MM, self.camera)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +106,18 @@ class FolderRecording:
         """The points of one frame; where the sensor was is not known."""
         return Cloud(read_points(self.paths[frame]).astype(np.float32), None)
 
-    def template(self) -> Mesh:
-        """The mesh of the first frame.
+    def template(self, frame: int = 0) -> Mesh:
+        """The mesh that a frame's file holds, cleaned.
 
         Raises:
-            InvalidArgument: the first frame has points only.
+            InvalidArgument: it holds points only.
         """
-        if self.paths[0].suffix.lower() not in MESH_SUFFIXES:
+        if self.paths[frame].suffix.lower() not in MESH_SUFFIXES:
             raise InvalidArgument("template", "a mesh file, as the frames are points", "none")
         try:
-            return Mesh.cleaned(*read_mesh(self.paths[0]))[0]
+            return Mesh.cleaned(*read_mesh(self.paths[frame]))[0]
         except InvalidFile as error:
-            raise InvalidArgument("template", "a mesh file, as the first frame is no mesh", "none") from error
+            raise InvalidArgument("template", "a mesh file, as the frames are points", "none") from error
 
 
 def load_depth(path, fps: float = 30.0) -> DepthRecording:

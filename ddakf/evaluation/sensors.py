@@ -67,7 +67,14 @@ class Sensor:
             points, origin = _scan(sequence, frame, self.points, self.segmented, rng), None
         else:
             points, origin = self._look(sequence, frame)
-        chosen = rng.permutation(len(points))[: self.points] if len(points) > self.points else np.arange(len(points))
+        return self.degrade(Cloud(points, origin), rng)
+
+    def degrade(self, cloud: Cloud, rng: np.random.Generator) -> Cloud:
+        """Limit, loss, noise and outliers of this sensor applied to a cloud; the points stay in their order."""
+        points, origin = cloud
+        chosen = np.arange(len(points))
+        if len(points) > self.points:
+            chosen = np.sort(rng.permutation(len(points))[: self.points])
         chosen = chosen[rng.random(len(chosen)) >= self.drop]
         points = points[chosen] + self.noise * rng.normal(size=(len(chosen), 3))
         points = _with_outliers(points, self.outliers, rng)
@@ -76,7 +83,10 @@ class Sensor:
         return Cloud(points.astype(np.float32), origin)
 
     def _look(self, sequence: Sequence, frame: int) -> tuple[np.ndarray, np.ndarray]:
-        cameras = [front_camera(sequence)] if self.view == "front" else ring_cameras(sequence, 4)
+        cameras = [front_camera(sequence)]
+        if self.view == "ring4":
+            # the order in which a stream groups points by sensor, so that sending a cloud does not reorder it
+            cameras = sorted(ring_cameras(sequence, 4), key=lambda camera: tuple(camera.eye))
         seen = [_depth_points(sequence, frame, camera, self.segmented) for camera in cameras]
         if self.view == "front":
             return seen[0], cameras[0].eye

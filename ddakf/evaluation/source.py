@@ -1,0 +1,252 @@
+"""What a tracker is run on: the frames of a sequence seen by a virtual sensor, or those of a real recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.datasets import Recording, load_recording
+from ddakf.evaluation.sensors import Sensor
+from ddakf.io import read_mesh
+from ddakf.mesh import Mesh
+from ddakf.sequence import Sequence, load_sequence
+
+Start = Literal["truth", "rest", "search"]
+DESCRIPTION = {"full": "scanned all around", "front": "one depth camera", "ring4": "four depth cameras"}
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame for a tracker, with what is known about the truth.
+
+    Attributes:
+        number: in the recording.
+        timestamp: seconds.
+        points: (N, 3) float32, metres.
+        sensor_origin: (3,), (N, 3) or None, metres.
+        body_vertices: (B, 3) for the tracker, or None.
+        truth: (V, 3) true garment, or None.
+        body: (B, 3) true body whether or not the tracker is told, or None.
+    """
+
+    number: int
+    timestamp: float
+    points: np.ndarray
+    sensor_origin: np.ndarray | None = None
+    body_vertices: np.ndarray | None = None
+    truth: np.ndarray | None = None
+    body: np.ndarray | None = None
+
+
+class Source(Protocol):
+    """Frames, and how to start a tracker on them.
+
+    Attributes:
+        title: for a person to read.
+        garment: template.
+        start: (V, 3) vertices where the garment is, or None when the tracker is to search for it.
+        body: for the tracker, in the pose of the start, or None.
+        body_faces: to draw the body, or None.
+        fps: frames per second.
+        closed: the garment goes around the person, so that it has a back to look at.
+    """
+
+    title: str
+    garment: Mesh
+    start: np.ndarray | None
+    body: Mesh | None
+    body_faces: np.ndarray | None
+    fps: float
+    closed: bool
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[Frame]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceSource:
+    """Frames of a sequence with ground truth, seen by a virtual sensor.
+
+    Started at the truth, the first frame is given away and tracking begins with the second; otherwise with the first.
+    Every frame has random numbers of its own, so that a range of frames sees what the whole sequence sees.
+
+    Args:
+        sequence: the truth.
+        sensor: what sees it.
+        frames: range of frames.
+        start_at: ``truth``: the first frame's vertices; ``rest``: the template as it lies; ``search``: not told.
+        give_body: the tracker gets the body of every frame.
+        seed: of the sensor's random numbers.
+    """
+
+    sequence: Sequence
+    sensor: Sensor
+    frames: range
+    start_at: Start = "truth"
+    give_body: bool = False
+    seed: int = 1
+    closed: bool = field(default=True, init=False)
+
+    def __post_init__(self) -> None:
+        if self.give_body and not self.sequence.has_body:
+            raise InvalidArgument("body", "a sequence with body_V and body_F", f"{self.sequence.name} without")
+
+    @property
+    def title(self) -> str:
+        return f"{self.sequence.name}, {DESCRIPTION[self.sensor.view]}"
+
+    @property
+    def fps(self) -> float:
+        return self.sequence.fps
+
+    @property
+    def garment(self) -> Mesh:
+        rest = self.sequence.garment_rest
+        return Mesh(self._first if rest is None else rest, self.sequence.garment_faces)
+
+    @property
+    def start(self) -> np.ndarray | None:
+        return {"truth": self._first, "rest": self.garment.vertices, "search": None}[self.start_at]
+
+    @property
+    def body(self) -> Mesh | None:
+        return Mesh(self.sequence.body_vertices[self.frames[0]], self.sequence.body_faces) if self.give_body else None
+
+    @property
+    def body_faces(self) -> np.ndarray | None:
+        return self.sequence.body_faces
+
+    @property
+    def _first(self) -> np.ndarray:
+        return self.sequence.garment_vertices[self.frames[0]]
+
+    @property
+    def _tracked(self) -> range:
+        return self.frames[1:] if self.start_at == "truth" else self.frames
+
+    def __len__(self) -> int:
+        return len(self._tracked)
+
+    def __iter__(self) -> Iterator[Frame]:
+        s = self.sequence
+        for k in self._tracked:
+            cloud = self.sensor.capture(s, k, np.random.default_rng([self.seed, k]))
+            body = s.body_vertices[k] if s.has_body else None
+            given = body if self.give_body else None
+            yield Frame(k, s.timestamp(k), *cloud, body_vertices=given, truth=s.garment_vertices[k], body=body)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSource:
+    """Frames of a real sensor. Without a template, the first frame gives one and is not tracked; with one, the tracker
+    searches for it in the first frame.
+
+    Args:
+        recording: the frames.
+        sensor: whose limit, loss, noise and outliers are added; the view is the recording's.
+        frames: range of frames.
+        garment: template, or None to make it from the recording's first frame.
+        seed: of the random numbers.
+    """
+
+    recording: Recording
+    sensor: Sensor
+    frames: range
+    template: Mesh | None = None
+    seed: int = 1
+    garment: Mesh = field(init=False)
+    body: None = field(default=None, init=False)
+    body_faces: None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        garment = self.recording.template(self.frames[0]) if self.template is None else self.template
+        object.__setattr__(self, "garment", garment)
+
+    @property
+    def title(self) -> str:
+        return f"{self.recording.name}, recorded"
+
+    @property
+    def start(self) -> np.ndarray | None:
+        return self.garment.vertices if self.template is None else None
+
+    @property
+    def fps(self) -> float:
+        return self.recording.fps
+
+    @property
+    def closed(self) -> bool:
+        return self.template is not None
+
+    @property
+    def _tracked(self) -> range:
+        return self.frames[1:] if self.template is None else self.frames
+
+    def __len__(self) -> int:
+        return len(self._tracked)
+
+    def __iter__(self) -> Iterator[Frame]:
+        for k in self._tracked:
+            cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]))
+            yield Frame(k, self.recording.timestamp(k), *cloud)
+
+
+def open_source(
+    path,
+    sensor: Sensor | None = None,
+    *,
+    frames: str = ":",
+    start: Start = "truth",
+    give_body: bool = False,
+    template=None,
+    fps: float = 30.0,
+    seed: int = 1,
+) -> Source:
+    """Opens what ``ddakf track`` is given: a sequence (.npz), a depth recording (.mat) or a folder of clouds.
+
+    Args:
+        path: of the file or folder.
+        sensor: default: for sequences one depth camera with 3 mm noise, for recordings nothing is added.
+        frames: ``A:B``, from frame A up to B, which is not part of it; either may be left out.
+        start: as ``start_at``, give_body, seed: see :class:`SequenceSource`.
+        template: mesh file to track in a recording, instead of its first frame.
+        fps: frames per second of a recording.
+
+    Raises:
+        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+    """
+    path = Path(path)
+    if path.is_file() and path.suffix.lower() == ".npz":
+        if template is not None:
+            raise InvalidArgument("template", "none for a sequence, which has its own", str(template))
+        sequence = load_sequence(path)
+        chosen = chosen_frames(frames, len(sequence))
+        return SequenceSource(sequence, sensor or Sensor(), chosen, start, give_body, seed)
+    recording = load_recording(path, fps)
+    if give_body:
+        raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
+    mesh = None if template is None else Mesh.cleaned(*read_mesh(template))[0]
+    plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
+    return RecordingSource(recording, plain, chosen_frames(frames, len(recording)), mesh, seed)
+
+
+def chosen_frames(text: str, count: int) -> range:
+    """The frames of ``A:B`` among ``count``; Python's rules for slices.
+
+    Raises:
+        InvalidArgument: not of that form, or fewer than two frames.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        chosen = range(count)[int(first) if first else None : int(last) if last else None]
+    except ValueError:
+        chosen = range(0)
+    if not colon or len(chosen) < 2:
+        raise InvalidArgument("frames", f"A:B with at least two of the {count} frames", repr(text))
+    return chosen
