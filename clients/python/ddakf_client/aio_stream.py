@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterable
 
 import grpc
 from ddakf_api.errors import ServiceError
@@ -15,6 +15,8 @@ from ddakf_client.exchange import Exchange, Plan, encode_request
 from ddakf_client.results import FrameError, Notice, Result
 
 _NO_MORE = object()
+_LOST_STATUS = "Internal error from Core"
+_STATUS_SECONDS = 1.0
 
 
 async def track(
@@ -33,10 +35,14 @@ async def track(
                     plan.on_notice(answer)
                 else:
                     yield answer
-        for refused in stream.rest():
+        for refused in stream.ended():
             yield refused
     except grpc.RpcError as error:
-        raise (stream.failure or failure(error, target, plan.timeout)) from None
+        status = await stream.servers_status() or error
+        # The server ended the stream in order, while this side was still writing.
+        if status.code() is grpc.StatusCode.OK:
+            stream.ended()
+        raise (stream.failure or failure(status, target, plan.timeout)) from None
     except asyncio.CancelledError:
         # What a read raises when the call was cancelled from this side, too.
         if stream.failure:
@@ -53,6 +59,7 @@ class _Stream:
         self._exchange = Exchange(plan, time.monotonic())
         self._frames = frames
         self._changed = asyncio.Event()
+        self._statuses: list[grpc.aio.AioRpcError] = []
 
     @property
     def failure(self) -> BaseException | None:
@@ -60,7 +67,22 @@ class _Stream:
 
     def run(self, call: grpc.aio.StreamStreamCall) -> None:
         self._call = call
+        call.add_done_callback(lambda call: self._statuses.append(_status_of(call)))
         self._tasks = [asyncio.create_task(self._pull()), asyncio.create_task(self._watch())]
+
+    async def servers_status(self) -> grpc.aio.AioRpcError | None:
+        """What the server ended the call with, if that can be found.
+
+        A write that fails because the call has ended makes grpc.aio put a status of its own in the place of the server's,
+        before or after that one arrives (https://github.com/grpc/grpc/issues/36066).
+        """
+        deadline = time.monotonic() + _STATUS_SECONDS
+        while time.monotonic() < deadline:
+            for status in self._statuses:
+                if status.details() != _LOST_STATUS:
+                    return status
+            await asyncio.sleep(0.01)
+        return None
 
     def close(self) -> None:
         self._call.cancel()
@@ -79,11 +101,8 @@ class _Stream:
         self._changed.set()
         return self._exchange.receive(response, time.monotonic())
 
-    def rest(self) -> list[FrameError]:
-        """What is left to say after a proper end."""
-        if self._exchange.failure:
-            raise self._exchange.failure
-        return self._exchange.refused()
+    def ended(self) -> list[FrameError]:
+        return self._exchange.ended()
 
     async def requests(self) -> AsyncIterator[pb.TrackRequest]:
         exchange = self._exchange
@@ -130,6 +149,20 @@ class _Stream:
     def _fail(self, error: Exception) -> None:
         self._exchange.failure = self._exchange.failure or error
         self._call.cancel()
+
+
+def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
+    """The status of a call that has one, as an error. Nothing is waited for: the coroutines end at their first step."""
+
+    def value(coroutine: Coroutine):
+        try:
+            coroutine.send(None)
+        except StopIteration as end:
+            return end.value
+        coroutine.close()
+
+    code, details, trailing = value(call.code()), value(call.details()), value(call.trailing_metadata())
+    return grpc.aio.AioRpcError(code, grpc.aio.Metadata(), trailing or grpc.aio.Metadata(), details)
 
 
 async def _asynchronous(frames: AsyncIterable[object] | Iterable[object]) -> AsyncIterator[object]:

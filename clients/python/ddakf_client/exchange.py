@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_STEP
-from ddakf_api.errors import DeadlineExceeded, InvalidArgument, ServiceError
+from ddakf_api.errors import DeadlineExceeded, InvalidArgument, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.frames import Frame, to_message
@@ -166,6 +166,20 @@ class Exchange:
         elif kind == "frame_error":
             return [*self.refused(), self._rejected(frame_error_from(response.frame_error))]
         return []
+
+    def ended(self) -> list[FrameError]:
+        """What is left to say after the server has ended the stream without an error.
+
+        Raises:
+            Unavailable: it did so before every frame had its answer.
+        """
+        if self.failure:
+            raise self.failure
+        waiting = [sequence for sequence in self._unanswered if sequence > self._passed]
+        if waiting or not self.is_done():
+            before = f"it had answered frame {min(waiting)}" if waiting else "all frames were sent"
+            raise Unavailable(f"the server ended the stream before {before}")
+        return self.refused()
 
     def refused(self) -> list[FrameError]:
         """The frames that could not be sent since this was last asked."""

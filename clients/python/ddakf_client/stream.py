@@ -32,7 +32,7 @@ def track(
                     plan.on_notice(answer)
                 else:
                     yield answer
-        yield from stream.rest()
+        yield from stream.ended()
     except grpc.RpcError as error:
         raise (stream.failure or failure(error, target, plan.timeout)) from None
     finally:
@@ -81,11 +81,9 @@ class _Stream:
         with self._change():
             return self._exchange.receive(response, now)
 
-    def rest(self) -> list[FrameError]:
-        """What is left to say after a proper end."""
-        if self._exchange.failure:
-            raise self._exchange.failure
-        return self._exchange.refused()
+    def ended(self) -> list[FrameError]:
+        with self._changed:
+            return self._exchange.ended()
 
     # gRPC's thread --------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,128 @@
+"""The asynchronous client against a real socket."""
+
+import asyncio
+import time
+
+import numpy as np
+import pytest
+from ddakf_client import FrameError, aconnect, errors
+
+
+async def collected(stream):
+    return [answer async for answer in stream]
+
+
+async def test_frames_in_results_out(service, mesh, frames):
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        results = await collected(session.track(frames(20), covariance=True))
+        assert (await session.info()).applied == 20
+    assert service.sessions == {}
+    assert [r.sequence for r in results] == list(range(1, 21))
+    assert np.abs(results[19].vertices - (mesh[0] + [0.19, 0, 0])).max() < 0.0003
+    assert results[0].covariance.shape == (4, 3, 3)
+
+
+async def test_an_asynchronous_source_in_realtime(service, mesh, frames):
+    service.delay = 0.03
+
+    async def camera():
+        for frame in frames(60):
+            await asyncio.sleep(0.003)
+            yield frame
+
+    async with aconnect(service.target) as client, client.create_session(*mesh) as session:
+        results = await collected(session.track(camera()))
+    assert results[-1].sequence == 60
+    assert results[-1].applied + results[-1].dropped == 60
+    assert len(results) < 40
+
+
+async def test_lossless_holds_the_source_back(service, mesh, frames):
+    service.delay = 0.005
+    pulled, lead = [0], []
+
+    async def source():
+        for frame in frames(30):
+            pulled[0] += 1
+            yield frame
+
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        async for result in session.track(source()):
+            lead.append(pulled[0] - result.sequence)
+    assert len(lead) == 30
+    assert max(lead) <= 6
+
+
+async def test_errors_of_frames_of_the_source_and_of_the_server(service, mesh, frames):
+    async def broken():
+        yield frames(1)[0]
+        raise OSError("the camera was unplugged")
+
+    made = frames(4)
+    made[1] = (np.full((2, 3), np.nan), 0.5)
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(OSError, match="unplugged"):
+            await collected(session.track(broken()))
+        with pytest.raises(errors.CodecError, match="finite"):
+            await collected(session.track(made))
+        answers = await collected(session.track(made, on_error="yield"))
+        assert sum(isinstance(a, FrameError) for a in answers) == 1
+        assert len(answers) == 4
+        service.lost_from = 0
+        with pytest.raises(errors.WorkerLost):
+            await collected(session.track(frames(3)))
+
+
+async def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
+    service.silent_from = 2
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        begun = time.monotonic()
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
+            await collected(session.track(frames(3), timeout=0.3))
+        assert time.monotonic() - begun < 2
+
+
+async def test_a_stream_can_be_left_and_cancelled(service, mesh, frames):
+    async def endless():
+        while True:
+            for frame in frames(10):
+                await asyncio.sleep(0.001)
+                yield frame
+
+    async with aconnect(service.target) as client, client.create_session(*mesh) as session:
+        stream = session.track(endless())
+        assert (await anext(stream)).sequence
+        await stream.aclose()
+        task = asyncio.create_task(collected(session.track(endless())))
+        await asyncio.sleep(0.1)
+        task.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await task
+        assert (await session.info()).applied > 0
+
+
+async def test_session_calls(service, mesh):
+    client = await aconnect(service.target, api_key="k")
+    session = await client.create_session(*mesh, session_id="alpha", labels={"a": "b"})
+    assert [s.session_id async for s in client.sessions(labels={"a": "b"})] == ["alpha"]
+    assert (await session.reset()).state == "initializing"
+    assert (await session.update(labels={"c": "d"})).labels == {"c": "d"}
+    async with client.restore_session(await session.snapshot(), session_id="other") as restored:
+        assert restored.name == "sessions/other"
+    async with client.open_session("alpha") as again:
+        assert again.session_id == "alpha"
+    assert list(service.sessions) == ["sessions/alpha"]
+    await session.delete()
+    with pytest.raises(errors.SessionNotFound):
+        await session.info()
+    await client.close()
+    assert set(service.keys) == {"Bearer k"}
+
+
+async def test_no_server_and_another_version(service):
+    with pytest.raises(errors.Unavailable, match="does not answer"):
+        await aconnect("127.0.0.1:1")
+    service.api_version = "7.0"
+    with pytest.raises(errors.VersionMismatch, match=r"'7\.0'"):
+        async with aconnect(service.target):
+            pass
