@@ -73,8 +73,8 @@ class _Stream:
     async def servers_status(self) -> grpc.aio.AioRpcError | None:
         """What the server ended the call with, if that can be found.
 
-        A write that fails because the call has ended makes grpc.aio put a status of its own in the place of the server's,
-        before or after that one arrives (https://github.com/grpc/grpc/issues/36066).
+        A write that fails because the call has ended makes grpc.aio put a status of its own in the place of the
+        server's, before or after that one arrives (https://github.com/grpc/grpc/issues/36066).
         """
         deadline = time.monotonic() + _STATUS_SECONDS
         while time.monotonic() < deadline:
@@ -152,7 +152,7 @@ class _Stream:
 
 
 def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
-    """The status of a call that has one, as an error. Nothing is waited for: the coroutines end at their first step."""
+    """The status of a call that has one, as an error. Nothing is waited for: coroutines end at once."""
 
     def value(coroutine: Coroutine):
         try:
