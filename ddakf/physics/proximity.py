@@ -92,8 +92,9 @@ def closest_points(
         body, surface: from :func:`build` and :func:`refresh`.
         points: (N, 3) metres.
         radius: how far to look, metres.
-        hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the frame before; makes the search
-            faster, never changes the distance. May be ``out.face``.
+        hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the iteration before; makes the
+            search faster. Of several faces at the same distance (to rounding) it may choose another. May be
+            ``out.face``.
         out: a former result for N points, overwritten and returned.
     """
     n = len(points)

@@ -1,0 +1,100 @@
+"""Parts of the proximity search and of the surface's motion against NumPy."""
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ddakf.kernels import proximity
+
+
+def slow_closest(p, b, c):
+    """Distance to a triangle at the origin by a fine grid of its points, good to the grid's spacing."""
+    steps = np.linspace(0.0, 1.0, 101)
+    v, w = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    v, w = v[v + w <= 1.0 + 1e-9], w[v + w <= 1.0 + 1e-9]
+    return np.linalg.norm(p - v[:, None] * b - w[:, None] * c, axis=1).min()
+
+
+def test_closest_on_triangle():
+    rng = np.random.default_rng(0)
+    for p, b, c in rng.normal(size=(200, 3, 3)):
+        v, w = proximity.closest_on_triangle(tuple(p), tuple(b), tuple(c))
+        assert min(v, w) >= 0.0
+        assert v + w <= 1.0 + 1e-12
+        distance = np.linalg.norm(p - v * b - w * c)
+        assert distance <= slow_closest(p, b, c) + 1e-12
+        assert distance >= slow_closest(p, b, c) - 0.03
+
+
+def test_closest_on_triangles_without_area():
+    """Two corners in one place, in every way, or all three: the distance to what is left."""
+    rng = np.random.default_rng(1)
+    zero = np.zeros(3)
+    for p, e in rng.normal(size=(100, 2, 3)):
+        segment = np.linalg.norm(p - np.clip(p @ e / (e @ e), 0.0, 1.0) * e)
+        for b, c in [(e, e), (e, zero), (zero, e)]:
+            v, w = proximity.closest_on_triangle(tuple(p), tuple(b), tuple(c))
+            np.testing.assert_allclose(np.linalg.norm(p - v * b - w * c), segment, atol=1e-12)
+        assert proximity.closest_on_triangle(tuple(p), tuple(zero), tuple(zero)) == (0.0, 0.0)
+
+
+def random_faces(seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(20, 3))
+    return rng, vertices, np.stack([rng.permutation(20)[:3] for _ in range(16)]).astype(np.int32)
+
+
+def test_leaf_distances_agree_with_the_triangle():
+    rng, vertices, faces = random_faces(2)
+    faces[5] = faces[5, [0, 0, 1]]  # and one without an area
+    triangles, boxes = np.zeros((2, 15, 8)), np.zeros((1, 6, 8))
+    proximity.refit(vertices, faces, np.array([0, 8, 16], np.int32), 2 - 7, triangles, boxes)
+    squared = np.empty(8)
+    for p in rng.normal(size=(50, 3)):
+        for leaf in range(2):
+            proximity.leaf_distances(triangles, leaf, *p, squared)
+            for lane in range(8):
+                a, b, c = vertices[faces[8 * leaf + lane]]
+                v, w = proximity.closest_on_triangle(tuple(p - a), tuple(b - a), tuple(c - a))
+                expected = np.sum((p - a - v * (b - a) - w * (c - a)) ** 2)
+                np.testing.assert_allclose(squared[lane], expected, atol=1e-12)
+
+
+def test_boxes_hold_their_faces_and_empty_ones_are_far():
+    rng, vertices, faces = random_faces(3)
+    triangles, boxes = np.zeros((2, 15, 8)), np.zeros((1, 6, 8))
+    proximity.refit(vertices, faces, np.array([0, 8, 16], np.int32), 2 - 7, triangles, boxes)
+    corners = vertices[faces].reshape(2, 24, 3)
+    np.testing.assert_allclose(boxes[0, :3, 6:].T, corners.min(axis=1))
+    np.testing.assert_allclose(boxes[0, 3:, 6:].T, corners.max(axis=1))
+    squared = np.empty(8)
+    p = 5.0 * rng.normal(size=3)
+    proximity.box_distances(boxes, 0, *p, squared)
+    nearest = np.clip(p, corners.min(axis=1), corners.max(axis=1))
+    np.testing.assert_allclose(squared[6:], np.sum((p - nearest) ** 2, axis=1))
+    assert squared[:6].min() > 1e50
+
+
+def test_quaternion_of_every_kind_of_rotation():
+    """Random ones, and turns by 180 degrees, where the trace is at its least."""
+    turns = [*Rotation.random(50, random_state=0), *(Rotation.from_rotvec(np.pi * axis) for axis in np.eye(3))]
+    frame = Rotation.random(random_state=1).as_matrix()
+    for turn in turns:
+        moved = turn.as_matrix() @ frame
+        w, x, y, z = proximity.quaternion(*(tuple(column) for column in [*frame.T, *moved.T]))
+        assert abs(np.dot(turn.as_quat(scalar_first=True), (w, x, y, z))) > 1.0 - 1e-12
+
+
+def test_rotation_of_a_face_is_the_polar_factor():
+    """One face, deformed at random: the orthogonal factor of its deformation, normal to normal."""
+    rng = np.random.default_rng(4)
+    faces = np.array([[0, 1, 2]], np.int32)
+    for _ in range(20):
+        last, now = rng.normal(size=(2, 3, 3))
+        edges = [np.stack([x[1] - x[0], x[2] - x[0]], axis=1) for x in (last, now)]
+        normals = [np.cross(*e.T) / np.linalg.norm(np.cross(*e.T)) for e in edges]
+        deformation = np.column_stack([edges[1], normals[1]]) @ np.linalg.inv(np.column_stack([edges[0], normals[0]]))
+        u, _, vt = np.linalg.svd(deformation)
+        rotation, needed = np.empty((3, 4)), np.empty(3, np.uint8)
+        proximity.vertex_rotations(last, now, faces, np.array([0], np.int32), needed, rotation)
+        for quaternion in rotation:
+            np.testing.assert_allclose(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), u @ vt, atol=1e-9)

@@ -1,0 +1,44 @@
+"""The energies and the body's motion on a recorded garment."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddakf import physics
+from ddakf.mesh import Mesh
+from ddakf.physics import bend, proximity, shear, stretch
+
+
+@pytest.fixture(scope="module")
+def recording():
+    folder = os.environ.get("DDAKF_DATA")
+    path = Path(folder or "", "sequences", "pergamo_005.npz")
+    if not folder or not path.exists():
+        pytest.skip("needs the recordings: set DDAKF_DATA to the folder that has sequences/pergamo_005.npz")
+    with np.load(path) as data:
+        return {name: data[name] for name in data.files}
+
+
+def test_riding_on_the_body_predicts_the_garment(recording):
+    """The root mean square error of the prediction falls below a fifth of that of standing still."""
+    garment, poses = recording["garment_V"].astype(float), recording["body_V"].astype(float)
+    body = proximity.build(Mesh(poses[0], recording["body_F"]))
+    still, ride = [], []
+    for frame in range(20, 60, 10):
+        now, later = garment[frame], garment[frame + 1]
+        contact = proximity.closest_points(body, proximity.refresh(body, poses[frame]), now, 0.1)
+        motion = proximity.surface_motion(body, poses[frame], poses[frame + 1], now, contact, 0.1)
+        still.append(later - now)
+        ride.append(later - motion.position)
+    assert np.linalg.norm(ride) < 0.2 * np.linalg.norm(still)
+
+
+@pytest.mark.parametrize("module", [stretch, shear, bend])
+def test_energies_of_a_real_garment_are_finite(recording, module):
+    garment = recording["garment_V"].astype(float)
+    mesh, kept = Mesh.cleaned(garment[0], recording["garment_F"])
+    lin = module.linearize(garment[60][kept], module.build(mesh))
+    assert np.isfinite(physics.energy(lin))
+    assert np.isfinite(physics.diagonal_blocks(lin, mesh.n_vertices)).all()
