@@ -54,8 +54,8 @@ def register(commands: argparse._SubParsersAction) -> None:
         "--start",
         choices=("truth", "rest", "search"),
         default="truth",
-        help="place the template of a sequence at the true first frame (default), leave it as it "
-        "lies, or search for it in the first cloud",
+        help="the template of a sequence lies at the true first frame (default), as it is in the "
+        "file, or turned and moved away at random, so that the tracker has to search",
     )
     tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
     tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets import Recording, load_recording
@@ -17,6 +19,7 @@ from ddakf.mesh import Mesh
 from ddakf.sequence import Sequence, load_sequence
 
 Start = Literal["truth", "rest", "search"]
+ASTRAY_TURN, ASTRAY_SHIFT = np.pi / 2, 1.0  # rad, m: at most, for a start by search
 DESCRIPTION = {"full": "scanned all around", "front": "one depth camera", "ring4": "four depth cameras"}
 
 
@@ -49,7 +52,7 @@ class Source(Protocol):
     Attributes:
         title: for a person to read.
         garment: template.
-        start: (V, 3) vertices where the garment is, or None when the tracker is to search for it.
+        start: (V, 3) vertices where the garment is, or None when all that is known is the template.
         body: for the tracker, in the pose of the start, or None.
         body_faces: to draw the body, or None.
         fps: frames per second.
@@ -77,10 +80,9 @@ class SequenceSource:
     Every frame has random numbers of its own, so that a range of frames sees what the whole sequence sees.
 
     Args:
-        sequence: the truth.
-        sensor: what sees it.
-        frames: range of frames.
-        start_at: ``truth``: the first frame's vertices; ``rest``: the template as it lies; ``search``: not told.
+        sequence: the truth. sensor: what sees it. frames: range of frames. start_at: ``truth``: the first frame's
+        vertices; ``rest``: the template as it lies; ``search``: the template turned
+            and moved away at random, for the tracker to find the garment.
         give_body: the tracker gets the body of every frame.
         seed: of the sensor's random numbers.
     """
@@ -105,14 +107,16 @@ class SequenceSource:
     def fps(self) -> float:
         return self.sequence.fps
 
-    @property
+    @cached_property
     def garment(self) -> Mesh:
-        rest = self.sequence.garment_rest
-        return Mesh(self._first if rest is None else rest, self.sequence.garment_faces)
+        rest = self._first if self.sequence.garment_rest is None else self.sequence.garment_rest
+        if self.start_at == "search":
+            rest = _astray(rest, np.random.default_rng(self.seed))
+        return Mesh(rest, self.sequence.garment_faces)
 
     @property
     def start(self) -> np.ndarray | None:
-        return {"truth": self._first, "rest": self.garment.vertices, "search": None}[self.start_at]
+        return self._first if self.start_at == "truth" else None
 
     @property
     def body(self) -> Mesh | None:
@@ -234,6 +238,13 @@ def open_source(
     mesh = None if template is None else Mesh.cleaned(*read_mesh(template))[0]
     plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
     return RecordingSource(recording, plain, chosen_frames(frames, len(recording)), mesh, seed)
+
+
+def _astray(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(V, 3) vertices turned about the vertical through their middle and moved horizontally, at random."""
+    turn = Rotation.from_rotvec([0.0, rng.uniform(-ASTRAY_TURN, ASTRAY_TURN), 0.0])
+    middle = vertices.mean(axis=0)
+    return turn.apply(vertices - middle) + middle + rng.uniform(-ASTRAY_SHIFT, ASTRAY_SHIFT, 3) * [1, 0, 1]
 
 
 def chosen_frames(text: str, count: int) -> range:

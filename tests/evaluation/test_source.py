@@ -37,10 +37,22 @@ def test_started_at_the_truth_the_first_frame_is_given_away():
 
 
 def test_other_starts_track_every_frame():
-    rest, search = (open_source(SAMPLE, frames="0:2", start=start) for start in ("rest", "search"))
-    assert [frame.number for frame in search] == [0, 1]
-    assert np.array_equal(rest.start, rest.garment.vertices)
-    assert search.start is None
+    for start in ("rest", "search"):
+        source = open_source(SAMPLE, frames="0:2", start=start)
+        assert [frame.number for frame in source] == [0, 1]
+        assert source.start is None
+
+
+def test_a_search_begins_with_the_same_shape_somewhere_else():
+    rest, search, other = (
+        open_source(SAMPLE, start=start, seed=seed).garment
+        for start, seed in (("rest", 1), ("search", 1), ("search", 2))
+    )
+    edge_lengths = [np.diff(mesh.vertices[mesh.edges], axis=1) for mesh in (rest, search)]
+    assert np.allclose(*(np.linalg.norm(edges, axis=2) for edges in edge_lengths), atol=1e-6)
+    assert np.linalg.norm(search.vertices - rest.vertices, axis=1).mean() > 0.2
+    assert np.allclose(search.vertices[:, 1], rest.vertices[:, 1])
+    assert not np.allclose(search.vertices, other.vertices)
 
 
 def test_the_body_is_for_the_picture_and_for_the_tracker_only_when_told():
