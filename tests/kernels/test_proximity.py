@@ -98,3 +98,26 @@ def test_rotation_of_a_face_is_the_polar_factor():
         proximity.vertex_rotations(last, now, faces, np.array([0], np.int32), needed, rotation)
         for quaternion in rotation:
             np.testing.assert_allclose(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), u @ vt, atol=1e-9)
+
+
+def test_pseudo_normals_of_a_corner_an_edge_and_a_face():
+    """Unit normals: alone, the sum of two, and around a corner weighted by the angle there."""
+    rng = np.random.default_rng(5)
+    vertices = rng.normal(size=(4, 3))
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1]], np.int32)
+    neighbour = np.array([[2, -1, 1], [0, -1, 2], [1, -1, 0]], np.int32)
+    ring_start, ring_face = np.array([0, 3, 5, 7, 9], np.int32), np.array([0, 1, 2, 0, 2, 0, 1, 1, 2], np.int32)
+
+    def normal(f, *coordinates):
+        return proximity.pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, *coordinates)
+
+    edges = vertices[faces[:, 1:]] - vertices[0]
+    units = np.cross(edges[:, 0], edges[:, 1])
+    units /= np.linalg.norm(units, axis=1, keepdims=True)
+    edges /= np.linalg.norm(edges, axis=2, keepdims=True)
+    angles = np.arccos(np.einsum("fa,fa->f", edges[:, 0], edges[:, 1]))
+    np.testing.assert_allclose(normal(1, 0.2, 0.3, 0.5), units[1])
+    np.testing.assert_allclose(normal(0, 0.4, 0.6, 0.0), units[0] + units[2])
+    np.testing.assert_allclose(normal(0, 0.4, 0.0, 0.6), units[0] + units[1])
+    np.testing.assert_allclose(normal(0, 0.0, 0.4, 0.6), units[0])
+    np.testing.assert_allclose(normal(2, 1.0, 0.0, 0.0), angles @ units)
