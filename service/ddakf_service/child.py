@@ -69,6 +69,10 @@ class ServiceProcess:
         """Ends it, the workers included, and returns its exit status."""
         if self._process.poll() is None:
             self._process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> int:
+        """Returns the exit status; kills what does not end in time."""
         try:
             return self._process.wait(_STOP_PATIENCE)
         except subprocess.TimeoutExpired:

@@ -9,6 +9,7 @@ import logging
 import math
 import socket
 from collections.abc import Callable
+from http import HTTPStatus
 from typing import Annotated, Literal
 
 import uvicorn
@@ -19,6 +20,7 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
+from starlette.exceptions import HTTPException
 
 from ddakf import errors as library
 
@@ -166,6 +168,11 @@ def _add_error_handlers(app: FastAPI) -> None:
         got = _short(first.get("input"))
         return _error_response(InvalidArgument(field=".".join(location) or "body", expected=expected, got=got))
 
+    async def refused(request: Request, error: HTTPException) -> JSONResponse:
+        phrase = HTTPStatus(error.status_code).phrase
+        detail = pb.ErrorDetail(name=phrase.replace(" ", ""), message=f"{request.method} {request.url.path}: {phrase}")
+        return JSONResponse(ErrorOut.of(detail).model_dump(), error.status_code, headers=error.headers)
+
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
         return _error_response(error)
 
@@ -173,6 +180,7 @@ def _add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(library.DdakfError, known)
     app.add_exception_handler(RequestValidationError, invalid)
     app.add_exception_handler(ValidationError, invalid)
+    app.add_exception_handler(HTTPException, refused)
     app.add_exception_handler(Exception, unexpected)
 
 

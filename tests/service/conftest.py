@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,6 +80,12 @@ def frame_of(sheet: Sheet, number: int, *, shift=(0.0, 0.0, 0.0), codec_name: st
 
 def request_of(frame: pb.Frame) -> pb.TrackRequest:
     return pb.TrackRequest(frame=frame)
+
+
+def silence(until: threading.Event):
+    """No requests, but an open stream."""
+    until.wait(TIMEOUT)
+    yield from ()
 
 
 def children(pid: int) -> list[int]:

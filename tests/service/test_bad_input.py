@@ -1,0 +1,283 @@
+"""What cannot be used is refused in one sentence that names the field; the state is as it was."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import NamedTuple
+
+import grpc
+import numpy as np
+import pytest
+from ddakf_api import API_VERSION, codec
+from ddakf_api.arrays import pack_mesh
+from ddakf_api.errors import ERRORS, ResourceExhausted, from_rpc_error
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from .conftest import TIMEOUT, Sheet, frame_of, make_sheet, request_of
+
+SHEET = make_sheet()
+V = len(SHEET.vertices)
+
+
+class Bad(NamedTuple):
+    """A spoilt frame, and what the refusal says."""
+
+    spoil: object
+    name: str
+    field: str
+    words: tuple[str, ...] = ()
+
+
+def cloud(frame: pb.Frame, **fields) -> None:
+    for name, value in fields.items():
+        setattr(frame.point_cloud, name, value)
+
+
+def raw(frame: pb.Frame, points: np.ndarray) -> None:
+    data = points.astype("<f4").tobytes()
+    frame.point_cloud.CopyFrom(pb.PointCloud(codec=pb.POINT_CODEC_RAW_FLOAT32, point_count=len(points), data=data))
+
+
+def non_finite(frame: pb.Frame) -> None:
+    points = SHEET.vertices.copy()
+    points[3, 1] = np.nan
+    raw(frame, points)
+
+
+def flipped(frame: pb.Frame) -> None:
+    data = bytearray(frame.point_cloud.data)
+    data[len(data) // 2] ^= 0xFF
+    frame.point_cloud.data = bytes(data)
+
+
+def bomb(frame: pb.Frame) -> None:
+    """A few bytes that declare a gigabyte."""
+    header = b"\x28\xb5\x2f\xfd" + bytes([0b11100000]) + struct.pack("<Q", 1 << 30)
+    cloud(frame, data=header + b"\x01\x00\x00")
+
+
+def body(frame: pb.Frame, count: int) -> None:
+    frame.body_vertices = np.zeros((count, 3), "<f4").tobytes()
+
+
+def at(frame: pb.Frame, time: float) -> None:
+    frame.capture_time = time
+
+
+BAD_FRAMES = {
+    "non-finite points": Bad(non_finite, "CodecError", "point_cloud.data", ("finite", "1")),
+    "truncated payload": Bad(lambda f: cloud(f, data=f.point_cloud.data[:-7]), "CodecError", "point_cloud.data"),
+    "flipped bits": Bad(flipped, "CodecError", "point_cloud.data"),
+    "no payload but points": Bad(lambda f: cloud(f, data=b""), "CodecError", "point_cloud.data"),
+    "decompression bomb": Bad(bomb, "CodecError", "point_cloud.data"),
+    "raw of half a point": Bad(
+        lambda f: cloud(f, codec=pb.POINT_CODEC_RAW_FLOAT32, data=b"\0" * (12 * V - 6)),
+        "CodecError",
+        "point_cloud.data",
+        (str(12 * V), str(12 * V - 6)),
+    ),
+    "unknown codec": Bad(lambda f: cloud(f, codec=99), "CodecError", "point_cloud.codec", ("99",)),
+    "draco": Bad(lambda f: cloud(f, codec=pb.POINT_CODEC_DRACO), "Unimplemented", "point_cloud.codec"),
+    "depth image": Bad(lambda f: f.depth_image.SetInParent(), "Unimplemented", "depth_image"),
+    "5 million points": Bad(
+        lambda f: raw(f, np.zeros((5_000_000, 3), np.float32)),
+        "InvalidFrame",
+        "point_cloud.point_count",
+        ("500000", "5000000"),
+    ),
+    "more points than declared": Bad(lambda f: cloud(f, point_count=3), "CodecError", "point_cloud.data"),
+    "step that is not finite": Bad(lambda f: cloud(f, step=float("nan")), "CodecError", "point_cloud.step"),
+    "time going backwards": Bad(lambda f: at(f, 0.01), "InvalidFrame", "capture_time", ("0.01",)),
+    "time standing still": Bad(lambda f: at(f, 1 / 30), "InvalidFrame", "capture_time"),
+    "time that is no number": Bad(lambda f: at(f, float("nan")), "InvalidFrame", "capture_time", ("nan",)),
+    "sequence number twice": Bad(lambda f: setattr(f, "sequence_number", 1), "InvalidFrame", "sequence_number"),
+    "body of another size": Bad(lambda f: body(f, V + 1), "InvalidFrame", "body_vertices", (str(V), str(V + 1))),
+    "body of half a vertex": Bad(lambda f: setattr(f, "body_vertices", b"\0" * 18), "InvalidFrame", "body_vertices"),
+    "body that is not finite": Bad(
+        lambda f: setattr(f, "body_vertices", np.full((V, 3), np.inf, "<f4").tobytes()), "InvalidFrame", "body_vertices"
+    ),
+    "sensor without a place": Bad(lambda f: f.sensors.append(pb.Sensor()), "InvalidFrame", "sensors[0]"),
+    "sensor at infinity": Bad(
+        lambda f: f.sensors.append(pb.Sensor(origin=pb.Vector3(x=float("inf")))), "InvalidFrame", "sensors[0].origin"
+    ),
+    "runs that do not add up": Bad(
+        lambda f: f.sensors.extend([pb.Sensor(origin=pb.Vector3(z=1), point_count=1)] * 2),
+        "InvalidFrame",
+        "sensors.point_count",
+        (str(V),),
+    ),
+}
+
+
+@pytest.fixture
+def dressed(api):
+    """A session with a body."""
+    name = api.create(SHEET, body=pack_mesh(SHEET.vertices - np.array([0, 0, 0.05]), SHEET.faces)).name
+    yield name
+    api.delete(name)
+
+
+@pytest.mark.parametrize("case", BAD_FRAMES)
+def test_a_bad_frame_changes_nothing(api, dressed, case):
+    bad = BAD_FRAMES[case]
+    spoilt = frame_of(SHEET, 2)
+    bad.spoil(spoilt)
+    snapshot = pb.SnapshotSessionRequest(name=dressed)
+    list(api.track(dressed, [request_of(frame_of(SHEET, 1))]))
+    before = api.call("SnapshotSession", snapshot).data
+    responses = list(api.track(dressed, [request_of(spoilt)]))
+    refusal = responses[-1].frame_error
+    assert api.call("SnapshotSession", snapshot).data == before
+    assert (refusal.error.name, refusal.error.field) == (bad.name, bad.field)
+    assert all(word in refusal.error.message for word in bad.words), refusal.error.message
+    assert refusal.error.message
+    assert "\n" not in refusal.error.message
+    assert refusal.sequence_number == spoilt.sequence_number
+    assert refusal.frames_rejected == 1
+    (good,) = [r.result for r in api.track(dressed, [request_of(frame_of(SHEET, 3))]) if r.HasField("result")]
+    assert good.frames_applied == 2
+    assert good.frames_rejected == 1
+
+
+def test_a_bad_frame_does_not_end_the_stream(api, session, sheet):
+    spoilt = frame_of(sheet, 2)
+    flipped(spoilt)
+    requests = [request_of(f) for f in (frame_of(sheet, 1), spoilt, frame_of(sheet, 3))]
+    kinds = [response.WhichOneof("message") for response in api.track(session, requests)]
+    assert kinds == ["started", "result", "frame_error", "result"]
+
+
+def test_a_message_above_the_limit_leaves_the_session(api, session, sheet):
+    list(api.track(session, [request_of(frame_of(sheet, 1))]))
+    huge = frame_of(sheet, 2)
+    huge.body_vertices = b"\0" * (65 << 20)
+    with pytest.raises(ResourceExhausted, match="larger than max"):
+        list(api.track(session, [request_of(huge)]))
+    started = next(api.track(session, [], takeover=True)).started
+    assert started.last_sequence_number == 1
+
+
+def changed(**parts) -> Sheet:
+    return SHEET._replace(**parts)
+
+
+def with_vertex(value: float) -> np.ndarray:
+    vertices = SHEET.vertices.copy()
+    vertices[5, 0] = value
+    return vertices
+
+
+BAD_MESHES = {
+    "index out of range": (changed(faces=np.where(SHEET.faces == 3, 9999, SHEET.faces)), "garment.faces", ("9999",)),
+    "vertex that is not finite": (changed(vertices=with_vertex(np.nan)), "garment.vertices", ("finite", "1")),
+    "infinite vertex": (changed(vertices=with_vertex(np.inf)), "garment.vertices", ("finite", "1")),
+    "no area": (changed(vertices=SHEET.vertices * 0), "garment", ("area",)),
+    "no faces": (changed(faces=SHEET.faces[:0]), "garment", ("face",)),
+    "no vertices": (Sheet(SHEET.vertices[:0], SHEET.faces[:0]), "garment", ()),
+    "unreferenced vertices": (
+        changed(vertices=np.concatenate([SHEET.vertices, SHEET.vertices + 1])),
+        "garment",
+        (f"{V} unreferenced", "clean=true"),
+    ),
+    "duplicate faces": (changed(faces=np.concatenate([SHEET.faces, SHEET.faces[:2]])), "garment", ("2 duplicate",)),
+    "too many vertices": (make_sheet(320), "garment.vertices", ("100000", str(320**2))),
+}
+
+
+def create_request(mesh: Sheet) -> pb.CreateSessionRequest:
+    garment = pb.Mesh(
+        vertices=pb.PackedArray(encoding=pb.ARRAY_ENCODING_FLOAT64, data=mesh.vertices.astype("<f8").tobytes()),
+        faces=pb.PackedArray(encoding=pb.ARRAY_ENCODING_UINT32, data=mesh.faces.astype("<u4").tobytes()),
+    )
+    return pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment=garment))
+
+
+@pytest.mark.parametrize("case", BAD_MESHES)
+def test_a_bad_mesh_is_refused_alike_by_both(api, http, case):
+    mesh, field, words = BAD_MESHES[case]
+    with pytest.raises(ERRORS["InvalidMesh"]) as caught:
+        api.call("CreateSession", create_request(mesh))
+    error = caught.value
+    assert error.field == field
+    assert all(word in error.message for word in words), error.message
+    body = json.dumps({"garment": {"vertices": mesh.vertices.tolist(), "faces": mesh.faces.tolist()}})
+    answer = http.post("/v1/sessions", content=body)
+    assert answer.status_code == 422
+    expected = {"name": "InvalidMesh", "field": field, "expected": error.expected, "got": error.got}
+    assert answer.json()["error"] == {**expected, "message": error.message, "retry_after": 0.0}
+
+
+GARMENT = {"vertices": SHEET.vertices.tolist(), "faces": SHEET.faces.tolist()}
+BAD_BODIES = {
+    "no JSON": (b"{", 422, "body"),
+    "no object": (b"[]", 422, "body"),
+    "no garment": ({}, 422, "garment"),
+    "unknown field": ({"garment": GARMENT, "colour": "red"}, 422, "colour"),
+    "vertices of two numbers": ({"garment": {**GARMENT, "vertices": [[0, 1]]}}, 422, "garment.vertices"),
+    "faces that are no integers": ({"garment": {**GARMENT, "faces": [[0, 1, 2.5]]}}, 422, "garment.faces"),
+    "faces below zero": ({"garment": {**GARMENT, "faces": [[0, 1, -2]]}}, 422, "garment.faces"),
+    "faces beyond 32 bits": ({"garment": {**GARMENT, "faces": [[0, 1, 2**40]]}}, 422, "garment.faces"),
+    "unknown encoding": (
+        {"garment": {**GARMENT, "vertices": {"encoding": "float8", "data": ""}}},
+        422,
+        "garment.vertices",
+    ),
+    "no base64": (
+        {"garment": {**GARMENT, "vertices": {"encoding": "float32", "data": "?"}}},
+        422,
+        "garment.vertices.data",
+    ),
+    "half a vertex": (
+        {"garment": {**GARMENT, "vertices": {"encoding": "float32", "data": "AAAAAAAA"}}},
+        422,
+        "garment.vertices.data",
+    ),
+    "unknown stage": ({"garment": GARMENT, "config": {"magic": {}}}, 422, "config.magic"),
+    "value out of range": ({"garment": GARMENT, "config": {"adapt": {"alpha": 7}}}, 422, "AdaptiveNoise.alpha"),
+    "unknown fabric": ({"garment": GARMENT, "fabric": "steel"}, 422, "fabric"),
+    "bad id": ({"garment": GARMENT, "session_id": "../etc"}, 422, "session_id"),
+    "another version": ({"garment": GARMENT, "api_version": "9.0"}, 400, "api_version"),
+    "limit below zero": ({"garment": GARMENT, "limits": {"idle_timeout": -1}}, 422, "limits.idle_timeout"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_BODIES)
+def test_a_bad_body_is_refused_with_its_field(http, case):
+    body, status, field = BAD_BODIES[case]
+    answer = http.post("/v1/sessions", content=body if isinstance(body, bytes) else json.dumps(body))
+    error = answer.json()["error"]
+    assert (answer.status_code, error["field"]) == (status, field), error
+    assert error["message"]
+
+
+def test_a_body_above_the_limit_is_cut_off(http):
+    def endless():
+        for _ in range(40):
+            yield b" " * (1 << 20)
+
+    answer = http.post("/v1/sessions", content=endless())
+    assert answer.status_code == 429
+    assert answer.json()["error"]["field"] == "body"
+
+
+def test_a_bad_configuration_over_grpc(api, sheet):
+    with pytest.raises(ERRORS["InvalidConfig"], match="config_json"):
+        api.create(sheet, config_json="{not json")
+    with pytest.raises(ERRORS["InvalidConfig"], match="JSON"):
+        api.create(sheet, config_json="[" * 60_000)
+
+
+def test_an_error_has_its_parts_in_the_trailers(api, sheet):
+    with pytest.raises(grpc.RpcError) as caught:
+        api.stub.GetSession(pb.GetSessionRequest(name="sessions/none"), timeout=TIMEOUT)
+    error = from_rpc_error(caught.value)
+    assert caught.value.code() is grpc.StatusCode.NOT_FOUND
+    assert type(error).__name__ == "SessionNotFound"
+    assert "sessions/none" in str(error)
+
+
+def test_quantised_codecs_all_arrive(api, session, sheet):
+    names = list(codec.CODECS)
+    requests = [request_of(frame_of(sheet, i, codec_name=name)) for i, name in enumerate(names, 1)]
+    assert [r.result.sequence_number for r in api.track(session, requests)][1:] == list(range(1, len(names) + 1))

@@ -1,0 +1,230 @@
+"""Starting, failing workers, draining, ending: real processes, real signals."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+
+import httpx
+import pytest
+from ddakf_api.errors import Draining, WorkerLost
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.child import ServiceFailed, ServiceProcess
+
+from .conftest import TIMEOUT, Api, children, frame_of, is_running, request_of, silence
+
+
+def serve(*arguments: str, **options) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", "ddakf_service", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)
+
+
+def until(condition, seconds: float = TIMEOUT) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def own_service(tmp_path):
+    """A service that a test may end."""
+    process = ServiceProcess(["--workers", "1", "--drain-grace", "3"], log=tmp_path / "service.log")
+    process.wait_until_ready()
+    yield process
+    process.stop()
+
+
+def test_print_config_shows_values_and_origins(tmp_path):
+    file = tmp_path / "ddakf.toml"
+    file.write_text("max_points = 1000\n")
+    environment = {**os.environ, "DDAKF_HOST": "127.0.0.9"}
+    arguments = ["--print-config", "--json", "--config", str(file), "--workers", "3"]
+    shown = json.loads(serve(*arguments, env=environment).stdout)
+    assert shown["workers"] == {"value": 3, "from": "flag --workers"}
+    assert shown["host"] == {"value": "127.0.0.9", "from": "environment DDAKF_HOST"}
+    assert shown["max_points"] == {"value": 1000, "from": f"file {file}"}
+    assert shown["log_level"] == {"value": "info", "from": "default"}
+    table = serve("--print-config")
+    assert table.returncode == 0
+    assert "max_message_bytes" in table.stdout
+
+
+def test_a_bad_setting_ends_with_status_two():
+    ended = serve("--workers", "0")
+    assert ended.returncode == 2
+    assert (
+        ended.stderr.strip() == "ddakf serve: workers: expected greater than or equal to 1, got '0' from flag --workers"
+    )
+
+
+@pytest.mark.parametrize("flag", ["--grpc-port", "--http-port"])
+def test_a_port_in_use_ends_with_status_two(flag):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        ports = {"--grpc-port": "0", "--http-port": "0", flag: port}
+        ended = serve(*(word for pair in ports.items() for word in pair))
+    assert ended.returncode == 2
+    assert flag.removeprefix("--").replace("-", "_") in ended.stderr
+    assert port in ended.stderr
+
+
+def test_a_killed_worker_gives_a_retryable_error_and_a_replacement(service, api, http, sheet):
+    """Two sessions on two workers: one is lost with its worker, the other goes on."""
+    names = [api.create(sheet).name for _ in range(2)]
+    hold = threading.Event()
+
+    def endless():
+        yield request_of(frame_of(sheet, 1))
+        hold.wait(TIMEOUT)
+
+    streams = {name: api.track(name, endless()) for name in names}
+    for stream in streams.values():
+        assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    workers = [pid for pid in children(service.pid) if is_running(pid)]
+    assert len(workers) == 2
+    os.kill(workers[0], signal.SIGKILL)
+    killed = time.monotonic()
+    until(lambda: len([name for name in names if http.get(f"/v1/{name}").status_code == 503]) == 1, 2)
+    lost = next(name for name in names if http.get(f"/v1/{name}").status_code == 503)
+    with pytest.raises(WorkerLost, match="create the session anew"):
+        next(streams[lost])
+    assert time.monotonic() - killed < 2
+    with pytest.raises(WorkerLost) as caught:
+        api.get(lost)
+    assert caught.value.retryable
+    assert http.get("/readyz").status_code == 200, "the other worker still takes sessions"
+    (kept,) = set(names) - {lost}
+    following = list(api.track(kept, [request_of(frame_of(sheet, 2))], takeover=True))
+    assert following[-1].result.frames_applied == 2
+    again = api.create(sheet, lost.removeprefix("sessions/")).name
+    assert list(api.track(again, [request_of(frame_of(sheet, 1))]))[-1].result.frames_applied == 1
+    hold.set()
+    for name in names:
+        api.delete(name)
+    until(lambda: "ddakf_workers_ready 2.0" in http.get("/metrics").text)
+    assert "ddakf_worker_restarts_total 1.0" in http.get("/metrics").text
+
+
+@pytest.mark.slow
+def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "ddakf_service", "--http-port", str(port), "--grpc-port", "0", "--workers", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        try:
+            seen = []
+
+            def status(path: str) -> int:
+                try:
+                    return httpx.get(f"http://127.0.0.1:{port}{path}", timeout=5).status_code
+                except httpx.TransportError:
+                    return 0
+
+            until(lambda: status("/healthz") == 200)
+            until(lambda: seen.append(status("/readyz")) or seen[-1] == 200, 120)
+            assert seen[0] == 503
+        finally:
+            process.terminate()
+        assert process.wait(TIMEOUT) == 0
+        assert "is ready" in process.stdout.read()
+
+
+@pytest.mark.slow
+def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet):
+    api = Api(own_service.grpc)
+    name = api.create(sheet).name
+    noticed = threading.Event()
+
+    def until_noticed():
+        yield request_of(frame_of(sheet, 1))
+        noticed.wait(TIMEOUT)
+        yield request_of(frame_of(sheet, 2))
+
+    stream = api.track(name, until_noticed())
+    assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    workers = children(own_service.pid)
+    os.kill(own_service.pid, signal.SIGTERM)
+    notice = next(stream).notice
+    assert notice.kind == pb.NOTICE_KIND_DRAINING
+    assert notice.value == 3
+    assert httpx.get(own_service.http + "/readyz").status_code == 503
+    with pytest.raises(Draining):
+        api.create(sheet)
+    noticed.set()
+    assert next(stream).result.sequence_number == 2, "frames are answered while the clients leave"
+    assert list(stream) == []
+    assert own_service.wait() == 0
+    assert not any(is_running(pid) for pid in workers)
+    api.channel.close()
+
+
+@pytest.mark.slow
+def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
+    api = Api(own_service.grpc)
+    hold = threading.Event()
+    stream = api.track(api.create(sheet).name, silence(hold))
+    next(stream)
+    os.kill(own_service.pid, signal.SIGTERM)
+    assert next(stream).HasField("notice")
+    with pytest.raises(Draining):
+        next(stream)
+    hold.set()
+    assert own_service.wait() == 0
+    api.channel.close()
+
+
+@pytest.mark.slow
+def test_a_second_signal_forces_the_end(own_service, sheet):
+    api = Api(own_service.grpc)
+    hold = threading.Event()
+    stream = api.track(api.create(sheet).name, silence(hold))
+    next(stream)
+    workers = children(own_service.pid)
+    os.kill(own_service.pid, signal.SIGINT)
+    next(stream)
+    started = time.monotonic()
+    assert own_service.stop(signal.SIGINT) == 1
+    assert time.monotonic() - started < 2
+    until(lambda: not any(is_running(pid) for pid in workers), 2)
+    hold.set()
+    api.channel.close()
+
+
+@pytest.mark.slow
+def test_a_killed_server_leaves_no_worker(own_service):
+    workers = children(own_service.pid)
+    assert len(workers) == 1
+    assert own_service.stop(signal.SIGKILL) == -signal.SIGKILL
+    until(lambda: not any(is_running(pid) for pid in workers), 2)
+
+
+@pytest.mark.slow
+def test_a_service_of_a_killed_parent_ends(tmp_path):
+    script = (
+        "import os, pathlib, sys; from ddakf_service.child import ServiceProcess\n"
+        "service = ServiceProcess(['--workers', '1'], log=pathlib.Path(sys.argv[1]))\n"
+        "service.wait_until_ready(); print(service.pid, flush=True); os.kill(os.getpid(), 9)"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", script, str(tmp_path / "log")],
+        stdout=subprocess.PIPE,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    pid = int(ended.stdout)
+    until(lambda: not is_running(pid), 10)
+
+
+def test_a_service_that_cannot_start_says_why(tmp_path):
+    service = ServiceProcess(["--workers", "none"], log=tmp_path / "service.log")
+    with pytest.raises(ServiceFailed, match="workers"):
+        service.wait_until_ready()
+    assert service.stop() == 2

@@ -1,0 +1,122 @@
+"""What operators look at: health, readiness, reflection, metrics, OpenAPI, limits."""
+
+from __future__ import annotations
+
+import grpc
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.rest_models import CreateSession
+from grpc_health.v1 import health_pb2, health_pb2_grpc
+from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
+from prometheus_client.parser import text_string_to_metric_families
+
+from .conftest import TIMEOUT, frame_of, request_of
+
+
+def samples(http) -> dict[tuple, float]:
+    families = text_string_to_metric_families(http.get("/metrics").text)
+    return {(s.name, *sorted(s.labels.values())): s.value for family in families for s in family.samples}
+
+
+def test_health_over_grpc(api):
+    stub = health_pb2_grpc.HealthStub(api.channel)
+    for name in ("", "ddakf_api.v1.TrackingService"):
+        answer = stub.Check(health_pb2.HealthCheckRequest(service=name), timeout=TIMEOUT)
+        assert answer.status == health_pb2.HealthCheckResponse.SERVING
+    with pytest.raises(grpc.RpcError):
+        stub.Check(health_pb2.HealthCheckRequest(service="other"), timeout=TIMEOUT)
+
+
+def test_reflection_lists_the_service(api):
+    stub = reflection_pb2_grpc.ServerReflectionStub(api.channel)
+    requests = iter([reflection_pb2.ServerReflectionRequest(list_services="")])
+    (answer,) = stub.ServerReflectionInfo(requests, timeout=TIMEOUT)
+    names = {service.name for service in answer.list_services_response.service}
+    assert {"ddakf_api.v1.TrackingService", "grpc.health.v1.Health"} <= names
+
+
+def test_health_and_readiness_over_rest(http):
+    assert http.get("/healthz").json() == {"status": "ok"}
+    assert http.get("/readyz").json() == {"status": "ready"}
+
+
+def test_both_sides_tell_the_same_about_the_server(api, http):
+    over_grpc = api.call("GetServerInfo", pb.GetServerInfoRequest(api_version="77.0"))
+    over_rest = http.get("/v1/info").json()
+    assert over_grpc.api_version == over_rest["api_version"] == API_VERSION
+    assert over_grpc.max_limits.max_points == over_rest["max_limits"]["max_points"] == 500_000
+    assert over_rest["point_codecs"] == ["raw_float32", "quantised_16", "morton_zstd", "morton_deflate"]
+    assert "cotton" in over_rest["fabrics"]
+
+
+def test_metrics_follow_the_frames(api, http, session, sheet):
+    before = samples(http)
+    spoilt = frame_of(sheet, 3)
+    spoilt.point_cloud.data = b"?"
+    list(api.track(session, [request_of(f) for f in (frame_of(sheet, 1), frame_of(sheet, 2), spoilt)]))
+    after = samples(http)
+
+    def grown(*key):
+        return after[key] - before.get(key, 0)
+
+    assert grown("ddakf_frames_total", "applied") == 2
+    assert grown("ddakf_frames_total", "rejected") == 1
+    assert grown("ddakf_frame_seconds_count") == 2
+    assert grown("ddakf_frame_reliability_count") == 2
+    for stage in ("queue", "decode", "encode", "total"):
+        assert grown("ddakf_frame_stage_seconds_count", stage) == 2
+    assert after["ddakf_sessions",] >= 1
+    assert after["ddakf_workers_ready",] == 2
+
+
+def test_metrics_never_name_a_session(http, session):
+    assert session.removeprefix("sessions/") not in http.get("/metrics").text
+
+
+def test_the_openapi_document_describes_everything(http):
+    document = http.get("/openapi.json").json()
+    assert set(document["paths"]) == {
+        *("/healthz", "/readyz", "/metrics", "/v1/info", "/v1/sessions", "/v1/sessions/{session_id}")
+    }
+    for path, operations in document["paths"].items():
+        for operation in operations.values():
+            assert operation["description"], path
+    schemas = document["components"]["schemas"]
+    assert {"CreateSession", "MeshIn", "SessionOut", "ErrorOut"} <= set(schemas)
+    references = [part.partition('"')[0] for part in http.get("/openapi.json").text.split("#/components/schemas/")[1:]]
+    assert set(references) <= set(schemas)
+
+
+def test_the_example_in_the_document_runs(http):
+    for example in CreateSession.model_json_schema()["examples"]:
+        created = http.post("/v1/sessions", json=example)
+        assert created.status_code == 201, created.text
+        http.delete("/v1/" + created.json()["name"])
+
+
+def test_the_documentation_page_is_served(http):
+    assert http.get("/docs").status_code == 200
+
+
+def test_unknown_pages_answer_like_errors(http):
+    answer = http.get("/v1/nothing")
+    assert answer.status_code == 404
+    assert answer.json()["error"]["message"]
+
+
+def test_a_full_server_says_when_to_come_back(api, http, sheet):
+    names = []
+    try:
+        while len(names) <= 64:
+            body = {"garment": {"vertices": sheet.vertices.tolist(), "faces": sheet.faces.tolist()}}
+            answer = http.post("/v1/sessions", json=body)
+            if answer.status_code != 201:
+                break
+            names.append(answer.json()["name"])
+        assert answer.status_code == 429
+        assert int(answer.headers["retry-after"]) >= 1
+        assert "64" in answer.json()["error"]["message"]
+    finally:
+        for name in names:
+            api.delete(name)

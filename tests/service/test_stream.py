@@ -1,0 +1,194 @@
+"""The Track stream: flow, counters, takeover, pings."""
+
+from __future__ import annotations
+
+import itertools
+import threading
+
+import grpc
+import numpy as np
+import pytest
+from ddakf_api.errors import (
+    FailedPrecondition,
+    SessionBusy,
+    SessionNotFound,
+    StreamTakenOver,
+    VersionMismatch,
+    from_rpc_error,
+)
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from .conftest import TIMEOUT, frame_of, make_sheet, request_of, silence
+
+FRAMES = 60
+
+
+@pytest.fixture(scope="module")
+def frames():
+    """Frames of a sheet large enough that tracking takes longer than sending."""
+    sheet = make_sheet(40, 0.01)
+    return sheet, [request_of(frame_of(sheet, i)) for i in range(1, FRAMES + 1)]
+
+
+@pytest.fixture
+def large_session(api, frames):
+    name = api.create(frames[0]).name
+    yield name
+    api.delete(name)
+
+
+def results_of(responses) -> list[pb.Result]:
+    return [response.result for response in responses if response.HasField("result")]
+
+
+def test_lossless_answers_every_frame_in_order(api, large_session, frames):
+    responses = list(api.track(large_session, frames[1]))
+    assert responses[0].started.flow_mode == pb.FLOW_MODE_LOSSLESS
+    assert responses[0].started.last_sequence_number == 0
+    results = results_of(responses)
+    assert [result.sequence_number for result in results] == list(range(1, FRAMES + 1))
+    assert [result.frames_applied for result in results] == list(range(1, FRAMES + 1))
+    assert results[-1].frames_dropped == 0
+
+
+def test_realtime_drops_what_is_overtaken_and_counts_it(api, large_session, frames):
+    responses = list(api.track(large_session, frames[1], pb.FLOW_MODE_REALTIME))
+    numbers = [result.sequence_number for result in results_of(responses)]
+    statistics = api.get(large_session).statistics
+    assert numbers == sorted(set(numbers))
+    assert numbers[-1] == FRAMES, "the newest frame wins"
+    assert statistics.frames_dropped > 0
+    assert statistics.frames_applied == len(numbers)
+    assert statistics.frames_applied + statistics.frames_dropped == FRAMES
+
+
+def test_a_reader_that_sleeps_holds_up_nothing_in_realtime(api, large_session, frames):
+    stream = api.track(large_session, frames[1], pb.FLOW_MODE_REALTIME)
+    next(stream)
+    done = threading.Event()
+    done.wait(0.5)
+    numbers = [result.sequence_number for result in results_of(stream)]
+    assert numbers[-1] == FRAMES
+
+
+def test_a_stream_resumes_after_the_last_applied_frame(api, session, sheet):
+    list(api.track(session, [request_of(frame_of(sheet, i)) for i in (1, 2)]))
+    started = next(api.track(session, [])).started
+    assert started.last_sequence_number == 2
+    assert started.last_capture_time == pytest.approx(2 / 30)
+
+
+def test_only_every_nth_result_is_sent(api, session, sheet):
+    options = pb.ResultOptions(every_nth=3)
+    requests = [request_of(frame_of(sheet, i)) for i in range(1, 8)]
+    results = results_of(api.track(session, requests, result_options=options))
+    assert [result.frames_applied for result in results] == [3, 6]
+
+
+def test_results_come_in_the_encodings_asked_for(api, session, sheet):
+    count = len(sheet.vertices)
+    options = pb.ResultOptions(
+        vertex_encoding=pb.ARRAY_ENCODING_FLOAT64,
+        sigma_encoding=pb.ARRAY_ENCODING_FLOAT16,
+        reliability_encoding=pb.ARRAY_ENCODING_QUANTISED_8,
+        include_velocities=True,
+        include_covariance=True,
+    )
+    (result,) = results_of(api.track(session, [request_of(frame_of(sheet, 1))], result_options=options))
+    sizes = {f.name: len(value.data) for f, value in result.ListFields() if f.message_type and f.name != "timings"}
+    assert sizes == {
+        "vertices": 24 * count,
+        "sigma": 2 * count,
+        "vertex_reliability": count,
+        "observed": count,
+        "velocities": 12 * count,
+        "covariance": 24 * count,
+    }
+    assert {"total", "queue", "decode", "encode", "server"} <= set(result.timings)
+
+
+def test_one_point_cloud_of_several_sensors(api, session, sheet):
+    frame = frame_of(sheet, 1, codec_name="raw")
+    for x, count in ((-1.0, 44), (1.0, len(sheet.vertices) - 44)):
+        frame.sensors.append(pb.Sensor(origin=pb.Vector3(x=x, z=1.0), point_count=count))
+    assert results_of(api.track(session, [request_of(frame)]))
+
+
+def test_an_empty_cloud_is_a_frame_without_measurements(api, session, sheet):
+    empty = pb.Frame(sequence_number=2, capture_time=0.1, point_cloud=pb.PointCloud())
+    first, second = results_of(api.track(session, [request_of(frame_of(sheet, 1)), request_of(empty)]))
+    sigma = [np.frombuffer(result.sigma.data, "<f4").mean() for result in (first, second)]
+    assert sigma[1] > sigma[0]
+    assert second.coverage == 0
+
+
+def test_a_second_stream_is_refused_or_takes_over(api, session, sheet):
+    hold = threading.Event()
+
+    def endless():
+        yield request_of(frame_of(sheet, 1))
+        hold.wait(TIMEOUT)
+
+    first = api.track(session, endless())
+    assert [next(first).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    with pytest.raises(SessionBusy, match="takeover"):
+        next(api.track(session, []))
+    second = list(api.track(session, [request_of(frame_of(sheet, 2))], takeover=True))
+    assert second[0].started.last_sequence_number == 1
+    assert second[1].result.sequence_number == 2
+    with pytest.raises(StreamTakenOver):
+        list(first)
+    hold.set()
+
+
+def test_deleting_a_session_ends_its_stream(api, sheet):
+    name = api.create(sheet).name
+    hold = threading.Event()
+    stream = api.track(name, silence(hold))
+    next(stream)
+    api.delete(name)
+    with pytest.raises(SessionNotFound, match="deleted"):
+        next(stream)
+    hold.set()
+
+
+def test_pings_are_answered(api, session):
+    responses = list(api.track(session, [pb.TrackRequest(ping=pb.Ping(token=42))]))
+    assert responses[1].pong.token == 42
+    assert responses[1].pong.server_time > 1e9
+
+
+def test_a_client_that_vanishes_frees_its_session(api, session, sheet):
+    hold = threading.Event()
+    begin = pb.TrackRequest(start=pb.Start(name=session, api_version="1.0"))
+    requests = itertools.chain([begin, request_of(frame_of(sheet, 1))], silence(hold))
+    call = api.stub.Track(requests)
+    next(call)
+    next(call)
+    call.cancel()
+    hold.set()
+    for _ in range(50):
+        try:
+            started = next(api.track(session, [])).started
+            break
+        except SessionBusy:
+            threading.Event().wait(0.05)
+    assert started.last_sequence_number == 1
+
+
+def test_the_stream_begins_with_start(api, session, sheet):
+    with pytest.raises(grpc.RpcError) as caught:
+        list(api.stub.Track(iter([request_of(frame_of(sheet, 1))]), timeout=TIMEOUT))
+    assert caught.value.code() is FailedPrecondition.status
+
+
+def test_a_stream_of_another_version_is_refused(api, session):
+    request = pb.TrackRequest(start=pb.Start(name=session, api_version="2.0"))
+    with pytest.raises(grpc.RpcError) as caught:
+        list(api.stub.Track(iter([request]), timeout=TIMEOUT))
+    assert isinstance(from_rpc_error(caught.value), VersionMismatch)
+
+
+def test_a_stream_of_no_session_is_not_found(api):
+    with pytest.raises(SessionNotFound, match="nobody"):
+        list(api.track("sessions/nobody", []))
