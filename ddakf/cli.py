@@ -17,6 +17,7 @@ from ddakf.errors import DdakfError
 
 GROUP = "ddakf.commands"
 FAILURE, INTERRUPTED = 2, 130
+EXTRAS = {"matplotlib": "evaluation", "open3d": "evaluation", "torch": "learned", "ray": "ray"}  # otherwise "service"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -84,7 +85,8 @@ def _register_unavailable(commands: argparse._SubParsersAction, name: str, sente
 
 def _what_to_install(command: str, error: ImportError) -> str:
     missing = error.name or str(error)
-    return f"{command} needs {missing}, which is not installed: pip install 'ddakf[service]'"
+    extra = EXTRAS.get(missing.partition(".")[0], "service")
+    return f"{command} needs {missing}, which is not installed: pip install 'ddakf[{extra}]'"
 
 
 if __name__ == "__main__":

@@ -49,9 +49,10 @@ def test_interrupts_are_status_130(command, capsys):
     assert capsys.readouterr().err == "ddakf: interrupted\n"
 
 
-def test_a_missing_package_is_named_when_the_command_runs(command, capsys):
-    assert command(_raises(ModuleNotFoundError("No module named 'fastapi'", name="fastapi"))) == 2
-    assert "pip install 'ddakf[service]'" in capsys.readouterr().err
+@pytest.mark.parametrize(("package", "extra"), [("fastapi", "service"), ("torch.nn", "learned"), ("ray", "ray")])
+def test_a_missing_package_is_named_when_the_command_runs(command, capsys, package, extra):
+    assert command(_raises(ModuleNotFoundError(f"No module named '{package}'", name=package))) == 2
+    assert f"{package}, which is not installed: pip install 'ddakf[{extra}]'" in capsys.readouterr().err
 
 
 def test_a_missing_package_is_named_when_the_command_cannot_even_load(monkeypatch, capsys):

@@ -129,9 +129,10 @@ class Painter:
             faces = np.ascontiguousarray(faces, np.int64)
             zbuffer.interpolate(camera.to_camera(vertices), faces, colour * shade, *lens, label, face, image)
             label += len(faces)
-        stride = max(1, len(shot.points) // (MOST_POINTS_ON_FIT if fitted else MOST_POINTS))
+        most = MOST_POINTS_ON_FIT if fitted else MOST_POINTS
+        points = np.random.default_rng(0).permutation(shot.points)[:most]
         nearest, index = depth + POINT_BIAS, np.full(depth.shape, -1, np.int32)
-        zbuffer.splat(camera.to_camera(shot.points[::stride]), *lens, POINT_RADIUS, nearest, index)
+        zbuffer.splat(camera.to_camera(points), *lens, POINT_RADIUS, nearest, index)
         image[index >= 0] = POINT
         return np.clip(image, 0, 255).astype(np.uint8)
 
