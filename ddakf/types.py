@@ -50,3 +50,10 @@ class State(NamedTuple):
     P_pu: np.ndarray  # (V, 3, 3) m^2/s
     P_uu: np.ndarray  # (V, 3, 3) m^2/s^2
     R: np.ndarray  # (V, 3, 3) measurement covariance, m^2
+
+    @classmethod
+    def at(cls, position: np.ndarray, velocity: np.ndarray, sd: float, speed_sd: float, noise_sd: float) -> State:
+        """A start: mean (V, 3) each, and the same standard deviations, in m, m/s and m, for every vertex."""
+        n = len(position)
+        eye = np.broadcast_to(np.eye(3), (n, 3, 3))
+        return cls(position, velocity, sd**2 * eye, np.zeros((n, 3, 3)), speed_sd**2 * eye, noise_sd**2 * eye)

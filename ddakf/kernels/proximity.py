@@ -13,6 +13,7 @@ from numba import njit
 LANES = 8
 STACK = 128  # nodes waiting in a depth-first search: at most eight per level, and 2^31 faces have eleven levels
 FAR = 1e30  # m: bound of an empty box, finite because the vectorised sums below assume that
+SLACK = 1e-6  # relative, its cube in m^2: more than the rounding of any squared distance
 SURFACE = 1e-7  # m: closer than this, the direction to the closest point is rounding noise
 FEATURE = 1e-9  # barycentric coordinate below which the closest point lies on an edge or a corner
 FACE_AREA = 1e-12  # m^2 of double area against which a degenerate face's rotation counts for nothing
@@ -145,7 +146,10 @@ def closest_on_triangle(p, b, c):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, hint, face):
-    """The nearest face of every point, -1 where none is within the radius."""
+    """The nearest face of every point, of equally near ones the first; -1 where none is within the radius.
+
+    A hint saves time and never changes the result: everything within rounding of the best is looked at.
+    """
     n_inner = boxes.shape[0]
     nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
     squared = np.empty(LANES)
@@ -158,24 +162,27 @@ def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, 
         nodes[0], lower[0] = 0, 0.0
         if start >= 0:  # a good bound first: on the stack after the root, so looked at before it
             top = 1
-            nodes[1], lower[1] = n_inner + start, 0.0
+            nodes[1], lower[1] = n_inner + start, -1.0
         while top >= 0:
             node, bound = nodes[top], lower[top]
             top -= 1
-            if bound >= best:
+            if bound > best * (1.0 + SLACK) + SLACK**3:
                 continue
             if node >= n_inner:
                 leaf = node - n_inner
+                if leaf == start and bound >= 0.0:  # met again on the way through the tree
+                    continue
                 leaf_distances(triangles, leaf, x, y, z, squared)
                 for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
-                    if squared[s] < best:
+                    if squared[s] <= best and (squared[s] < best or leaf_start[leaf] + s < best_face):
                         best, best_face, previous = squared[s], leaf_start[leaf] + s, leaf
                 continue
             box_distances(boxes, node, x, y, z, squared)
-            nearest, at = best, top
+            nearest = limit = best * (1.0 + SLACK) + SLACK**3
+            at = top
             for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
                 nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
-                top += 1 if squared[s] < best else 0
+                top += 1 if squared[s] < limit else 0
                 nearer = squared[s] < nearest
                 at, nearest = top if nearer else at, squared[s] if nearer else nearest
             if at >= 0:  # the nearest child on top

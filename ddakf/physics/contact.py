@@ -6,6 +6,7 @@ import numpy as np
 
 from ddakf.mesh import Mesh
 from ddakf.physics import proximity
+from ddakf.types import State
 
 COLLISION_REACH = 0.05  # m: a vertex deeper inside the body than this is left to the measurements
 
@@ -27,33 +28,60 @@ class BodyContact:
         """Back to the pose of the start."""
         self.vertices = self._mesh.vertices.copy()
         self._surface = proximity.refresh(self._body, self.vertices)
-        self.active = False
-        self._contact: proximity.Contact | None = None
+        self.present = True  # the pose is that of the last frame
+        self._velocity: np.ndarray | None = None
+        self._face: np.ndarray | None = None  # (V,) int32, closest face of each vertex when last asked
 
-    def carry(self, position: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-        """(V, 3) metres: how the body's motion to its next pose, (B, 3) ``vertices``, displaces a garment at ``position``.
+    def carry(self, state: State, vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
+        """What the body's motion does to a garment, and the state whose velocities are relative to it.
 
-        The body is left as it was: :meth:`move` takes the step.
+        Args:
+            state: posterior of the last frame; its velocities are relative to the body if that frame had one.
+            vertices: (B, 3) the body now, metres; None: its pose is not known.
+            dt: seconds since the last frame.
+
+        Returns:
+            The state, and the displacement (V, 3) in metres; None without a body. A garment whose body is no longer seen
+            takes the body's last velocity over into its own.
         """
-        if self._reach == 0.0:
-            return np.zeros_like(position)
-        contact = proximity.closest_points(self._body, self._surface, position, self._reach, self._hint(position))
-        return proximity.surface_motion(self._body, self.vertices, vertices, position, contact, self._reach).position - position
+        if vertices is None or not self.present or self._reach == 0.0:
+            if self._velocity is not None:
+                state = state._replace(velocity=state.velocity + self._velocity)
+            self._velocity = None
+            return state, None
+        position = state.position
+        contact = proximity.closest_points(self._body, self._surface, position, self._reach, self._face)
+        motion = proximity.surface_motion(self._body, self.vertices, vertices, position, contact, self._reach)
+        displacement = motion.position - position
+        self._velocity = displacement / dt
+        return state, displacement
 
     def move(self, vertices: np.ndarray | None) -> None:
         """The body's pose in this frame; None: it is not known, and nothing collides."""
-        self.active = vertices is not None
+        self.present = vertices is not None
         if vertices is not None:
             self.vertices = vertices
-            self._surface = proximity.refresh(self._body, vertices)
+            self._surface = proximity.refresh(self._body, vertices, self._surface)
 
     def nearest(self, position: np.ndarray) -> proximity.Contact:
         """Closest points on the body for (V, 3) ``position``."""
-        self._contact = proximity.closest_points(
-            self._body, self._surface, position, COLLISION_REACH, self._hint(position)
-        )
-        return self._contact
+        contact = proximity.closest_points(self._body, self._surface, position, COLLISION_REACH, self._face)
+        self._face = contact.face
+        return contact
 
-    def _hint(self, position: np.ndarray) -> np.ndarray | None:
-        same = self._contact is not None and len(self._contact.face) == len(position)
-        return self._contact.face if same else None
+    def to_arrays(self) -> dict[str, np.ndarray]:
+        """What changes from frame to frame, for a snapshot."""
+        arrays = {"contact_vertices": self.vertices, "contact_present": np.array(self.present)}
+        if self._velocity is not None:
+            arrays["contact_velocity"] = self._velocity
+        if self._face is not None:
+            arrays["contact_face"] = self._face
+        return arrays
+
+    def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+        """The inverse of :meth:`to_arrays`."""
+        self.vertices = arrays["contact_vertices"]
+        self._surface = proximity.refresh(self._body, self.vertices)
+        self.present = bool(arrays["contact_present"])
+        self._velocity = arrays.get("contact_velocity")
+        self._face = arrays.get("contact_face")

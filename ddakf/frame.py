@@ -1,0 +1,97 @@
+"""The boundary of a step: what came is checked before anything changes."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.errors import InvalidFrame
+from ddakf.mesh import Mesh
+
+MAX_POINTS = 1_000_000
+MAX_COORDINATE = 1e4  # m: float32 keeps a millimetre up to there
+
+
+class Frame(NamedTuple):
+    """A checked frame."""
+
+    points: np.ndarray  # (N, 3) float32, m
+    timestamp: float  # s
+    sensor_origin: np.ndarray | None  # (3,) or (N, 3) float64, m
+    body_vertices: np.ndarray | None  # (B, 3) float64, m
+
+
+def checked(points, timestamp, sensor_origin, body_vertices, last: float | None, body: Mesh | None) -> Frame:
+    """The frame, or the reason why it is none.
+
+    Args:
+        points, timestamp, sensor_origin, body_vertices: as given to ``Tracker.step``.
+        last: time of the last frame, seconds; None before the first.
+        body: as declared, or None.
+
+    Raises:
+        InvalidFrame: a shape, type, number or time that cannot be used.
+    """
+    points = _positions("points", points)
+    if len(points) > MAX_POINTS:
+        raise InvalidFrame("points", f"at most {MAX_POINTS} points", str(len(points)))
+    time = _time(timestamp, last)
+    if sensor_origin is not None:
+        origin = np.asarray(sensor_origin)
+        if origin.shape != (3,) and origin.shape != (len(points), 3):
+            raise InvalidFrame("sensor_origin", f"shape (3,) or ({len(points)}, 3)", str(origin.shape))
+        sensor_origin = _finite("sensor_origin", np.atleast_2d(origin)).astype(np.float64).reshape(origin.shape)
+        if sensor_origin.shape == (0, 3):
+            sensor_origin = None
+    if body_vertices is not None:
+        if body is None:
+            raise InvalidFrame("body_vertices", "none, as the tracker was made without a body", "an array")
+        body_vertices = _positions("body_vertices", body_vertices)
+        if len(body_vertices) != body.n_vertices:
+            raise InvalidFrame("body_vertices", f"shape ({body.n_vertices}, 3), as declared", str(body_vertices.shape))
+        body_vertices = body_vertices.astype(np.float64)
+    return Frame(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
+
+
+def positions(name: str, values, n: int) -> np.ndarray:
+    """(n, 3) float64 metres or m/s, checked."""
+    array = _positions(name, values)
+    if len(array) != n:
+        raise InvalidFrame(name, f"shape ({n}, 3)", str(array.shape))
+    return np.array(array, np.float64, order="C")
+
+
+def _positions(name: str, values) -> np.ndarray:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InvalidFrame(name, "an array of shape (N, 3)", "rows of different lengths") from None
+    if array.dtype.kind not in "fiu" and array.size:
+        raise InvalidFrame(name, "numbers", f"dtype {array.dtype}")
+    if array.ndim != 2 or array.shape[1] != 3:
+        if array.size == 0:
+            return np.empty((0, 3))
+        raise InvalidFrame(name, "shape (N, 3)", str(array.shape))
+    return _finite(name, array)
+
+
+def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    if array.size and not np.abs(array).max() <= MAX_COORDINATE:  # also false for a NaN
+        bad = ~(np.isfinite(array) & (np.abs(array) <= MAX_COORDINATE)).all(axis=1)
+        what = "finite metres" if not np.isfinite(array).all() else f"metres within {MAX_COORDINATE:g} of the origin"
+        raise InvalidFrame(name, what, f"{bad.sum()} bad rows, the first at {bad.argmax()}: {array[bad.argmax()].tolist()}")
+    return array
+
+
+def _time(timestamp, last: float | None) -> float:
+    try:
+        time = float(timestamp)
+    except (TypeError, ValueError):
+        raise InvalidFrame("timestamp", "seconds", repr(timestamp)) from None
+    if not math.isfinite(time):
+        raise InvalidFrame("timestamp", "finite seconds", repr(timestamp))
+    if last is not None and time <= last:
+        raise InvalidFrame("timestamp", f"later than the last frame's {last:.6f} s", f"{time:.6f} s")
+    return time

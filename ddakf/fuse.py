@@ -1,0 +1,231 @@
+"""Stage F, fusion update (paper, sections 2.3, 2.4 and 2.8 F): measurements, prior and physics in one update."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
+
+from ddakf import rigidity
+from ddakf.associate import Measurement
+from ddakf.config import Config, DecoupledUpdate, MapUpdate
+from ddakf.kernels import fuse as kernels
+from ddakf.kernels import rigidity as rigidity_kernels
+from ddakf.model import Model
+from ddakf.physics.energies import Energies, total_blocks, total_gradient
+from ddakf.rigidity import LocalRigidity
+from ddakf.types import State
+
+
+class Planes(NamedTuple):
+    """Plane-aligned measurements: one per vertex with a positive weight."""
+
+    target: np.ndarray  # (V, 3) m
+    normal: np.ndarray  # (V, 3)
+    weight: np.ndarray  # (V,)
+    variance: np.ndarray  # (V,) m^2 along the normal
+    tangential: np.ndarray  # (V,) m^2 in the plane
+
+
+class System(NamedTuple):
+    """The normal equations A delta = force at an estimate."""
+
+    D: np.ndarray  # (V, 3, 3) diagonal blocks of A, 1/m^2
+    B: np.ndarray  # (2E, 3, 3) float32, its other blocks, in rows of the adjacency
+    force: np.ndarray  # (V, 3) 1/m, minus the gradient
+
+
+class Update(NamedTuple):
+    """The estimate while a frame is worked on."""
+
+    position: np.ndarray  # (V, 3) m
+    rest: LocalRigidity
+    motion: LocalRigidity
+    information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
+    measurement: Measurement
+    weight: np.ndarray  # (V,)
+    R: np.ndarray  # (V, 3, 3) m^2
+    planes: Planes | None = None
+    system: System | None = None
+    state: State | None = None  # the posterior, where the update itself forms it
+    passes: int = 0
+    settled: bool = False
+    rejected: bool = False
+
+
+def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: float, model: Model, config: Config) -> Update:
+    """The estimate before the first pass: the prediction.
+
+    Args:
+        prior: the prediction.
+        last: (V, 3) posterior of the last frame, from which the motion is locally rigid, metres.
+        rotation: (V, 3, 3) of the one-rings against the rest shape, in the last frame.
+        physics_lambda: factor on the physics; the rest shape is held by as much.
+        model, config: of the tracker.
+    """
+    n = len(prior.position)
+    floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
+    return Update(
+        position=prior.position,
+        rest=rigidity.to_rest(model, physics_lambda * config.physics.rest_rigidity, rotation),
+        motion=rigidity.since(last, model, config.physics.motion_rigidity),
+        information=np.linalg.inv(prior.P_pp + floor * np.eye(3)),
+        measurement=Measurement(np.zeros((n, 3)), None, np.zeros(n, bool), np.zeros(n, bool)),
+        weight=np.zeros(n),
+        R=prior.R,
+    )
+
+
+def fuse(
+    update: Update, prior: State, measurement: Measurement, weight: np.ndarray, R: np.ndarray, energies: Energies,
+    gate: float, model: Model, config: Config,
+) -> Update:  # fmt: skip
+    """One joint update with geometric and physical residuals.
+
+    Args:
+        update: the estimate so far, at which measurement, weight and energies were formed.
+        prior: the prediction.
+        measurement, weight, R: stages B, C, D.
+        energies: stage E.
+        gate: search radius of this pass; no vertex is moved farther, metres.
+        model, config: of the tracker.
+    """
+    update = update._replace(measurement=measurement, weight=weight, R=R, passes=update.passes + 1)
+    match config.fuse:
+        case MapUpdate():
+            return _map_update(update, prior, energies, gate, model, config)
+        case DecoupledUpdate():
+            return _decoupled_update(update, prior, energies, config.fuse)
+
+
+def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
+    n = update.measurement.normal
+    variance = np.maximum(np.einsum("va,vab,vb->v", n, update.R, n), config.adapt.lowest_sd**2)
+    tangential = np.full(len(n), config.associate.tangential_sd**2)
+    planes = Planes(update.measurement.target, n, update.weight, variance, tangential)
+    for term in (update.rest, update.motion):
+        rigidity.turn(term, update.position, model)
+    system = normal_equations(
+        update.position, prior.position, update.information, planes, energies, (update.rest, update.motion), model
+    )
+    delta = solve(system, model, config.fuse)
+    if not np.isfinite(delta).all():
+        return update._replace(position=prior.position, planes=planes, system=system, settled=True, rejected=True)
+    length = np.sqrt(np.einsum("va,va->v", delta, delta))
+    delta *= np.minimum(1.0, gate / np.maximum(length, 1e-12))[:, None]
+    rms = float(np.sqrt(np.mean(length**2)))
+    associated = config.associate
+    settled = update.passes >= associated.least_iterations and rms < associated.tolerance and gate <= associated.narrow_gate
+    return update._replace(position=update.position + delta, planes=planes, system=system, settled=settled)
+
+
+def normal_equations(
+    position: np.ndarray,
+    prior: np.ndarray,
+    information: np.ndarray,
+    planes: Planes,
+    energies: Energies,
+    rigid: tuple[LocalRigidity, ...],
+    model: Model,
+) -> System:
+    """Gauss-Newton equations of the MAP problem at ``position`` (V, 3).
+
+    Args:
+        position, prior: (V, 3) estimate and predicted mean, metres.
+        information: (V, 3, 3) inverse of the prior covariance, 1/m^2.
+        planes: the measurements.
+        energies: the physics at ``position``.
+        rigid: the locally rigid terms, their rotations fitted to ``position``.
+        model: the garment.
+    """
+    n = len(position)
+    D, force = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    B = np.empty((len(model.neighbour), 3, 3), np.float32)
+    kernels.add_prior(position, prior, information, D, force)
+    kernels.add_planes(
+        position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, D, force
+    )
+    for term in rigid:
+        rigidity_kernels.add_force(
+            position, model.start, model.neighbour, term.source, term.weight, term.rotation, force
+        )
+    kernels.add_edges(model.start, sum(term.weight for term in rigid), D, B)
+    stretch, shear, bend, collision = energies.stiffness
+    for part, stiffness in ((energies.stretch, stretch), (energies.shear, shear)):
+        if stiffness > 0:
+            kernels.add_triangles(part.stencil, model.slot, *part[1:], stiffness, D, B, force)
+    if bend > 0:
+        kernels.add_hinges(*energies.bend, bend, D, force)
+    if energies.collision is not None:
+        kernels.add_single(*energies.collision, collision, D, force)
+    return System(D, B, force)
+
+
+def solve(system: System, model: Model, config: MapUpdate) -> np.ndarray:
+    """(V, 3) delta in metres, A delta = force, by conjugate gradients under a two-level preconditioner."""
+    n, k = len(system.D), 3 * model.n_clusters
+    inverse, coarse = np.empty((n, 3, 3)), np.empty((k, k))
+    kernels.invert_blocks(system.D, inverse)
+    kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.cluster, coarse)
+    coarse_inverse = invert(coarse).astype(np.float32)
+    delta, work = np.empty((n, 3), np.float32), np.empty((4, n, 3), np.float32)
+    kernels.conjugate_gradients(
+        system.D.astype(np.float32), system.B, model.start, model.neighbour, inverse.astype(np.float32), model.cluster,
+        coarse_inverse, system.force, config.solver_iterations, config.solver_tolerance,
+        work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
+    )  # fmt: skip
+    return delta.astype(np.float64)
+
+
+def invert(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a symmetric positive definite matrix; of NaN where it is not."""
+    factor, failed = dpotrf(matrix, lower=1)
+    if failed:
+        return np.full_like(matrix, np.nan)
+    inverse = dpotri(factor, lower=1)[0]
+    return np.tril(inverse) + np.tril(inverse, -1).T
+
+
+def _decoupled_update(update: Update, prior: State, energies: Energies, config: DecoupledUpdate) -> Update:
+    """The paper's: a Kalman update of every vertex, then the gradient pseudo-measurement on the mean.
+
+    Geometry, section 2.3: S = P_pp + R / w, K = [P_pp; P_up] S^-1, x += K y, P -= K S K'. Physics, section 2.4: z = 0,
+    h = dE/dp, H_i = dh/dp_i, R_phys = sd^2 I; p -= P H' (H P H' + R_phys)^-1 h, without a change of P.
+    """
+    n = len(prior.position)
+    used = update.weight > 0
+    y = update.measurement.innovation(prior.position)
+    S = prior.P_pp + update.R / np.maximum(update.weight, 1e-9)[:, None, None]
+    gain_p = np.linalg.solve(S, prior.P_pp).transpose(0, 2, 1) * used[:, None, None]
+    gain_u = np.linalg.solve(S, prior.P_pu).transpose(0, 2, 1) * used[:, None, None]
+    P_pp = prior.P_pp - gain_p @ prior.P_pp
+    position = prior.position + np.einsum("vab,vb->va", gain_p, y)
+    state = State(
+        position=position,
+        velocity=prior.velocity + np.einsum("vab,vb->va", gain_u, y),
+        P_pp=0.5 * (P_pp + P_pp.transpose(0, 2, 1)),
+        P_pu=prior.P_pu - gain_p @ prior.P_pu,
+        P_uu=prior.P_uu - gain_u @ prior.P_pu,
+        R=update.R,
+    )
+    H, h = total_blocks(energies, n), total_gradient(energies, n)
+    innovation_covariance = H @ state.P_pp @ H + config.physics_sd**2 * np.eye(3)
+    correction = state.P_pp @ H @ np.linalg.solve(innovation_covariance, h[..., None])
+    state = state._replace(position=position - correction[..., 0])
+    if not np.isfinite(state.position).all():
+        return update._replace(state=prior, position=prior.position, settled=True, rejected=True)
+    return update._replace(state=state, position=state.position, settled=True)
+
+
+def condition(prior: State, position: np.ndarray, P_pp: np.ndarray, R: np.ndarray) -> State:
+    """The posterior of each 6-vector when its position is now known to be (position, P_pp).
+
+    The velocity follows through the prior's cross covariance: with G = P_up P_pp^-1 of the prior, u += G (p - p_prior), and
+    the blocks as in a Rauch-Tung-Striebel step.
+    """
+    G = np.linalg.solve(prior.P_pp, prior.P_pu).transpose(0, 2, 1)
+    P_pu = P_pp @ G.transpose(0, 2, 1)
+    P_uu = prior.P_uu + G @ (P_pp - prior.P_pp) @ G.transpose(0, 2, 1)
+    velocity = prior.velocity + np.einsum("vab,vb->va", G, position - prior.position)
+    return State(position, velocity, P_pp, P_pu, 0.5 * (P_uu + P_uu.transpose(0, 2, 1)), R)

@@ -1,0 +1,38 @@
+"""Compiled kernels: numba, one module per stage, same stem. Importing this package fixes where compiled code is cached.
+
+numba keys a cached function by its own file only, so a change in a function that it inlines from another file would go
+unnoticed; the cache directory therefore carries a hash of all kernel sources.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+
+
+def _cache_directory() -> Path:
+    digest = hashlib.sha256(numba.__version__.encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.name.encode())
+        digest.update(source.read_bytes())
+    root = os.environ.get("DDAKF_KERNEL_CACHE") or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"), "ddakf")
+    return Path(root) / f"kernels-{digest.hexdigest()[:16]}"
+
+
+CACHE_DIRECTORY = _cache_directory()
+numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
+
+
+def warm(progress: Callable[[int, int, str], None] | None = None) -> None:
+    """Compiles every kernel, or loads it from the cache, by tracking a small garment.
+
+    Args:
+        progress: called as ``progress(done, total, name)`` before each step, and at the end with ``done == total``.
+    """
+    from ddakf import warmup  # the warm-up tracks with the stages, which import this package
+
+    warmup.run(progress or (lambda done, total, name: None))

@@ -1,0 +1,260 @@
+"""Preprocessing (paper, section 2.1): one uniform grid per frame, outlier removal and PCA normals on it."""
+
+from math import acos, cos, pi, sqrt
+
+import numpy as np
+from numba import njit
+
+
+@njit(nogil=True, cache=True)
+def crop(points, lower, upper, kept):
+    """Indices of the points inside a box, in order. Returns their number."""
+    n = 0
+    for i in range(points.shape[0]):
+        inside = True
+        for a in range(3):
+            if points[i, a] < lower[a] or points[i, a] > upper[a]:
+                inside = False
+                break
+        if inside:
+            kept[n] = i
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_index):
+    """Counting sort of the chosen points by grid cell.
+
+    Args:
+        points: (N, 3) metres, world.
+        chosen: (M,) indices of the points that take part.
+        origin, cell, dims: corner of the grid, metres; cell size, metres; cells per axis.
+        start: (cells + 2,) out: points of cell c are ``sorted_*[start[c]:start[c + 1]]``.
+        sorted_points: (M, 3) float32 out, relative to origin, metres.
+        sorted_index: (M,) out, index into ``points``.
+    """
+    inverse = 1.0 / cell
+    n = chosen.shape[0]
+    start[:] = 0
+    for k in range(n):
+        i = chosen[k]
+        ix = min(max(int((points[i, 0] - origin[0]) * inverse), 0), dims[0] - 1)
+        iy = min(max(int((points[i, 1] - origin[1]) * inverse), 0), dims[1] - 1)
+        iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
+        start[(ix * dims[1] + iy) * dims[2] + iz + 2] += 1
+    for c in range(2, start.shape[0]):
+        start[c] += start[c - 1]
+    for k in range(n):
+        i = chosen[k]
+        ix = min(max(int((points[i, 0] - origin[0]) * inverse), 0), dims[0] - 1)
+        iy = min(max(int((points[i, 1] - origin[1]) * inverse), 0), dims[1] - 1)
+        iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
+        c = (ix * dims[1] + iy) * dims[2] + iz + 1
+        slot = start[c]
+        start[c] += 1
+        for a in range(3):
+            sorted_points[slot, a] = points[i, a] - origin[a]
+        sorted_index[slot] = i
+
+
+@njit(nogil=True, cache=True)
+def neighbourhood_counts(start, dims, count):
+    """Points in the 27 cells around each occupied cell, written to (cells,) count; zero elsewhere."""
+    nx, ny, nz = dims[0], dims[1], dims[2]
+    for ix in range(nx):
+        for iy in range(ny):
+            row = (ix * ny + iy) * nz
+            if start[row] == start[row + nz]:
+                for iz in range(nz):
+                    count[row + iz] = 0
+                continue
+            for iz in range(nz):
+                c = row + iz
+                if start[c] == start[c + 1]:
+                    count[c] = 0
+                    continue
+                z0 = max(iz - 1, 0)
+                z1 = min(iz + 1, nz - 1)
+                total = 0
+                for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+                    for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                        r = (jx * ny + jy) * nz
+                        total += start[r + z1 + 1] - start[r + z0]
+                count[c] = total
+
+
+@njit(nogil=True, cache=True)
+def remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index):
+    """Keeps the points of cells whose neighbourhood holds at least ``threshold`` points. Returns how many."""
+    n = 0
+    for c in range(count.shape[0]):
+        new_start[c] = n
+        if count[c] >= threshold:
+            for k in range(start[c], start[c + 1]):
+                new_points[n, 0] = points[k, 0]
+                new_points[n, 1] = points[k, 1]
+                new_points[n, 2] = points[k, 2]
+                new_index[n] = index[k]
+                n += 1
+    for c in range(count.shape[0], new_start.shape[0]):
+        new_start[c] = n
+    return n
+
+
+@njit(nogil=True, cache=True, inline="always")
+def smallest_eigenvector(a, b, c, d, e, f):
+    """Of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]]: smallest and middle eigenvalue, and the unit eigenvector
+    of the smallest. Trigonometric solution; the eigenvector is the longest cross product of two rows."""
+    q = (a + b + c) / 3.0
+    p1 = d * d + e * e + f * f
+    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * p1
+    p = sqrt(p2 / 6.0)
+    if p < 1e-30:
+        return q, q, 0.0, 0.0, 1.0
+    ia, ib, ic = (a - q) / p, (b - q) / p, (c - q) / p
+    id_, ie, if_ = d / p, e / p, f / p
+    r = 0.5 * (ia * (ib * ic - if_ * if_) - id_ * (id_ * ic - if_ * ie) + ie * (id_ * if_ - ib * ie))
+    phi = acos(min(max(r, -1.0), 1.0)) / 3.0
+    largest = q + 2.0 * p * cos(phi)
+    smallest = q + 2.0 * p * cos(phi + 2.0 * pi / 3.0)
+    middle = 3.0 * q - largest - smallest
+    r0x, r0y, r0z = a - smallest, d, e
+    r1x, r1y, r1z = d, b - smallest, f
+    r2x, r2y, r2z = e, f, c - smallest
+    ux, uy, uz = r0y * r1z - r0z * r1y, r0z * r1x - r0x * r1z, r0x * r1y - r0y * r1x
+    vx, vy, vz = r0y * r2z - r0z * r2y, r0z * r2x - r0x * r2z, r0x * r2y - r0y * r2x
+    wx, wy, wz = r1y * r2z - r1z * r2y, r1z * r2x - r1x * r2z, r1x * r2y - r1y * r2x
+    nu, nv, nw = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
+    if nv > nu:
+        ux, uy, uz, nu = vx, vy, vz, nv
+    if nw > nu:
+        ux, uy, uz, nu = wx, wy, wz, nw
+    if nu < 1e-60:
+        return smallest, middle, 0.0, 0.0, 1.0
+    s = 1.0 / sqrt(nu)
+    return smallest, middle, ux * s, uy * s, uz * s
+
+
+@njit(nogil=True, cache=True)
+def fit_planes(points, start, cell, dims, radius, surfels):
+    """At each point the plane of its neighbours: the point moved onto it, and its unit normal.
+
+    Neighbours are weighted with (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero.
+
+    Args:
+        points: (M, 3) float32 sorted by cell, relative to the grid's origin, metres.
+        start, cell, dims: the grid.
+        radius: metres, at most one cell.
+        surfels: (M, 6) float32 out: projected point, normal.
+    """
+    inverse = 1.0 / cell
+    r2 = radius * radius
+    inverse_r2 = 1.0 / r2
+    nx, ny, nz = dims[0], dims[1], dims[2]
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        ix = min(max(int(px * inverse), 0), nx - 1)
+        iy = min(max(int(py * inverse), 0), ny - 1)
+        iz = min(max(int(pz * inverse), 0), nz - 1)
+        z0 = max(iz - 1, 0)
+        z1 = min(iz + 1, nz - 1)
+        sw = sx = sy = sz = np.float32(0.0)
+        xx = yy = zz = xy = xz = yz = np.float32(0.0)
+        for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+            for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                row = (jx * ny + jy) * nz
+                for k in range(start[row + z0], start[row + z1 + 1]):
+                    dx, dy, dz = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz
+                    d2 = dx * dx + dy * dy + dz * dz
+                    if d2 < r2:
+                        w = np.float32(1.0 - d2 * inverse_r2)
+                        w *= w
+                        sw += w
+                        sx += w * dx
+                        sy += w * dy
+                        sz += w * dz
+                        xx += w * dx * dx
+                        yy += w * dy * dy
+                        zz += w * dz * dz
+                        xy += w * dx * dy
+                        xz += w * dx * dz
+                        yz += w * dy * dz
+        s = 1.0 / sw
+        mx, my, mz = sx * s, sy * s, sz * s
+        smallest, middle, ux, uy, uz = smallest_eigenvector(
+            xx * s - mx * mx, yy * s - my * my, zz * s - mz * mz, xy * s - mx * my, xz * s - mx * mz, yz * s - my * mz
+        )
+        # three points or a line have no plane; so has a ball, where no direction is thinner than the others
+        planar = middle > 0.004 * r2 and smallest < 0.5 * middle
+        offset = ux * mx + uy * my + uz * mz if planar else 0.0
+        surfels[i, 0] = px + offset * ux
+        surfels[i, 1] = py + offset * uy
+        surfels[i, 2] = pz + offset * uz
+        scale = 1.0 if planar else 0.0
+        surfels[i, 3] = ux * scale
+        surfels[i, 4] = uy * scale
+        surfels[i, 5] = uz * scale
+
+
+@njit(nogil=True, cache=True)
+def orient_normals(surfels, sensor):
+    """Turns each normal toward the sensor; ``sensor`` is (1, 3) or (M, 3), in the grid's frame."""
+    one = sensor.shape[0] == 1
+    for i in range(surfels.shape[0]):
+        s = 0 if one else i
+        towards = 0.0
+        for a in range(3):
+            towards += surfels[i, 3 + a] * (sensor[s, a] - surfels[i, a])
+        if towards < 0.0:
+            for a in range(3):
+                surfels[i, 3 + a] = -surfels[i, 3 + a]
+
+
+@njit(nogil=True, cache=True)
+def knn_mean_distances(points, start, cell, dims, k, mean_distance):
+    """Mean distance of each sorted point to its k nearest others, exact: the paper's statistical filter.
+
+    Rings of cells are searched outward until the k-th distance lies inside the searched box.
+    """
+    inverse = 1.0 / cell
+    best = np.empty(k, np.float64)
+    nx, ny, nz = dims[0], dims[1], dims[2]
+    reach = max(nx, ny, nz)
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        ix = min(max(int(px * inverse), 0), nx - 1)
+        iy = min(max(int(py * inverse), 0), ny - 1)
+        iz = min(max(int(pz * inverse), 0), nz - 1)
+        margin = min(
+            px - ix * cell, (ix + 1) * cell - px, py - iy * cell, (iy + 1) * cell - py, pz - iz * cell, (iz + 1) * cell - pz
+        )
+        found = 0
+        for ring in range(reach + 1):
+            for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
+                for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
+                    shell = abs(jx - ix) == ring or abs(jy - iy) == ring
+                    step = 1 if shell else max(2 * ring, 1)
+                    jz = iz - ring
+                    while jz <= iz + ring:
+                        if 0 <= jz < nz:
+                            c = (jx * ny + jy) * nz + jz
+                            for m in range(start[c], start[c + 1]):
+                                if m == i:
+                                    continue
+                                d2 = (points[m, 0] - px) ** 2 + (points[m, 1] - py) ** 2 + (points[m, 2] - pz) ** 2
+                                if found < k or d2 < best[found - 1]:
+                                    slot = found if found < k else k - 1
+                                    while slot > 0 and best[slot - 1] > d2:
+                                        best[slot] = best[slot - 1]
+                                        slot -= 1
+                                    best[slot] = d2
+                                    if found < k:
+                                        found += 1
+                        jz += step
+            if found == k and best[k - 1] <= max(ring * cell + margin, 0.0) ** 2:
+                break
+        total = 0.0
+        for m in range(found):
+            total += sqrt(best[m])
+        mean_distance[i] = total / found if found else 1e30

@@ -1,0 +1,81 @@
+"""What is constant about a garment: topology, rest shape and the constants of its energies."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from ddakf.mesh import Mesh
+from ddakf.physics import bend, collision, shear, stretch
+
+CLUSTERS = 100
+VERTICES_PER_CLUSTER = 8  # at least, on average
+
+
+class Model(NamedTuple):
+    """A garment as the stages see it. V vertices, F faces, E edges."""
+
+    mesh: Mesh
+    faces: np.ndarray  # (F, 3) int32
+    start: np.ndarray  # (V + 1,) int32: row i of the one-rings is [start[i], start[i + 1])
+    neighbour: np.ndarray  # (2E,) int32
+    slot: np.ndarray  # (F, 3, 3) int32, row entry of each pair of a face's corners
+    cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, the coarse level of the solver
+    n_clusters: int
+    rest_edge: np.ndarray  # (2E, 3) m, x_j - x_i at rest
+    area: float  # m^2
+    edge_length: float  # m, mean
+    stretch: stretch.StretchConstants
+    shear: shear.ShearConstants
+    bend: bend.BendConstants
+    collision: collision.CollisionConstants
+
+
+def build(mesh: Mesh, thickness: float) -> Model:
+    """The constants of a garment whose rest shape is ``mesh``, kept ``thickness`` metres from the body."""
+    edges = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
+    edges = edges[np.lexsort((edges[:, 1], edges[:, 0]))]
+    start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1)).astype(np.int32)
+    corners = mesh.vertices[mesh.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    cluster = _clusters(edges, mesh)
+    return Model(
+        mesh=mesh,
+        faces=mesh.faces.astype(np.int32),
+        start=start,
+        neighbour=np.ascontiguousarray(edges[:, 1], np.int32),
+        slot=_slots(edges, mesh),
+        cluster=cluster,
+        n_clusters=int(cluster.max()) + 1,
+        rest_edge=mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]],
+        area=float(area),
+        edge_length=mesh.edge_length,
+        stretch=stretch.build(mesh),
+        shear=shear.build(mesh),
+        bend=bend.build(mesh),
+        collision=collision.build(mesh, thickness),
+    )
+
+
+def _slots(edges: np.ndarray, mesh: Mesh) -> np.ndarray:
+    """(F, 3, 3) position of each pair of corners among the sorted directed edges; the diagonal is unused."""
+    keys = edges[:, 0] * mesh.n_vertices + edges[:, 1]
+    pairs = mesh.faces[:, :, None] * mesh.n_vertices + mesh.faces[:, None, :]
+    return np.minimum(np.searchsorted(keys, pairs), len(keys) - 1).astype(np.int32)
+
+
+def _clusters(edges: np.ndarray, mesh: Mesh) -> np.ndarray:
+    """(V,) nearest of K seeds along the surface; each seed is the vertex farthest from those before it."""
+    n = mesh.n_vertices
+    ends = mesh.vertices[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    graph = coo_array((length, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
+    nearest, owner = np.full(n, np.inf), np.zeros(n, np.int32)
+    for k in range(min(CLUSTERS, max(1, n // VERTICES_PER_CLUSTER))):
+        distance = dijkstra(graph, indices=int(np.argmax(nearest)))
+        closer = distance < nearest
+        nearest[closer], owner[closer] = distance[closer], k
+    return owner

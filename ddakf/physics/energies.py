@@ -1,0 +1,65 @@
+"""Stage E, all energies of a garment at once (paper, section 2.4)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.config import Physics
+from ddakf.model import Model
+from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, shear, stretch
+from ddakf.physics.contact import BodyContact
+
+
+class Energies(NamedTuple):
+    """The cloth energies, linearised at one position, and the stiffness of each (lambda and fabric included)."""
+
+    stretch: Linearization
+    shear: Linearization
+    bend: Linearization
+    collision: Linearization | None
+    stiffness: tuple[float, float, float, float]
+
+    def parts(self) -> list[tuple[Linearization, float]]:
+        """Each energy that acts, with its stiffness."""
+        pairs = zip(self[:4], self.stiffness, strict=True)
+        return [(part, stiffness) for part, stiffness in pairs if part is not None and stiffness > 0]
+
+
+def linearize(
+    position: np.ndarray, model: Model, contact: BodyContact | None, physics_lambda: float, config: Physics
+) -> Energies:
+    """All energies at ``position`` (V, 3) metres, multiplied by lambda; collision is not, it is a bound and no preference."""
+    touching = None
+    if contact is not None and contact.present and config.collision > 0:
+        touching = collision.linearize(position, model.collision, contact.nearest(position))
+    fabric = config.fabric
+    return Energies(
+        stretch.linearize(position, model.stretch),
+        shear.linearize(position, model.shear),
+        bend.linearize(position, model.bend),
+        touching,
+        (
+            physics_lambda * config.stretch * fabric.stretch,
+            physics_lambda * config.shear * fabric.shear,
+            physics_lambda * config.bend * fabric.bend,
+            config.collision,
+        ),
+    )
+
+
+def total_gradient(energies: Energies, n: int) -> np.ndarray:
+    """(V, 3) h_phys = dE/dp, section 2.4."""
+    total = np.zeros((n, 3))
+    for part, stiffness in energies.parts():
+        gradient(part._replace(weight=stiffness * part.weight), n, total)
+    return total
+
+
+def total_blocks(energies: Energies, n: int) -> np.ndarray:
+    """(V, 3, 3) H_phys,i: Gauss-Newton blocks of the second derivative of the energies."""
+    total = np.zeros((n, 3, 3))
+    for part, stiffness in energies.parts():
+        diagonal_blocks(part._replace(weight=stiffness * part.weight), n, total)
+    return total

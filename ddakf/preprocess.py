@@ -1,0 +1,124 @@
+"""Preprocessing (paper, section 2.1): crop, one uniform grid, outlier removal, PCA planes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
+from ddakf.kernels import preprocess as kernels
+
+MAX_CELLS = 2_000_000
+
+
+class Cloud(NamedTuple):
+    """A preprocessed cloud of M points, sorted by grid cell."""
+
+    points: np.ndarray  # (M, 3) float32, relative to origin, m
+    surfels: np.ndarray  # (M, 6) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
+    index: np.ndarray  # (M,) int32, of each in the input
+    start: np.ndarray  # (cells + 2,) int32
+    origin: np.ndarray  # (3,) m
+    cell: float  # m
+    dims: np.ndarray  # (3,) int64
+    sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
+    n_input: int  # points before crop and outlier removal
+
+    @property
+    def oriented(self) -> bool:
+        return self.sensor is not None
+
+    def __len__(self) -> int:
+        return len(self.surfels)
+
+
+def preprocess(
+    points: np.ndarray, sensor_origin: np.ndarray | None, position: np.ndarray, area: float, config: Config
+) -> Cloud:
+    """Crops to the neighbourhood of the predicted garment, removes outliers and fits planes.
+
+    Args:
+        points: (N, 3) float32, metres.
+        sensor_origin: (3,), (N, 3) or None, metres.
+        position: (V, 3) predicted vertices, metres.
+        area: of the garment, square metres; with the number of points it sets the cell size.
+        config: which outlier filter, and how far measurements are sought.
+    """
+    match config.associate:
+        case PlaneAssociation(wide_gate=gate) | NearestPoint(gate=gate):
+            margin = 2.0 * gate
+    chosen = np.empty(len(points), np.int32)
+    chosen = chosen[: kernels.crop(points, position.min(axis=0) - margin, position.max(axis=0) + margin, chosen)]
+    grid = _grid(points, chosen, area, config.preprocess)
+    if len(chosen):
+        match config.preprocess:
+            case GridFilter():
+                grid = _drop_sparse(grid, config.preprocess)
+            case KnnFilter():
+                grid = _drop_far(points, grid, config.preprocess)
+    sorted_points, index, start, origin, cell, dims = grid
+    surfels = np.empty((len(sorted_points), 6), np.float32)
+    kernels.fit_planes(sorted_points, start, cell, dims, config.preprocess.plane_radius * cell, surfels)
+    sensor = None
+    if sensor_origin is not None:
+        if sensor_origin.ndim == 1:
+            sensor = per_point = sensor_origin[None, :]
+        else:
+            sensor, per_point = _distinct(sensor_origin), sensor_origin[index]
+        kernels.orient_normals(surfels, per_point - origin)
+    return Cloud(sorted_points, surfels, index, start, origin, cell, dims, sensor, len(points))
+
+
+def _grid(points, chosen, area, config):
+    """Sorted points of the chosen ones, their indices, cell starts, origin, cell size and dimensions."""
+    if len(chosen) == 0:
+        return np.empty((0, 3), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
+    inside = points[chosen]
+    origin = inside.min(axis=0).astype(np.float64) - 1e-6
+    extent = inside.max(axis=0).astype(np.float64) - origin + 1e-6
+    per_cell = config.points_per_cell if isinstance(config, GridFilter) else 5.0
+    cell = float(np.sqrt(per_cell * area / len(chosen)))
+    cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / MAX_CELLS ** (1 / 3))) ** (1 / 3))
+    dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
+    while np.prod(dims.astype(float)) > 2 * MAX_CELLS:
+        cell *= 1.3
+        dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
+    start = np.empty(int(np.prod(dims)) + 2, np.int32)
+    sorted_points = np.empty((len(chosen), 3), np.float32)
+    index = np.empty(len(chosen), np.int32)
+    kernels.fill_grid(points, chosen, origin, cell, dims, start, sorted_points, index)
+    return sorted_points, index, start, origin, cell, dims
+
+
+def _drop_sparse(grid, config: GridFilter):
+    points, index, start, origin, cell, dims = grid
+    count = np.empty(len(start) - 2, np.int32)
+    kernels.neighbourhood_counts(start, dims, count)
+    per_point = np.repeat(count, np.diff(start[:-1]))
+    threshold = max(2, int(np.ceil(config.least_share * np.median(per_point))))
+    new_start, new_points, new_index = np.empty_like(start), np.empty_like(points), np.empty_like(index)
+    n = kernels.remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index)
+    return new_points[:n], new_index[:n], new_start, origin, cell, dims
+
+
+def _drop_far(points, grid, config: KnnFilter):
+    """Rusu and Cousins 2011, as in Open3D: mean distance to the k nearest, the point itself among them."""
+    sorted_points, index, start, origin, cell, dims = grid
+    if len(sorted_points) <= 1:
+        return grid
+    others = min(config.neighbours, len(sorted_points)) - 1
+    mean = np.empty(len(sorted_points))
+    kernels.knn_mean_distances(sorted_points, start, cell, dims, others, mean)
+    mean *= others / (others + 1)
+    kept = index[mean < mean.mean() + config.ratio * mean.std(ddof=1)]
+    refilled = np.empty_like(start)
+    new_points, new_index = np.empty((len(kept), 3), np.float32), np.empty(len(kept), np.int32)
+    kernels.fill_grid(points, kept, origin, cell, dims, refilled, new_points, new_index)
+    return new_points, new_index, refilled, origin, cell, dims
+
+
+def _distinct(origins: np.ndarray) -> np.ndarray:
+    """The distinct rows of (N, 3), without sorting floats where there is one row or a few runs of them."""
+    changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
+    return np.unique(origins[np.concatenate([[0], changes])], axis=0)

@@ -1,0 +1,52 @@
+"""Spatially correlated process noise: edges follow the rotation of their one-ring.
+
+Two terms of the form 1/2 sum w |x_j - x_i - (R_i + R_j)/2 s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
+with s the edges of the last posterior, and to the rest shape, with s the edges of the template.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.kernels import rigidity as kernels
+from ddakf.model import Model
+
+ROTATION_STEPS = 4
+
+
+class LocalRigidity(NamedTuple):
+    """One term; the rotations are its only changing part."""
+
+    source: np.ndarray  # (2E, 3) m
+    weight: np.ndarray  # (2E,) 1/m^2
+    rotation: np.ndarray  # (V, 3, 3)
+
+
+def to_rest(model: Model, weight: float, rotation: np.ndarray) -> LocalRigidity:
+    """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed."""
+    return LocalRigidity(model.rest_edge, np.full(len(model.neighbour), weight), rotation.copy())
+
+
+def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
+    """The term that makes the change since ``position`` (V, 3) locally rigid."""
+    source = np.empty((len(model.neighbour), 3))
+    kernels.edge_vectors(position, model.start, model.neighbour, source)
+    return LocalRigidity(source, np.full(len(model.neighbour), weight), identity(len(position)))
+
+
+def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
+    """Fits the rotations to (V, 3) ``position``, in place."""
+    kernels.fit_rotations(position, model.start, model.neighbour, term.source, term.weight, steps, term.rotation)
+
+
+def rotations(position: np.ndarray, model: Model) -> np.ndarray:
+    """(V, 3, 3) rotations of the one-rings from rest to ``position``, from any start."""
+    term = to_rest(model, 1.0, identity(len(position)))
+    turn(term, position, model, steps=50)
+    return term.rotation
+
+
+def identity(n: int) -> np.ndarray:
+    return np.tile(np.eye(3), (n, 1, 1))

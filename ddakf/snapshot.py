@@ -1,0 +1,73 @@
+"""The whole state of a tracker to and from bytes: versioned, checked, exact to the bit on the next step."""
+
+from __future__ import annotations
+
+import io
+import json
+import zlib
+
+import numpy as np
+
+from ddakf.config import Config
+from ddakf.errors import InvalidArgument, InvalidSnapshot
+from ddakf.mesh import Mesh
+from ddakf.reliability import Health
+from ddakf.types import State
+
+MAGIC = b"DDAKFSNP"
+VERSION = 1
+
+
+def save(tracker) -> bytes:
+    """Configuration, meshes and everything that changes from step to step."""
+    arrays = {f"state_{name}": value for name, value in tracker._state._asdict().items()}
+    arrays |= {"rotation": tracker._rotation, "garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
+    if tracker.body is not None:
+        arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
+    numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
+    return pack(numbers, arrays)
+
+
+def load(data: bytes, kind):
+    """The tracker of class ``kind`` that :func:`save` wrote."""
+    numbers, arrays = unpack(data)
+    try:
+        body = Mesh(arrays["body_V"], arrays["body_F"]) if "body_V" in arrays else None
+        config = Config.from_dict(numbers["config"])
+        tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
+        tracker._state = State(**{name: arrays[f"state_{name}"] for name in State._fields})
+        tracker._rotation = arrays["rotation"]
+        tracker._health = Health(**numbers["health"])
+        tracker._time = numbers["time"]
+        if body is not None:
+            tracker._contact.from_arrays(arrays)
+    except (KeyError, TypeError, InvalidArgument) as error:
+        raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
+    return tracker
+
+
+def pack(numbers: dict, arrays: dict[str, np.ndarray]) -> bytes:
+    """Bytes: magic, version, CRC-32 of what follows, then a compressed archive of the arrays and the JSON of the numbers."""
+    stream = io.BytesIO()
+    text = np.frombuffer(json.dumps(numbers).encode(), np.uint8)
+    np.savez(stream, numbers=text, **arrays)
+    body = zlib.compress(stream.getvalue(), 1)
+    return MAGIC + VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body
+
+
+def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
+    """What :func:`pack` was given.
+
+    Raises:
+        InvalidSnapshot: not a snapshot, of another version, or damaged.
+    """
+    if len(data) < 16 or data[:8] != MAGIC:
+        raise InvalidSnapshot("snapshot", "bytes of a ddakf tracker", f"{len(data)} other bytes")
+    version = int.from_bytes(data[8:12], "little")
+    if version != VERSION:
+        raise InvalidSnapshot("snapshot.version", str(VERSION), str(version))
+    if zlib.crc32(data[16:]) != int.from_bytes(data[12:16], "little"):
+        raise InvalidSnapshot("snapshot", "intact bytes", "a wrong checksum")
+    with np.load(io.BytesIO(zlib.decompress(data[16:])), allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    return json.loads(arrays.pop("numbers").tobytes()), arrays

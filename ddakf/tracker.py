@@ -1,0 +1,176 @@
+"""DD-AKF: one tracker, one garment. ``Tracker.step`` is the paper's algorithm, section 2.8, A to H."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from ddakf import adapt, associate, frame, fuse, initialize, model, predict, preprocess, reliability, rigidity, robust
+from ddakf import snapshot as snapshots
+from ddakf import uncertainty
+from ddakf.config import Config
+from ddakf.errors import InvalidMesh
+from ddakf.mesh import Mesh
+from ddakf.physics import energies
+from ddakf.physics.contact import BodyContact
+from ddakf.types import FrameResult, State
+
+FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
+
+
+class Tracker:
+    """Tracks a garment through point clouds.
+
+    Args:
+        garment: its vertices are the rest shape, and where tracking starts unless :meth:`reset` says otherwise.
+        body: the body underneath in the pose of the start, or None; only with it may frames carry ``body_vertices``.
+        config: ``Config()`` or ``Config.paper()``, or a variation of them.
+
+    Raises:
+        InvalidMesh: not meshes.
+    """
+
+    def __init__(self, garment: Mesh, *, body: Mesh | None = None, config: Config | None = None):
+        if not isinstance(garment, Mesh):
+            raise InvalidMesh("garment", "a ddakf.Mesh", type(garment).__name__)
+        if body is not None and not isinstance(body, Mesh):
+            raise InvalidMesh("body", "a ddakf.Mesh or None", type(body).__name__)
+        self.config = Config() if config is None else config
+        self.garment, self.body = garment, body
+        self._model = model.build(garment, self.config.physics.thickness)
+        self._contact = None if body is None else BodyContact(body, self.config.predict.carry_reach)
+        self.reset()
+
+    def reset(self, vertices=None, *, velocities=None) -> None:
+        """Starts again from these vertices; rest lengths and angles stay the garment's, the body is in its first pose.
+
+        Args:
+            vertices: (V, 3) metres; the rest shape if None.
+            velocities: (V, 3) metres per second; zero if None.
+
+        Raises:
+            InvalidFrame: wrong shape or not finite; nothing is changed then.
+        """
+        n, start = self.garment.n_vertices, self.config.start
+        position = self.garment.vertices.copy() if vertices is None else frame.positions("vertices", vertices, n)
+        velocity = np.zeros((n, 3)) if velocities is None else frame.positions("velocities", velocities, n)
+        self._state = State.at(position, velocity, start.sd, start.speed_sd, self.config.adapt.initial_sd)
+        self._rotation = rigidity.rotations(position, self._model)
+        self._health = reliability.Health()
+        self._time: float | None = None
+        if self._contact is not None:
+            self._contact.reset()
+
+    def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
+        """Tracks one frame.
+
+        Args:
+            points: (N, 3) metres; none is a frame without measurements.
+            timestamp: seconds of the sensor's clock, later than the last frame's.
+            sensor_origin: (3,), or (N, 3) when several cameras are fused, metres; None if unknown.
+            body_vertices: (B, 3) metres, the body in this frame, or None.
+
+        Raises:
+            InvalidFrame: input that cannot be used; the tracker is as it was.
+        """
+        now = frame.checked(points, timestamp, sensor_origin, body_vertices, self._time, self.body)
+        dt = FIRST_STEP if self._time is None else now.timestamp - self._time
+        config, garment, health, clock = self.config, self._model, self._health, Clock()
+
+        # A. Prediction (2.2), riding on the body
+        last, carried = self._ride(now.body_vertices, dt)
+        prior = predict.predict(last, dt, carried, config.predict)
+        prior, anchor = initialize.locate(prior, last.position, now.points, health, config.start)
+        clock.lap("predict")
+
+        # Preprocessing (2.1)
+        cloud = preprocess.preprocess(now.points, now.sensor_origin, prior.position, garment.area, config)
+        clock.lap("preprocess")
+
+        update = fuse.begin(prior, anchor, self._rotation, health.physics_lambda, garment, config)
+        for gate in associate.gates(cloud, config.associate):
+            # B. Association (2.3)
+            measurement = associate.associate(update.position, cloud, garment, gate, config.associate)
+            clock.lap("associate")
+
+            # C. Robustness (2.5)
+            weight = robust.weigh(measurement, update.position, prior.P_pp, last.R, config.robust)
+            clock.lap("robust")
+
+            # D. Adaptation (2.3, 2.7)
+            R = adapt.adapt(last.R, measurement, weight, prior, config.adapt)
+            clock.lap("adapt")
+
+            # E. Physics (2.4)
+            forces = energies.linearize(update.position, garment, self._contact, health.physics_lambda, config.physics)
+            clock.lap("physics")
+
+            # F. Fusion update (2.4, 2.8)
+            update = fuse.fuse(update, prior, measurement, weight, R, forces, gate, garment, config)
+            clock.lap("fuse")
+            if update.settled:
+                break
+        posterior = uncertainty.posterior(update, prior, garment, config)
+        clock.lap("uncertainty")
+
+        # G. Reliability (2.6)
+        verdict = reliability.judge(health, update, posterior, prior, len(now.points), dt, config.reliability)
+        clock.lap("reliability")
+
+        # H. Output
+        self._state, self._rotation, self._health, self._time = posterior, update.rest.rotation, verdict.health, now.timestamp
+        return _result(posterior, update, verdict, carried, dt, clock.done())
+
+    def snapshot(self) -> bytes:
+        """The whole tracker; the next step of :meth:`restore` 's tracker is exact to the bit."""
+        return snapshots.save(self)
+
+    @staticmethod
+    def restore(data: bytes) -> Tracker:
+        """A tracker from the bytes of :meth:`snapshot`.
+
+        Raises:
+            InvalidSnapshot: not a snapshot, of another version, or damaged.
+        """
+        return snapshots.load(data, Tracker)
+
+    def _ride(self, body_vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
+        """The last state, relative to the body, and the body's displacement of each vertex (V, 3), or None."""
+        if self._contact is None:
+            return self._state, None
+        last, carried = self._contact.carry(self._state, body_vertices, dt)
+        self._contact.move(body_vertices)
+        return last, carried
+
+
+class Clock:
+    """Adds up the seconds of each stage."""
+
+    def __init__(self) -> None:
+        self._start = self._last = time.perf_counter()
+        self._laps: dict[str, float] = {}
+
+    def lap(self, stage: str) -> None:
+        now = time.perf_counter()
+        self._laps[stage] = self._laps.get(stage, 0.0) + now - self._last
+        self._last = now
+
+    def done(self) -> dict[str, float]:
+        return self._laps | {"total": time.perf_counter() - self._start}
+
+
+def _result(posterior, update, verdict, carried, dt, timings) -> FrameResult:
+    return FrameResult(
+        vertices=posterior.position.copy(),
+        velocities=posterior.velocity.copy() if carried is None else posterior.velocity + carried / dt,
+        covariance=posterior.P_pp.copy(),
+        sigma=np.sqrt(np.trace(posterior.P_pp, axis1=1, axis2=2) / 3),
+        vertex_reliability=verdict.vertex_reliability,
+        observed=update.weight > 0,
+        reliability=verdict.reliability,
+        paper_score=verdict.paper_score,
+        coverage=verdict.coverage,
+        state=verdict.health.state,
+        timings=timings,
+    )
