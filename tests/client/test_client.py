@@ -9,9 +9,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ddakf_api import transport
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import CODECS, Frame, FrameError, Limits, connect, errors
 
+from . import fake_server
 from .fake_server import CREATED
 
 
@@ -329,6 +331,31 @@ def test_a_server_that_does_not_answer_runs_into_the_timeout(service):
     service.delay = 1.0
     with pytest.raises(errors.DeadlineExceeded, match=r"gave no answer within 0\.2 s"):
         connect(service.target, timeout=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("permitted", [True, False])
+def test_pings_on_a_silent_stream_are_permitted_by_the_server(mesh, frames, monkeypatch, permitted):
+    """With a server that does not expect them, as the control: that the pings are really sent."""
+
+    def source():
+        yield frames(1)[0]
+        time.sleep(4.5)  # gRPC pings once a second at most, and a server bears with two pings
+
+    monkeypatch.setattr(transport, "KEEPALIVE_SECONDS", 0.05)
+    if not permitted:
+        monkeypatch.setattr(fake_server, "server_options", list)
+    server, target = fake_server.start(fake_server.FakeService())
+    try:
+        with connect(target) as client:
+            stream = client.create_session(*mesh).track(source())
+            if permitted:
+                assert len(list(stream)) == 1
+            else:
+                with pytest.raises(errors.Unavailable, match="Too many pings"):
+                    list(stream)
+    finally:
+        server.stop(0).wait()
 
 
 def test_a_message_above_the_limit_is_an_error_not_a_hang(service, mesh):

@@ -1,0 +1,119 @@
+"""A stream's state, against servers that answer, drop and refuse in any order."""
+
+import numpy as np
+import pytest
+from ddakf_api import errors
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client.exchange import IN_FLIGHT, Exchange, Plan
+from hypothesis import given
+from hypothesis import strategies as st
+
+
+def opened(flow, window=0, last=0, timeout=10.0):
+    exchange = Exchange(Plan("sessions/a", timeout, flow=flow, on_error="yield"), now=0.0)
+    started = pb.Started(last_sequence_number=last, max_frames_in_flight=window)
+    exchange.receive(pb.TrackResponse(started=started), 0.0)
+    return exchange
+
+
+def result(sequence):
+    return pb.TrackResponse(result=pb.Result(sequence_number=sequence))
+
+
+def refusal(sequence):
+    return pb.TrackResponse(frame_error=pb.FrameError(sequence_number=sequence))
+
+
+@pytest.mark.parametrize("flow", ["lossless", "realtime"])
+@given(
+    steps=st.lists(st.sampled_from(["offer", "take", "answer", "refuse", "drop"]), max_size=80),
+    window=st.integers(0, 9),
+)
+def test_frames_in_flight_are_bounded_and_the_stream_never_sticks(flow, steps, window):
+    exchange, at_server, sent, answered = opened(flow, window), [], 0, set()
+    bound = min(window or IN_FLIGHT, IN_FLIGHT)
+
+    def perform(step):
+        nonlocal sent
+        if step == "offer" and exchange.can_offer():
+            exchange.offer(object(), 0.0)
+        elif step == "take" and exchange.can_take():
+            at_server.append(exchange.take(0.0).sequence)
+            sent += 1
+        elif step == "drop" and flow == "realtime" and len(at_server) > 1:
+            del at_server[0]
+        elif step in ("answer", "refuse") and at_server:
+            sequence = at_server.pop(0)
+            answered.add(sequence)
+            exchange.receive(result(sequence) if step == "answer" else refusal(sequence), 0.0)
+
+    for step in steps:
+        perform(step)
+        assert len(at_server) <= bound
+    exchange.exhausted = True
+    while not exchange.is_done() or at_server:
+        perform("take")
+        perform("answer")
+    assert exchange.ended() == []
+    if flow == "lossless":
+        assert answered == set(range(1, sent + 1))
+
+
+def test_realtime_replaces_what_waits_and_lossless_does_not_let_it_be():
+    exchange = opened("realtime", last=7)
+    for name in "abc":
+        exchange.offer(name, 0.0)
+    taken = exchange.take(0.0)
+    assert (taken.frame, taken.sequence) == ("c", 10)
+    (answer,) = exchange.receive(result(10), 0.5)
+    assert (answer.dropped, answer.latency) == (2, 0.5)
+
+    exchange = opened("lossless")
+    exchange.offer("a", 0.0)
+    assert not exchange.can_offer()
+
+
+def test_nothing_is_offered_before_the_stream_is_open():
+    exchange = Exchange(Plan("sessions/a", 10.0), now=0.0)
+    assert not exchange.can_offer()
+    assert "the start of the stream" in str(exchange.overdue())
+
+
+def test_time_runs_while_the_server_owes_an_answer_and_somebody_waits_for_it():
+    exchange = opened("lossless", timeout=2.0)
+    exchange.reading(1.0)
+    assert exchange.deadline(5.0) == 7.0  # nothing is owed
+    exchange.offer("a", 5.0)
+    exchange.take(6.0)
+    assert exchange.deadline(6.5) == 8.0
+    exchange.reading(None)
+    assert exchange.deadline(6.5) == 8.5  # nobody waits
+    exchange.reading(7.0)
+    assert exchange.deadline(7.5) == 9.0
+    exchange.receive(result(1), 7.5)
+    exchange.exhausted = True
+    exchange.finish(8.0)
+    assert exchange.deadline(8.5) == 10.0  # the end is owed
+    assert "the end of the stream" in str(exchange.overdue())
+
+
+def test_an_end_with_frames_unanswered_or_unsent_is_an_error():
+    exchange = opened("lossless")
+    with pytest.raises(errors.Unavailable, match="before all frames were sent"):
+        exchange.ended()
+    exchange.offer("a", 0.0)
+    exchange.take(0.0)
+    exchange.exhausted = True
+    with pytest.raises(errors.Unavailable, match="before it had answered frame 1"):
+        exchange.ended()
+    assert errors.Unavailable.retryable
+
+
+def test_a_result_holds_what_the_message_leaves_out_as_empty():
+    exchange = opened("lossless")
+    exchange.offer("a", 0.0)
+    exchange.take(0.0)
+    (answer,) = exchange.receive(result(1), 0.0)
+    assert answer.vertices.shape == (0, 3)
+    assert answer.observed.dtype == np.bool_
+    assert answer.state == "unspecified"
