@@ -93,7 +93,7 @@ def closest_points(
         points: (N, 3) metres.
         radius: how far to look, metres.
         hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the iteration before; makes the
-            search a sixth faster and never changes the result. May be ``out.face``.
+            search a fifth faster and never changes the result. May be ``out.face``.
         out: a former result for N points, overwritten and returned.
     """
     n = len(points)

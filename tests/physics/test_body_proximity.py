@@ -80,6 +80,8 @@ def test_another_pose_a_wrong_hint_and_a_shift_change_nothing(seed):
     points = rng.uniform(-0.5, 0.5, (40, 3))
     hint = rng.integers(-1, mesh.n_faces, len(points)).astype(np.int32)
     _, contact = query(mesh, points, pose=pose, hint=hint)
+    for with_hint, without in zip(contact, query(mesh, points, pose=pose)[1], strict=True):
+        np.testing.assert_array_equal(with_hint, without)
     np.testing.assert_allclose(np.abs(contact.distance), brute_force(pose, mesh.faces, points), atol=EXACT)
 
 
@@ -105,6 +107,19 @@ def test_points_on_vertices_edges_and_faces():
     outward = np.einsum("na,na->n", contact.normal, points / np.linalg.norm(points, axis=1, keepdims=True))
     assert outward.min() > 0.9
     np.testing.assert_allclose(np.linalg.norm(contact.normal, axis=1), 1.0)
+
+
+def test_ties_do_not_depend_on_the_order_of_the_search():
+    """Above vertices and edges several faces are equally near, but for rounding."""
+    ends = BALL.vertices[BALL.edges]
+    points = 1.3 * np.concatenate([BALL.vertices, ends.mean(axis=1)])
+    _, expected = query(BALL, points)
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        order = rng.permutation(len(points))
+        hint = rng.integers(-1, BALL.n_faces, len(points)).astype(np.int32)
+        _, contact = query(BALL, points[order], hint=hint)
+        np.testing.assert_array_equal(contact.face, expected.face[order])
 
 
 def test_sign_beyond_a_sharp_edge_and_a_sharp_corner():
@@ -159,7 +174,7 @@ def test_former_results_are_overwritten():
     assert moved.boxes is surface.boxes
     again = proximity.closest_points(body, moved, points, 1.0, first.face, first)
     fresh = proximity.closest_points(body, proximity.refresh(body, BALL.vertices + 0.05), points, 1.0)
-    np.testing.assert_allclose(again.distance, fresh.distance, atol=EXACT)
+    np.testing.assert_array_equal(again.distance, fresh.distance)
     assert again.point is first.point
 
 
