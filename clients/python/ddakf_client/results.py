@@ -34,7 +34,7 @@ class Result:
         reliability: of the frame, in [0, 1]; high means low error.
         paper_score: s_k of the paper.
         coverage: share of the vertices that were observed.
-        dropped: frames that a newer one overtook: of the session in the server, and of this stream before they were sent.
+        dropped: frames that a newer one overtook: of the session in the server, of this stream before they were sent.
         rejected: frames of the session that the server refused.
         applied: frames of the session that the server tracked, this one included.
         timings: seconds per stage of the tracker and of the server.
