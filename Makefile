@@ -1,0 +1,56 @@
+# make demo | test | serve | bench | install: each makes the virtual environment first.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DDAKF_DATA ?= ../shared/data
+export DDAKF_DATA
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.PHONY: help install demo test lint serve bench clean
+
+help:
+	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
+	@echo "make test    lint and all tests"
+	@echo "make serve   the service in the foreground"
+	@echo "make bench   speed and accuracy, as ratios inside one run"
+	@echo "make install the development environment in $(VENV)"
+
+# what runs the product, and on top of it what tests it
+SERVICE := $(VENV)/.service
+DEV := $(VENV)/.dev
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "ddakf needs Python 3.11 or newer; make PYTHON=/path/to/python3 ..."; exit 2; }
+	@$(PYTHON) -m venv $(VENV) || { echo "the venv module is missing: on Debian, apt install python3-venv"; exit 2; }
+
+$(SERVICE): pyproject.toml protos/pyproject.toml clients/python/pyproject.toml | $(BIN)/python
+	@echo "installing into $(VENV) ..."
+	@$(PIP) install --quiet -e protos -e clients/python -e '.[service]'
+	@touch $@
+
+$(DEV): $(SERVICE)
+	@echo "installing what the tests need ..."
+	@$(PIP) install --quiet -e protos -e clients/python -e '.[service,dev]'
+	@touch $@
+
+install: $(DEV)
+
+demo: $(SERVICE)
+	@$(BIN)/ddakf demo $(if $(KEEP),--keep)
+
+serve: $(SERVICE)
+	@$(BIN)/ddakf serve
+
+lint: $(DEV)
+	@$(BIN)/ruff check .
+	@$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
+
+test: lint
+	@$(BIN)/ddakf doctor --warm
+	@$(BIN)/python -m pytest
+
+bench: $(DEV)
+	@$(BIN)/python benchmarks/bench.py
+
+clean:
+	@rm -rf $(VENV) out build
