@@ -94,9 +94,7 @@ def _prepare(console: Console, service: ServiceProcess, sequence: Sequence, coun
         interrupted = threading.Event()
         clouds = renderer.submit(render)
         try:
-            service.wait_until_ready(
-                lambda done, total, name: bar.update(compiling, completed=done, total=total, name=name)
-            )
+            service.wait_until_ready(lambda done, total, name: bar.update(compiling, completed=done, total=total, name=name))
             return clouds.result()
         except BaseException:
             interrupted.set()

@@ -100,9 +100,7 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
         answer = sessions.list(request)
         return SessionList(sessions=[SessionOut.of(s) for s in answer.sessions], next_page_token=answer.next_page_token)
 
-    @app.get(
-        "/v1/sessions/{session_id}", tags=["sessions"], responses={404: {"model": ErrorOut}, 410: {"model": ErrorOut}}
-    )
+    @app.get("/v1/sessions/{session_id}", tags=["sessions"], responses={404: {"model": ErrorOut}, 410: {"model": ErrorOut}})
     async def get_session(session_id: str, view: Literal["basic", "full"] = "basic") -> SessionOut:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
         wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC

@@ -30,13 +30,9 @@ _RELIABILITY_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_QUANTISED
 RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_ENCODINGS})
 
 
-def garment(
-    request: pb.CreateSessionRequest, max_vertices: int, max_faces: int
-) -> tuple[ddakf.Mesh, np.ndarray | None]:
+def garment(request: pb.CreateSessionRequest, max_vertices: int, max_faces: int) -> tuple[ddakf.Mesh, np.ndarray | None]:
     """The garment, and with ``clean`` the vertex map (V,) of the repair."""
-    vertices, faces = unpack_mesh(
-        request.session.garment, field="garment", max_vertices=max_vertices, max_faces=max_faces
-    )
+    vertices, faces = unpack_mesh(request.session.garment, field="garment", max_vertices=max_vertices, max_faces=max_faces)
     with _fields_of("garment"):
         return ddakf.Mesh.cleaned(vertices, faces) if request.clean else (ddakf.Mesh(vertices, faces), None)
 
@@ -54,9 +50,7 @@ def config(session: pb.Session) -> ddakf.Config:
     """The tracker's configuration: ``config_json`` over the defaults, then ``fabric``."""
     text = session.config_json
     if len(text) > _MAX_CONFIG_CHARACTERS:
-        raise InvalidConfig(
-            field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text))
-        )
+        raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
     try:
         chosen = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
     except (json.JSONDecodeError, RecursionError) as error:

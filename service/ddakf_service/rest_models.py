@@ -61,15 +61,11 @@ class LimitsIn(_Strict):
 class CreateSession(_Strict):
     """A garment to track."""
 
-    model_config = ConfigDict(
-        extra="forbid", json_schema_extra={"examples": [{"garment": TRIANGLE, "fabric": "cotton"}]}
-    )
+    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"garment": TRIANGLE, "fabric": "cotton"}]})
 
     garment: MeshIn = Field(description="the garment in its rest shape")
     body: MeshIn | None = Field(None, description="the body in its pose at the start")
-    config: dict[str, Any] | None = Field(
-        None, description="the tracker's configuration; what is left out keeps its default"
-    )
+    config: dict[str, Any] | None = Field(None, description="the tracker's configuration; what is left out keeps its default")
     fabric: str = Field("", max_length=64, description="a fabric preset by name")
     labels: dict[str, str] = Field(default_factory=dict, description="free key-value pairs")
     limits: LimitsIn = Field(default_factory=LimitsIn)

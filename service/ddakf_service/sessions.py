@@ -216,9 +216,7 @@ class Sessions:
         if not wanted:
             return "s-" + secrets.token_hex(8)
         if not _SESSION_ID.fullmatch(wanted):
-            raise InvalidArgument(
-                field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80])
-            )
+            raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80]))
         if wanted in self._sessions or wanted in self._opening:
             raise SessionExists(f"sessions/{wanted} exists already")
         return wanted

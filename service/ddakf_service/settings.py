@@ -21,9 +21,7 @@ DEFAULT_MAX_WORKERS = 4
 
 
 def _default_workers() -> int:
-    return min(
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, DEFAULT_MAX_WORKERS
-    )
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, DEFAULT_MAX_WORKERS)
 
 
 class Settings(BaseSettings):
@@ -51,19 +49,11 @@ class Settings(BaseSettings):
     default_flow: Literal["realtime", "lossless"] = Field(
         "realtime", description="flow of sessions that do not ask: realtime drops old frames, lossless keeps all"
     )
-    lossless_queue: int = Field(
-        8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops"
-    )
+    lossless_queue: int = Field(8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops")
     idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
-    frame_timeout: float = Field(
-        30.0, gt=0, description="seconds that one frame may take before its worker is replaced"
-    )
-    warm_timeout: float = Field(
-        900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame"
-    )
-    drain_grace: float = Field(
-        5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown"
-    )
+    frame_timeout: float = Field(30.0, gt=0, description="seconds that one frame may take before its worker is replaced")
+    warm_timeout: float = Field(900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame")
+    drain_grace: float = Field(5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown")
 
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
     log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
@@ -84,9 +74,7 @@ class Origin(NamedTuple):
         return f"{self.layer} {self.name}".rstrip()
 
 
-def load(
-    flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None
-) -> tuple[Settings, dict[str, Origin]]:
+def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None) -> tuple[Settings, dict[str, Origin]]:
     """Reads all layers.
 
     Args:

@@ -95,9 +95,7 @@ class Stream:
                 await self._outbox.put(pb.TrackResponse(pong=pong))
             case _:
                 self.end(
-                    InvalidFrame(
-                        field="message", expected="a frame or a ping", got=request.WhichOneof("message") or "nothing"
-                    )
+                    InvalidFrame(field="message", expected="a frame or a ping", got=request.WhichOneof("message") or "nothing")
                 )
 
     def finish(self) -> None:
@@ -200,9 +198,7 @@ class Stream:
         statistics = self.session.statistics
         statistics.frames_rejected += 1
         self._metrics.frames.labels("rejected").inc()
-        log.info(
-            "a frame was rejected: %s", error, extra={"session": self.session.id, "sequence": frame.sequence_number}
-        )
+        log.info("a frame was rejected: %s", error, extra={"session": self.session.id, "sequence": frame.sequence_number})
         return pb.TrackResponse(
             frame_error=pb.FrameError(
                 sequence_number=frame.sequence_number,

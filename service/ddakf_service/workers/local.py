@@ -188,6 +188,7 @@ class _Worker:
         """Spawns a process and returns when it has tracked its first frame."""
         ours, theirs = socket.socketpair()
         with theirs:
+            reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
             # Not the event loop's own way to start a process: it forks, which gRPC's threads forbid, while this one
             # goes straight to the new program.
             process = subprocess.Popen(
@@ -196,7 +197,6 @@ class _Worker:
                 stdin=subprocess.DEVNULL,
                 env={**os.environ, **ONE_THREAD},
             )
-        reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
         worker = cls(process, reader, writer)
         try:
             async with asyncio.timeout(timeout):
@@ -225,7 +225,7 @@ class _Worker:
 
     async def end(self, patience: float = _EXIT_PATIENCE) -> None:
         """Closes the pipe, at which the process ends; kills it if it does not."""
-        if self._listener:
+        if self._listener not in (None, asyncio.current_task()):
             self._listener.cancel()
         self._writer.close()
         try:
@@ -240,9 +240,7 @@ class _Worker:
                 progress(*json.loads(message.payload))
         except (asyncio.IncompleteReadError, ConnectionError):
             code = await asyncio.to_thread(self.process.wait)
-            raise WorkerStartFailed(
-                f"a worker ended with status {code} before it was ready; its log says why"
-            ) from None
+            raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; its log says why") from None
 
     async def _listen(self) -> None:
         try:
