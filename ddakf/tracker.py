@@ -6,9 +6,21 @@ import time
 
 import numpy as np
 
-from ddakf import adapt, associate, frame, fuse, initialize, model, predict, preprocess, reliability, rigidity, robust
+from ddakf import (
+    adapt,
+    associate,
+    frame,
+    fuse,
+    initialize,
+    model,
+    predict,
+    preprocess,
+    reliability,
+    rigidity,
+    robust,
+    uncertainty,
+)
 from ddakf import snapshot as snapshots
-from ddakf import uncertainty
 from ddakf.config import Config
 from ddakf.errors import InvalidMesh
 from ddakf.mesh import Mesh
