@@ -22,9 +22,10 @@ from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 
+import ddakf
 from ddakf import errors as library
 
-from .info import server_info, server_version
+from .info import server_info
 from .rest_models import CreateSession, ErrorOut, Info, SessionList, SessionOut, states_from
 from .sessions import Sessions
 from .settings import Settings
@@ -33,6 +34,7 @@ from .telemetry import Metrics
 log = logging.getLogger(__name__)
 
 _MAX_BODY_BYTES = 32 << 20  # JSON lists of the largest meshes fit; larger ones travel as base64 or over gRPC
+_STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
 _ERRORS = {code: {"model": ErrorOut} for code in (404, 409, 410, 422, 429, 503)}
 _SESSION_BODY = {
     "requestBody": {
@@ -50,7 +52,7 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
     """
     app = FastAPI(
         title="ddakf",
-        version=server_version(),
+        version=ddakf.__version__,
         description="Garment tracking from point clouds. Frames travel over gRPC (`ddakf_api.v1.TrackingService`).",
     )
     _add_error_handlers(app)
@@ -120,7 +122,14 @@ class HttpServer:
 
     def __init__(self, app: FastAPI, settings: Settings):
         self._settings = settings
-        config = uvicorn.Config(app, log_config=None, access_log=False, lifespan="off", ws_per_message_deflate=False)
+        config = uvicorn.Config(
+            app,
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            ws_per_message_deflate=False,
+            timeout_graceful_shutdown=_STOP_PATIENCE,
+        )
         self._server = _QuietServer(config)
         self._task: asyncio.Task | None = None
 

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
-
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS
 from ddakf_api.v1 import tracking_pb2 as pb
 
+import ddakf
 from ddakf.physics.fabric import PRESETS
 
 from .messages import RESULT_ENCODINGS
 from .settings import Settings
 
 
-def server_version() -> str:
-    """Version of the installed distribution."""
-    try:
-        return version("ddakf")
-    except PackageNotFoundError:
-        return "unknown"
-
-
 def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
     """The handshake's answer: versions, codecs, limits."""
     return pb.ServerInfo(
         api_version=API_VERSION,
-        server_version=server_version(),
+        server_version=ddakf.__version__,
         point_codecs=CODECS.values(),
         result_encodings=RESULT_ENCODINGS,
         fabrics=PRESETS,

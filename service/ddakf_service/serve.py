@@ -14,9 +14,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+import ddakf
 from ddakf.errors import InvalidConfig
 
-from .info import server_version
 from .server import Addresses, Server
 from .settings import ENV_PREFIX, Origin, Settings, load
 from .telemetry import configure_logging
@@ -87,7 +87,7 @@ class ConsoleAnnouncer:
     def ready(self, addresses: Addresses) -> None:
         self.close()
         for line in (
-            f"ddakf {server_version()} is ready; Ctrl-C stops it",
+            f"ddakf {ddakf.__version__} is ready; Ctrl-C stops it",
             f"  gRPC  {addresses.grpc}",
             f"  REST  {addresses.http}  (documentation at /docs, metrics at /metrics)",
         ):

@@ -19,6 +19,7 @@ from .workers.pool import Limits, Progress
 
 log = logging.getLogger(__name__)
 
+_LOOPBACK = ("127.0.0.1", "::1", "localhost")
 _LAST_WORDS = 0.5  # seconds that ended streams have to deliver their status
 
 
@@ -58,6 +59,7 @@ class Server:
         self._warm = False
         self._restarts_seen = 0
         self._stopping = asyncio.Event()
+        self._telling: asyncio.Future | None = None
 
     async def run(self, progress: Progress, ready: Callable[[Addresses], None]) -> None:
         """Serves until SIGTERM or SIGINT; a second one ends the process at once.
@@ -73,6 +75,8 @@ class Server:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_signal)
+        if self._settings.host not in _LOOPBACK:
+            log.warning("whoever reaches %s may use this service: nothing asks for a key yet", self._settings.host)
         try:
             addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
             warming = asyncio.create_task(self._start_pool(progress))
@@ -96,7 +100,7 @@ class Server:
     async def _start_pool(self, progress: Progress) -> None:
         await self._pool.start(progress)
         self._warm = True
-        await self._grpc.serving(True)
+        self._follow_workers()
 
     async def _serve(self) -> None:
         expiring = asyncio.create_task(self._sessions.expire_idle())
@@ -130,6 +134,7 @@ class Server:
         self._metrics.workers_ready.set(health.ready)
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
+        self._telling = asyncio.ensure_future(self._grpc.serving(not self._not_ready()))
 
 
 def _bracketed(host: str) -> str:

@@ -66,6 +66,7 @@ class Session:
         now = monotonic()
         self.last_active = now
         self._applied.append(now)
+        self._forget_before(now - _RATE_WINDOW)
         self._state = pb.SessionState.ValueType(result.state)
         s = self.statistics
         s.frames_applied += 1
@@ -79,11 +80,14 @@ class Session:
     def frame_rate(self) -> float:
         """Frames applied per second over the last few seconds."""
         now = monotonic()
-        while self._applied and now - self._applied[0] > _RATE_WINDOW:
-            self._applied.popleft()
+        self._forget_before(now - _RATE_WINDOW)
         if len(self._applied) < 2:
             return 0.0
         return (len(self._applied) - 1) / max(now - self._applied[0], 1e-6)
+
+    def _forget_before(self, then: float) -> None:
+        while self._applied and self._applied[0] < then:
+            self._applied.popleft()
 
     def restarted(self) -> None:
         """The tracker starts again."""

@@ -20,6 +20,7 @@ from ddakf_api.errors import (
     SessionExpired,
     SessionNotFound,
     StreamTakenOver,
+    Unavailable,
     Unimplemented,
     WorkerLost,
 )
@@ -181,9 +182,10 @@ class Sessions:
         self._opening.add(session_id)
         try:
             session = await self._open(session_id, request, open_)
-        except BaseException:
-            outcome.cancel()
+        except BaseException as error:
             self._requests.pop(request_id, None)
+            outcome.set_exception(error if isinstance(error, ServiceError) else Unavailable("the first call was cut off"))
+            outcome.exception()  # seen, even where nobody else waits for it
             raise
         finally:
             self._opening.discard(session_id)

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import AsyncIterator
 from time import monotonic
 
-from ddakf_api.errors import InvalidFrame, ServiceError, WorkerLost, to_detail
+from ddakf_api.errors import Internal, InvalidFrame, ServiceError, WorkerLost, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .flow import Waiting, mailbox_for
@@ -83,6 +83,7 @@ class Stream:
         self._mode = mode
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox()
+        self._ended = False
         self._pump = asyncio.create_task(self._run())
 
     async def receive(self, request: pb.TrackRequest) -> None:
@@ -108,6 +109,7 @@ class Stream:
 
     def end(self, error: Exception | None) -> None:
         """Ends the stream from the server's side, with what the client shall be told."""
+        self._ended = True
         self._outbox.close(error)
         self._mailbox.close()
 
@@ -156,7 +158,7 @@ class Stream:
         """Tracks frame after frame until no more come; one is in the worker at a time."""
         current_session.set(self.session.id)
         try:
-            while (waiting := await self._mailbox.get()) is not None:
+            while not self._ended and (waiting := await self._mailbox.get()) is not None:
                 response = await self._track(waiting)
                 if response is not None:
                     await self._outbox.put(response)
@@ -197,7 +199,7 @@ class Stream:
     def _rejection(self, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
         statistics = self.session.statistics
         statistics.frames_rejected += 1
-        self._metrics.frames.labels("rejected").inc()
+        self._metrics.frames.labels("failed" if isinstance(error, Internal) else "rejected").inc()
         log.info("a frame was rejected: %s", error, extra={"session": self.session.id, "sequence": frame.sequence_number})
         return pb.TrackResponse(
             frame_error=pb.FrameError(

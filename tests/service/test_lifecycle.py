@@ -59,9 +59,7 @@ def test_print_config_shows_values_and_origins(tmp_path):
 def test_a_bad_setting_ends_with_status_two():
     ended = serve("--workers", "0")
     assert ended.returncode == 2
-    assert (
-        ended.stderr.strip() == "ddakf serve: workers: expected greater than or equal to 1, got '0' from flag --workers"
-    )
+    assert ended.stderr.strip() == "ddakf serve: workers: expected greater than or equal to 1, got '0' from flag --workers"
 
 
 @pytest.mark.parametrize("flag", ["--grpc-port", "--http-port"])

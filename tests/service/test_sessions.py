@@ -192,8 +192,7 @@ def test_the_sample_is_tracked(client):
     garment = ddakf.Mesh(sequence.template, sequence.garment_faces)
     body = ddakf.Mesh(sequence.body_vertices[0], sequence.body_faces)
     frames = [
-        Frame(sensor.capture(sequence, i, rng).points, sequence.timestamp(i), None, sequence.body_vertices[i])
-        for i in range(6)
+        Frame(sensor.capture(sequence, i, rng).points, sequence.timestamp(i), None, sequence.body_vertices[i]) for i in range(6)
     ]
     with client.create_session(garment, body=body, flow="lossless") as session:
         session.reset(sequence.garment_vertices[0])

@@ -118,6 +118,8 @@ class LocalPool:
         except BaseException:
             worker.sessions.discard(session_id)
             self._homes.pop(session_id, None)
+            # Whoever asked may have left while the worker was at it.
+            worker.tell(wire.Kind.CLOSE, session_id)
             raise
 
     def _home(self, session_id: str) -> _Worker:
@@ -222,6 +224,11 @@ class _Worker:
             return await answer
         finally:
             del self._waiting[number]
+
+    def tell(self, kind: wire.Kind, session_id: str) -> None:
+        """A request whose answer nobody waits for."""
+        if not self.gone.is_set():
+            self._writer.write(wire.Message(kind, 0, session_id).head())
 
     async def end(self, patience: float = _EXIT_PATIENCE) -> None:
         """Closes the pipe, at which the process ends; kills it if it does not."""
