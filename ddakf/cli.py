@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
 
+import ddakf
 from ddakf import doctor, track
 from ddakf.errors import DdakfError
 
@@ -43,17 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def version() -> str:
-    """The installed version, or ``0+unknown`` when running from a source tree that is not installed."""
-    try:
-        return metadata.version("ddakf")
-    except metadata.PackageNotFoundError:
-        return "0+unknown"
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="ddakf", description="Real-time garment tracking from 3D point clouds.")
-    parser.add_argument("--version", action="version", version=f"ddakf {version()}")
+    parser.add_argument("--version", action="version", version=f"ddakf {ddakf.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     track.register(commands)
     doctor.register(commands)

@@ -17,7 +17,7 @@ from scipy.io.matlab import MatReadError
 
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.camera import Camera, Intrinsics, without_fliers
-from ddakf.evaluation.depth_template import JUMP, template_from_depth
+from ddakf.evaluation.depth_template import JUMP, smoothed, template_from_depth
 from ddakf.evaluation.sensors import Cloud
 from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
 from ddakf.mesh import Mesh
@@ -55,12 +55,15 @@ class DepthRecording:
         depth: (T, H, W) uint16 millimetres, 0 where nothing was seen.
         camera: in whose world the points are.
         fps: frames per second.
+        smooth: even out the sensor's depth steps (22 mm at 2.8 m), which otherwise make every local plane face the
+            camera. Tracking without it ends 10-30 % farther from the points as they were measured.
     """
 
     name: str
     depth: np.ndarray
     camera: Camera
     fps: float
+    smooth: bool = True
 
     def __len__(self) -> int:
         return len(self.depth)
@@ -72,6 +75,8 @@ class DepthRecording:
     def cloud(self, frame: int) -> Cloud:
         """The points of one frame without those that float behind edges, and the camera's position."""
         depth = self.depth[frame] * MM
+        if self.smooth:
+            depth = smoothed(depth, JUMP, passes=1)
         points = self.camera.unproject(depth, without_fliers(depth, JUMP))
         return Cloud(points.astype(np.float32), self.camera.eye)
 
@@ -137,9 +142,7 @@ def load_depth(path, fps: float = 30.0) -> DepthRecording:
         raise InvalidFile(str(path), "a MATLAB file", f"{type(error).__name__}: {error}") from error
     shape = (KINECT.height, KINECT.width)
     if depth.ndim != 3 or depth.shape[:2] != shape or depth.shape[2] == 0 or depth.dtype.kind not in "uif":
-        raise InvalidFile(
-            f"{path.name}: d_depth", f"millimetres of shape {(*shape, 'T')}", f"{depth.dtype} {depth.shape}"
-        )
+        raise InvalidFile(f"{path.name}: d_depth", f"millimetres of shape {(*shape, 'T')}", f"{depth.dtype} {depth.shape}")
     images = np.clip(np.nan_to_num(depth), 0, np.iinfo(np.uint16).max).astype(np.uint16)
     upright = np.ascontiguousarray(images.transpose(2, 0, 1)[:, :, ::-1])
     return DepthRecording(path.stem, upright, Camera.at_origin(KINECT), _positive_rate(fps))

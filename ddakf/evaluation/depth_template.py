@@ -48,20 +48,27 @@ def template_from_depth(depth: np.ndarray, camera: Camera, vertices: int = 3000,
     return Mesh.cleaned(grid_camera.unproject(grid), number[faces])[0]
 
 
-def smoothed(depth: np.ndarray, jump: float) -> np.ndarray:
+def smoothed(depth: np.ndarray, jump: float, passes: int = SMOOTHING_PASSES) -> np.ndarray:
     """(H, W) depth averaged within a small window, with pixels less than ``jump`` away in depth; 0 where unseen."""
     z = np.where(np.isfinite(depth) & (depth > 0), depth, 0.0)
-    r, (height, width) = SMOOTHING_RADIUS, z.shape
-    for _ in range(SMOOTHING_PASSES):
-        padded = np.pad(z, r)
-        total, weight = np.zeros_like(z), np.zeros_like(z)
-        for dv, du in np.ndindex(2 * r + 1, 2 * r + 1):
-            other = padded[dv : dv + height, du : du + width]
-            w = np.exp(-((dv - r) ** 2 + (du - r) ** 2) / r**2) * ((other > 0) & (np.abs(other - z) < jump))
-            total += w * other
-            weight += w
-        z = np.where(z > 0, total / np.maximum(weight, 1e-12), 0.0)
+    rows, columns = np.flatnonzero(z.any(axis=1)), np.flatnonzero(z.any(axis=0))
+    if len(rows):
+        window = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+        for _ in range(passes):
+            z[window] = _smoothed_once(z[window], jump)
     return z
+
+
+def _smoothed_once(z: np.ndarray, jump: float) -> np.ndarray:
+    r, (height, width) = SMOOTHING_RADIUS, z.shape
+    padded = np.pad(z, r)
+    total, weight = np.zeros_like(z), np.zeros_like(z)
+    for dv, du in np.ndindex(2 * r + 1, 2 * r + 1):
+        other = padded[dv : dv + height, du : du + width]
+        w = np.exp(-((dv - r) ** 2 + (du - r) ** 2) / r**2) * ((other > 0) & (np.abs(other - z) < jump))
+        total += w * other
+        weight += w
+    return np.where(z > 0, total / np.maximum(weight, 1e-12), 0.0)
 
 
 def _resampled(depth: np.ndarray, camera: Camera, step: float, jump: float) -> tuple[np.ndarray, Camera]:

@@ -82,7 +82,7 @@ class Painter:
             raise InvalidArgument("shots", "at least one frame", "none")
         self.faces, self.body_faces, self.title = faces, body_faces, title
         self.scale_mm = _round_up(1e3 * np.percentile(np.concatenate([shot.sigma for shot in shots]), 99))
-        scene = np.concatenate([shot.vertices[::7] for shot in shots])
+        scene = np.concatenate([part for shot in shots for part in (shot.vertices[::7], _core(shot.points)[::7])])
         centre = (scene.min(axis=0) + scene.max(axis=0)) / 2
         toward = np.array([0.0, 0.0, 1.0]) if sensor_origin is None else sensor_origin - centre
         front = np.degrees(np.arctan2(toward[0], toward[2]))
@@ -202,6 +202,14 @@ def _save(path: Path, image, **options) -> None:
         image.save(path, **options)
     except (ValueError, OSError) as error:
         raise InvalidArgument("picture", "a path that Pillow can write", f"{path} ({error})") from error
+
+
+def _core(points: np.ndarray) -> np.ndarray:
+    """The points without the outermost percent along each axis, which may be outliers."""
+    if len(points) == 0:
+        return points
+    low, high = np.percentile(points, [1, 99], axis=0)
+    return points[((points >= low) & (points <= high)).all(axis=1)]
 
 
 def _camera(scene: np.ndarray, centre: np.ndarray, azimuth: float) -> Camera:

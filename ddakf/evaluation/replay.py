@@ -58,9 +58,7 @@ def remote(
     try:
         with (
             client.connect(target) as connection,
-            connection.create_session(
-                source.garment, body=source.body, config=config, flow="lossless", **options
-            ) as session,
+            connection.create_session(source.garment, body=source.body, config=config, flow="lossless", **options) as session,
         ):
             if source.start is not None:
                 session.reset(source.start)
@@ -95,7 +93,5 @@ def _client():
     try:
         import ddakf_client
     except ModuleNotFoundError as error:
-        raise MissingDependency(
-            "--server needs the client, which is not installed: pip install ddakf-client"
-        ) from error
+        raise MissingDependency("--server needs the client, which is not installed: pip install ddakf-client") from error
     return ddakf_client

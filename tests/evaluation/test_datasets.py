@@ -1,5 +1,7 @@
 """Recordings: depth images of a known scene give points and a template on it; folders come in order of number."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.io import savemat
@@ -32,7 +34,7 @@ def depth_file(tmp_path, person):
 
 
 def test_depth_points_lie_on_the_person_unmirrored(depth_file, person):
-    recording = datasets.load_recording(depth_file)
+    recording = replace(datasets.load_recording(depth_file), smooth=False)
     cloud = recording.cloud(1)
     mesh, kept = Mesh.cleaned(person[0], person[1])
     assert len(recording) == 3
@@ -40,6 +42,15 @@ def test_depth_points_lie_on_the_person_unmirrored(depth_file, person):
     assert np.array_equal(cloud.sensor_origin, np.zeros(3))
     assert metrics.SurfaceDistance(mesh)(cloud.points, person[0][kept]).max() < 0.001
     assert 0.8 * (person[2] > 0).sum() < len(cloud.points) <= (person[2] > 0).sum()
+
+
+def test_smoothing_evens_out_depth_steps_and_keeps_the_surface(depth_file, person):
+    recording = datasets.load_recording(depth_file)
+    stepped = replace(recording, depth=np.where(recording.depth, recording.depth // 22 * 22 + 11, 0).astype(np.uint16))
+    mesh, kept = Mesh.cleaned(person[0], person[1])
+    distance = metrics.SurfaceDistance(mesh)
+    raw, smooth = (distance(r.cloud(0).points, person[0][kept]) for r in (replace(stepped, smooth=False), stepped))
+    assert np.median(smooth) < 0.7 * np.median(raw)
 
 
 def test_template_is_the_visible_surface_facing_the_sensor(depth_file, person):

@@ -64,9 +64,7 @@ def test_distance_to_a_square_by_hand():
     distance = metrics.SurfaceDistance(Mesh(SQUARE, FACES))
     points = np.array([[0.3, 0.4, 0.2], [0.3, 0.4, -0.2], [-3, 0.5, 4], [2, 2, 0], [0.5, 0.5, 0]])
     assert np.allclose(distance(points, SQUARE), [0.2, 0.2, 5, np.sqrt(2), 0], atol=1e-12)
-    assert np.allclose(
-        distance(points, SQUARE + np.array([0, 0, 0.1])), [0.1, 0.3, np.hypot(3, 3.9), np.sqrt(2.01), 0.1]
-    )
+    assert np.allclose(distance(points, SQUARE + np.array([0, 0, 0.1])), [0.1, 0.3, np.hypot(3, 3.9), np.sqrt(2.01), 0.1])
 
 
 def test_distance_agrees_with_dense_sampling():

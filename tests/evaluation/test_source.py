@@ -45,8 +45,7 @@ def test_other_starts_track_every_frame():
 
 def test_a_search_begins_with_the_same_shape_somewhere_else():
     rest, search, other = (
-        open_source(SAMPLE, start=start, seed=seed).garment
-        for start, seed in (("rest", 1), ("search", 1), ("search", 2))
+        open_source(SAMPLE, start=start, seed=seed).garment for start, seed in (("rest", 1), ("search", 1), ("search", 2))
     )
     edge_lengths = [np.diff(mesh.vertices[mesh.edges], axis=1) for mesh in (rest, search)]
     assert np.allclose(*(np.linalg.norm(edges, axis=2) for edges in edge_lengths), atol=1e-6)
