@@ -1,0 +1,117 @@
+"""Small garments, states and clouds for the tests of the stages and of the tracker."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddakf import Mesh
+from ddakf.errors import MissingDependency
+from ddakf.evaluation.sensors import sample_surface
+from ddakf.open3d_bridge import import_open3d
+from ddakf.sequence import load_sequence
+from ddakf.types import State
+from tests.physics.shapes import sheet
+
+FPS = 30.0
+
+
+def tube(radius=0.15, around=24, along=14, spacing=0.03) -> Mesh:
+    """An open tube about the vertical, wider below and not round, so that every heading looks different."""
+    angle = np.arange(around) * 2 * np.pi / around
+    rings = []
+    for k in range(along):
+        r = radius * (1.0 + 0.25 * np.cos(angle) + 0.12 * np.sin(2 * angle)) * (1.2 - 0.02 * k)
+        rings.append(np.stack([r * np.cos(angle), np.full(around, spacing * k), r * np.sin(angle)], axis=1))
+    faces = []
+    for k in range(along - 1):
+        for a in range(around):
+            i, j = k * around + a, k * around + (a + 1) % around
+            faces += [[i, i + around, j], [j, i + around, j + around]]
+    return Mesh(np.concatenate(rings), np.array(faces))
+
+
+def inner_body(mesh: Mesh, share=0.85) -> Mesh:
+    """The tube shrunk about its axis: something to wear it."""
+    return Mesh(mesh.vertices * [share, 1.0, share], mesh.faces)
+
+
+def scan(vertices, mesh: Mesh, count=4000, noise=0.002, seed=0) -> np.ndarray:
+    """(count, 3) float32 noisy points of the surface, metres."""
+    rng = np.random.default_rng(seed)
+    points = sample_surface(np.asarray(vertices), mesh.faces, count, rng)
+    return (points + noise * rng.normal(size=points.shape)).astype(np.float32)
+
+
+def turn(degrees: float) -> np.ndarray:
+    """(3, 3) rotation about the vertical."""
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
+
+
+def about(axis, angle: float) -> np.ndarray:
+    """(3, 3) rotation by ``angle`` radians about ``axis``: Rodrigues' formula."""
+    x, y, z = np.asarray(axis, float) / np.linalg.norm(axis)
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
+
+
+def rms(difference) -> float:
+    """Root mean square length of the rows of (V, 3)."""
+    return float(np.sqrt((np.asarray(difference) ** 2).sum(axis=1).mean()))
+
+
+def blocks(n: int, size: int, rng, low=0.1, high=3.0) -> np.ndarray:
+    """(n, size, size) random symmetric positive definite matrices with eigenvalues in [low, high]."""
+    q = np.linalg.qr(rng.normal(size=(n, size, size)))[0]
+    return np.einsum("vab,vb,vcb->vac", q, rng.uniform(low, high, (n, size)), q)
+
+
+def random_state(position, rng, sd=0.01, speed_sd=0.3) -> State:
+    """A state with full, correlated 6x6 covariances."""
+    n = len(position)
+    scale = np.repeat([sd, speed_sd], 3)
+    P = blocks(n, 6, rng) * scale[:, None] * scale
+    R = blocks(n, 3, rng) * 0.004**2
+    return State(np.array(position), rng.normal(scale=0.2, size=(n, 3)), P[:, :3, :3], P[:, :3, 3:], P[:, 3:, 3:], R)
+
+
+def full(state: State) -> np.ndarray:
+    """(V, 6, 6) covariances from their blocks."""
+    upper = np.concatenate([state.P_pp, state.P_pu], axis=2)
+    lower = np.concatenate([state.P_pu.transpose(0, 2, 1), state.P_uu], axis=2)
+    return np.concatenate([upper, lower], axis=1)
+
+
+def assert_positive_definite(P: np.ndarray) -> None:
+    """Symmetric, and every eigenvalue positive after the units have been taken out."""
+    np.testing.assert_allclose(P, P.transpose(0, 2, 1), atol=1e-9 * np.abs(P).max())
+    sd = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+    assert (sd > 0).all()
+    correlation = P / (sd[:, :, None] * sd[:, None, :])
+    assert np.linalg.eigvalsh(correlation).min() > 1e-9
+
+
+def open3d():
+    """The package, or a skip with the sentence that says what is missing."""
+    try:
+        return import_open3d()
+    except MissingDependency as missing:
+        pytest.skip(str(missing))
+
+
+def recording(name: str):
+    """A recorded sequence from the folder that DDAKF_DATA names, or a skip."""
+    root = os.environ.get("DDAKF_DATA")
+    if not root:
+        pytest.skip("DDAKF_DATA does not name the folder of the recordings")
+    path = Path(root) / "sequences" / f"{name}.npz"
+    if not path.exists():
+        pytest.skip(f"the recording {name} is not in DDAKF_DATA")
+    return load_sequence(path)
+
+
+def small() -> Mesh:
+    """Twenty vertices of a wavy sheet."""
+    return sheet()

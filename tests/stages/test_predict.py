@@ -1,0 +1,113 @@
+"""Stage A against dense 6x6 algebra."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ddakf.config import ConstantVelocity
+from ddakf.predict import predict
+from tests.stages.scenes import assert_positive_definite, full, random_state
+
+PLAIN = ConstantVelocity(damping=0.0)
+DAMPED = ConstantVelocity(damping=3.0)
+STEPS = st.floats(1e-3, 0.4)
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+def start(seed=0, n=7):
+    rng = np.random.default_rng(seed)
+    return random_state(rng.normal(size=(n, 3)), rng)
+
+
+def dense(state, dt, config):
+    """x = F x and P = F P F' + Q, one vertex at a time, Q of white acceleration."""
+    g = np.exp(-config.damping * dt)
+    travel = dt if config.damping == 0 else (1 - g) / config.damping
+    F = np.block([[np.eye(3), travel * np.eye(3)], [np.zeros((3, 3)), g * np.eye(3)]])
+    q = config.acceleration**2
+    Q = q * np.kron([[dt**4 / 4, dt**3 / 2], [dt**3 / 2, dt**2]], np.eye(3))
+    x = np.concatenate([state.position, state.velocity], axis=1) @ F.T
+    return x, np.array([F @ P @ F.T + Q for P in full(state)])
+
+
+@pytest.mark.parametrize("config", [PLAIN, DAMPED], ids=["constant velocity", "damped"])
+@given(dt=STEPS, seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_prediction_is_F_x_and_F_P_Ft_plus_Q(config, dt, seed):
+    state = start(seed)
+    prior = predict(state, dt, None, config)
+    x, P = dense(state, dt, config)
+    np.testing.assert_allclose(np.concatenate([prior.position, prior.velocity], axis=1), x, rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(full(prior), P, rtol=1e-10, atol=1e-15)
+    np.testing.assert_array_equal(prior.R, state.R)
+
+
+def test_undamped_velocity_is_constant():
+    state = start()
+    np.testing.assert_array_equal(predict(state, 0.1, None, PLAIN).velocity, state.velocity)
+
+
+def test_damped_velocity_decays_and_its_steps_compose():
+    state = start()
+    once = predict(state, 0.2, None, DAMPED)
+    twice = predict(predict(state, 0.08, None, DAMPED), 0.12, None, DAMPED)
+    np.testing.assert_allclose(once.velocity, np.exp(-3.0 * 0.2) * state.velocity)
+    np.testing.assert_allclose(twice.velocity, once.velocity)
+    np.testing.assert_allclose(twice.position, once.position)
+
+
+def test_body_motion_is_added_to_the_position_alone():
+    state, carried = start(), np.random.default_rng(1).normal(size=(7, 3))
+    still, ridden = predict(state, 0.03, None, DAMPED), predict(state, 0.03, carried, DAMPED)
+    np.testing.assert_allclose(ridden.position, still.position + carried)
+    np.testing.assert_array_equal(ridden.velocity, still.velocity)
+    np.testing.assert_array_equal(full(ridden), full(still))
+
+
+@pytest.mark.parametrize("config", [PLAIN, DAMPED], ids=["constant velocity", "damped"])
+@pytest.mark.parametrize("gap", [2.0, 60.0, 86_400.0])
+def test_long_gap_moves_the_mean_no_further_than_the_longest_step(config, gap):
+    state = start()
+    limit = predict(state, config.longest_step, None, config).position
+    prior = predict(state, gap, None, config)
+    np.testing.assert_allclose(prior.position, limit)
+    assert np.isfinite(full(prior)).all()
+    assert_positive_definite(full(prior))
+
+
+@given(gap=st.floats(1e-6, 1e6), more=st.floats(1.01, 100), seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_longer_gap_is_less_certain(gap, more, seed):
+    state = start(seed)._replace(P_pu=np.zeros((7, 3, 3)))  # with a negative correlation uncertainty may first shrink
+    shorter, longer = (predict(state, dt, None, PLAIN) for dt in (gap, more * gap))
+    assert (np.linalg.eigvalsh(longer.P_pp - shorter.P_pp).min(axis=1) > -1e-12 * np.trace(longer.P_pp, axis1=1, axis2=2)).all()
+    assert (np.trace(longer.P_pp, axis1=1, axis2=2) > np.trace(shorter.P_pp, axis1=1, axis2=2)).all()
+
+
+@pytest.mark.parametrize("config", [PLAIN, DAMPED], ids=["constant velocity", "damped"])
+def test_uncertainty_grows_with_every_missing_frame(config):
+    rng = np.random.default_rng(2)
+    state = random_state(rng.normal(size=(7, 3)), rng)._replace(P_pu=np.zeros((7, 3, 3)))
+    sizes = []
+    for _ in range(60):
+        sizes.append(np.trace(state.P_pp, axis1=1, axis2=2))
+        state = predict(state, 1 / 30, None, config)
+        assert_positive_definite(full(state))
+    assert (np.diff(sizes, axis=0) > 0).all()
+
+
+def test_input_is_left_as_it_was():
+    state = start()
+    copies = [array.copy() for array in state]
+    predict(state, 0.1, np.ones((7, 3)), DAMPED)
+    for array, copy in zip(state, copies, strict=True):
+        np.testing.assert_array_equal(array, copy)
+
+
+def test_process_noise_grows_with_the_acceleration():
+    state = start()
+    calm, wild = (predict(state, 0.1, None, dataclasses.replace(PLAIN, acceleration=a)) for a in (1.0, 30.0))
+    assert (np.linalg.eigvalsh(full(wild) - full(calm)) > -1e-12).all()
