@@ -78,6 +78,9 @@ class ConsoleAnnouncer:
         self._bar: Progress | None = None
 
     def progress(self, done: int, total: int, name: str) -> None:
+        if not self._console.is_terminal:
+            self._console.print(f"compiling kernels: {done} of {total}, {name}", highlight=False, soft_wrap=True)
+            return
         if self._bar is None:
             self._bar = compile_bar(self._console)
             self._bar.start()

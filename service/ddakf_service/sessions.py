@@ -38,6 +38,7 @@ log = logging.getLogger(__name__)
 _SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
 _PAGE_SIZE, _MAX_PAGE_SIZE = 50, 1000
 _REMEMBERED = 1024  # ids of ended sessions, and of requests, that are kept for a precise answer
+_MAX_LABELS, _MAX_TEXT = 64, 256  # labels of a session; characters of a label, its value or a request id
 _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
 _RETRY_WHEN_FULL = 5.0  # seconds
 
@@ -91,7 +92,7 @@ class Sessions:
             if path not in ("labels", "limits"):
                 raise InvalidArgument(field="update_mask", expected='some of "labels", "limits"', got=repr(path))
         if "labels" in paths:
-            session.labels = dict(request.session.labels)
+            session.labels = _labels(request.session)
         if "limits" in paths:
             session.limits = self._limits(request.session.limits)
         session.revision += 1
@@ -173,6 +174,8 @@ class Sessions:
 
     async def _once(self, request_id: str, session_id: str, request, open_) -> pb.Session:
         """Runs a creation, or waits for the same request's first run."""
+        if len(request_id) > _MAX_TEXT:
+            raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
         if request_id in self._requests:
             return self._find("sessions/" + await asyncio.shield(self._requests[request_id])).message()
         session_id = self._new_id(session_id)
@@ -193,14 +196,14 @@ class Sessions:
         return session.message()
 
     async def _open(self, session_id: str, request, open_) -> Session:
-        limits = self._limits(request.session.limits)
+        limits, labels = self._limits(request.session.limits), _labels(request.session)
         opened = pb.Session.FromString(await open_(session_id, request.SerializeToString()))
         meshes = pb.Session(garment=opened.garment)
         if opened.HasField("body"):
             meshes.body.CopyFrom(opened.body)
         opened.ClearField("garment")
         opened.ClearField("body")
-        session = Session(session_id, opened, meshes, limits, labels=dict(request.session.labels))
+        session = Session(session_id, opened, meshes, limits, labels=labels)
         self._sessions[session_id] = session
         self._ended.pop(session_id, None)
         self._count()
@@ -274,6 +277,16 @@ class Sessions:
     def _count(self) -> None:
         self._metrics.sessions.set(len(self._sessions))
         self._metrics.streams.set(sum(s.stream is not None for s in self._sessions.values()))
+
+
+def _labels(session: pb.Session) -> dict[str, str]:
+    labels = dict(session.labels)
+    if len(labels) > _MAX_LABELS:
+        raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(labels)))
+    longest = max((len(text) for pair in labels.items() for text in pair), default=0)
+    if longest > _MAX_TEXT:
+        raise InvalidArgument(field="labels", expected=f"at most {_MAX_TEXT} characters each", got=str(longest))
+    return labels
 
 
 def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:

@@ -268,6 +268,16 @@ def test_a_bad_configuration_over_grpc(api, sheet):
         api.create(sheet, config_json="[" * 60_000)
 
 
+@pytest.mark.parametrize(
+    ("field", "session"),
+    [("labels", {"labels": {"a" * 300: ""}}), ("labels", {"labels": {str(i): "" for i in range(65)}})],
+)
+def test_labels_have_bounds(api, sheet, field, session):
+    with pytest.raises(ERRORS["InvalidArgument"]) as caught:
+        api.create(sheet, **session)
+    assert caught.value.field == field
+
+
 def test_an_error_has_its_parts_in_the_trailers(api, sheet):
     with pytest.raises(grpc.RpcError) as caught:
         api.stub.GetSession(pb.GetSessionRequest(name="sessions/none"), timeout=TIMEOUT)
