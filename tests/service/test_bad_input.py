@@ -234,7 +234,7 @@ BAD_BODIES = {
         "garment.vertices.data",
     ),
     "unknown stage": ({"garment": GARMENT, "config": {"magic": {}}}, 422, "config.magic"),
-    "value out of range": ({"garment": GARMENT, "config": {"adapt": {"alpha": 7}}}, 422, "AdaptiveNoise.alpha"),
+    "value out of range": ({"garment": GARMENT, "config": {"predict": {"damping": -1}}}, 422, "ConstantVelocity.damping"),
     "unknown fabric": ({"garment": GARMENT, "fabric": "steel"}, 422, "fabric"),
     "bad id": ({"garment": GARMENT, "session_id": "../etc"}, 422, "session_id"),
     "another version": ({"garment": GARMENT, "api_version": "9.0"}, 400, "api_version"),
