@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ddakf.adapt import adapt
 from ddakf.associate import Measurement
 from ddakf.config import Config, InnovationNoise, ResidualNoise
-from tests.stages.scenes import blocks, random_state
+from tests.stages.scenes import random_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 PAPER = InnovationNoise(lowest_sd=1e-5, highest_sd=10.0)
