@@ -1,37 +1,45 @@
-"""Stage D, adaptation (paper, sections 2.3 and 2.7): the measurement covariance of each vertex follows its innovations."""
+"""Stage D, adaptation (paper, sections 2.3 and 2.7): the measurement covariance of each vertex follows its residuals."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ddakf.associate import Measurement
-from ddakf.config import AdaptiveNoise
+from ddakf.config import InnovationNoise, ResidualNoise
+from ddakf.kernels import adapt as kernels
 from ddakf.types import State
 
 
 def adapt(
-    R: np.ndarray, measurement: Measurement, weight: np.ndarray, prior: State, config: AdaptiveNoise
-) -> np.ndarray:
-    """R = alpha R + (1 - alpha)(y y' + epsilon I), clamped to [R_min, R_max]; vertices without a measurement keep theirs.
+    last: State, measurement: Measurement, weight: np.ndarray, prior: State, position: np.ndarray,
+    config: InnovationNoise | ResidualNoise,
+) -> np.ndarray:  # fmt: skip
+    """(V, 3, 3) R of this frame, square metres; vertices without a measurement keep theirs.
+
+    ``InnovationNoise``: R = alpha R + (1 - alpha)(y y' + epsilon I), y the innovation against the prediction, eigenvalues
+    clamped to [R_min, R_max]. ``ResidualNoise``: the same recursion for the variance along the measured normal, with
+    e^2 + n' P n in place of y y', e the residual at the estimate and P the last posterior; R is scaled along n to match.
 
     Args:
-        R: (V, 3, 3) square metres, of the last frame.
-        measurement, weight: of this pass; y is the innovation against the prediction.
+        last: posterior of the last frame, with its R.
+        measurement, weight: of this pass.
         prior: the prediction.
-        config: alpha, epsilon, the clamp, and whether the expected part H P H' is taken out of y y'.
+        position: (V, 3) the estimate, metres.
+        config: which, with alpha, epsilon and the clamp.
     """
     used = weight > 0
-    y = measurement.innovation(prior.position)[used]
-    sample = y[:, :, None] * y[:, None, :]
-    if config.subtract_expected:
-        sample = sample - prior.P_pp[used]
-    adapted = R.copy()
-    adapted[used] = clamp(
-        config.alpha * R[used] + (1.0 - config.alpha) * (sample + config.epsilon * np.eye(3)),
-        config.lowest_sd**2,
-        config.highest_sd**2,
-    )
-    return adapted
+    low, high = config.lowest_sd**2, config.highest_sd**2
+    R = last.R.copy()
+    match config:
+        case ResidualNoise():
+            kernels.adapt_along_normals(
+                measurement.target, measurement.normal, used, position, last.P_pp, config.alpha, config.epsilon, low, high, R
+            )
+        case InnovationNoise():
+            y = measurement.innovation(prior.position)[used]
+            sample = y[:, :, None] * y[:, None, :] + config.epsilon * np.eye(3)
+            R[used] = clamp(config.alpha * R[used] + (1.0 - config.alpha) * sample, low, high)
+    return R
 
 
 def clamp(matrices: np.ndarray, low: float, high: float) -> np.ndarray:

@@ -33,7 +33,7 @@ def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[flo
     """Search radius of each pass inside the frame, metres: wide first, then narrowing. The paper makes one pass."""
     match config:
         case PlaneAssociation():
-            passes = config.iterations if len(cloud) else 1
+            passes = 1 if cloud.empty else config.iterations
             for k in range(passes):
                 yield max(config.narrow_gate, config.wide_gate * config.narrowing**k)
         case NearestPoint():
@@ -60,14 +60,14 @@ def associate(
             kernels.vertex_normals(position, model.faces, normal)
             if cloud.oriented:
                 kernels.facing(position, normal, cloud.sensor, config.facing_cosine, visible)
-            if len(cloud):
+            if not cloud.empty:
                 kernels.nearest_planes(
-                    position, normal, visible, cloud.surfels, cloud.start, cloud.origin, cloud.cell, cloud.dims,
+                    position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
                     gate, config.normal_cosine, cloud.oriented, target, plane, distance,
                 )  # fmt: skip
             return Measurement(target, plane, distance >= 0.0, visible)
         case NearestPoint():
-            if len(cloud):
+            if not cloud.empty:
                 kernels.nearest_points(
                     position, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims, gate, target, distance
                 )

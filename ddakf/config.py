@@ -69,6 +69,7 @@ class GridFilter(Checked):
     points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size from the garment's area and the number of points
     least_share: float = bounded(0.2, 0, 1)  # of the median neighbourhood, below which a point is an outlier
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
+    planes_per_vertex: float = bounded(2.0, 0.1, 100)  # a denser cloud is thinned to as many plane fits
 
 
 @dataclass(frozen=True)
@@ -125,15 +126,29 @@ class NoWeight(Checked):
 
 
 @dataclass(frozen=True)
-class AdaptiveNoise(Checked):
-    """Exponential smoothing of the measurement covariance (section 2.3), clamped (section 2.7)."""
+class InnovationNoise(Checked):
+    """The paper's: exponential smoothing of y y' of the innovation (section 2.3), clamped (section 2.7)."""
 
     alpha: float = bounded(0.9, 0, 1)  # share of the old value, per frame
-    epsilon: float = bounded(1e-6, 0, 1)  # m^2, added to yy'
+    epsilon: float = bounded(1e-6, 0, 1)  # m^2, added to y y'
+    lowest_sd: float = bounded(0.001, 1e-5, 1)  # m, sqrt of R_min
+    highest_sd: float = bounded(0.05, 1e-5, 10)  # m, sqrt of R_max
+    initial_sd: float = bounded(0.004, 1e-5, 1)  # m
+
+
+@dataclass(frozen=True)
+class ResidualNoise(Checked):
+    """Smoothing of what the fit leaves over, along the normal, so that R converges to the sensor's noise.
+
+    With e the residual at the estimate, E[e e'] = R - H P H' (Mohamed and Schwarz 1999), so that R = e e' + H P H'. The
+    innovation's own expected part, the error of the prediction, never enters.
+    """
+
+    alpha: float = bounded(0.9, 0, 1)  # share of the old value, per frame
+    epsilon: float = bounded(1e-6, 0, 1)  # m^2, added to e e'
     lowest_sd: float = bounded(0.0015, 1e-5, 1)  # m, sqrt of R_min
     highest_sd: float = bounded(0.05, 1e-5, 10)  # m, sqrt of R_max
     initial_sd: float = bounded(0.004, 1e-5, 1)  # m
-    subtract_expected: bool = True  # take H P H' out of yy', so that R converges to the sensor's noise
 
 
 # E. Physics ---------------------------------------------------------------------------------------------------------
@@ -200,11 +215,10 @@ class PaperReliability(Checked):
 
 @dataclass(frozen=True)
 class Uncertainty(Checked):
-    """Two global constants that scale the posterior of observed and of unobserved vertices, and the bounds."""
+    """Two global constants by which the evidence is divided, and the bounds."""
 
-    observed_scale: float = bounded(1.0, 1e-3, 1e3)
-    hidden_scale: float = bounded(1.0, 1e-3, 1e3)
-    correlated_measurements: float = bounded(10.0, 1, 1e4)  # neighbouring plane fits that share their error
+    correlated_measurements: float = bounded(2.0, 1, 1e4)  # neighbouring plane fits that share their error
+    correlated_coupling: float = bounded(60.0, 1, 1e6)  # times that physics and rigidity state the same
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2
@@ -219,7 +233,7 @@ class Config:
     preprocess: GridFilter | KnnFilter = GridFilter()
     associate: PlaneAssociation | NearestPoint = PlaneAssociation()
     robust: Tukey | NoWeight = Tukey()
-    adapt: AdaptiveNoise = AdaptiveNoise()
+    adapt: ResidualNoise | InnovationNoise = ResidualNoise()
     physics: Physics = field(default_factory=Physics)
     fuse: MapUpdate | DecoupledUpdate = MapUpdate()
     reliability: Reliability | PaperReliability = Reliability()
@@ -233,7 +247,7 @@ class Config:
             predict=ConstantVelocity(damping=0.0, carry_reach=0.0),
             preprocess=KnnFilter(),
             associate=NearestPoint(),
-            adapt=AdaptiveNoise(subtract_expected=False, lowest_sd=0.001),
+            adapt=InnovationNoise(),
             fuse=DecoupledUpdate(),
             reliability=PaperReliability(),
         )

@@ -18,6 +18,10 @@ from ddakf.rigidity import LocalRigidity
 from ddakf.types import State
 
 
+LONGEST_SECANT = 3.0  # passes that the secant may leap over
+COARSE_PASSES = 1  # passes of a frame that form the coarse level anew
+
+
 class Planes(NamedTuple):
     """Plane-aligned measurements: one per vertex with a positive weight."""
 
@@ -31,6 +35,7 @@ class Planes(NamedTuple):
 class System(NamedTuple):
     """The normal equations A delta = force at an estimate."""
 
+    unary: np.ndarray  # (V, 3, 3) part of D that each vertex has on its own: prior, measurement, contact, 1/m^2
     D: np.ndarray  # (V, 3, 3) diagonal blocks of A, 1/m^2
     B: np.ndarray  # (2E, 3, 3) float32, its other blocks, in rows of the adjacency
     force: np.ndarray  # (V, 3) 1/m, minus the gradient
@@ -48,6 +53,8 @@ class Update(NamedTuple):
     R: np.ndarray  # (V, 3, 3) m^2
     planes: Planes | None = None
     system: System | None = None
+    before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
+    coarse: np.ndarray | None = None  # (3K, 3K) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
     passes: int = 0
     settled: bool = False
@@ -70,7 +77,7 @@ def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: 
         position=prior.position,
         rest=rigidity.to_rest(model, physics_lambda * config.physics.rest_rigidity, rotation),
         motion=rigidity.since(last, model, config.physics.motion_rigidity),
-        information=np.linalg.inv(prior.P_pp + floor * np.eye(3)),
+        information=inverse_blocks(prior.P_pp + floor * np.eye(3)),
         measurement=Measurement(np.zeros((n, 3)), None, np.zeros(n, bool), np.zeros(n, bool)),
         weight=np.zeros(n),
         R=prior.R,
@@ -109,15 +116,37 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     system = normal_equations(
         update.position, prior.position, update.information, planes, energies, (update.rest, update.motion), model
     )
-    delta = solve(system, model, config.fuse)
+    # the coarse level of the first passes preconditions the later ones as well
+    coarse = coarse_inverse(system, model) if update.passes <= COARSE_PASSES else update.coarse
+    delta = solve(system, coarse, model, config.fuse)
     if not np.isfinite(delta).all():
         return update._replace(position=prior.position, planes=planes, system=system, settled=True, rejected=True)
     length = np.sqrt(np.einsum("va,va->v", delta, delta))
     delta *= np.minimum(1.0, gate / np.maximum(length, 1e-12))[:, None]
     rms = float(np.sqrt(np.mean(length**2)))
     associated = config.associate
-    settled = update.passes >= associated.least_iterations and rms < associated.tolerance and gate <= associated.narrow_gate
-    return update._replace(position=update.position + delta, planes=planes, system=system, settled=settled)
+    settled = update.passes >= associated.least_iterations and rms < associated.tolerance
+    position = update.position + accelerated(update.position, delta, update.before)
+    return update._replace(
+        position=position, planes=planes, system=system, coarse=coarse, settled=settled, before=(update.position, delta)
+    )
+
+
+def accelerated(position: np.ndarray, delta: np.ndarray, before: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+    """The step (V, 3), extrapolated from two passes: Anderson acceleration of depth one.
+
+    Rotations that are fitted and held make the passes converge slowly where the garment turns without measurements; the secant
+    through the last two corrections sees that (Peng et al. 2018, "Anderson acceleration for geometry optimization and physics
+    simulation").
+    """
+    if before is None:
+        return delta
+    turn, move = delta - before[1], position - before[0]
+    length = float(np.vdot(turn, turn))
+    if length == 0.0:
+        return delta
+    share = min(max(float(np.vdot(turn, delta)) / length, -LONGEST_SECANT), LONGEST_SECANT)
+    return delta - share * (move + turn)
 
 
 def normal_equations(
@@ -140,42 +169,53 @@ def normal_equations(
         model: the garment.
     """
     n = len(position)
-    D, force = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    unary, force = np.zeros((n, 3, 3)), np.zeros((n, 3))
     B = np.empty((len(model.neighbour), 3, 3), np.float32)
-    kernels.add_prior(position, prior, information, D, force)
+    kernels.add_prior(position, prior, information, unary, force)
     kernels.add_planes(
-        position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, D, force
+        position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
     )
+    stretch, shear, bend, collision = energies.stiffness
+    if energies.collision is not None:
+        kernels.add_single(*energies.collision, collision, unary, force)
+    D = unary.copy()
     for term in rigid:
         rigidity_kernels.add_force(
             position, model.start, model.neighbour, term.source, term.weight, term.rotation, force
         )
     kernels.add_edges(model.start, sum(term.weight for term in rigid), D, B)
-    stretch, shear, bend, collision = energies.stiffness
     for part, stiffness in ((energies.stretch, stretch), (energies.shear, shear)):
         if stiffness > 0:
             kernels.add_triangles(part.stencil, model.slot, *part[1:], stiffness, D, B, force)
     if bend > 0:
         kernels.add_hinges(*energies.bend, bend, D, force)
-    if energies.collision is not None:
-        kernels.add_single(*energies.collision, collision, D, force)
-    return System(D, B, force)
+    return System(unary, D, B, force)
 
 
-def solve(system: System, model: Model, config: MapUpdate) -> np.ndarray:
-    """(V, 3) delta in metres, A delta = force, by conjugate gradients under a two-level preconditioner."""
-    n, k = len(system.D), 3 * model.n_clusters
-    inverse, coarse = np.empty((n, 3, 3)), np.empty((k, k))
-    kernels.invert_blocks(system.D, inverse)
+def coarse_inverse(system: System, model: Model) -> np.ndarray:
+    """(3K, 3K) float32, inverse of P' A P on the clusters: the coarse level of the preconditioner."""
+    coarse = np.empty((3 * model.n_clusters, 3 * model.n_clusters))
     kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.cluster, coarse)
-    coarse_inverse = invert(coarse).astype(np.float32)
+    return invert(coarse).astype(np.float32)
+
+
+def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
+    """(V, 3) delta in metres, A delta = force, by conjugate gradients under a two-level preconditioner."""
+    n, k = len(system.D), len(coarse_inverse)
     delta, work = np.empty((n, 3), np.float32), np.empty((4, n, 3), np.float32)
     kernels.conjugate_gradients(
-        system.D.astype(np.float32), system.B, model.start, model.neighbour, inverse.astype(np.float32), model.cluster,
+        system.D.astype(np.float32), system.B, model.start, model.neighbour, inverse_blocks(system.D).astype(np.float32), model.cluster,
         coarse_inverse, system.force, config.solver_iterations, config.solver_tolerance,
         work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta.astype(np.float64)
+
+
+def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
+    """Inverses of symmetric positive definite (V, 3, 3)."""
+    inverse = np.empty_like(blocks)
+    kernels.invert_blocks(blocks, inverse)
+    return inverse
 
 
 def invert(matrix: np.ndarray) -> np.ndarray:
@@ -221,11 +261,11 @@ def _decoupled_update(update: Update, prior: State, energies: Energies, config: 
 def condition(prior: State, position: np.ndarray, P_pp: np.ndarray, R: np.ndarray) -> State:
     """The posterior of each 6-vector when its position is now known to be (position, P_pp).
 
-    The velocity follows through the prior's cross covariance: with G = P_up P_pp^-1 of the prior, u += G (p - p_prior), and
-    the blocks as in a Rauch-Tung-Striebel step.
+    The velocity follows through the prior's cross covariance, as in a Rauch-Tung-Striebel step: with G = P_up P_pp^-1 of the
+    prior, u += G (p - p_prior), P_pu = P_pp' G' and P_uu += G (P_pp' - P_pp) G'.
     """
-    G = np.linalg.solve(prior.P_pp, prior.P_pu).transpose(0, 2, 1)
-    P_pu = P_pp @ G.transpose(0, 2, 1)
-    P_uu = prior.P_uu + G @ (P_pp - prior.P_pp) @ G.transpose(0, 2, 1)
-    velocity = prior.velocity + np.einsum("vab,vb->va", G, position - prior.position)
-    return State(position, velocity, P_pp, P_pu, 0.5 * (P_uu + P_uu.transpose(0, 2, 1)), R)
+    velocity, P_pu, P_uu = prior.velocity.copy(), np.empty_like(P_pp), np.empty_like(P_pp)
+    kernels.condition(
+        prior.P_pp, prior.P_pu, prior.P_uu, position - prior.position, P_pp, velocity, P_pu, P_uu
+    )
+    return State(position, velocity, P_pp, P_pu, P_uu, R)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, stretch
 
-CLUSTERS = 100
+CLUSTERS = 80
 VERTICES_PER_CLUSTER = 8  # at least, on average
 
 

@@ -16,9 +16,10 @@ class Cloud(NamedTuple):
     """A preprocessed cloud of M points, sorted by grid cell."""
 
     points: np.ndarray  # (M, 3) float32, relative to origin, m
-    surfels: np.ndarray  # (M, 6) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
     index: np.ndarray  # (M,) int32, of each in the input
-    start: np.ndarray  # (cells + 2,) int32
+    start: np.ndarray  # (cells + 2,) int32, of the points of each cell
+    surfels: np.ndarray  # (S, 6) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
+    surfel_start: np.ndarray  # (cells + 2,) int32, of the surfels of each cell
     origin: np.ndarray  # (3,) m
     cell: float  # m
     dims: np.ndarray  # (3,) int64
@@ -29,8 +30,9 @@ class Cloud(NamedTuple):
     def oriented(self) -> bool:
         return self.sensor is not None
 
-    def __len__(self) -> int:
-        return len(self.surfels)
+    @property
+    def empty(self) -> bool:
+        return len(self.points) == 0
 
 
 def preprocess(
@@ -58,16 +60,21 @@ def preprocess(
             case KnnFilter():
                 grid = _drop_far(points, grid, config.preprocess)
     sorted_points, index, start, origin, cell, dims = grid
-    surfels = np.empty((len(sorted_points), 6), np.float32)
-    kernels.fit_planes(sorted_points, start, cell, dims, config.preprocess.plane_radius * cell, surfels)
+    # a cloud denser than the garment is fitted with planes at the density that the garment can use
+    stride = 1
+    if isinstance(config.preprocess, GridFilter):
+        stride = max(1, round(len(sorted_points) / (config.preprocess.planes_per_vertex * len(position))))
+    surfels = np.empty((-(-len(sorted_points) // stride), 6), np.float32)
+    kernels.fit_planes(sorted_points, start, cell, dims, config.preprocess.plane_radius * cell, stride, surfels)
     sensor = None
     if sensor_origin is not None:
         if sensor_origin.ndim == 1:
             sensor = per_point = sensor_origin[None, :]
         else:
-            sensor, per_point = _distinct(sensor_origin), sensor_origin[index]
+            sensor, per_point = _distinct(sensor_origin), sensor_origin[index[::stride]]
         kernels.orient_normals(surfels, per_point - origin)
-    return Cloud(sorted_points, surfels, index, start, origin, cell, dims, sensor, len(points))
+    surfel_start = (start + (stride - 1)) // stride
+    return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor, len(points))
 
 
 def _grid(points, chosen, area, config):

@@ -70,13 +70,17 @@ class Verdict(NamedTuple):
     vertex_reliability: np.ndarray  # (V,)
 
 
-def judge(health: Health, update: Update, posterior: State, prior: State, n_points: int, dt: float, config) -> Verdict:
+def judge(
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, n_points: int, dt: float,
+    config: Reliability | PaperReliability,
+) -> Verdict:  # fmt: skip
     """Scores a frame and moves the tracker's state on.
 
     Args:
         health: after the last frame.
         update: the finished update.
         posterior, prior: states of this frame.
+        covariance: (V, 3, 3) calibrated, square metres.
         n_points: in the cloud as it came.
         dt: seconds of sensor time since the last frame.
         config: ``Reliability`` or ``PaperReliability``.
@@ -86,11 +90,11 @@ def judge(health: Health, update: Update, posterior: State, prior: State, n_poin
     s_k = paper_score(update.measurement.innovation(prior.position), update.R, update.measurement.found)
     residual = update.measurement.innovation(posterior.position)[used]
     normalised = np.einsum("va,va->v", residual, residual) / np.maximum(np.trace(update.R[used], axis1=1, axis2=2), 1e-12)
-    reliability = score(posterior.P_pp, normalised, int(update.measurement.visible.sum()), config)
+    reliability = score(covariance, normalised, int(update.measurement.visible.sum()), config)
     moved = advance(
         health, s_k if isinstance(config, PaperReliability) else reliability, coverage, n_points, update.rejected, dt, config
     )
-    sigma = np.sqrt(np.trace(posterior.P_pp, axis1=1, axis2=2) / 3)
+    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
     return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config))
 
 

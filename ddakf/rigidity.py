@@ -13,7 +13,7 @@ import numpy as np
 from ddakf.kernels import rigidity as kernels
 from ddakf.model import Model
 
-ROTATION_STEPS = 4
+ROTATION_STEPS = 2  # warm-started from pass to pass
 
 
 class LocalRigidity(NamedTuple):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from ddakf.associate import Measurement
 from ddakf.config import NoWeight, Tukey
@@ -14,7 +14,7 @@ from ddakf.config import NoWeight, Tukey
 @lru_cache(maxsize=16)
 def gate_threshold(probability: float, dimension: int) -> float:
     """Chi-square quantile for a Mahalanobis gate."""
-    return float(chi2.ppf(probability, dimension))
+    return float(chdtri(dimension, 1.0 - probability))
 
 
 def weigh(

@@ -111,7 +111,7 @@ class Tracker:
             clock.lap("robust")
 
             # D. Adaptation (2.3, 2.7)
-            R = adapt.adapt(last.R, measurement, weight, prior, config.adapt)
+            R = adapt.adapt(last, measurement, weight, prior, update.position, config.adapt)
             clock.lap("adapt")
 
             # E. Physics (2.4)
@@ -123,16 +123,17 @@ class Tracker:
             clock.lap("fuse")
             if update.settled:
                 break
-        posterior = uncertainty.posterior(update, prior, garment, config)
+        posterior = uncertainty.posterior(update, prior, config)
+        covariance = uncertainty.marginals(update, posterior, garment, config)
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
-        verdict = reliability.judge(health, update, posterior, prior, len(now.points), dt, config.reliability)
+        verdict = reliability.judge(health, update, posterior, covariance, prior, len(now.points), dt, config.reliability)
         clock.lap("reliability")
 
         # H. Output
         self._state, self._rotation, self._health, self._time = posterior, update.rest.rotation, verdict.health, now.timestamp
-        return _result(posterior, update, verdict, carried, dt, clock.done())
+        return _result(posterior, covariance, update, verdict, carried, dt, clock.done())
 
     def snapshot(self) -> bytes:
         """The whole tracker; the next step of :meth:`restore` 's tracker is exact to the bit."""
@@ -172,12 +173,12 @@ class Clock:
         return self._laps | {"total": time.perf_counter() - self._start}
 
 
-def _result(posterior, update, verdict, carried, dt, timings) -> FrameResult:
+def _result(posterior, covariance, update, verdict, carried, dt, timings) -> FrameResult:
     return FrameResult(
         vertices=posterior.position.copy(),
         velocities=posterior.velocity.copy() if carried is None else posterior.velocity + carried / dt,
-        covariance=posterior.P_pp.copy(),
-        sigma=np.sqrt(np.trace(posterior.P_pp, axis1=1, axis2=2) / 3),
+        covariance=covariance.copy(),
+        sigma=np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3),
         vertex_reliability=verdict.vertex_reliability,
         observed=update.weight > 0,
         reliability=verdict.reliability,

@@ -113,38 +113,33 @@ def add_triangles(stencil, slot, residual, jacobian, weight, stiffness, D, B, fo
     for c in range(stencil.shape[0]):
         k = stiffness * weight[c]
         f = c % faces
+        kr = k * residual[c]
         for s in range(3):
             i = stencil[c, s]
             x, y, z = jacobian[c, s, 0], jacobian[c, s, 1], jacobian[c, s, 2]
-            force[i, 0] -= k * residual[c] * x
-            force[i, 1] -= k * residual[c] * y
-            force[i, 2] -= k * residual[c] * z
+            force[i, 0] -= kr * x
+            force[i, 1] -= kr * y
+            force[i, 2] -= kr * z
             x, y, z = k * x, k * y, k * z
-            for t in range(3):
+            add_outer(x, y, z, jacobian[c, s, 0], jacobian[c, s, 1], jacobian[c, s, 2], D, i)
+            for t in range(s):
                 u, v, w = jacobian[c, t, 0], jacobian[c, t, 1], jacobian[c, t, 2]
-                if t == s:
-                    block = D[i]
-                else:
-                    e = slot[f, s, t]
-                    B[e, 0, 0] += x * u
-                    B[e, 0, 1] += x * v
-                    B[e, 0, 2] += x * w
-                    B[e, 1, 0] += y * u
-                    B[e, 1, 1] += y * v
-                    B[e, 1, 2] += y * w
-                    B[e, 2, 0] += z * u
-                    B[e, 2, 1] += z * v
-                    B[e, 2, 2] += z * w
-                    continue
-                block[0, 0] += x * u
-                block[0, 1] += x * v
-                block[0, 2] += x * w
-                block[1, 0] += y * u
-                block[1, 1] += y * v
-                block[1, 2] += y * w
-                block[2, 0] += z * u
-                block[2, 1] += z * v
-                block[2, 2] += z * w
+                add_outer(x, y, z, u, v, w, B, slot[f, s, t])
+                add_outer(u, v, w, x, y, z, B, slot[f, t, s])
+
+
+@njit(nogil=True, cache=True, inline="always")
+def add_outer(x, y, z, u, v, w, blocks, i):
+    """blocks[i] += (x, y, z)' (u, v, w)."""
+    blocks[i, 0, 0] += x * u
+    blocks[i, 0, 1] += x * v
+    blocks[i, 0, 2] += x * w
+    blocks[i, 1, 0] += y * u
+    blocks[i, 1, 1] += y * v
+    blocks[i, 1, 2] += y * w
+    blocks[i, 2, 0] += z * u
+    blocks[i, 2, 1] += z * v
+    blocks[i, 2, 2] += z * w
 
 
 @njit(nogil=True, cache=True)
@@ -291,3 +286,53 @@ def discount(D, information, prior_share, weight, normal, variance, tangential, 
             for b in range(3):
                 D[i, a, b] -= k * information[i, a, b] + along * normal[i, a] * normal[i, b]
             D[i, a, a] -= across
+
+
+@njit(nogil=True, cache=True, inline="always")
+def invert3(a, b, c, d, e, f):
+    """Inverse of [[a, d, e], [d, b, f], [e, f, c]] as the same six numbers."""
+    A = b * c - f * f
+    B = e * f - d * c
+    C = d * f - b * e
+    r = 1.0 / (a * A + d * B + e * C)
+    return A * r, (a * c - e * e) * r, (a * b - d * d) * r, B * r, C * r, (e * d - a * f) * r
+
+
+@njit(nogil=True, cache=True)
+def condition(P_pp, P_pu, P_uu, shift, posterior_pp, velocity, posterior_pu, posterior_uu):
+    """Velocity and blocks of each 6-vector once its position is known: see ``ddakf.fuse.condition``.
+
+    Args:
+        P_pp, P_pu, P_uu: (V, 3, 3) prior blocks.
+        shift: (V, 3) posterior minus prior position.
+        posterior_pp: (V, 3, 3).
+        velocity: (V, 3) in: prior; out: posterior.
+        posterior_pu, posterior_uu: (V, 3, 3) out.
+    """
+    G = np.empty((3, 3))
+    change = np.empty((3, 3))
+    for i in range(P_pp.shape[0]):
+        a, b, c, d, e, f = invert3(
+            P_pp[i, 0, 0], P_pp[i, 1, 1], P_pp[i, 2, 2], P_pp[i, 0, 1], P_pp[i, 0, 2], P_pp[i, 1, 2]
+        )
+        for r in range(3):
+            x, y, z = P_pu[i, 0, r], P_pu[i, 1, r], P_pu[i, 2, r]
+            G[r, 0] = x * a + y * d + z * e
+            G[r, 1] = x * d + y * b + z * f
+            G[r, 2] = x * e + y * f + z * c
+            velocity[i, r] += G[r, 0] * shift[i, 0] + G[r, 1] * shift[i, 1] + G[r, 2] * shift[i, 2]
+            for s in range(3):
+                change[r, s] = posterior_pp[i, r, s] - P_pp[i, r, s]
+        for r in range(3):
+            for s in range(3):
+                posterior_pu[i, r, s] = (
+                    posterior_pp[i, r, 0] * G[s, 0] + posterior_pp[i, r, 1] * G[s, 1] + posterior_pp[i, r, 2] * G[s, 2]
+                )
+        for r in range(3):
+            x = G[r, 0] * change[0, 0] + G[r, 1] * change[1, 0] + G[r, 2] * change[2, 0]
+            y = G[r, 0] * change[0, 1] + G[r, 1] * change[1, 1] + G[r, 2] * change[2, 1]
+            z = G[r, 0] * change[0, 2] + G[r, 1] * change[1, 2] + G[r, 2] * change[2, 2]
+            for s in range(r + 1):
+                value = P_uu[i, r, s] + x * G[s, 0] + y * G[s, 1] + z * G[s, 2]
+                posterior_uu[i, r, s] = value
+                posterior_uu[i, s, r] = value

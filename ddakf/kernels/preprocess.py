@@ -137,8 +137,8 @@ def smallest_eigenvector(a, b, c, d, e, f):
 
 
 @njit(nogil=True, cache=True)
-def fit_planes(points, start, cell, dims, radius, surfels):
-    """At each point the plane of its neighbours: the point moved onto it, and its unit normal.
+def fit_planes(points, start, cell, dims, radius, stride, surfels):
+    """At every ``stride``-th point the plane of all its neighbours: the point moved onto it, and its unit normal.
 
     Neighbours are weighted with (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero.
 
@@ -146,14 +146,15 @@ def fit_planes(points, start, cell, dims, radius, surfels):
         points: (M, 3) float32 sorted by cell, relative to the grid's origin, metres.
         start, cell, dims: the grid.
         radius: metres, at most one cell.
-        surfels: (M, 6) float32 out: projected point, normal.
+        stride: of the sorted points; cells keep their share.
+        surfels: (ceil(M / stride), 6) float32 out: projected point, normal.
     """
     inverse = 1.0 / cell
     r2 = radius * radius
     inverse_r2 = 1.0 / r2
     nx, ny, nz = dims[0], dims[1], dims[2]
-    for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+    for i in range(surfels.shape[0]):
+        px, py, pz = points[i * stride, 0], points[i * stride, 1], points[i * stride, 2]
         ix = min(max(int(px * inverse), 0), nx - 1)
         iy = min(max(int(py * inverse), 0), ny - 1)
         iz = min(max(int(pz * inverse), 0), nz - 1)

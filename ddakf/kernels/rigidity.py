@@ -1,6 +1,6 @@
 """Local rigidity: best-fitting rotations of one-rings, and the force of edges that do not follow them."""
 
-from math import cos, sin, sqrt
+from math import sqrt
 
 from numba import njit
 
@@ -48,35 +48,36 @@ def fit_rotations(position, start, neighbour, source, weight, iterations, rotati
             trace = r00 * c00 + r10 * c10 + r20 * c20 + r01 * c01 + r11 * c11 + r21 * c21 + r02 * c02 + r12 * c12 + r22 * c22
             scale = 1.0 / (abs(trace) + 1e-20)
             wx, wy, wz = wx * scale, wy * scale, wz * scale
-            angle = sqrt(wx * wx + wy * wy + wz * wz)
-            if angle < 1e-4:
-                break
-            s, c = sin(angle), cos(angle)
-            ux, uy, uz = wx / angle, wy / angle, wz / angle
-            t = 1.0 - c
-            q00, q01, q02 = c + t * ux * ux, t * ux * uy - s * uz, t * ux * uz + s * uy
-            q10, q11, q12 = t * ux * uy + s * uz, c + t * uy * uy, t * uy * uz - s * ux
-            q20, q21, q22 = t * ux * uz - s * uy, t * uy * uz + s * ux, c + t * uz * uz
-            a00, a10, a20 = r00, r10, r20
+            # Cayley's rotation of about that angle: (1 + h^2) Q = (1 - h^2) I + 2 h h' + 2 [h]x, h = omega / 2
+            hx, hy, hz = 0.5 * wx, 0.5 * wy, 0.5 * wz
+            h2 = hx * hx + hy * hy + hz * hz
+            t = 1.0 / (1.0 + h2)
+            d = (1.0 - h2) * t
+            hx2, hy2, hz2 = 2.0 * t * hx, 2.0 * t * hy, 2.0 * t * hz
+            q00, q01, q02 = d + hx2 * hx, hx2 * hy - hz2, hx2 * hz + hy2
+            q10, q11, q12 = hx2 * hy + hz2, d + hy2 * hy, hy2 * hz - hx2
+            q20, q21, q22 = hx2 * hz - hy2, hy2 * hz + hx2, d + hz2 * hz
             r00, r10, r20 = (
-                q00 * a00 + q01 * a10 + q02 * a20,
-                q10 * a00 + q11 * a10 + q12 * a20,
-                q20 * a00 + q21 * a10 + q22 * a20,
+                q00 * r00 + q01 * r10 + q02 * r20,
+                q10 * r00 + q11 * r10 + q12 * r20,
+                q20 * r00 + q21 * r10 + q22 * r20,
             )
-            a00, a10, a20 = r01, r11, r21
             r01, r11, r21 = (
-                q00 * a00 + q01 * a10 + q02 * a20,
-                q10 * a00 + q11 * a10 + q12 * a20,
-                q20 * a00 + q21 * a10 + q22 * a20,
+                q00 * r01 + q01 * r11 + q02 * r21,
+                q10 * r01 + q11 * r11 + q12 * r21,
+                q20 * r01 + q21 * r11 + q22 * r21,
             )
-            # the third column from the first two keeps the matrix a rotation over thousands of frames
-            n = 1.0 / sqrt(r00 * r00 + r10 * r10 + r20 * r20)
-            r00, r10, r20 = r00 * n, r10 * n, r20 * n
-            d = r00 * r01 + r10 * r11 + r20 * r21
-            r01, r11, r21 = r01 - d * r00, r11 - d * r10, r21 - d * r20
-            n = 1.0 / sqrt(r01 * r01 + r11 * r11 + r21 * r21)
-            r01, r11, r21 = r01 * n, r11 * n, r21 * n
             r02, r12, r22 = r10 * r21 - r20 * r11, r20 * r01 - r00 * r21, r00 * r11 - r10 * r01
+            if h2 < 1e-7:
+                break
+        # what rounding adds up over thousands of frames is taken out here
+        n = 1.0 / sqrt(r00 * r00 + r10 * r10 + r20 * r20)
+        r00, r10, r20 = r00 * n, r10 * n, r20 * n
+        d = r00 * r01 + r10 * r11 + r20 * r21
+        r01, r11, r21 = r01 - d * r00, r11 - d * r10, r21 - d * r20
+        n = 1.0 / sqrt(r01 * r01 + r11 * r11 + r21 * r21)
+        r01, r11, r21 = r01 * n, r11 * n, r21 * n
+        r02, r12, r22 = r10 * r21 - r20 * r11, r20 * r01 - r00 * r21, r00 * r11 - r10 * r01
         rotation[i, 0, 0], rotation[i, 0, 1], rotation[i, 0, 2] = r00, r01, r02
         rotation[i, 1, 0], rotation[i, 1, 1], rotation[i, 1, 2] = r10, r11, r12
         rotation[i, 2, 0], rotation[i, 2, 1], rotation[i, 2, 2] = r20, r21, r22

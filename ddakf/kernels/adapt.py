@@ -1,0 +1,40 @@
+"""Stage D, adaptation (paper, sections 2.3 and 2.7)."""
+
+from math import sqrt
+
+from numba import njit
+
+
+@njit(nogil=True, cache=True)
+def adapt_along_normals(target, normal, used, position, P, alpha, epsilon, low, high, R):
+    """R <- S R S with S = I + (s - 1) n n', s such that n' R n follows e^2 + n' P n; in place, (V, 3, 3)."""
+    for i in range(R.shape[0]):
+        if not used[i]:
+            continue
+        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+        e = (target[i, 0] - position[i, 0]) * x + (target[i, 1] - position[i, 1]) * y + (target[i, 2] - position[i, 2]) * z
+        expected = (
+            P[i, 0, 0] * x * x + P[i, 1, 1] * y * y + P[i, 2, 2] * z * z
+            + 2.0 * (P[i, 0, 1] * x * y + P[i, 0, 2] * x * z + P[i, 1, 2] * y * z)
+        )  # fmt: skip
+        vx = R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z
+        vy = R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z
+        vz = R[i, 2, 0] * x + R[i, 2, 1] * y + R[i, 2, 2] * z
+        old = vx * x + vy * y + vz * z
+        new = min(max(alpha * old + (1.0 - alpha) * (e * e + expected + epsilon), low), high)
+        s = sqrt(new / old)
+        # S R S = R + (s - 1)(n v' + v n') + (s - 1)^2 old n n' with v = R n
+        t = s - 1.0
+        q = t * t * old
+        R[i, 0, 0] += 2.0 * t * x * vx + q * x * x
+        R[i, 1, 1] += 2.0 * t * y * vy + q * y * y
+        R[i, 2, 2] += 2.0 * t * z * vz + q * z * z
+        xy = t * (x * vy + y * vx) + q * x * y
+        xz = t * (x * vz + z * vx) + q * x * z
+        yz = t * (y * vz + z * vy) + q * y * z
+        R[i, 0, 1] += xy
+        R[i, 1, 0] += xy
+        R[i, 0, 2] += xz
+        R[i, 2, 0] += xz
+        R[i, 1, 2] += yz
+        R[i, 2, 1] += yz
