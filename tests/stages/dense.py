@@ -1,0 +1,140 @@
+"""The MAP problem of one frame written out: residuals from the equations, derivatives by differences, dense matrices."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf import Config, Mesh
+from ddakf.associate import Measurement
+from ddakf.model import Model
+from ddakf.types import State
+
+STEP = 1e-6  # m, of the central differences
+
+
+class Problem(NamedTuple):
+    """What one pass of the fusion update is given."""
+
+    mesh: Mesh
+    model: Model
+    config: Config
+    prior: State
+    measurement: Measurement
+    weight: np.ndarray  # (V,)
+    R: np.ndarray  # (V, 3, 3)
+    touching: tuple[np.ndarray, np.ndarray] | None = None  # closest points and normals of the body (V, 3) each
+    physics_lambda: float = 1.0
+
+
+def triangles(x: np.ndarray, mesh: Mesh):
+    """Images of the orthonormal rest directions u (the first edge) and v of each face, and the rest areas."""
+    i, j, k = mesh.faces.T
+    e1, e2 = mesh.vertices[j] - mesh.vertices[i], mesh.vertices[k] - mesh.vertices[i]
+    normal = np.cross(e1, e2)
+    u = e1 / np.linalg.norm(e1, axis=1, keepdims=True)
+    v = np.cross(normal / np.linalg.norm(normal, axis=1, keepdims=True), u)
+    rest = np.einsum("fra,fca->frc", np.stack([u, v], axis=1), np.stack([e1, e2], axis=1))
+    F = np.stack([x[j] - x[i], x[k] - x[i]], axis=2) @ np.linalg.inv(rest)
+    return F[:, :, 0], F[:, :, 1], 0.5 * np.linalg.norm(normal, axis=1)
+
+
+def hinges(mesh: Mesh) -> np.ndarray:
+    """(H, 4) i, j, k, l: an edge i -> j of a face with corner k, and the corner l across it."""
+    across = {}
+    for face in mesh.faces.tolist():
+        for a in range(3):
+            across[face[a], face[(a + 1) % 3]] = face[(a + 2) % 3]
+    return np.array([(i, j, k, across[j, i]) for (i, j), k in across.items() if i < j and (j, i) in across])
+
+
+def dihedrals(x: np.ndarray, hinge: np.ndarray) -> np.ndarray:
+    """(H,) signed angles between the normals of the two faces, rad."""
+    i, j, k, m = hinge.T
+    edge = x[j] - x[i]
+    n1, n2 = np.cross(edge, x[k] - x[i]), np.cross(x[m] - x[i], edge)
+    sine = np.einsum("ha,ha->h", np.cross(n1, n2), edge) / np.linalg.norm(edge, axis=1)
+    return np.arctan2(sine, np.einsum("ha,ha->h", n1, n2))
+
+
+def cloth(x: np.ndarray, problem: Problem) -> dict[str, np.ndarray]:
+    """Residuals of the energies of section 2.4, each times the root of its stiffness and weight."""
+    mesh, numbers = problem.mesh, problem.config.physics
+    k = {
+        name: problem.physics_lambda * getattr(numbers, name) * getattr(numbers.fabric, name)
+        for name in ("stretch", "shear", "bend")
+    }
+    w_u, w_v, area = triangles(x, mesh)
+    strain = np.concatenate([np.linalg.norm(w_u, axis=1) - 1, np.linalg.norm(w_v, axis=1) - 1])
+    hinge = hinges(mesh)
+    i, j, a, b = (mesh.vertices[column] for column in hinge.T)
+    double_areas = np.linalg.norm(np.cross(j - i, a - i), axis=1) + np.linalg.norm(np.cross(j - i, b - i), axis=1)
+    shape = 3 * np.sum((j - i) ** 2, axis=1) / (0.5 * double_areas)
+    parts = {
+        "stretch": np.sqrt(k["stretch"] * np.tile(area, 2)) * strain,
+        "shear": np.sqrt(k["shear"] * area / 2) * np.einsum("fa,fa->f", w_u, w_v),
+        "bend": np.sqrt(k["bend"] * shape) * (dihedrals(x, hinge) - dihedrals(mesh.vertices, hinge)),
+    }
+    if problem.touching is not None:
+        share = np.zeros(len(x))
+        np.add.at(share, mesh.faces.ravel(), np.repeat(area / 3, 3))
+        point, normal = problem.touching
+        depth = np.minimum(np.einsum("va,va->v", normal, x - point) - numbers.thickness, 0.0)
+        parts["collision"] = np.sqrt(numbers.collision * share) * depth
+    return parts
+
+
+def residuals(x: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
+    """All terms of the MAP problem; the energy is half their sum of squares.
+
+    Args:
+        x: (V, 3) estimate, metres.
+        problem: the frame.
+        rigid: (source positions, weight, rotations) of each locally rigid term.
+    """
+    config, mesh = problem.config, problem.mesh
+    covariance = problem.prior.P_pp + config.fuse.prior_sd**2 * np.eye(3)
+    root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
+    parts = cloth(x, problem)
+    parts["prior"] = np.einsum("vab,vb->va", root, x - problem.prior.position).ravel()
+    n, off = problem.measurement.normal, x - problem.measurement.target
+    along = np.einsum("va,va->v", n, off)
+    variance = np.maximum(np.einsum("va,vab,vb->v", n, problem.R, n), config.adapt.lowest_sd**2)
+    parts["along"] = np.sqrt(problem.weight / variance) * along
+    across = np.sqrt(problem.weight) / config.associate.tangential_sd
+    parts["across"] = (across[:, None] * (off - along[:, None] * n)).ravel()
+    for number, (source, weight, rotation) in enumerate(rigid):
+        i, j = mesh.edges.T
+        goal = np.einsum("eab,eb->ea", 0.5 * (rotation[i] + rotation[j]), source[j] - source[i])
+        parts[f"rigid {number}"] = (np.sqrt(weight) * (x[j] - x[i] - goal)).ravel()
+    return parts
+
+
+def linearised(function, x: np.ndarray):
+    """Residuals at x by name, and their Jacobians (C, 3V) by central differences."""
+    here = function(x)
+    jacobian = {name: np.zeros((len(part), x.size)) for name, part in here.items()}
+    for column in range(x.size):
+        ahead, behind = x.copy().ravel(), x.copy().ravel()
+        ahead[column] += STEP
+        behind[column] -= STEP
+        ahead, behind = function(ahead.reshape(x.shape)), function(behind.reshape(x.shape))
+        for name in here:
+            jacobian[name][:, column] = (ahead[name] - behind[name]) / (2 * STEP)
+    return here, jacobian
+
+
+def gradient(here, jacobian) -> np.ndarray:
+    """(3V,) of half the sum of squares."""
+    return sum(jacobian[name].T @ part for name, part in here.items())
+
+
+def gauss_newton(jacobian, majorised: bool = True) -> np.ndarray:
+    """(3V, 3V) J' J; bending by its bound 4 blockdiag(J_s' J_s) over the four vertices of a hinge, as the solver has it."""
+    total = np.zeros((next(iter(jacobian.values())).shape[1],) * 2)
+    for name, J in jacobian.items():
+        block = J.T @ J
+        if name == "bend" and majorised:
+            vertex = np.arange(len(block)) // 3
+            block = 4 * np.where(vertex[:, None] == vertex, block, 0.0)
+        total += block
+    return total

@@ -1,0 +1,255 @@
+"""Stage F against dense algebra, with the energies written out anew and differentiated numerically."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Fabric, fuse, model, rigidity
+from ddakf.associate import Measurement
+from ddakf.config import MapUpdate
+from ddakf.physics import energies
+from ddakf.physics.contact import BodyContact
+from tests.physics.shapes import ball, sheet
+from tests.stages import dense
+from tests.stages.scenes import blocks, full, random_state, rms
+
+MESH = sheet()
+V = MESH.n_vertices
+THICKNESS = 0.003
+CONFIG = dataclasses.replace(
+    Config(),
+    fuse=MapUpdate(solver_iterations=1000, solver_tolerance=1e-9),
+    physics=dataclasses.replace(Config().physics, bend=0.5, stretch=3e5, shear=1e5, collision=1e9, thickness=THICKNESS),
+)
+FAR = 10.0  # m, a gate that bounds nothing
+
+
+def scene(seed, config=CONFIG, body=False, measured=0.7, planes=True):
+    """A problem whose terms all pull: a prior off the rest shape, planes off the prior, some vertices in the body."""
+    rng = np.random.default_rng(seed)
+    garment = model.build(MESH, THICKNESS)
+    position = MESH.vertices + rng.uniform(-0.002, 0.002, (V, 3))
+    prior = random_state(position, rng)
+    normal = np.array([0.0, 0.0, 1.0]) + rng.normal(scale=0.3, size=(V, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    target = position + rng.normal(scale=0.004, size=(V, 3))
+    used = rng.random(V) < measured
+    weight = np.where(used, rng.uniform(0.2, 1.0, V), 0.0)
+    measurement = Measurement(target, normal if planes else None, used, np.ones(V, bool))
+    contact = touching = None
+    if body:
+        below = ball(3, 0.2)
+        low = position.mean(axis=0) - [0.0, 0.0, 0.2 - 0.002]
+        contact = BodyContact(type(below)(below.vertices + low, below.faces), 0.1)
+        nearest = contact.nearest(position)
+        touching = nearest.point, nearest.normal
+    R = blocks(V, 3, rng) * 0.004**2
+    problem = dense.Problem(MESH, garment, config, prior, measurement, weight, R, touching, physics_lambda=1.5)
+    return problem, contact
+
+
+def begun(problem):
+    last = MESH.vertices + 0.001 * np.sin(100 * MESH.vertices)
+    rotation = rigidity.rotations(problem.prior.position, problem.model)
+    return fuse.begin(problem.prior, last, rotation, problem.physics_lambda, problem.model, problem.config), last
+
+
+def one_pass(update, problem, contact, gate=FAR):
+    parts = energies.linearize(
+        update.position, problem.model, contact, problem.physics_lambda, problem.config.physics
+    )
+    return fuse.fuse(
+        update, problem.prior, problem.measurement, problem.weight, problem.R, parts, gate, problem.model, problem.config
+    )
+
+
+def rigid_terms(update, last, problem):
+    numbers = problem.config.physics
+    return (
+        (MESH.vertices, problem.physics_lambda * numbers.rest_rigidity, update.rest.rotation),
+        (last, numbers.motion_rigidity, update.motion.rotation),
+    )
+
+
+# The fused update ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("body", [False, True], ids=["cloth alone", "body"])
+@pytest.mark.parametrize("seed", range(3))
+def test_one_pass_is_the_dense_gauss_newton_step(seed, body):
+    problem, contact = scene(seed, body=body)
+    start, last = begun(problem)
+    update = one_pass(start, problem, contact)
+    rigid = rigid_terms(update, last, problem)
+    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    assert all(np.linalg.norm(part) > 1e-3 for name, part in here.items() if name != "prior"), "a term that does nothing"
+    step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
+    assert rms(step) > 5e-4
+    assert rms(update.position - problem.prior.position - step) < 2e-3 * rms(step)
+
+
+@pytest.mark.parametrize("without", ["stretch", "shear", "bend", "rest_rigidity", "motion_rigidity"])
+def test_every_term_acts_by_its_own_number(without):
+    """The dense step with one stiffness at zero: a term that leaks into another would show."""
+    config = dataclasses.replace(CONFIG, physics=dataclasses.replace(CONFIG.physics, **{without: 0.0}))
+    problem, contact = scene(4, config)
+    start, last = begun(problem)
+    update = one_pass(start, problem, contact)
+    rigid = rigid_terms(update, last, problem)
+    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
+    assert rms(update.position - problem.prior.position - step) < 2e-3 * rms(step)
+
+
+@pytest.mark.parametrize("fabric", [Fabric.SILK, Fabric.DENIM])
+def test_the_fabric_scales_its_terms(fabric):
+    problem, contact = scene(5, CONFIG.with_fabric(fabric))
+    start, last = begun(problem)
+    update = one_pass(start, problem, contact)
+    rigid = rigid_terms(update, last, problem)
+    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
+    assert rms(update.position - problem.prior.position - step) < 2e-3 * rms(step)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_passes_converge_to_where_the_total_energy_is_stationary(seed):
+    """Finite differences of the total energy vanish, whatever matrix the steps were taken with."""
+    problem, contact = scene(seed)
+    update, last = begun(problem)
+    sizes = []
+    for _ in range(60):
+        before = update.position
+        update = one_pass(update, problem, contact)
+        rigid = rigid_terms(update, last, problem)
+        sizes.append(rms(update.position - before))
+    function = lambda x: dense.residuals(x, problem, rigid)  # noqa: E731
+    start = dense.gradient(*dense.linearised(function, problem.prior.position))
+    end = dense.gradient(*dense.linearised(function, update.position))
+    assert sizes[-1] < 1e-2 * sizes[0]
+    assert np.linalg.norm(end) < 1e-2 * np.linalg.norm(start)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_each_pass_lowers_the_energy(seed):
+    problem, contact = scene(seed)
+    start, last = begun(problem)
+    update = one_pass(start, problem, contact)
+    rigid = rigid_terms(update, last, problem)
+
+    def energy(x):
+        return 0.5 * sum(float(part @ part) for part in dense.residuals(x, problem, rigid).values())
+
+    assert energy(update.position) < energy(problem.prior.position)
+
+
+@pytest.mark.parametrize("gate", [1e-4, 1e-3])
+def test_no_vertex_is_moved_farther_than_the_gate(gate):
+    problem, contact = scene(6)
+    update = one_pass(begun(problem)[0], problem, contact, gate)
+    length = np.linalg.norm(update.position - problem.prior.position, axis=1)
+    assert length.max() <= gate * (1 + 1e-6)
+    assert length.max() > 0.9 * gate
+
+
+def test_nothing_measured_at_the_rest_shape_moves_nothing():
+    problem, _ = scene(7, measured=0.0)
+    problem = problem._replace(prior=problem.prior._replace(position=MESH.vertices.copy()))
+    start = fuse.begin(problem.prior, MESH.vertices, rigidity.identity(V), 1.0, problem.model, CONFIG)
+    update = one_pass(start, problem, None)
+    np.testing.assert_allclose(update.position, MESH.vertices, atol=1e-9)
+    assert not update.rejected
+
+
+def test_an_absent_measurement_is_ignored_whatever_its_numbers():
+    problem, contact = scene(8)
+    garbled = np.where(problem.weight[:, None] > 0, problem.measurement.target, 1e3)
+    other = problem._replace(measurement=problem.measurement._replace(target=garbled))
+    steps = [one_pass(begun(p)[0], p, contact).position for p in (problem, other)]
+    np.testing.assert_array_equal(steps[0], steps[1])
+
+
+def test_precise_planes_are_met_and_the_rest_follows_smoothly():
+    problem, contact = scene(9, measured=1.0)
+    flat = Measurement(
+        MESH.vertices * [1, 1, 0] + [0, 0, 0.01], np.tile([0.0, 0.0, 1.0], (V, 1)), np.ones(V, bool), np.ones(V, bool)
+    )
+    soft = dataclasses.replace(CONFIG.physics, bend=0.0, rest_rigidity=0.0, motion_rigidity=0.0, stretch=1.0, shear=1.0)
+    problem = problem._replace(
+        measurement=flat, weight=np.ones(V), R=np.tile(1e-12 * np.eye(3), (V, 1, 1)),
+        config=dataclasses.replace(CONFIG, physics=soft),
+    )  # fmt: skip
+    update, _ = begun(problem)
+    for _ in range(5):
+        update = one_pass(update, problem, contact)
+    assert np.abs(update.position[:, 2] - 0.01).max() < 1e-3
+
+
+# Velocities ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_condition_is_the_kalman_update_of_the_whole_six_vector(seed):
+    """Where the new position comes of a measurement z of it, the dense update of (p, u) is the reference."""
+    rng = np.random.default_rng(seed)
+    n = 8
+    prior = random_state(rng.normal(size=(n, 3)), rng)
+    N, z = blocks(n, 3, rng) * 0.006**2, prior.position + rng.normal(scale=0.01, size=(n, 3))
+    H = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+    means, covariances = [], []
+    for i, P in enumerate(full(prior)):
+        K = P @ H.T @ np.linalg.inv(H @ P @ H.T + N[i])
+        x = np.concatenate([prior.position[i], prior.velocity[i]])
+        means.append(x + K @ (z[i] - H @ x))
+        covariances.append((np.eye(6) - K @ H) @ P @ (np.eye(6) - K @ H).T + K @ N[i] @ K.T)
+    means, covariances = np.array(means), np.array(covariances)
+    state = fuse.condition(prior, means[:, :3], covariances[:, :3, :3], prior.R)
+    np.testing.assert_allclose(state.velocity, means[:, 3:], rtol=1e-8, atol=1e-12)
+    np.testing.assert_allclose(full(state), covariances, rtol=1e-7, atol=1e-10)
+
+
+def test_condition_on_what_was_known_changes_nothing():
+    rng = np.random.default_rng(0)
+    prior = random_state(rng.normal(size=(9, 3)), rng)
+    state = fuse.condition(prior, prior.position, prior.P_pp, prior.R)
+    np.testing.assert_allclose(full(state), full(prior), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(state.velocity, prior.velocity)
+
+
+# The paper's decoupled update ---------------------------------------------------------------------------------------
+
+PAPER = dataclasses.replace(
+    Config.paper(), physics=dataclasses.replace(CONFIG.physics, rest_rigidity=0.0, motion_rigidity=0.0)
+)
+
+
+@pytest.mark.parametrize("body", [False, True], ids=["cloth alone", "body"])
+@pytest.mark.parametrize("seed", range(3))
+def test_decoupled_update_is_a_kalman_filter_per_vertex_and_the_gradient_pseudo_measurement(seed, body):
+    problem, contact = scene(seed, PAPER, body=body, planes=False)
+    prior, weight, R = problem.prior, problem.weight, problem.R
+    update = one_pass(begun(problem)[0], problem, contact)
+
+    here, jacobian = dense.linearised(lambda x: dense.cloth(x, problem), prior.position)
+    h = dense.gradient(here, jacobian).reshape(V, 3)
+    second = dense.gauss_newton(jacobian, majorised=False).reshape(V, 3, V, 3)
+    H = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
+    for i, P in enumerate(full(prior)):
+        x = np.concatenate([prior.position[i], prior.velocity[i]])
+        if weight[i] > 0:
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[i] / weight[i])
+            x, P = x + K @ (problem.measurement.target[i] - H @ x), (np.eye(6) - K @ H) @ P
+        Hp = second[i, :, i]
+        gain = P[:3, :3] @ Hp.T @ np.linalg.inv(Hp @ P[:3, :3] @ Hp.T + PAPER.fuse.physics_sd**2 * np.eye(3))
+        x[:3] -= gain @ h[i]
+        np.testing.assert_allclose(update.position[i], x[:3], rtol=0, atol=2e-6)
+        np.testing.assert_allclose(update.state.velocity[i], x[3:], rtol=1e-9)
+        np.testing.assert_allclose(full(update.state)[i], P, rtol=1e-7, atol=1e-12)
+    assert update.settled
+
+
+def test_decoupled_update_without_measurements_keeps_the_covariance():
+    problem, contact = scene(3, PAPER, measured=0.0, planes=False)
+    update = one_pass(begun(problem)[0], problem, contact)
+    np.testing.assert_allclose(full(update.state), full(problem.prior), rtol=1e-12)
