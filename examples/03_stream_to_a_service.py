@@ -1,0 +1,69 @@
+"""Stream clouds to a service over gRPC and read results as they come.
+
+python examples/03_stream_to_a_service.py                    starts a service of its own
+python examples/03_stream_to_a_service.py 127.0.0.1:7701     uses one that runs (ddakf serve)
+"""
+
+import contextlib
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from ddakf_client import Frame, connect
+from ddakf_service.child import ServiceProcess
+
+from ddakf import data
+from ddakf.evaluation.sensors import Sensor
+
+FRAMES = 12
+
+
+@contextlib.contextmanager
+def service(address: str | None):
+    """The address of a service."""
+    if address:
+        yield address
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
+        try:
+            process.wait_until_ready(lambda done, total, name: print(f"compiling kernels: {done} of {total}"))
+            yield process.grpc
+        finally:
+            process.stop()
+
+
+def frames(sequence):
+    """What a depth camera sees; the client pulls these in a thread of its own."""
+    camera, rng = Sensor("front"), np.random.default_rng(1)
+    for number in range(1, FRAMES):
+        cloud = camera.capture(sequence, number, rng)
+        yield Frame(cloud.points, sequence.timestamp(number), cloud.sensor_origin)
+        time.sleep(1 / sequence.fps)
+
+
+def main() -> None:
+    sequence = data.sample()
+    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address, connect(address) as client:
+        print(f"{address}: ddakf {client.server.server_version}, codecs {', '.join(client.server.codecs)}")
+        with client.create_session(
+            sequence.template,
+            sequence.garment_faces,
+            flow="lossless",  # every frame; "realtime" drops what comes too fast and counts it
+            codec="morton-zstd",
+            fabric="cotton",
+        ) as session:
+            session.reset(sequence.garment_vertices[0])
+            for result in session.track(frames(sequence)):
+                print(
+                    f"frame {result.sequence:2d}  {result.state:12s}  reliability {result.reliability:.2f}"
+                    f"  coverage {result.coverage:.2f}  latency {1e3 * result.latency:5.1f} ms"
+                )
+            info = session.info()
+        print(f"{info.applied} frames tracked, {info.dropped} dropped, {info.rejected} refused")
+
+
+if __name__ == "__main__":  # the service's workers are spawned: they import this file
+    main()

@@ -1,0 +1,70 @@
+"""Two garments at once from one asyncio program.
+
+python examples/04_async_client.py [HOST:PORT]
+"""
+
+import asyncio
+import contextlib
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from ddakf_client import Frame, aconnect
+from ddakf_service.child import ServiceProcess
+
+from ddakf import data
+from ddakf.evaluation.sensors import Sensor
+
+FRAMES = 8
+
+
+@contextlib.contextmanager
+def service(address: str | None):
+    """The address of a service: the given one, or one of our own."""
+    if address:
+        yield address
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        process = ServiceProcess(["--workers", "2"], log=Path(folder) / "service.log")
+        try:
+            process.wait_until_ready()
+            yield process.grpc
+        finally:
+            process.stop()
+
+
+async def camera(sequence, view: str):
+    """Frames as they are taken; here 30 per second."""
+    sensor, rng = Sensor(view), np.random.default_rng(1)
+    for number in range(1, FRAMES):
+        cloud = sensor.capture(sequence, number, rng)
+        yield Frame(cloud.points, sequence.timestamp(number), cloud.sensor_origin)
+        await asyncio.sleep(1 / sequence.fps)
+
+
+async def track(client, sequence, view: str) -> str:
+    """Tracks one garment to the end."""
+    async with client.create_session(
+        sequence.template, sequence.garment_faces, flow="lossless", labels={"view": view}
+    ) as session:
+        await session.reset(sequence.garment_vertices[0])
+        latency = []
+        async for result in session.track(camera(sequence, view)):
+            latency.append(result.latency)
+        return (
+            f"{view:5s}  {result.applied} frames  reliability {result.reliability:.2f}"
+            f"  coverage {result.coverage:.2f}  median latency {1e3 * np.median(latency):.1f} ms"
+        )
+
+
+async def track_both(address: str) -> None:
+    sequence = data.sample()
+    async with aconnect(address) as client:
+        for line in await asyncio.gather(track(client, sequence, "front"), track(client, sequence, "full")):
+            print(line)
+
+
+if __name__ == "__main__":
+    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address:
+        asyncio.run(track_both(address))

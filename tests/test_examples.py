@@ -1,0 +1,35 @@
+"""The examples run as they stand, and stay short."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("[0-9][0-9]_*.py"))
+SAYS = {
+    "01_track_a_cloud": "tracking",
+    "02_single_camera_with_body": "with the body",
+    "03_stream_to_a_service": "11 frames tracked, 0 dropped, 0 refused",
+    "04_async_client": "7 frames",
+    "05_your_own_mesh": "2658 of the file's vertices have a new place",
+}
+
+
+def test_there_is_an_expectation_for_every_example():
+    assert [example.stem for example in EXAMPLES] == list(SAYS)
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
+def test_an_example_runs_as_it_stands(example, tmp_path):
+    ended = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False)
+    assert ended.returncode == 0, ended.stderr
+    assert SAYS[example.stem] in ended.stdout
+    assert list(tmp_path.iterdir()) == [], "an example writes only where it is told to"
+
+
+@pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
+def test_an_example_fits_on_a_page(example):
+    assert len(example.read_text().splitlines()) < 100
