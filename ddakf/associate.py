@@ -18,8 +18,21 @@ class Measurement(NamedTuple):
 
     target: np.ndarray  # (V, 3) z, m
     normal: np.ndarray | None  # (V, 3) unit normal of the cloud's surface at z; None: measured in all directions alike
-    found: np.ndarray  # (V,) bool
+    distance: np.ndarray  # (V,) m to the nearest point; negative where nothing was found
+    searched_at: np.ndarray  # (V, 3) m, where the vertex was when its plane was looked for
     visible: np.ndarray  # (V,) bool, vertices that a sensor may see
+
+    @classmethod
+    def none(cls, n: int) -> Measurement:
+        """Before the first pass: nothing looked for, nothing found."""
+        return cls(
+            np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, -1.0), np.full((n, 3), kernels.FAR_AWAY), np.ones(n, bool)
+        )
+
+    @property
+    def found(self) -> np.ndarray:
+        """(V,) bool."""
+        return self.distance >= 0.0
 
     def innovation(self, position: np.ndarray) -> np.ndarray:
         """(V, 3) y = z - p, of a plane only its part along the normal; zero where nothing was found."""
@@ -41,34 +54,38 @@ def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[flo
 
 
 def associate(
-    position: np.ndarray, cloud: Cloud, model: Model, gate: float, config: PlaneAssociation | NearestPoint
-) -> Measurement:
+    position: np.ndarray, last: Measurement, cloud: Cloud, model: Model, gate: float,
+    config: PlaneAssociation | NearestPoint,
+) -> Measurement:  # fmt: skip
     """Measurements for the vertices at ``position`` (V, 3).
 
     Args:
         position: metres.
+        last: of the pass before; vertices that hardly moved since keep their plane.
         cloud: the preprocessed points.
         model: the garment.
         gate: search radius, metres.
         config: plane-aligned, or the paper's nearest neighbour.
     """
     n = len(position)
-    target, distance = np.zeros((n, 3)), np.full(n, -1.0)
     match config:
         case PlaneAssociation():
-            plane, normal, visible = np.zeros((n, 3)), np.empty((n, 3)), np.ones(n, bool)
+            normal, visible = np.empty((n, 3)), np.ones(n, bool)
+            target, plane, distance, searched_at = (a.copy() for a in last[:4])
             kernels.vertex_normals(position, model.faces, normal)
             if cloud.oriented:
                 kernels.facing(position, normal, cloud.sensor, config.facing_cosine, visible)
             if not cloud.empty:
                 kernels.nearest_planes(
                     position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
-                    gate, config.normal_cosine, cloud.oriented, target, plane, distance,
+                    gate, config.normal_cosine, cloud.oriented, config.still * cloud.cell,
+                    searched_at, target, plane, distance,
                 )  # fmt: skip
-            return Measurement(target, plane, distance >= 0.0, visible)
+            return Measurement(target, plane, distance, searched_at, visible)
         case NearestPoint():
+            target, distance = np.zeros((n, 3)), np.full(n, -1.0)
             if not cloud.empty:
                 kernels.nearest_points(
                     position, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims, gate, target, distance
                 )
-            return Measurement(target, None, distance >= 0.0, np.ones(n, bool))
+            return Measurement(target, None, distance, position, np.ones(n, bool))

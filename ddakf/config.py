@@ -94,6 +94,7 @@ class PlaneAssociation(Checked):
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
+    still: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
     facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m: what the blended point says about the position in the plane
@@ -160,7 +161,7 @@ class Physics(Checked):
 
     stretch: float = bounded(1.0e6, 0, 1e12)  # 1/m^2 per unit strain^2
     shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
-    bend: float = bounded(0.005, 0, 1e12)  # 1/rad^2
+    bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
     collision: float = bounded(1.0e10, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
@@ -175,7 +176,7 @@ class Physics(Checked):
 class MapUpdate(Checked):
     """Gauss-Newton on the MAP problem over all vertices."""
 
-    solver_iterations: int = bounded(12, 1, 1000)
+    solver_iterations: int = bounded(10, 1, 1000)
     solver_tolerance: float = bounded(0.02, 0, 1)
     prior_sd: float = bounded(0.05, 1e-4, 10)  # m, the prior of a vertex on its own is never tighter than this
 

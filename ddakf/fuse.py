@@ -17,7 +17,6 @@ from ddakf.physics.energies import Energies, total_blocks, total_gradient
 from ddakf.rigidity import LocalRigidity
 from ddakf.types import State
 
-
 LONGEST_SECANT = 3.0  # passes that the secant may leap over
 COARSE_PASSES = 1  # passes of a frame that form the coarse level anew
 
@@ -51,6 +50,7 @@ class Update(NamedTuple):
     measurement: Measurement
     weight: np.ndarray  # (V,)
     R: np.ndarray  # (V, 3, 3) m^2
+    energies: Energies | None = None
     planes: Planes | None = None
     system: System | None = None
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
@@ -78,7 +78,7 @@ def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: 
         rest=rigidity.to_rest(model, physics_lambda * config.physics.rest_rigidity, rotation),
         motion=rigidity.since(last, model, config.physics.motion_rigidity),
         information=inverse_blocks(prior.P_pp + floor * np.eye(3)),
-        measurement=Measurement(np.zeros((n, 3)), None, np.zeros(n, bool), np.zeros(n, bool)),
+        measurement=Measurement.none(n),
         weight=np.zeros(n),
         R=prior.R,
     )
@@ -98,7 +98,7 @@ def fuse(
         gate: search radius of this pass; no vertex is moved farther, metres.
         model, config: of the tracker.
     """
-    update = update._replace(measurement=measurement, weight=weight, R=R, passes=update.passes + 1)
+    update = update._replace(measurement=measurement, weight=weight, R=R, energies=energies, passes=update.passes + 1)
     match config.fuse:
         case MapUpdate():
             return _map_update(update, prior, energies, gate, model, config)
@@ -184,9 +184,9 @@ def normal_equations(
             position, model.start, model.neighbour, term.source, term.weight, term.rotation, force
         )
     kernels.add_edges(model.start, sum(term.weight for term in rigid), D, B)
-    for part, stiffness in ((energies.stretch, stretch), (energies.shear, shear)):
-        if stiffness > 0:
-            kernels.add_triangles(part.stencil, model.slot, *part[1:], stiffness, D, B, force)
+    kernels.add_triangles(
+        model.faces, model.slot, *energies.stretch[1:], stretch, *energies.shear[1:], shear, D, B, force
+    )
     if bend > 0:
         kernels.add_hinges(*energies.bend, bend, D, force)
     return System(unary, D, B, force)
@@ -204,8 +204,8 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapU
     n, k = len(system.D), len(coarse_inverse)
     delta, work = np.empty((n, 3), np.float32), np.empty((4, n, 3), np.float32)
     kernels.conjugate_gradients(
-        system.D.astype(np.float32), system.B, model.start, model.neighbour, inverse_blocks(system.D).astype(np.float32), model.cluster,
-        coarse_inverse, system.force, config.solver_iterations, config.solver_tolerance,
+        system.D.astype(np.float32), system.B, model.start, model.neighbour,
+        inverse_blocks(system.D).astype(np.float32), model.cluster, coarse_inverse, system.force, config.solver_iterations, config.solver_tolerance,
         work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta.astype(np.float64)

@@ -15,10 +15,10 @@ MAX_CELLS = 2_000_000
 class Cloud(NamedTuple):
     """A preprocessed cloud of M points, sorted by grid cell."""
 
-    points: np.ndarray  # (M, 3) float32, relative to origin, m
+    points: np.ndarray  # (3, M) float32, relative to origin, m
     index: np.ndarray  # (M,) int32, of each in the input
     start: np.ndarray  # (cells + 2,) int32, of the points of each cell
-    surfels: np.ndarray  # (S, 6) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
+    surfels: np.ndarray  # (6, S) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
     surfel_start: np.ndarray  # (cells + 2,) int32, of the surfels of each cell
     origin: np.ndarray  # (3,) m
     cell: float  # m
@@ -32,7 +32,7 @@ class Cloud(NamedTuple):
 
     @property
     def empty(self) -> bool:
-        return len(self.points) == 0
+        return self.points.shape[1] == 0
 
 
 def preprocess(
@@ -63,8 +63,8 @@ def preprocess(
     # a cloud denser than the garment is fitted with planes at the density that the garment can use
     stride = 1
     if isinstance(config.preprocess, GridFilter):
-        stride = max(1, round(len(sorted_points) / (config.preprocess.planes_per_vertex * len(position))))
-    surfels = np.empty((-(-len(sorted_points) // stride), 6), np.float32)
+        stride = max(1, round(sorted_points.shape[1] / (config.preprocess.planes_per_vertex * len(position))))
+    surfels = np.empty((6, -(-sorted_points.shape[1] // stride)), np.float32)
     kernels.fit_planes(sorted_points, start, cell, dims, config.preprocess.plane_radius * cell, stride, surfels)
     sensor = None
     if sensor_origin is not None:
@@ -80,7 +80,7 @@ def preprocess(
 def _grid(points, chosen, area, config):
     """Sorted points of the chosen ones, their indices, cell starts, origin, cell size and dimensions."""
     if len(chosen) == 0:
-        return np.empty((0, 3), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
+        return np.empty((3, 0), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
     inside = points[chosen]
     origin = inside.min(axis=0).astype(np.float64) - 1e-6
     extent = inside.max(axis=0).astype(np.float64) - origin + 1e-6
@@ -92,7 +92,7 @@ def _grid(points, chosen, area, config):
         cell *= 1.3
         dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
     start = np.empty(int(np.prod(dims)) + 2, np.int32)
-    sorted_points = np.empty((len(chosen), 3), np.float32)
+    sorted_points = np.empty((3, len(chosen)), np.float32)
     index = np.empty(len(chosen), np.int32)
     kernels.fill_grid(points, chosen, origin, cell, dims, start, sorted_points, index)
     return sorted_points, index, start, origin, cell, dims
@@ -106,21 +106,21 @@ def _drop_sparse(grid, config: GridFilter):
     threshold = max(2, int(np.ceil(config.least_share * np.median(per_point))))
     new_start, new_points, new_index = np.empty_like(start), np.empty_like(points), np.empty_like(index)
     n = kernels.remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index)
-    return new_points[:n], new_index[:n], new_start, origin, cell, dims
+    return np.ascontiguousarray(new_points[:, :n]), new_index[:n], new_start, origin, cell, dims
 
 
 def _drop_far(points, grid, config: KnnFilter):
     """Rusu and Cousins 2011, as in Open3D: mean distance to the k nearest, the point itself among them."""
     sorted_points, index, start, origin, cell, dims = grid
-    if len(sorted_points) <= 1:
+    if len(index) <= 1:
         return grid
-    others = min(config.neighbours, len(sorted_points)) - 1
-    mean = np.empty(len(sorted_points))
+    others = min(config.neighbours, len(index)) - 1
+    mean = np.empty(len(index))
     kernels.knn_mean_distances(sorted_points, start, cell, dims, others, mean)
     mean *= others / (others + 1)
     kept = index[mean < mean.mean() + config.ratio * mean.std(ddof=1)]
     refilled = np.empty_like(start)
-    new_points, new_index = np.empty((len(kept), 3), np.float32), np.empty(len(kept), np.int32)
+    new_points, new_index = np.empty((3, len(kept)), np.float32), np.empty(len(kept), np.int32)
     kernels.fill_grid(points, kept, origin, cell, dims, refilled, new_points, new_index)
     return new_points, new_index, refilled, origin, cell, dims
 

@@ -103,7 +103,7 @@ class Tracker:
         update = fuse.begin(prior, anchor, self._rotation, health.physics_lambda, garment, config)
         for gate in associate.gates(cloud, config.associate):
             # B. Association (2.3)
-            measurement = associate.associate(update.position, cloud, garment, gate, config.associate)
+            measurement = associate.associate(update.position, update.measurement, cloud, garment, gate, config.associate)
             clock.lap("associate")
 
             # C. Robustness (2.5)
@@ -115,7 +115,9 @@ class Tracker:
             clock.lap("adapt")
 
             # E. Physics (2.4)
-            forces = energies.linearize(update.position, garment, self._contact, health.physics_lambda, config.physics)
+            forces = energies.linearize(
+                update.position, update.energies, garment, self._contact, health.physics_lambda, config.physics
+            )
             clock.lap("physics")
 
             # F. Fusion update (2.4, 2.8)

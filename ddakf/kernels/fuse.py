@@ -103,43 +103,33 @@ def add_edges(start, weight, D, B):
         D[i, 2, 2] += s
 
 
-@njit(nogil=True, cache=True)
-def add_triangles(stencil, slot, residual, jacobian, weight, stiffness, D, B, force):
-    """Adds constraints on triangles (stretch, shear): their force and their Gauss-Newton blocks.
+@njit(nogil=True, cache=True, fastmath=True)
+def add_triangles(
+    faces, slot, stretch_r, stretch_J, stretch_w, stretch_k, shear_r, shear_J, shear_w, shear_k, D, B, force
+):
+    """Adds stretch (two constraints per face, warp first) and shear (one): force and Gauss-Newton blocks.
 
-    ``slot`` (F, 3, 3) holds, for corners a and b of face f, the row entry of that pair; constraint c belongs to face c mod F.
+    ``slot`` (F, 3, 3) holds, for corners s and t of a face, the row entry of that pair. The three constraints of a face share
+    their blocks, so that each is read and written once.
     """
-    faces = slot.shape[0]
-    for c in range(stencil.shape[0]):
-        k = stiffness * weight[c]
-        f = c % faces
-        kr = k * residual[c]
+    n = faces.shape[0]
+    for f in range(n):
+        ku, kv, kh = stretch_k * stretch_w[f], stretch_k * stretch_w[f + n], shear_k * shear_w[f]
+        fu, fv, fh = ku * stretch_r[f], kv * stretch_r[f + n], kh * shear_r[f]
+        U, W, H = stretch_J[f], stretch_J[f + n], shear_J[f]
         for s in range(3):
-            i = stencil[c, s]
-            x, y, z = jacobian[c, s, 0], jacobian[c, s, 1], jacobian[c, s, 2]
-            force[i, 0] -= kr * x
-            force[i, 1] -= kr * y
-            force[i, 2] -= kr * z
-            x, y, z = k * x, k * y, k * z
-            add_outer(x, y, z, jacobian[c, s, 0], jacobian[c, s, 1], jacobian[c, s, 2], D, i)
-            for t in range(s):
-                u, v, w = jacobian[c, t, 0], jacobian[c, t, 1], jacobian[c, t, 2]
-                add_outer(x, y, z, u, v, w, B, slot[f, s, t])
-                add_outer(u, v, w, x, y, z, B, slot[f, t, s])
-
-
-@njit(nogil=True, cache=True, inline="always")
-def add_outer(x, y, z, u, v, w, blocks, i):
-    """blocks[i] += (x, y, z)' (u, v, w)."""
-    blocks[i, 0, 0] += x * u
-    blocks[i, 0, 1] += x * v
-    blocks[i, 0, 2] += x * w
-    blocks[i, 1, 0] += y * u
-    blocks[i, 1, 1] += y * v
-    blocks[i, 1, 2] += y * w
-    blocks[i, 2, 0] += z * u
-    blocks[i, 2, 1] += z * v
-    blocks[i, 2, 2] += z * w
+            i = faces[f, s]
+            for a in range(3):
+                u, w, h = ku * U[s, a], kv * W[s, a], kh * H[s, a]
+                force[i, a] -= fu * U[s, a] + fv * W[s, a] + fh * H[s, a]
+                for b in range(3):
+                    D[i, a, b] += u * U[s, b] + w * W[s, b] + h * H[s, b]
+                for t in range(s):
+                    e, d = slot[f, s, t], slot[f, t, s]
+                    for b in range(3):
+                        x = np.float32(u * U[t, b] + w * W[t, b] + h * H[t, b])
+                        B[e, a, b] += x
+                        B[d, b, a] += x
 
 
 @njit(nogil=True, cache=True)

@@ -31,7 +31,7 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
         chosen: (M,) indices of the points that take part.
         origin, cell, dims: corner of the grid, metres; cell size, metres; cells per axis.
         start: (cells + 2,) out: points of cell c are ``sorted_*[start[c]:start[c + 1]]``.
-        sorted_points: (M, 3) float32 out, relative to origin, metres.
+        sorted_points: (3, M) float32 out, relative to origin, metres.
         sorted_index: (M,) out, index into ``points``.
     """
     inverse = 1.0 / cell
@@ -54,7 +54,7 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
         slot = start[c]
         start[c] += 1
         for a in range(3):
-            sorted_points[slot, a] = points[i, a] - origin[a]
+            sorted_points[a, slot] = points[i, a] - origin[a]
         sorted_index[slot] = i
 
 
@@ -92,9 +92,9 @@ def remove_sparse(start, count, threshold, points, index, new_start, new_points,
         new_start[c] = n
         if count[c] >= threshold:
             for k in range(start[c], start[c + 1]):
-                new_points[n, 0] = points[k, 0]
-                new_points[n, 1] = points[k, 1]
-                new_points[n, 2] = points[k, 2]
+                new_points[0, n] = points[0, k]
+                new_points[1, n] = points[1, k]
+                new_points[2, n] = points[2, k]
                 new_index[n] = index[k]
                 n += 1
     for c in range(count.shape[0], new_start.shape[0]):
@@ -136,51 +136,53 @@ def smallest_eigenvector(a, b, c, d, e, f):
     return smallest, middle, ux * s, uy * s, uz * s
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, fastmath=True)
 def fit_planes(points, start, cell, dims, radius, stride, surfels):
     """At every ``stride``-th point the plane of all its neighbours: the point moved onto it, and its unit normal.
 
-    Neighbours are weighted with (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero.
+    Neighbours are weighted with (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero. All sums are in
+    float32, of differences to the point, and without a branch: that vectorises, and halves the time.
 
     Args:
-        points: (M, 3) float32 sorted by cell, relative to the grid's origin, metres.
+        points: (3, M) float32 sorted by cell, relative to the grid's origin, metres.
         start, cell, dims: the grid.
         radius: metres, at most one cell.
         stride: of the sorted points; cells keep their share.
-        surfels: (ceil(M / stride), 6) float32 out: projected point, normal.
+        surfels: (6, ceil(M / stride)) float32 out: projected point, normal.
     """
     inverse = 1.0 / cell
     r2 = radius * radius
-    inverse_r2 = 1.0 / r2
+    inverse_r2 = np.float32(1.0 / r2)
+    zero, one = np.float32(0.0), np.float32(1.0)
     nx, ny, nz = dims[0], dims[1], dims[2]
-    for i in range(surfels.shape[0]):
-        px, py, pz = points[i * stride, 0], points[i * stride, 1], points[i * stride, 2]
+    X, Y, Z = points[0], points[1], points[2]
+    for i in range(surfels.shape[1]):
+        px, py, pz = X[i * stride], Y[i * stride], Z[i * stride]
         ix = min(max(int(px * inverse), 0), nx - 1)
         iy = min(max(int(py * inverse), 0), ny - 1)
         iz = min(max(int(pz * inverse), 0), nz - 1)
         z0 = max(iz - 1, 0)
         z1 = min(iz + 1, nz - 1)
-        sw = sx = sy = sz = np.float32(0.0)
-        xx = yy = zz = xy = xz = yz = np.float32(0.0)
+        sw = sx = sy = sz = zero
+        xx = yy = zz = xy = xz = yz = zero
         for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
             for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
                 row = (jx * ny + jy) * nz
                 for k in range(start[row + z0], start[row + z1 + 1]):
-                    dx, dy, dz = points[k, 0] - px, points[k, 1] - py, points[k, 2] - pz
-                    d2 = dx * dx + dy * dy + dz * dz
-                    if d2 < r2:
-                        w = np.float32(1.0 - d2 * inverse_r2)
-                        w *= w
-                        sw += w
-                        sx += w * dx
-                        sy += w * dy
-                        sz += w * dz
-                        xx += w * dx * dx
-                        yy += w * dy * dy
-                        zz += w * dz * dz
-                        xy += w * dx * dy
-                        xz += w * dx * dz
-                        yz += w * dy * dz
+                    dx, dy, dz = X[k] - px, Y[k] - py, Z[k] - pz
+                    w = max(one - (dx * dx + dy * dy + dz * dz) * inverse_r2, zero)
+                    w = w * w
+                    wx, wy, wz = w * dx, w * dy, w * dz
+                    sw += w
+                    sx += wx
+                    sy += wy
+                    sz += wz
+                    xx += wx * dx
+                    yy += wy * dy
+                    zz += wz * dz
+                    xy += wx * dy
+                    xz += wx * dz
+                    yz += wy * dz
         s = 1.0 / sw
         mx, my, mz = sx * s, sy * s, sz * s
         smallest, middle, ux, uy, uz = smallest_eigenvector(
@@ -189,27 +191,27 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
         # three points or a line have no plane; so has a ball, where no direction is thinner than the others
         planar = middle > 0.004 * r2 and smallest < 0.5 * middle
         offset = ux * mx + uy * my + uz * mz if planar else 0.0
-        surfels[i, 0] = px + offset * ux
-        surfels[i, 1] = py + offset * uy
-        surfels[i, 2] = pz + offset * uz
+        surfels[0, i] = px + offset * ux
+        surfels[1, i] = py + offset * uy
+        surfels[2, i] = pz + offset * uz
         scale = 1.0 if planar else 0.0
-        surfels[i, 3] = ux * scale
-        surfels[i, 4] = uy * scale
-        surfels[i, 5] = uz * scale
+        surfels[3, i] = ux * scale
+        surfels[4, i] = uy * scale
+        surfels[5, i] = uz * scale
 
 
 @njit(nogil=True, cache=True)
 def orient_normals(surfels, sensor):
-    """Turns each normal toward the sensor; ``sensor`` is (1, 3) or (M, 3), in the grid's frame."""
+    """Turns each normal toward the sensor; ``sensor`` is (1, 3) or (S, 3), in the grid's frame."""
     one = sensor.shape[0] == 1
-    for i in range(surfels.shape[0]):
+    for i in range(surfels.shape[1]):
         s = 0 if one else i
         towards = 0.0
         for a in range(3):
-            towards += surfels[i, 3 + a] * (sensor[s, a] - surfels[i, a])
+            towards += surfels[3 + a, i] * (sensor[s, a] - surfels[a, i])
         if towards < 0.0:
             for a in range(3):
-                surfels[i, 3 + a] = -surfels[i, 3 + a]
+                surfels[3 + a, i] = -surfels[3 + a, i]
 
 
 @njit(nogil=True, cache=True)
@@ -222,8 +224,8 @@ def knn_mean_distances(points, start, cell, dims, k, mean_distance):
     best = np.empty(k, np.float64)
     nx, ny, nz = dims[0], dims[1], dims[2]
     reach = max(nx, ny, nz)
-    for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+    for i in range(points.shape[1]):
+        px, py, pz = points[0, i], points[1, i], points[2, i]
         ix = min(max(int(px * inverse), 0), nx - 1)
         iy = min(max(int(py * inverse), 0), ny - 1)
         iz = min(max(int(pz * inverse), 0), nz - 1)
@@ -243,7 +245,7 @@ def knn_mean_distances(points, start, cell, dims, k, mean_distance):
                             for m in range(start[c], start[c + 1]):
                                 if m == i:
                                     continue
-                                d2 = (points[m, 0] - px) ** 2 + (points[m, 1] - py) ** 2 + (points[m, 2] - pz) ** 2
+                                d2 = (points[0, m] - px) ** 2 + (points[1, m] - py) ** 2 + (points[2, m] - pz) ** 2
                                 if found < k or d2 < best[found - 1]:
                                     slot = found if found < k else k - 1
                                     while slot > 0 and best[slot - 1] > d2:

@@ -28,9 +28,21 @@ class Energies(NamedTuple):
 
 
 def linearize(
-    position: np.ndarray, model: Model, contact: BodyContact | None, physics_lambda: float, config: Physics
-) -> Energies:
-    """All energies at ``position`` (V, 3) metres, multiplied by lambda; collision is not, it is a bound and no preference."""
+    position: np.ndarray, last: Energies | None, model: Model, contact: BodyContact | None, physics_lambda: float,
+    config: Physics,
+) -> Energies:  # fmt: skip
+    """All energies at ``position`` (V, 3) metres, multiplied by lambda; collision is not, it is a bound and no preference.
+
+    Bending is linearised once per frame: it is the dearest of the energies, and the angles change little from pass to pass.
+
+    Args:
+        position: the estimate.
+        last: of the pass before, or None in the first.
+        model: the garment.
+        contact: the body, or None.
+        physics_lambda: of stage G.
+        config: stiffnesses and fabric.
+    """
     touching = None
     if contact is not None and contact.present and config.collision > 0:
         touching = collision.linearize(position, model.collision, contact.nearest(position))
@@ -38,7 +50,7 @@ def linearize(
     return Energies(
         stretch.linearize(position, model.stretch),
         shear.linearize(position, model.shear),
-        bend.linearize(position, model.bend),
+        bend.linearize(position, model.bend) if last is None else last.bend,
         touching,
         (
             physics_lambda * config.stretch * fabric.stretch,
