@@ -1,0 +1,108 @@
+"""Beside Open3D: a whole frame against its preprocessing alone, and the outlier filters against its filter."""
+
+from __future__ import annotations
+
+import time
+
+import inputs
+import numpy as np
+from library import percentiles
+
+import ddakf
+from ddakf import data
+from ddakf.config import KnnFilter
+from ddakf.errors import MissingDependency
+from ddakf.evaluation.sensors import OUTLIER_MARGIN
+from ddakf.open3d_bridge import import_open3d
+from ddakf.preprocess import preprocess
+
+NEIGHBOURS, RATIO = 16, 2.0
+SIZES = ((5_000, 20_000), (2_500, 10_000))
+
+
+def against_open3d(settings) -> dict:
+    """One frame of the library, end to end, over Open3D's outlier removal and normals on the same cloud, taken in turn."""
+    try:
+        o3d = import_open3d()
+    except MissingDependency as missing:
+        return {"skipped": str(missing)}
+    rows = []
+    for vertices, points in settings.open3d_sizes:
+        sequence = inputs.resampled(inputs.shortened(data.sample(), settings.open3d_frames), vertices)
+        run = inputs.run_of(sequence, settings.open3d_frames, "full", points)
+        tracker, ours, theirs = run.tracker(), [], []
+        for number, cloud, how in run.frames():
+            begun = time.perf_counter()
+            tracker.step(cloud.points, **how)
+            between = time.perf_counter()
+            _open3d_preprocessing(o3d, cloud.points)
+            if number > min(2, len(run.clouds) - 1):
+                ours.append(1e3 * (between - begun))
+                theirs.append(1e3 * (time.perf_counter() - between))
+        rows.append(
+            {
+                "vertices": tracker.garment.n_vertices,
+                "points": points,
+                "frames": len(ours),
+                "ddakf_frame_ms": percentiles(ours),
+                "open3d_ms": percentiles(theirs),
+                "open3d_over_ddakf": round(float(np.median(theirs) / np.median(ours)), 2),
+            }
+        )
+    return {"rows": rows, "open3d": o3d.__version__}
+
+
+def _open3d_preprocessing(o3d, points: np.ndarray) -> None:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    cloud, _ = cloud.remove_statistical_outlier(NEIGHBOURS, RATIO)
+    cloud.estimate_normals(o3d.geometry.KDTreeSearchParamKNN(NEIGHBOURS))
+
+
+def outliers(settings) -> dict:
+    """10 % of the points replaced by uniform ones around the garment: how many each filter removes, and what it loses."""
+    try:
+        o3d, why = import_open3d(), None
+    except MissingDependency as missing:
+        o3d, why = None, str(missing)
+    sequence = inputs.shortened(data.sample(), settings.outlier_frames)
+    run = inputs.run_of(sequence, settings.outlier_frames, "full", settings.points)
+    area = ddakf.model.build(ddakf.Mesh(sequence.template, sequence.garment_faces), 0.003).area
+    default, knn = ddakf.Config(), ddakf.Config(preprocess=KnnFilter(NEIGHBOURS, RATIO))
+    filters = {
+        "ddakf, grid (default)": lambda points, near: preprocess(points, None, near, area, default).index,
+        "ddakf, k-NN (paper)": lambda points, near: preprocess(points, None, near, area, knn).index,
+    }
+    if o3d:
+        filters[f"Open3D ({NEIGHBOURS}, {RATIO:g})"] = lambda points, near: _open3d_kept(o3d, points)
+    tallies = {name: [] for name in filters}
+    for number, cloud, _ in run.frames():
+        rng = np.random.default_rng([inputs.SEED, number, 1])
+        points, bad = with_outliers(cloud.points, 0.1, rng)
+        near = sequence.garment_vertices[number].astype(np.float64)
+        for name, kept_by in filters.items():
+            begun = time.perf_counter()
+            kept = np.zeros(len(points), bool)
+            kept[kept_by(points, near)] = True
+            tallies[name].append((1e3 * (time.perf_counter() - begun), (~kept[bad]).mean(), (~kept[~bad]).mean()))
+    rows = [
+        {
+            "filter": name,
+            "ms_p50": round(float(np.median([t[0] for t in tally])), 2),
+            "outliers_removed": round(float(np.mean([t[1] for t in tally])), 4),
+            "inliers_lost": round(float(np.mean([t[2] for t in tally])), 4),
+        }
+        for name, tally in tallies.items()
+    ]
+    return {"points": settings.points, "frames": len(run.clouds), "rows": rows} | ({"skipped": why} if why else {})
+
+
+def with_outliers(points: np.ndarray, share: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """The cloud with a share of its points replaced, and which ones (N,) bool."""
+    bad = rng.random(len(points)) < share
+    low, high = points.min(axis=0) - OUTLIER_MARGIN, points.max(axis=0) + OUTLIER_MARGIN
+    return np.where(bad[:, None], rng.uniform(low, high, points.shape), points).astype(np.float32), bad
+
+
+def _open3d_kept(o3d, points: np.ndarray) -> np.ndarray:
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
+    return np.asarray(cloud.remove_statistical_outlier(NEIGHBOURS, RATIO)[1])

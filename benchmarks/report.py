@@ -1,0 +1,179 @@
+"""A result file as tables on the screen, and as the README's table of five numbers.
+
+``python benchmarks/report.py``            shows benchmarks/results/bench.json
+``python benchmarks/report.py --readme``   writes the README's table from it; ``--check`` says whether it is up to date
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+RESULT, README = ROOT / "benchmarks/results/bench.json", ROOT / "README.md"
+WIDTH = 120  # columns that the widest table takes
+BEGIN, END = "<!-- numbers: begin -->", "<!-- numbers: end -->"
+
+
+def show(report: dict) -> None:
+    """Prints every part that a report holds."""
+    console, machine = Console(highlight=False, markup=False, soft_wrap=True), report["machine"]
+    console.width = max(console.width, WIDTH)
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items() if version)
+    console.print(f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, {packages}")
+    for part, print_part in PRINTERS.items():
+        if part in report:
+            print_part(console, report[part])
+
+
+def _frame(console: Console, rows: list[dict]) -> None:
+    table = Table("one frame", "V", "N", "ms p50 (p99)", "RMSE mm", "normal", "in 90 %", box=None, header_style="bold")
+    for row in rows:
+        accuracy = f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}", f"{row['coverage90']:.0%}"
+        table.add_row(row["name"], str(row["vertices"]), str(row["points"]), _time(row["ms"]["total"], True), *accuracy)
+    console.print(table)
+    stages = [stage for stage in rows[0]["ms"] if stage != "total"]
+    table = Table("stage by stage, ms p50", *stages, box=None, header_style="bold")
+    for row in rows:
+        table.add_row(row["name"], *(_time(row["ms"].get(stage)) for stage in stages))
+    console.print(table)
+
+
+def _open3d(console: Console, part: dict) -> None:
+    if "skipped" in part:
+        console.print(f"not compared with Open3D: {part['skipped']}")
+        return
+    table = Table("V", "N", "ddakf, whole frame ms", "Open3D, outliers + normals ms", "ratio", box=None, header_style="bold")
+    for row in part["rows"]:
+        ratio = f"1/{row['open3d_over_ddakf']:.1f}"
+        times = _time(row["ddakf_frame_ms"]), _time(row["open3d_ms"])
+        table.add_row(str(row["vertices"]), str(row["points"]), *times, ratio)
+    console.print(table)
+
+
+def _scaling(console: Console, part: dict) -> None:
+    table = Table("V", "N", "ms p50", "RMSE mm", "normal", "per doubling", box=None, header_style="bold")
+    for row, step in zip(part["rows"], [None, *part["steps"]], strict=True):
+        ratio = f"{step['ratio_per_doubling']:.2f} x" if step else ""
+        errors = f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}"
+        table.add_row(str(row["vertices"]), str(row["points"]), f"{row['ms_p50']:.1f}", *errors, ratio)
+    console.print(table)
+    console.print(f"time grows as V^{part['exponent']:.2f}")
+
+
+def _outliers(console: Console, part: dict) -> None:
+    table = Table("outlier filter, 10 % outliers", "ms", "outliers removed", "inliers lost", box=None, header_style="bold")
+    for row in part["rows"]:
+        table.add_row(row["filter"], f"{row['ms_p50']:.1f}", f"{row['outliers_removed']:.1%}", f"{row['inliers_lost']:.1%}")
+    console.print(table)
+
+
+def _growth(console: Console, part: dict) -> None:
+    console.print(
+        f"memory over {part['frames']} frames: {part['rss_kib_per_1000_frames']:+.0f} KiB resident and "
+        f"{part['python_blocks_per_1000_frames']:+.0f} blocks per 1,000 frames",
+    )
+
+
+def _codecs(console: Console, rows: list[dict]) -> None:
+    table = Table("codec", "N", "bytes", "encode ms", "decode ms", "largest error mm", box=None, header_style="bold")
+    for row in rows:
+        times = _time(row["encode_ms"]), _time(row["decode_ms"])
+        table.add_row(row["codec"], str(row["points"]), str(row["bytes"]), *times, f"{row['largest_error_mm']:.3f}")
+    console.print(table)
+
+
+def _service(console: Console, part: dict) -> None:
+    table = Table("service, ms p50 (p99)", "latency", "tracker", "added", "RMSE mm", box=None, header_style="bold")
+    for row in part["overhead"]:
+        times = (_time(row[key], True) for key in ("latency_ms", "tracker_ms", "overhead_ms"))
+        table.add_row(row["codec"], *times, f"{row['rmse_mm']:.1f}")
+    console.print(table)
+    load = part["clients"]
+    console.print(
+        f"{load['clients']} clients at 30 frames per second on {load['workers']} workers: {load['frames_dropped']} of "
+        f"{load['frames_sent']} frames dropped, latency {_time(load['latency_ms'], True)} ms"
+    )
+
+
+PRINTERS = {
+    "frame": _frame,
+    "open3d": _open3d,
+    "scaling": _scaling,
+    "outliers": _outliers,
+    "growth": _growth,
+    "codecs": _codecs,
+    "service": _service,
+}
+
+
+def _time(times: dict | None, tail: bool = False) -> str:
+    if times is None:
+        return ""
+    return f"{times['p50']:.1f} ({times['p99']:.1f})" if tail else f"{times['p50']:.1f}"
+
+
+def readme_table(report: dict) -> str:
+    """The README's five numbers."""
+    machine = report["machine"]
+    sample = next(row for row in report["frame"] if row["name"].startswith("sample, front"))
+    around = next(row for row in report["frame"] if row["name"].startswith("sample, full"))
+    added = next(row for row in report["service"]["overhead"] if row["codec"] == "morton-zstd")
+    bare = report["open3d"].get("rows")
+    compared = (
+        f"1/{bare[0]['open3d_over_ddakf']:.0f} of Open3D's outlier removal and normals alone"
+        if bare
+        else f"not compared: {report['open3d']['skipped']}"
+    )
+    largest = bare[0] if bare else {"vertices": around["vertices"], "points": around["points"]}
+    frame_ms = bare[0]["ddakf_frame_ms"]["p50"] if bare else around["ms"]["total"]["p50"]
+    rows = [
+        (f"one frame, {largest['vertices']:,} vertices and {largest['points']:,} points", f"{frame_ms:.0f} ms, {compared}"),
+        (
+            "error of the sample, points all around",
+            f"{around['rmse_mm']:.1f} mm RMSE, {around['normal_rmse_mm']:.1f} mm along the normal",
+        ),
+        (
+            "error of the sample, one depth camera and the body",
+            f"{sample['rmse_mm']:.1f} mm RMSE, {sample['normal_rmse_mm']:.1f} mm along the normal",
+        ),
+        ("truth inside the 90 % ellipsoids, the same run", f"{sample['coverage90']:.0%}"),
+        ("what the service adds to a frame", f"{added['overhead_ms']['p50']:.1f} ms (p50)"),
+    ]
+    lines = ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
+    place = f"{machine['cpu']}, {machine['cores']} cores, one thread used, Python {machine['python']}"
+    return "\n".join([*lines, "", f"Measured by `make bench` on {place}; `benchmarks/results/bench.json` has the rest."])
+
+
+def with_table(text: str, report: dict) -> str:
+    """The README with its table replaced."""
+    head, _, rest = text.partition(BEGIN)
+    tail = rest.partition(END)[2]
+    return f"{head}{BEGIN}\n{readme_table(report)}\n{END}{tail}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("path", type=Path, nargs="?", default=RESULT)
+    parser.add_argument("--readme", action="store_true", help="write the README's table")
+    parser.add_argument("--check", action="store_true", help="fail where the README's table is not this result's")
+    arguments = parser.parse_args()
+    report = json.loads(arguments.path.read_text())
+    if not arguments.readme and not arguments.check:
+        show(report)
+        return 0
+    text = README.read_text()
+    fresh = with_table(text, report)
+    if arguments.check:
+        return int(fresh != text)
+    README.write_text(fresh)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,146 @@
+"""Through a real service with the Python client: what it adds to the library's time, several clients, and the codecs."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+
+import inputs
+import numpy as np
+from ddakf_api.codec import CODECS, decode, encode
+from ddakf_client import Frame, Result, connect
+from ddakf_service.child import ServiceProcess
+from library import WARM, percentiles
+
+import ddakf
+from ddakf import data
+from ddakf.evaluation import metrics
+
+
+@contextmanager
+def service(workers: int) -> Iterator[str]:
+    """The address of a service of our own."""
+    with tempfile.TemporaryDirectory() as folder:
+        process = ServiceProcess(["--workers", str(workers)], log=Path(folder) / "service.log")
+        try:
+            process.wait_until_ready()
+            yield process.grpc
+        finally:
+            process.stop()
+
+
+def through_a_service(settings) -> dict:
+    """What the service adds, and several clients at once."""
+    with service(settings.workers) as address:
+        return {"overhead": _overhead(settings, address), "clients": _clients(settings, address)}
+
+
+def _overhead(settings, address: str) -> list[dict]:
+    """Latency at the client less the tracker's own time, one frame under way at a time, by codec."""
+    run = inputs.run_of(data.sample(), settings.service_frames, "front", settings.points)
+    rows = []
+    with connect(address, timeout=60) as client:
+        for codec in settings.codecs:
+            results = list(_one_at_a_time(client, run, codec))
+            warm = results[min(WARM, len(results) - 1) :]
+            own = [1e3 * r.timings["total"] for r in warm]
+            rows.append(
+                {
+                    "codec": codec,
+                    "vertices": run.sequence.garment_vertices.shape[1],
+                    "points": round(float(np.mean([len(cloud.points) for cloud in run.clouds]))),
+                    "frames": len(results),
+                    "latency_ms": percentiles([1e3 * r.latency for r in warm]),
+                    "tracker_ms": percentiles(own),
+                    "overhead_ms": percentiles([1e3 * r.latency - ms for r, ms in zip(warm, own, strict=True)]),
+                    "decode_ms": percentiles([1e3 * r.timings["decode"] for r in warm]),
+                    "encode_ms": percentiles([1e3 * r.timings["encode"] for r in warm]),
+                    "rmse_mm": round(
+                        float(np.mean([metrics.rmse_mm(r.vertices, t) for r, t in zip(results, _truths(run), strict=True)])), 3
+                    ),
+                }
+            )
+    return rows
+
+
+def _one_at_a_time(client, run: inputs.Run, codec: str) -> Iterator[Result]:
+    permit = threading.Semaphore(1)
+
+    def frames():
+        for _, cloud, how in run.frames():
+            permit.acquire()
+            yield Frame(cloud.points, **how)
+
+    with _session(client, run, codec=codec, flow="lossless") as session:
+        for result in session.track(frames()):
+            yield result
+            permit.release()
+
+
+def _session(client, run: inputs.Run, **options):
+    session = client.create_session(ddakf.Mesh(run.sequence.template, run.sequence.garment_faces), **options)
+    session.reset(run.sequence.garment_vertices[0])
+    return session
+
+
+def _truths(run: inputs.Run) -> np.ndarray:
+    return run.sequence.garment_vertices[1:]
+
+
+def _clients(settings, address: str) -> dict:
+    """Several clients, each sending the sample at its 30 frames per second in realtime flow."""
+    run = inputs.run_of(data.sample(), settings.client_frames, "full", settings.points)
+    with ThreadPoolExecutor(settings.clients) as pool:
+        answers = list(pool.map(lambda _: _paced(address, run), range(settings.clients)))
+    latency = [1e3 * r.latency for results in answers for r in results[min(WARM, len(results) - 1) :]]
+    return {
+        "clients": settings.clients,
+        "workers": settings.workers,
+        "frames_sent": settings.clients * len(run.clouds),
+        "frames_answered": sum(len(results) for results in answers),
+        "frames_dropped": sum(results[-1].dropped for results in answers),
+        "latency_ms": percentiles(latency),
+    }
+
+
+def _paced(address: str, run: inputs.Run) -> list[Result]:
+    def frames():
+        start = time.monotonic()
+        for number, cloud, how in run.frames():
+            time.sleep(max(0.0, start + number / run.sequence.fps - time.monotonic()))
+            yield Frame(cloud.points, **how)
+
+    with connect(address, timeout=60) as client, _session(client, run, flow="realtime") as session:
+        return list(session.track(frames()))
+
+
+def codec_costs(settings) -> list[dict]:
+    """Encoding and decoding one cloud by codec, in this process."""
+    cloud = inputs.run_of(data.sample(), 1, "full", 2 * settings.points).clouds[0].points
+    rows = []
+    for name in CODECS:
+        encoding, decoding = [], []
+        for _ in range(settings.codec_repeats):
+            begun = time.perf_counter()
+            encoded = encode(cloud, name)
+            between = time.perf_counter()
+            decoded = decode(encoded.cloud, max_points=len(cloud))
+            encoding.append(1e3 * (between - begun))
+            decoding.append(1e3 * (time.perf_counter() - between))
+        sent = cloud if encoded.order is None else cloud[encoded.order]
+        rows.append(
+            {
+                "codec": name,
+                "points": len(cloud),
+                "bytes": len(encoded.cloud.data),
+                "encode_ms": percentiles(encoding),
+                "decode_ms": percentiles(decoding),
+                "largest_error_mm": round(1e3 * float(np.abs(decoded - sent).max()), 4),
+            }
+        )
+    return rows
