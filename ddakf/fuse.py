@@ -12,6 +12,7 @@ from ddakf.associate import Measurement
 from ddakf.config import Config, DecoupledUpdate, MapUpdate
 from ddakf.kernels import fuse as kernels
 from ddakf.kernels import rigidity as rigidity_kernels
+from ddakf.kernels import robust as robust_kernels
 from ddakf.model import Model
 from ddakf.physics.energies import Energies, total_blocks, total_gradient
 from ddakf.rigidity import LocalRigidity
@@ -108,7 +109,9 @@ def fuse(
 
 def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
     n = update.measurement.normal
-    variance = np.maximum(np.einsum("va,vab,vb->v", n, update.R, n), config.adapt.lowest_sd**2)
+    squared, variance = np.empty(len(n)), np.empty(len(n))
+    robust_kernels.along_normals(update.position, update.measurement.target, n, update.R, squared, variance)
+    variance = np.maximum(variance, config.adapt.lowest_sd**2)
     tangential = np.full(len(n), config.associate.tangential_sd**2)
     planes = Planes(update.measurement.target, n, update.weight, variance, tangential)
     for term in (update.rest, update.motion):

@@ -9,6 +9,7 @@ from scipy.special import chdtri
 
 from ddakf.associate import Measurement
 from ddakf.config import NoWeight, Tukey
+from ddakf.kernels import robust as kernels
 
 
 @lru_cache(maxsize=16)
@@ -39,12 +40,13 @@ def weigh(
     if isinstance(config, NoWeight):
         weight[found] = 1.0
         return weight
-    y = measurement.innovation(position)[found]
     if measurement.normal is None:
+        y = measurement.innovation(position)[found]
         d2, dimension = np.einsum("va,va->v", y, np.linalg.solve((prior_covariance + R)[found], y[..., None])[..., 0]), 3
     else:
-        n, y2 = measurement.normal[found], np.einsum("va,va->v", y, y)
-        variance = np.einsum("va,vab,vb->v", n, R[found], n)
+        y2, variance = np.empty(len(found)), np.empty(len(found))
+        kernels.along_normals(position, measurement.target, measurement.normal, R, y2, variance)
+        y2, variance = y2[found], variance[found]
         scale2 = max(1.4826**2 * float(np.median(y2)), float(np.median(variance)))
         d2, dimension = y2 / np.maximum(variance, scale2), 1
     gated = d2 > gate_threshold(config.gate_probability, dimension)

@@ -45,7 +45,9 @@ def linearize(
     """
     touching = None
     if contact is not None and contact.present and config.collision > 0:
-        touching = collision.linearize(position, model.collision, contact.nearest(position))
+        thickness = model.collision.thickness
+        closest = contact.nearest(position) if last is None else contact.touching(position, thickness)
+        touching = collision.linearize(position, model.collision, closest)
     fabric = config.fabric
     return Energies(
         stretch.linearize(position, model.stretch),
