@@ -161,6 +161,7 @@ class Physics(Checked):
 
     stretch: float = bounded(1.0e6, 0, 1e12)  # 1/m^2 per unit strain^2
     shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
+    strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: beyond it a strain counts as an error of the model
     bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
     collision: float = bounded(1.0e10, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
