@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from ddakf import Mesh
+from ddakf.associate import Measurement, associate
 from ddakf.errors import MissingDependency
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.open3d_bridge import import_open3d
+from ddakf.physics import energies
 from ddakf.sequence import load_sequence
 from ddakf.types import State
-from tests.physics.shapes import sheet
 
 FPS = 30.0
 
@@ -93,6 +94,35 @@ def assert_positive_definite(P: np.ndarray) -> None:
     assert np.linalg.eigvalsh(correlation).min() > 1e-9
 
 
+def measured(target, normal, found) -> Measurement:
+    """Measurements as stage B would hand them on, all vertices visible."""
+    n = len(target)
+    nothing = Measurement.none(n)
+    return nothing._replace(
+        target=np.asarray(target, float), normal=normal, distance=np.where(found, 0.0, -1.0), visible=np.ones(n, bool)
+    )
+
+
+def associated(position, cloud, garment, gate, config) -> Measurement:
+    """Stage B in the first pass of a frame."""
+    return associate(position, Measurement.none(len(position)), cloud, garment, gate, config)
+
+
+def kept_points(cloud) -> np.ndarray:
+    """(M, 3) points of a preprocessed cloud, metres, in the world."""
+    return cloud.points.T + cloud.origin
+
+
+def planes_of(cloud) -> tuple[np.ndarray, np.ndarray]:
+    """(S, 3) points of a preprocessed cloud's planes in the world, metres, and their normals, zero where there is none."""
+    return cloud.surfels[:3].T + cloud.origin, cloud.surfels[3:].T.astype(float)
+
+
+def linearized(position, garment, contact, physics_lambda, config):
+    """Stage E in the first pass of a frame."""
+    return energies.linearize(position, None, garment, contact, physics_lambda, config)
+
+
 def open3d():
     """The package, or a skip with the sentence that says what is missing."""
     try:
@@ -110,8 +140,3 @@ def recording(name: str):
     if not path.exists():
         pytest.skip(f"the recording {name} is not in DDAKF_DATA")
     return load_sequence(path)
-
-
-def small() -> Mesh:
-    """Twenty vertices of a wavy sheet."""
-    return sheet()

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf.adapt import adapt
-from ddakf.associate import Measurement
 from ddakf.config import Config, InnovationNoise, ResidualNoise
-from tests.stages.scenes import random_state
+from tests.stages.scenes import measured, random_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 PAPER = InnovationNoise(lowest_sd=1e-5, highest_sd=10.0)
@@ -30,7 +29,7 @@ def scene(seed, n=40, scale=0.01, planes=False):
     target = prior.position + rng.normal(scale=scale, size=(n, 3))
     found = rng.random(n) < 0.8
     weight = np.where(found & (rng.random(n) < 0.8), rng.uniform(0.1, 1, n), 0.0)
-    return last, Measurement(target, normal, found, np.ones(n, bool)), weight, prior, estimate
+    return last, measured(target, normal, found), weight, prior, estimate
 
 
 def along(normal, R):
@@ -108,7 +107,7 @@ def test_learns_the_sensors_noise_whatever_the_prediction_errs(start, spread):
         z = truth + rng.normal(scale=noise, size=n)
         posterior = ((1 - gain) * spread**2)[:, None, None] * np.eye(3)
         state = state._replace(P_pp=posterior)
-        measurement = Measurement(z[:, None] * normal, normal, everyone, everyone)
+        measurement = measured(z[:, None] * normal, normal, everyone)
         prior = state._replace(position=np.zeros((n, 3)))
         R = adapt(state, measurement, np.ones(n), prior, (gain * z)[:, None] * normal, config)
         state = state._replace(R=R)
@@ -121,7 +120,7 @@ def test_the_papers_formula_learns_the_innovation():
     state, everyone = random_state(np.zeros((n, 3)), rng), np.ones(n, bool)
     for _ in range(100):
         target = rng.normal(scale=np.hypot(noise, spread), size=(n, 3))
-        measurement = Measurement(target, None, everyone, everyone)
+        measurement = measured(target, None, everyone)
         state = state._replace(R=adapt(state, measurement, np.ones(n), state, state.position, InnovationNoise()))
     sd = np.sqrt(np.trace(state.R, axis1=1, axis2=2).mean() / 3)
     assert sd == pytest.approx(np.hypot(noise, spread), rel=0.1)

@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Fabric, fuse, model, rigidity
-from ddakf.associate import Measurement
 from ddakf.config import MapUpdate
-from ddakf.physics import energies
 from ddakf.physics.contact import BodyContact
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
-from tests.stages.scenes import blocks, full, random_state, rms
+from tests.stages.scenes import blocks, full, linearized, measured, random_state, rms
 
 MESH = sheet()
 V = MESH.n_vertices
@@ -25,7 +23,7 @@ CONFIG = dataclasses.replace(
 FAR = 10.0  # m, a gate that bounds nothing
 
 
-def scene(seed, config=CONFIG, body=False, measured=0.7, planes=True):
+def scene(seed, config=CONFIG, body=False, seen=0.7, planes=True):
     """A problem whose terms all pull: a prior off the rest shape, planes off the prior, some vertices in the body."""
     rng = np.random.default_rng(seed)
     garment = model.build(MESH, THICKNESS)
@@ -34,9 +32,9 @@ def scene(seed, config=CONFIG, body=False, measured=0.7, planes=True):
     normal = np.array([0.0, 0.0, 1.0]) + rng.normal(scale=0.3, size=(V, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     target = position + rng.normal(scale=0.004, size=(V, 3))
-    used = rng.random(V) < measured
+    used = rng.random(V) < seen
     weight = np.where(used, rng.uniform(0.2, 1.0, V), 0.0)
-    measurement = Measurement(target, normal if planes else None, used, np.ones(V, bool))
+    measurement = measured(target, normal if planes else None, used)
     contact = touching = None
     if body:
         below = ball(3, 0.2)
@@ -56,9 +54,7 @@ def begun(problem):
 
 
 def one_pass(update, problem, contact, gate=FAR):
-    parts = energies.linearize(
-        update.position, problem.model, contact, problem.physics_lambda, problem.config.physics
-    )
+    parts = linearized(update.position, problem.model, contact, problem.physics_lambda, problem.config.physics)
     return fuse.fuse(
         update, problem.prior, problem.measurement, problem.weight, problem.R, parts, gate, problem.model, problem.config
     )
@@ -118,17 +114,13 @@ def test_passes_converge_to_where_the_total_energy_is_stationary(seed):
     """Finite differences of the total energy vanish, whatever matrix the steps were taken with."""
     problem, contact = scene(seed)
     update, last = begun(problem)
-    sizes = []
     for _ in range(60):
-        before = update.position
         update = one_pass(update, problem, contact)
-        rigid = rigid_terms(update, last, problem)
-        sizes.append(rms(update.position - before))
+    rigid = rigid_terms(update, last, problem)
     function = lambda x: dense.residuals(x, problem, rigid)  # noqa: E731
     start = dense.gradient(*dense.linearised(function, problem.prior.position))
     end = dense.gradient(*dense.linearised(function, update.position))
-    assert sizes[-1] < 1e-2 * sizes[0]
-    assert np.linalg.norm(end) < 1e-2 * np.linalg.norm(start)
+    assert np.linalg.norm(end) < 5e-3 * np.linalg.norm(start)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -154,7 +146,7 @@ def test_no_vertex_is_moved_farther_than_the_gate(gate):
 
 
 def test_nothing_measured_at_the_rest_shape_moves_nothing():
-    problem, _ = scene(7, measured=0.0)
+    problem, _ = scene(7, seen=0.0)
     problem = problem._replace(prior=problem.prior._replace(position=MESH.vertices.copy()))
     start = fuse.begin(problem.prior, MESH.vertices, rigidity.identity(V), 1.0, problem.model, CONFIG)
     update = one_pass(start, problem, None)
@@ -171,10 +163,8 @@ def test_an_absent_measurement_is_ignored_whatever_its_numbers():
 
 
 def test_precise_planes_are_met_and_the_rest_follows_smoothly():
-    problem, contact = scene(9, measured=1.0)
-    flat = Measurement(
-        MESH.vertices * [1, 1, 0] + [0, 0, 0.01], np.tile([0.0, 0.0, 1.0], (V, 1)), np.ones(V, bool), np.ones(V, bool)
-    )
+    problem, contact = scene(9, seen=1.0)
+    flat = measured(MESH.vertices * [1, 1, 0] + [0, 0, 0.01], np.tile([0.0, 0.0, 1.0], (V, 1)), np.ones(V, bool))
     soft = dataclasses.replace(CONFIG.physics, bend=0.0, rest_rigidity=0.0, motion_rigidity=0.0, stretch=1.0, shear=1.0)
     problem = problem._replace(
         measurement=flat, weight=np.ones(V), R=np.tile(1e-12 * np.eye(3), (V, 1, 1)),
@@ -219,9 +209,7 @@ def test_condition_on_what_was_known_changes_nothing():
 
 # The paper's decoupled update ---------------------------------------------------------------------------------------
 
-PAPER = dataclasses.replace(
-    Config.paper(), physics=dataclasses.replace(CONFIG.physics, rest_rigidity=0.0, motion_rigidity=0.0)
-)
+PAPER = dataclasses.replace(Config.paper(), physics=dataclasses.replace(CONFIG.physics, rest_rigidity=0.0, motion_rigidity=0.0))
 
 
 @pytest.mark.parametrize("body", [False, True], ids=["cloth alone", "body"])
@@ -250,6 +238,6 @@ def test_decoupled_update_is_a_kalman_filter_per_vertex_and_the_gradient_pseudo_
 
 
 def test_decoupled_update_without_measurements_keeps_the_covariance():
-    problem, contact = scene(3, PAPER, measured=0.0, planes=False)
+    problem, contact = scene(3, PAPER, seen=0.0, planes=False)
     update = one_pass(begun(problem)[0], problem, contact)
     np.testing.assert_allclose(full(update.state), full(problem.prior), rtol=1e-12)

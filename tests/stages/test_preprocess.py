@@ -11,7 +11,7 @@ from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor
 from ddakf.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
-from tests.stages.scenes import about, open3d, recording
+from tests.stages.scenes import about, open3d, planes_of, recording
 
 DEFAULT, PAPER = Config(), Config.paper()
 SAMPLE = sample()
@@ -152,11 +152,13 @@ def test_planes_of_a_noisy_plane_lie_in_it_and_look_at_the_sensor(config, side, 
     vertices, points, normal = patch(seed, noise=0.002)
     sensor = vertices.mean(axis=0) + 1.5 * side * normal
     cloud = preprocess(points, sensor, vertices, 1.0, config)
-    fitted = cloud.surfels[np.linalg.norm(cloud.surfels[:, 3:], axis=1) > 0.5]
-    assert len(fitted) > 0.9 * len(cloud.surfels)
-    assert (fitted[:, 3:] @ (side * normal) > np.cos(np.radians(15))).mean() > 0.95
-    assert (fitted[:, 3:] @ (side * normal) > 0).all()
-    height = (fitted[:, :3] + cloud.origin - vertices[0]) @ normal
+    at, direction = planes_of(cloud)
+    fitted = np.linalg.norm(direction, axis=1) > 0.5
+    assert fitted.mean() > 0.9
+    cosine = direction[fitted] @ (side * normal)
+    assert (cosine > np.cos(np.radians(15))).mean() > 0.95
+    assert (cosine > 0).all()
+    height = (at[fitted] - vertices[0]) @ normal
     assert np.sqrt(np.mean(height**2)) < 0.0025  # the fit averages the noise
 
 
@@ -170,8 +172,7 @@ def test_planes_of_a_noisy_sphere_follow_it_and_look_at_their_sensor(config):
     sensor = np.where(points[:, :1] > 0, [[1.5, 0.0, 0.0]], [[-1.5, 0.0, 0.0]])  # a camera on either side
     for origin in (sensor, sensor[0]):
         cloud = preprocess(points, origin, mesh.vertices, area(mesh.vertices, mesh.faces), config)
-        at = cloud.surfels[:, :3] + cloud.origin
-        normal = cloud.surfels[:, 3:]
+        at, normal = planes_of(cloud)
         fitted = np.linalg.norm(normal, axis=1) > 0.5
         true = at / np.linalg.norm(at, axis=1, keepdims=True)
         assert (np.abs((normal * true).sum(axis=1))[fitted] > np.cos(np.radians(15))).mean() > 0.95
@@ -200,7 +201,8 @@ def test_whole_metres_change_nothing_where_float32_is_exact(config, shift):
     here = preprocess(points.astype(np.float32), origin, position.astype(float), size, config)
     there = preprocess((points + shift).astype(np.float32), origin + shift, position + shift, size, config)
     np.testing.assert_array_equal(there.index, here.index)
-    np.testing.assert_allclose(there.surfels, here.surfels, atol=2e-6)
+    np.testing.assert_allclose(planes_of(there)[0] - shift, planes_of(here)[0], atol=2e-6)
+    np.testing.assert_allclose(planes_of(there)[1], planes_of(here)[1], atol=1e-3)
     np.testing.assert_allclose(there.origin - here.origin, shift, atol=1e-9)
 
 
@@ -229,7 +231,7 @@ def test_degenerate_clouds_stay_finite(config, shape):
     cloud = preprocess(points.astype(np.float32), np.array([0.0, 0.0, 2.0]), rng.random((30, 3)), 1.0, config)
     assert np.isfinite(cloud.surfels).all()
     if shape != "plane":
-        assert not cloud.surfels[:, 3:].any()  # no plane is claimed
+        assert not planes_of(cloud)[1].any()  # no plane is claimed
 
 
 def test_thinning_the_planes_keeps_their_quality():
@@ -238,8 +240,8 @@ def test_thinning_the_planes_keeps_their_quality():
     thinned = preprocess(points, sensor, vertices, 1.0, DEFAULT)
     whole = dataclasses.replace(DEFAULT, preprocess=GridFilter(planes_per_vertex=100.0))
     every = preprocess(points, sensor, vertices, 1.0, whole)
-    assert len(thinned.surfels) < len(every.surfels) / 2
-    offsets = [np.std((cloud.surfels[:, :3] + cloud.origin - vertices[0]) @ normal) for cloud in (thinned, every)]
+    assert len(planes_of(thinned)[0]) < len(planes_of(every)[0]) / 2
+    offsets = [np.std((planes_of(cloud)[0] - vertices[0]) @ normal) for cloud in (thinned, every)]
     assert offsets[0] < 1.1 * offsets[1]
     np.testing.assert_array_equal(np.sort(thinned.index), np.sort(every.index))
 

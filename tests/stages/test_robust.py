@@ -6,21 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from ddakf.associate import Measurement
 from ddakf.config import NoWeight, Tukey
 from ddakf.robust import gate_threshold, tukey, weigh
-from tests.stages.scenes import blocks
+from tests.stages.scenes import blocks, measured
 
 CONFIG = Tukey()
 
 
-def points(y, found=None) -> Measurement:
+def points(y, found=None):
     n = len(y)
     found = np.ones(n, bool) if found is None else found
-    return Measurement(np.asarray(y, float), None, found, np.ones(n, bool))
+    return measured(y, None, found)
 
 
-def planes(distance, found=None, seed=0) -> tuple[Measurement, np.ndarray]:
+def planes(distance, found=None, seed=0):
     """Planes at signed ``distance`` (V,) from the origin, and their normals."""
     n = len(distance)
     rng = np.random.default_rng(seed)
@@ -28,7 +27,7 @@ def planes(distance, found=None, seed=0) -> tuple[Measurement, np.ndarray]:
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     across = np.cross(normal, rng.normal(size=(n, 3)))  # where in the plane the target lies must not matter
     found = np.ones(n, bool) if found is None else found
-    return Measurement(np.asarray(distance)[:, None] * normal + 0.05 * across, normal, found, np.ones(n, bool)), normal
+    return measured(np.asarray(distance)[:, None] * normal + 0.05 * across, normal, found), normal
 
 
 @given(ratio=st.floats(0, 50), cutoff=st.floats(0.5, 10))
@@ -101,7 +100,7 @@ def test_what_was_not_found_has_no_weight(config, kind):
     weight = weigh(measurement, np.zeros((50, 3)), R, R, config)
     np.testing.assert_array_equal(weight > 0, found)
     assert ((weight >= 0) & (weight <= 1)).all()
-    nothing = measurement._replace(found=np.zeros(50, bool))
+    nothing = measured(measurement.target, measurement.normal, np.zeros(50, bool))
     assert not weigh(nothing, np.zeros((50, 3)), R, R, config).any()
 
 

@@ -1,0 +1,100 @@
+"""Initialisation: a garment that stands elsewhere is found; one that is where it should be is left alone."""
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker
+from ddakf.config import Start
+from ddakf.data import sample
+from ddakf.evaluation.sensors import Sensor, sample_surface
+from ddakf.initialize import locate, place
+from ddakf.mesh import vertex_normals
+from ddakf.reliability import Health
+from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
+
+SAMPLE = sample()
+SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
+TUBE = tube()
+
+
+def captured(view, vertices, seed):
+    """What a sensor sees of the sample's garment alone, moved to ``vertices``."""
+    rng = np.random.default_rng(seed)
+    if view == "full":
+        return (sample_surface(vertices, SHIRT.faces, 5000, rng) + 0.003 * rng.normal(size=(5000, 3))).astype(np.float32), None
+    eye = vertices.mean(axis=0) + [0.0, 0.2, 2.0]
+    points = sample_surface(vertices, SHIRT.faces, 9000, rng)
+    normals = vertex_normals(vertices, SHIRT.faces)
+    # the half turned to the camera: enough to be a partial view
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(vertices).query(points)[1]
+    seen = np.einsum("na,na->n", normals[nearest], eye - points) > 0
+    return (points[seen] + 0.003 * rng.normal(size=(seen.sum(), 3))).astype(np.float32), eye
+
+
+@pytest.mark.parametrize("view", ["full", "front"])
+@pytest.mark.parametrize("degrees", [30, -30])
+@pytest.mark.parametrize("direction", [[0.3, 0.0, 0.0], [-0.15, 0.1, 0.24]])
+def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degrees, direction):
+    start = SAMPLE.garment_vertices[0].astype(float)
+    centre = start.mean(axis=0)
+    truth = (start - centre) @ turn(degrees).T + centre + direction
+    tracker = Tracker(SHIRT)
+    tracker.reset(start)
+    for k in range(8):
+        points, eye = captured(view, truth, k)
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=eye)
+    assert result.state == "tracking"
+    assert rms(result.vertices - truth) < (0.02 if view == "full" else 0.04)
+    assert rms(start - truth) > 0.25
+
+
+@pytest.mark.parametrize("degrees", [0, 15, 30, 45])
+def test_placement_recovers_the_motion(degrees):
+    start = SAMPLE.garment_vertices[40].astype(float)
+    truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
+    placement, stay = place(start, captured("full", truth, 0)[0])
+    assert rms(placement.apply(start) - truth) < 0.03
+    np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(placement.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
+    assert placement.cost < stay
+
+
+def prior_at(position):
+    return random_state(position, np.random.default_rng(0))
+
+
+def test_a_garment_in_place_is_left_alone():
+    prior = prior_at(TUBE.vertices)
+    same, anchor = locate(prior, TUBE.vertices, scan(TUBE.vertices, TUBE), Health(), Start())
+    assert same is prior
+    assert anchor is TUBE.vertices
+
+
+@pytest.mark.parametrize("state", ["tracking", "recovering"])
+def test_a_garment_that_is_tracked_is_never_searched(state):
+    prior = prior_at(TUBE.vertices)
+    far = scan(TUBE.vertices + 0.4, TUBE)
+    same, _ = locate(prior, TUBE.vertices, far, Health(state=state), Start())
+    assert same is prior
+    moved, _ = locate(prior, TUBE.vertices, far, Health(state="lost"), Start())
+    assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
+    assert not moved.velocity.any()
+
+
+def test_the_search_can_be_switched_off_and_needs_enough_points():
+    prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
+    assert locate(prior, TUBE.vertices, far, Health(), Start(search=False))[0] is prior
+    assert locate(prior, TUBE.vertices, far[:50], Health(), Start(least_points=51))[0] is prior
+    assert locate(prior, TUBE.vertices, far[:0], Health(), Start())[0] is prior
+    assert Config.paper().start.search is False
+
+
+def test_a_start_on_the_garment_is_tracked_from_the_first_frame():
+    tracker = Tracker(SHIRT)
+    tracker.reset(SAMPLE.garment_vertices[0])
+    points, origin = Sensor(view="front", points=6000).capture(SAMPLE, 0, np.random.default_rng(0))
+    result = tracker.step(points, timestamp=0.0, sensor_origin=origin)
+    assert result.state == "tracking"
+    assert rms(result.vertices - SAMPLE.garment_vertices[0]) < 0.012
