@@ -127,8 +127,7 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     length = np.sqrt(np.einsum("va,va->v", delta, delta))
     delta *= np.minimum(1.0, gate / np.maximum(length, 1e-12))[:, None]
     rms = float(np.sqrt(np.mean(length**2)))
-    associated = config.associate
-    settled = update.passes >= associated.least_iterations and rms < associated.tolerance
+    settled = update.passes >= config.associate.least_iterations and rms < config.associate.tolerance
     position = update.position + accelerated(update.position, delta, update.before)
     return update._replace(
         position=position, planes=planes, system=system, coarse=coarse, settled=settled, before=(update.position, delta)
@@ -208,8 +207,8 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapU
     delta, work = np.empty((n, 3), np.float32), np.empty((4, n, 3), np.float32)
     kernels.conjugate_gradients(
         system.D.astype(np.float32), system.B, model.start, model.neighbour,
-        inverse_blocks(system.D).astype(np.float32), model.cluster, coarse_inverse, system.force, config.solver_iterations, config.solver_tolerance,
-        work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
+        inverse_blocks(system.D).astype(np.float32), model.cluster, coarse_inverse, system.force,
+        config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta.astype(np.float64)
 

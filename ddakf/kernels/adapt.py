@@ -5,7 +5,7 @@ from math import sqrt
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def adapt_along_normals(target, normal, used, position, P, alpha, epsilon, low, high, R):
     """R <- S R S with S = I + (s - 1) n n', s such that n' R n follows e^2 + n' P n; in place, (V, 3, 3)."""
     for i in range(R.shape[0]):

@@ -9,7 +9,7 @@ BLEND = 4  # surfels that a measurement is averaged over
 FAR_AWAY = 1e30  # m: no search has been made there
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def vertex_normals(position, faces, normal):
     """Area-weighted unit normals, (V, 3) out; zero where the adjacent faces have no area."""
     normal[:] = 0.0
@@ -29,7 +29,7 @@ def vertex_normals(position, faces, normal):
             normal[v, a] *= scale
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def nearest_planes(
     position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, oriented, still,
     searched_at, target, plane_normal, distance,
@@ -151,7 +151,7 @@ def nearest_planes(
         plane_normal[v, 2] = mz / length
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def facing(position, normal, sensor, min_cosine, eligible):
     """Marks the vertices whose normal is turned to the sensor (or to any of several, (S, 3)) by at least min_cosine."""
     for v in range(position.shape[0]):
@@ -164,7 +164,7 @@ def facing(position, normal, sensor, min_cosine, eligible):
                 break
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def nearest_points(position, points, start, origin, cell, dims, gate, target, distance):
     """The exact nearest point of the cloud within the gate, for every vertex: the paper's association.
 

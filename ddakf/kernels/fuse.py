@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_prior(position, prior, information, D, force):
     """Adds the prior of each vertex: D += I_i and force += I_i (prior - x)."""
     for i in range(position.shape[0]):
@@ -18,7 +18,7 @@ def add_prior(position, prior, information, D, force):
                 D[i, a, b] += information[i, a, b]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_planes(position, target, normal, tangential, weight, variance, D, force):
     """Adds plane-aligned measurements of variance r along the normal and ``tangential`` (m^2) in the plane, times weight."""
     for i in range(position.shape[0]):
@@ -45,7 +45,7 @@ def add_planes(position, target, normal, tangential, weight, variance, D, force)
         D[i, 2, 1] += k * ny * nz
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
     """Adds constraints on one vertex each (collision): their force and their blocks."""
     for c in range(vertex.shape[0]):
@@ -59,7 +59,7 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
                 D[i, a, b] += k * jacobian[c, 0, a] * jacobian[c, 0, b]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_hinges(stencil, residual, jacobian, weight, stiffness, D, force):
     """Adds bending: its exact force, and as its matrix the block-diagonal majoriser.
 
@@ -86,7 +86,7 @@ def add_hinges(stencil, residual, jacobian, weight, stiffness, D, force):
             D[i, 2, 1] += m * y * z
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_edges(start, weight, D, B):
     """Starts B with the edges' -w I, and adds their w I to D."""
     for i in range(D.shape[0]):
@@ -103,7 +103,7 @@ def add_edges(start, weight, D, B):
         D[i, 2, 2] += s
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def add_triangles(
     faces, slot, stretch_r, stretch_J, stretch_w, stretch_k, shear_r, shear_J, shear_w, shear_k, D, B, force
 ):
@@ -132,7 +132,7 @@ def add_triangles(
                         B[d, b, a] += x
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def invert_blocks(D, inverse):
     """Inverse of symmetric positive definite 3x3 blocks, (V, 3, 3) each."""
     for i in range(D.shape[0]):
@@ -153,7 +153,7 @@ def invert_blocks(D, inverse):
         inverse[i, 2, 2] = (a * b - d * d) * r
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def coarsen(D, B, start, neighbour, cluster, coarse):
     """coarse (3K, 3K) out: P' A P with P the piecewise constant interpolation from clusters (V,) to vertices."""
     coarse[:] = 0.0
@@ -169,7 +169,7 @@ def coarsen(D, B, start, neighbour, cluster, coarse):
                     coarse[p + a, q + b] += B[e, a, b]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def multiply(D, B, start, neighbour, v, out):
     """out = A v, all (V, 3)."""
     for i in range(v.shape[0]):
@@ -188,7 +188,7 @@ def multiply(D, B, start, neighbour, v, out):
         out[i, 2] = oz
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
     """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz."""
     gathered[:] = 0.0
@@ -206,7 +206,7 @@ def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
         z[i, 2] = inverse[i, 2, 0] * x + inverse[i, 2, 1] * y + inverse[i, 2, 2] * w + spread[p + 2]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def conjugate_gradients(
     D, B, start, neighbour, inverse, cluster, coarse_inverse, force, iterations, tolerance, work, gathered, spread, delta
 ):
@@ -263,7 +263,7 @@ def conjugate_gradients(
     return iterations
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def discount(D, information, prior_share, weight, normal, variance, tangential, measurement_share):
     """Takes from D (V, 3, 3), in place, the given shares of the prior's and of the measurements' information."""
     for i in range(D.shape[0]):
@@ -278,7 +278,7 @@ def discount(D, information, prior_share, weight, normal, variance, tangential, 
             D[i, a, a] -= across
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def invert3(a, b, c, d, e, f):
     """Inverse of [[a, d, e], [d, b, f], [e, f, c]] as the same six numbers."""
     A = b * c - f * f
@@ -288,7 +288,7 @@ def invert3(a, b, c, d, e, f):
     return A * r, (a * c - e * e) * r, (a * b - d * d) * r, B * r, C * r, (e * d - a * f) * r
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def condition(P_pp, P_pu, P_uu, shift, posterior_pp, velocity, posterior_pu, posterior_uu):
     """Velocity and blocks of each 6-vector once its position is known: see ``ddakf.fuse.condition``.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def crop(points, lower, upper, kept):
     """Indices of the points inside a box, in order. Returns their number."""
     n = 0
@@ -22,7 +22,7 @@ def crop(points, lower, upper, kept):
     return n
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_index):
     """Counting sort of the chosen points by grid cell.
 
@@ -58,7 +58,7 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
         sorted_index[slot] = i
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def neighbourhood_counts(start, dims, count):
     """Points in the 27 cells around each occupied cell, written to (cells,) count; zero elsewhere."""
     nx, ny, nz = dims[0], dims[1], dims[2]
@@ -84,7 +84,7 @@ def neighbourhood_counts(start, dims, count):
                 count[c] = total
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index):
     """Keeps the points of cells whose neighbourhood holds at least ``threshold`` points. Returns how many."""
     n = 0
@@ -102,7 +102,7 @@ def remove_sparse(start, count, threshold, points, index, new_start, new_points,
     return n
 
 
-@njit(nogil=True, cache=True, inline="always")
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def smallest_eigenvector(a, b, c, d, e, f):
     """Of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]]: smallest and middle eigenvalue, and the unit eigenvector
     of the smallest. Trigonometric solution; the eigenvector is the longest cross product of two rows."""
@@ -136,7 +136,7 @@ def smallest_eigenvector(a, b, c, d, e, f):
     return smallest, middle, ux * s, uy * s, uz * s
 
 
-@njit(nogil=True, cache=True, fastmath=True)
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def fit_planes(points, start, cell, dims, radius, stride, surfels):
     """At every ``stride``-th point the plane of all its neighbours: the point moved onto it, and its unit normal.
 
@@ -200,7 +200,7 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
         surfels[5, i] = uz * scale
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def orient_normals(surfels, sensor):
     """Turns each normal toward the sensor; ``sensor`` is (1, 3) or (S, 3), in the grid's frame."""
     one = sensor.shape[0] == 1
@@ -214,7 +214,7 @@ def orient_normals(surfels, sensor):
                 surfels[3 + a, i] = -surfels[3 + a, i]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def knn_mean_distances(points, start, cell, dims, k, mean_distance):
     """Mean distance of each sorted point to its k nearest others, exact: the paper's statistical filter.
 

@@ -5,7 +5,7 @@ from math import sqrt
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def fit_rotations(position, start, neighbour, source, weight, iterations, rotation):
     """Rotation of each one-ring from its source edges to the present ones, in place, warm-started.
 
@@ -83,7 +83,7 @@ def fit_rotations(position, start, neighbour, source, weight, iterations, rotati
         rotation[i, 2, 0], rotation[i, 2, 1], rotation[i, 2, 2] = r20, r21, r22
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def edge_vectors(position, start, neighbour, edge):
     """(2E, 3) out: x_j - x_i for every row entry."""
     for i in range(position.shape[0]):
@@ -93,7 +93,7 @@ def edge_vectors(position, start, neighbour, edge):
                 edge[e, a] = position[j, a] - position[i, a]
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_force(position, start, neighbour, source, weight, rotation, force):
     """Adds -gradient of 1/2 sum_edges w_ij |x_j - x_i - (R_i + R_j) s_ij / 2|^2 to (V, 3) force."""
     for i in range(position.shape[0]):

@@ -3,7 +3,7 @@
 from numba import njit
 
 
-@njit(nogil=True, cache=True)
+@njit(nogil=True, cache=True, error_model="numpy")
 def along_normals(position, target, normal, R, squared, variance):
     """(V,) out: (n . (z - x))^2 and n' R n."""
     for i in range(position.shape[0]):

@@ -64,7 +64,7 @@ def linearize(
 
 
 def softened(part: Linearization, scale: float) -> Linearization:
-    """The same constraints with Cauchy pseudo-noise: weight w / (1 + (r / scale)^2), of energy w scale^2 / 2 log(1 + (r / scale)^2).
+    """The same constraints with Cauchy pseudo-noise: weight w / (1 + q) of energy w scale^2 / 2 log(1 + q), q = (r / scale)^2.
 
     A template is a guess: real recordings stretch by tens of per cent where seams, poses or a reconstruction disagree with it,
     and a quadratic energy would give all its force to those.
