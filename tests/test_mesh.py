@@ -1,0 +1,188 @@
+"""Meshes: every defect is refused with its count, and repaired by cleaned() with a map that tells which vertex is which."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ddakf import Mesh
+from ddakf.errors import InvalidMesh
+from ddakf.mesh import vertex_normals
+from tests.physics.shapes import ball, rotation, sheet
+
+GOOD = sheet()
+V, F = GOOD.vertices, GOOD.faces
+
+
+def unreferenced():
+    return np.insert(V, [3, 9], [[5.0, 5.0, 5.0], [6.0, 6.0, 6.0]], axis=0), F + (F >= 3) + (F >= 9)
+
+
+def duplicate():
+    return V, np.concatenate([F, F[:3][:, [1, 2, 0]]])  # the same triangles, written from another corner
+
+
+def turned_duplicate():
+    return V, np.concatenate([F, F[:2][:, ::-1]])
+
+
+def repeated_corner():
+    return V, np.concatenate([F, [[0, 0, 1], [2, 5, 2]]])
+
+
+def no_area():
+    a, b = V[0], V[1]
+    return np.concatenate([V, [0.5 * (a + b)]]), np.concatenate([F, [[0, 1, len(V)]]])
+
+
+def non_manifold():
+    fin = V[F[0]].mean(axis=0) + [0.0, 0.0, 0.001]
+    return np.concatenate([V, [fin]]), np.concatenate([F, [[5, 6, len(V)]]])
+
+
+DEFECTS = {
+    unreferenced: "2 unreferenced vertices",
+    duplicate: "3 duplicate faces",
+    turned_duplicate: "2 duplicate faces",
+    repeated_corner: "2 degenerate faces",
+    no_area: "1 degenerate faces",
+    non_manifold: "1 non-manifold edges",
+}
+ANY = pytest.mark.parametrize("defect", list(DEFECTS), ids=lambda d: d.__name__)
+
+
+@ANY
+def test_defects_are_refused_with_their_count_and_the_way_to_repair_them(defect):
+    with pytest.raises(InvalidMesh, match=DEFECTS[defect]) as refusal:
+        Mesh(*defect())
+    assert "cleaned()" in str(refusal.value)
+    assert "clean=true" in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+@ANY
+def test_cleaning_repairs_and_says_which_vertices_remain(defect):
+    vertices, faces = defect()
+    mesh, kept = Mesh.cleaned(vertices, faces)
+    np.testing.assert_array_equal(mesh.vertices, vertices[kept])
+    assert (np.diff(kept) > 0).all()
+    Mesh(mesh.vertices, mesh.faces)  # nothing is left to refuse
+    # in the input's numbering every face of the result was there, with the same turn
+    turns = {tuple(np.roll(face, k)) for face in faces for k in range(3)}
+    assert {tuple(face) for face in kept[mesh.faces]} <= turns
+
+
+@ANY
+def test_cleaning_takes_no_more_than_the_defect(defect):
+    mesh, kept = Mesh.cleaned(*defect())
+    assert mesh.n_faces == len(F)  # also of three faces at an edge two stay
+    if defect is not non_manifold:
+        np.testing.assert_allclose(mesh.vertices, V)
+    assert len(kept) == mesh.n_vertices
+
+
+def test_all_defects_at_once_are_counted_apart_and_repaired_together():
+    vertices, faces = unreferenced()
+    used = np.unique(faces)
+    faces = np.concatenate([faces, faces[:1], [[used[0], used[0], used[1]]]])
+    with pytest.raises(InvalidMesh) as refusal:
+        Mesh(vertices, faces)
+    for part in ("2 unreferenced vertices", "1 duplicate faces", "1 degenerate faces"):
+        assert part in str(refusal.value)
+    mesh, kept = Mesh.cleaned(vertices, faces)
+    np.testing.assert_allclose(mesh.vertices, V)
+    assert 3 not in kept
+
+
+def test_a_good_mesh_is_left_as_it_is():
+    mesh, kept = Mesh.cleaned(V, F)
+    np.testing.assert_array_equal(mesh.vertices, V)
+    np.testing.assert_array_equal(mesh.faces, F)
+    np.testing.assert_array_equal(kept, np.arange(len(V)))
+
+
+UNREPAIRABLE = {
+    "vertices of two coordinates": (V[:, :2], F, "mesh.vertices"),
+    "vertices of text": (V.astype(str), F, "mesh.vertices"),
+    "complex vertices": (V.astype(complex), F, "mesh.vertices"),
+    "a vertex that is not a number": (np.where(np.arange(20)[:, None] == 7, np.nan, V), F, "mesh.vertices"),
+    "an infinite vertex": (np.where(np.arange(20)[:, None] == 7, np.inf, V), F, "mesh.vertices"),
+    "quads": (V, np.column_stack([F, F[:, 0]]), "mesh.faces"),
+    "indices that are no integers": (V, F.astype(float), "mesh.faces"),
+    "an index beyond the last": (V, np.where(F == 19, 20, F), "mesh.faces"),
+    "a negative index": (V, np.where(F == 0, -1, F), "mesh.faces"),
+    "no faces": (V, F[:0], "mesh"),
+    "no vertices": (V[:0], F, "mesh"),
+    "no area anywhere": (V * 0, F, "mesh"),
+}
+
+
+@pytest.mark.parametrize("what", list(UNREPAIRABLE))
+def test_what_cannot_be_repaired_is_refused_by_both(what):
+    vertices, faces, field = UNREPAIRABLE[what]
+    for make in (Mesh, Mesh.cleaned):
+        with pytest.raises(InvalidMesh) as refusal:
+            make(vertices, faces)
+        error = refusal.value
+        assert error.field == field
+        assert str(error) == f"{error.field}: expected {error.expected}, got {error.got}"
+        assert "\n" not in str(error)
+
+
+@pytest.mark.xfail(strict=True, reason="NumPy's own ValueError comes through")
+def test_rows_of_different_lengths_are_refused():
+    with pytest.raises(InvalidMesh):
+        Mesh([[0, 0, 0], [1, 0]], [[0, 1, 0]])
+
+
+def test_the_message_names_how_many_are_not_finite_and_the_first():
+    vertices = V.copy()
+    vertices[[4, 11], 1] = np.nan
+    with pytest.raises(InvalidMesh, match=r"2 non-finite, the first at 4"):
+        Mesh(vertices, F)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None, derandomize=True)
+def test_random_faces_are_either_refused_or_cleaned_into_a_mesh(seed):
+    rng = np.random.default_rng(seed)
+    vertices = rng.normal(size=(rng.integers(3, 12), 3))
+    faces = rng.integers(0, len(vertices), (rng.integers(1, 30), 3))
+    try:
+        mesh, kept = Mesh.cleaned(vertices, faces)
+    except InvalidMesh:
+        return
+    np.testing.assert_array_equal(mesh.vertices, vertices[kept])
+    turns = {tuple(np.roll(face, k)) for face in faces for k in range(3)}
+    assert {tuple(face) for face in kept[mesh.faces]} <= turns
+    sides = np.concatenate([mesh.faces[:, [a, (a + 1) % 3]] for a in range(3)])
+    assert np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)[1].max() <= 2
+
+
+def test_the_arrays_are_the_meshs_own_and_cannot_be_written():
+    vertices, faces = V.copy(), F.copy()
+    mesh = Mesh(vertices, faces)
+    vertices[0] = 7.0
+    assert mesh.vertices[0, 0] != 7.0
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.vertices[0] = 1.0
+    with pytest.raises(ValueError, match="read-only"):
+        mesh.faces[0] = 1
+
+
+def test_edges_boundary_and_length():
+    assert len(GOOD.edges) == 4 * 4 + 5 * 3 + 4 * 3  # along, across and diagonal of 5 x 4 vertices
+    assert (GOOD.edges[:, 0] < GOOD.edges[:, 1]).all()
+    rows, columns = np.divmod(np.arange(20), 4)
+    np.testing.assert_array_equal(GOOD.boundary_vertices, (rows % 4 == 0) | (columns % 3 == 0))
+    assert not ball().boundary_vertices.any()
+    lengths = [np.linalg.norm(V[i] - V[j]) for i, j in GOOD.edges]
+    assert GOOD.edge_length == pytest.approx(np.mean(lengths))
+
+
+def test_normals_of_a_ball_point_outward_and_turn_with_it():
+    mesh, R = ball(3, 0.2), rotation(1)
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    assert (np.einsum("va,va->v", normals, mesh.vertices / 0.2) > 0.99).all()
+    np.testing.assert_allclose(vertex_normals(mesh.vertices @ R.T, mesh.faces), normals @ R.T, atol=1e-12)
+    assert not vertex_normals(mesh.vertices * 0, mesh.faces).any()
