@@ -163,7 +163,7 @@ class Physics(Checked):
     shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
     strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: beyond it a strain counts as an error of the model
     bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
-    collision: float = bounded(1.0e10, 0, 1e15)  # 1/m^4
+    collision: float = bounded(1.0e8, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
@@ -179,7 +179,7 @@ class MapUpdate(Checked):
 
     solver_iterations: int = bounded(10, 1, 1000)
     solver_tolerance: float = bounded(0.02, 0, 1)
-    prior_sd: float = bounded(0.05, 1e-4, 10)  # m, the prior of a vertex on its own is never tighter than this
+    prior_sd: float = bounded(0.15, 1e-4, 10)  # m, the prior of a vertex on its own is never tighter than this
 
 
 @dataclass(frozen=True)
