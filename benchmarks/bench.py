@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PARTS = ("frame", "open3d", "scaling", "outliers", "growth", "codecs", "service")
+PARTS = ("frame", "changes", "open3d", "scaling", "outliers", "growth", "codecs", "service")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -25,6 +25,7 @@ class Settings:
 
     points: int = 10_000
     frames: int = 149  # of each sequence, at most
+    change_frames: int = 149
     sizes: tuple[int, ...] = (1_000, 2_000, 4_000, 8_000, 16_000)
     scaling_frames: int = 20
     open3d_sizes: tuple[tuple[int, int], ...] = ((5_000, 20_000), (2_500, 10_000))
@@ -50,6 +51,7 @@ FULL = replace(
 QUICK = Settings(
     points=2_000,
     frames=2,
+    change_frames=2,
     sizes=(400, 800),
     scaling_frames=2,
     open3d_sizes=((800, 2_000),),
@@ -98,6 +100,7 @@ def _measures() -> dict:
     kernels.warm()
     return {
         "frame": library.frames,
+        "changes": library.changes,
         "open3d": preprocessing.against_open3d,
         "scaling": library.scaling,
         "outliers": preprocessing.outliers,

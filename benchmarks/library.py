@@ -6,12 +6,13 @@ import gc
 import os
 import sys
 from collections import defaultdict
+from dataclasses import replace
 from pathlib import Path
 
 import inputs
 import numpy as np
 
-from ddakf import data
+from ddakf import Config, data
 from ddakf.evaluation import metrics
 
 WARM = 3  # frames that the times leave out: caches, and the first growth of arrays
@@ -53,6 +54,35 @@ def frames(settings) -> list[dict]:
     for sequence in inputs.sequences():
         rows.append(track(inputs.run_of(sequence, settings.frames, "full", settings.points)))
         rows.append(track(inputs.run_of(sequence, settings.frames, "front", settings.points, body=sequence.has_body)))
+    return rows
+
+
+def changes(settings) -> list[dict]:
+    """The default on the sample, without each of its five changes to the paper's method, and the paper's preset."""
+    default = Config()
+    once = replace(default.associate, iterations=1, least_iterations=1)
+    blind = replace(default.associate, facing_cosine=-1.0, normal_cosine=-1.0)
+    variants = {
+        "default": default,
+        "1. without planes": replace(default, associate=replace(default.associate, tangential_sd=default.adapt.initial_sd)),
+        "2. one association per frame": replace(default, associate=once),
+        "3. without visibility": replace(default, associate=blind),
+        "4. without correlated noise": replace(default, physics=replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0)),
+        "5. without the body's motion": replace(default, predict=replace(default.predict, carry_reach=0.0)),
+        "Config.paper()": Config.paper(),
+    }
+    rows = []
+    for view, body in (("full", False), ("front", True)):
+        run = inputs.run_of(data.sample(), settings.change_frames, view, settings.points, body=body)
+        for name, config in variants.items():
+            row = {"view": run.name, "config": name}
+            try:
+                tracked = track(run, config)
+                keys = ("rmse_mm", "normal_rmse_mm", "coverage90", "reliability")
+                row |= {key: tracked[key] for key in keys} | {"ms_p50": tracked["ms"]["total"]["p50"]}
+            except (np.linalg.LinAlgError, ValueError) as error:
+                row["failed"] = str(error)
+            rows.append(row)
     return rows
 
 

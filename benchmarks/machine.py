@@ -25,8 +25,8 @@ def describe() -> dict:
 
 
 def commit() -> str | None:
-    """The short commit of the checkout, None outside one."""
-    command = ["git", "rev-parse", "--short", "HEAD"]
+    """The short commit of the checkout, with ``-dirty`` where it was changed since; None outside one."""
+    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
         return subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):

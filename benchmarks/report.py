@@ -1,7 +1,7 @@
-"""A result file as tables on the screen, and as the README's table of five numbers.
+"""A result file as tables on the screen, and in the documents that quote it.
 
-``python benchmarks/report.py``            shows benchmarks/results/bench.json
-``python benchmarks/report.py --readme``   writes the README's table from it; ``--check`` says whether it is up to date
+``python benchmarks/report.py``           shows benchmarks/results/bench.json
+``python benchmarks/report.py --write``   writes the tables of the documents from it; ``--check`` says whether they are up to date
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from rich.console import Console
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parents[1]
-RESULT, README = ROOT / "benchmarks/results/bench.json", ROOT / "README.md"
+RESULT = ROOT / "benchmarks/results/bench.json"
+BUSY = 0.5  # load average when the run begins, above which the report says so
 WIDTH = 120  # columns that the widest table takes
-BEGIN, END = "<!-- numbers: begin -->", "<!-- numbers: end -->"
 
 
 def show(report: dict) -> None:
@@ -42,6 +42,19 @@ def _frame(console: Console, rows: list[dict]) -> None:
     for row in rows:
         table.add_row(row["name"], *(_time(row["ms"].get(stage)) for stage in stages))
     console.print(table)
+
+
+def _changes(console: Console, rows: list[dict]) -> None:
+    table = Table("change", "sequence", "RMSE mm", "normal", "in 90 %", "ms p50", box=None, header_style="bold")
+    for row in rows:
+        table.add_row(row["config"], row["view"], *_change(row))
+    console.print(table)
+
+
+def _change(row: dict) -> list[str]:
+    if "failed" in row:
+        return ["diverged", "", "", ""]
+    return [f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}", f"{row['coverage90']:.0%}", f"{row['ms_p50']:.1f}"]
 
 
 def _open3d(console: Console, part: dict) -> None:
@@ -103,6 +116,7 @@ def _service(console: Console, part: dict) -> None:
 
 PRINTERS = {
     "frame": _frame,
+    "changes": _changes,
     "open3d": _open3d,
     "scaling": _scaling,
     "outliers": _outliers,
@@ -147,31 +161,46 @@ def readme_table(report: dict) -> str:
     ]
     lines = ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
     place = f"{machine['cpu']}, {machine['cores']} cores, one thread used, Python {machine['python']}"
+    if machine["load_average"] > BUSY:
+        place += f" (other work ran beside it: load average {machine['load_average']})"
     return "\n".join([*lines, "", f"Measured by `make bench` on {place}; `benchmarks/results/bench.json` has the rest."])
 
 
-def with_table(text: str, report: dict) -> str:
-    """The README with its table replaced."""
-    head, _, rest = text.partition(BEGIN)
-    tail = rest.partition(END)[2]
-    return f"{head}{BEGIN}\n{readme_table(report)}\n{END}{tail}"
+def changes_table(report: dict) -> str:
+    """What each change of the default brings."""
+    views = list(dict.fromkeys(row["view"] for row in report["changes"]))
+    lines = [f"| | {' | '.join(f'{view}: RMSE, normal (mm)' for view in views)} |", "|---|" + "---|" * len(views)]
+    for name in dict.fromkeys(row["config"] for row in report["changes"]):
+        cells = [_change(row) for row in report["changes"] if row["config"] == name]
+        lines.append(f"| {name} | {' | '.join(', '.join(filter(None, cell[:2])) for cell in cells)} |")
+    return "\n".join(lines)
+
+
+TABLES = {"README.md": ("numbers", readme_table), "docs/algorithm.md": ("changes", changes_table)}
+
+
+def fresh(document: str, report: dict) -> str:
+    """A document with its table as the report has it."""
+    name, table = TABLES[document]
+    begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
+    head, _, rest = (ROOT / document).read_text().partition(begin)
+    return f"{head}{begin}\n{table(report)}\n{end}{rest.partition(end)[2]}"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", type=Path, nargs="?", default=RESULT)
-    parser.add_argument("--readme", action="store_true", help="write the README's table")
-    parser.add_argument("--check", action="store_true", help="fail where the README's table is not this result's")
+    parser.add_argument("--write", action="store_true", help="write the tables of README.md and docs/algorithm.md")
+    parser.add_argument("--check", action="store_true", help="fail where these tables are not this result's")
     arguments = parser.parse_args()
     report = json.loads(arguments.path.read_text())
-    if not arguments.readme and not arguments.check:
+    if arguments.write:
+        for document in TABLES:
+            (ROOT / document).write_text(fresh(document, report))
+    elif arguments.check:
+        return int(any(fresh(document, report) != (ROOT / document).read_text() for document in TABLES))
+    else:
         show(report)
-        return 0
-    text = README.read_text()
-    fresh = with_table(text, report)
-    if arguments.check:
-        return int(fresh != text)
-    README.write_text(fresh)
     return 0
 
 

@@ -43,6 +43,12 @@ def test_every_stage_has_a_time_and_the_run_its_errors(report):
         assert 0 <= row["coverage90"] <= 1
 
 
+def test_every_change_is_switched_off_in_turn(report):
+    names = [row["config"][:2] for row in report["changes"]]
+    assert names == 2 * ["de", "1.", "2.", "3.", "4.", "5.", "Co"]
+    assert all("failed" in row or row["rmse_mm"] > 0 for row in report["changes"])
+
+
 def test_open3d_is_compared_or_a_sentence_says_why_not(report):
     part = report["open3d"]
     assert "skipped" in part or part["rows"][0]["open3d_over_ddakf"] > 0
