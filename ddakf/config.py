@@ -186,7 +186,7 @@ class MapUpdate(Checked):
 class DecoupledUpdate(Checked):
     """The paper's update: a 6x6 Kalman filter per vertex, then the gradient pseudo-measurement on the mean."""
 
-    physics_sd: float = bounded(300.0, 1e-9, 1e9)  # 1/m, sd of h_phys (the energies are information) at lambda = 1
+    longest_correction: float = bounded(0.02, 1e-6, 10)  # m: the physics moves a vertex no farther, or crumpled cloth explodes
 
 
 # G. Reliability -----------------------------------------------------------------------------------------------------
@@ -241,6 +241,13 @@ class Config:
     reliability: Reliability | PaperReliability = Reliability()
     uncertainty: Uncertainty = Uncertainty()
 
+    def __post_init__(self) -> None:
+        points = isinstance(self.associate, NearestPoint)
+        if points and isinstance(self.adapt, ResidualNoise):
+            raise InvalidConfig("config.adapt", "InnovationNoise, as NearestPoint measures no normals", "ResidualNoise")
+        if not points and isinstance(self.fuse, DecoupledUpdate):
+            raise InvalidConfig("config.fuse", "MapUpdate, as the paper's update knows points only", "DecoupledUpdate")
+
     @classmethod
     def paper(cls) -> Config:
         """DD-AKF as printed: k-NN outlier removal, one association, isotropic point targets, gradient pseudo-measurement."""
@@ -250,6 +257,7 @@ class Config:
             preprocess=KnnFilter(),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
+            physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3),
             fuse=DecoupledUpdate(),
             reliability=PaperReliability(),
         )

@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotri
+from threadpoolctl import ThreadpoolController
 
 from ddakf import rigidity
 from ddakf.associate import Measurement
-from ddakf.config import Config, DecoupledUpdate, MapUpdate
+from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import fuse as kernels
 from ddakf.kernels import rigidity as rigidity_kernels
 from ddakf.kernels import robust as robust_kernels
@@ -18,6 +19,7 @@ from ddakf.physics.energies import Energies, total_blocks, total_gradient
 from ddakf.rigidity import LocalRigidity
 from ddakf.types import State
 
+BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
 LONGEST_SECANT = 3.0  # passes that the secant may leap over
 COARSE_PASSES = 1  # passes of a frame that form the coarse level anew
 
@@ -108,12 +110,7 @@ def fuse(
 
 
 def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
-    n = update.measurement.normal
-    squared, variance = np.empty(len(n)), np.empty(len(n))
-    robust_kernels.along_normals(update.position, update.measurement.target, n, update.R, squared, variance)
-    variance = np.maximum(variance, config.adapt.lowest_sd**2)
-    tangential = np.full(len(n), config.associate.tangential_sd**2)
-    planes = Planes(update.measurement.target, n, update.weight, variance, tangential)
+    planes = _planes(update, config)
     for term in (update.rest, update.motion):
         rigidity.turn(term, update.position, model)
     system = normal_equations(
@@ -127,11 +124,27 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     length = np.sqrt(np.einsum("va,va->v", delta, delta))
     delta *= np.minimum(1.0, gate / np.maximum(length, 1e-12))[:, None]
     rms = float(np.sqrt(np.mean(length**2)))
-    settled = update.passes >= config.associate.least_iterations and rms < config.associate.tolerance
+    planned = config.associate
+    settled = isinstance(planned, NearestPoint) or (update.passes >= planned.least_iterations and rms < planned.tolerance)
     position = update.position + accelerated(update.position, delta, update.before)
     return update._replace(
         position=position, planes=planes, system=system, coarse=coarse, settled=settled, before=(update.position, delta)
     )
+
+
+def _planes(update: Update, config: Config) -> Planes:
+    """The measurements as planes; a point is one that is as well known across as along."""
+    measurement, n = update.measurement, len(update.weight)
+    if measurement.normal is None:
+        variance = np.maximum(np.trace(update.R, axis1=1, axis2=2) / 3, config.adapt.lowest_sd**2)
+        return Planes(measurement.target, np.tile([0.0, 1.0, 0.0], (n, 1)), update.weight, variance, variance)
+    squared, variance = np.empty(n), np.empty(n)
+    robust_kernels.along_normals(
+        update.position, measurement.target, measurement.normal, update.R, squared, variance
+    )
+    variance = np.maximum(variance, config.adapt.lowest_sd**2)
+    tangential = np.full(n, config.associate.tangential_sd**2)
+    return Planes(measurement.target, measurement.normal, update.weight, variance, tangential)
 
 
 def accelerated(position: np.ndarray, delta: np.ndarray, before: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
@@ -222,10 +235,11 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 def invert(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric positive definite matrix; of NaN where it is not."""
-    factor, failed = dpotrf(matrix, lower=1)
-    if failed:
-        return np.full_like(matrix, np.nan)
-    inverse = dpotri(factor, lower=1)[0]
+    with BLAS.limit(limits=1, user_api="blas"):
+        factor, failed = dpotrf(matrix, lower=1)
+        if failed:
+            return np.full_like(matrix, np.nan)
+        inverse = dpotri(factor, lower=1)[0]
     return np.tril(inverse) + np.tril(inverse, -1).T
 
 
@@ -233,14 +247,15 @@ def _decoupled_update(update: Update, prior: State, energies: Energies, config: 
     """The paper's: a Kalman update of every vertex, then the gradient pseudo-measurement on the mean.
 
     Geometry, section 2.3: S = P_pp + R / w, K = [P_pp; P_up] S^-1, x += K y, P -= K S K'. Physics, section 2.4: z = 0,
-    h = dE/dp, H_i = dh/dp_i, R_phys = sd^2 I; p -= P H' (H P H' + R_phys)^-1 h, without a change of P.
+    h = dE/dp, H_i = dh/dp_i; p -= K h, K = P H' (H P H' + R_phys)^-1, without a change of P. The paper leaves R_phys open; it is
+    H_i here, the covariance of the gradient of a log density, and then K = (P^-1 + H)^-1. Any other makes K unsymmetric, and
+    the step no descent.
     """
     n = len(prior.position)
     used = update.weight > 0
     y = update.measurement.innovation(prior.position)
-    S = prior.P_pp + update.R / np.maximum(update.weight, 1e-9)[:, None, None]
-    gain_p = np.linalg.solve(S, prior.P_pp).transpose(0, 2, 1) * used[:, None, None]
-    gain_u = np.linalg.solve(S, prior.P_pu).transpose(0, 2, 1) * used[:, None, None]
+    S_inverse = inverse_blocks(prior.P_pp + update.R / np.maximum(update.weight, 1e-9)[:, None, None]) * used[:, None, None]
+    gain_p, gain_u = prior.P_pp @ S_inverse, prior.P_pu.transpose(0, 2, 1) @ S_inverse
     P_pp = prior.P_pp - gain_p @ prior.P_pp
     position = prior.position + np.einsum("vab,vb->va", gain_p, y)
     state = State(
@@ -252,9 +267,11 @@ def _decoupled_update(update: Update, prior: State, energies: Energies, config: 
         R=update.R,
     )
     H, h = total_blocks(energies, n), total_gradient(energies, n)
-    innovation_covariance = H @ state.P_pp @ H + config.physics_sd**2 * np.eye(3)
-    correction = state.P_pp @ H @ np.linalg.solve(innovation_covariance, h[..., None])
-    state = state._replace(position=position - correction[..., 0])
+    gain = inverse_blocks(inverse_blocks(state.P_pp) + H)
+    correction = np.einsum("vab,vb->va", gain, h)
+    length = np.sqrt(np.einsum("va,va->v", correction, correction))[:, None]
+    correction *= np.minimum(1.0, config.longest_correction / np.maximum(length, 1e-12))
+    state = state._replace(position=position - correction)
     if not np.isfinite(state.position).all():
         return update._replace(state=prior, position=prior.position, settled=True, rejected=True)
     return update._replace(state=state, position=state.position, settled=True)

@@ -26,7 +26,11 @@ def posterior(update: Update, prior: State, config: Config) -> State:
         return bound(update.state, config.uncertainty)
     if update.rejected or not (update.weight > 0).any():
         return bound(prior._replace(position=update.position), config.uncertainty)
-    return bound(condition(prior, update.position, inverse_blocks(update.system.D), update.R), config.uncertainty)
+    covariance = inverse_blocks(update.system.D)
+    # of a mesh torn beyond what its equations can carry; such a vertex keeps its prior
+    lost = ~(np.isfinite(covariance).all(axis=(1, 2)) & (np.diagonal(covariance, axis1=1, axis2=2) > 0).all(axis=1))
+    covariance[lost] = prior.P_pp[lost]
+    return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
 
 
 def marginals(update: Update, state: State, model: Model, config: Config) -> np.ndarray:
@@ -51,7 +55,10 @@ def marginals(update: Update, state: State, model: Model, config: Config) -> np.
     kernels.coarsen(D, np.float32(kept) * system.B, model.start, model.neighbour, model.cluster, coarse)
     patch = invert(coarse).reshape(model.n_clusters, 3, model.n_clusters, 3)
     patch = patch[np.arange(model.n_clusters), :, np.arange(model.n_clusters)]
-    covariance = local + patch[model.cluster] + limits.floor_sd**2 * np.eye(3)
+    covariance = local + patch[model.cluster]
+    lost = ~np.isfinite(covariance).all(axis=(1, 2))
+    covariance[lost] = state.P_pp[lost]
+    covariance += limits.floor_sd**2 * np.eye(3)
     return _scale(covariance, limits.ceiling_sd) ** 2 * covariance
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,12 +17,29 @@ import numba
 
 
 def _cache_directory() -> Path:
+    """Where compiled kernels go; a place that cannot be written to is replaced by one in the temporary directory."""
     digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())
         digest.update(source.read_bytes())
-    root = os.environ.get("DDAKF_KERNEL_CACHE") or Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"), "ddakf")
-    return Path(root) / f"kernels-{digest.hexdigest()[:16]}"
+    name = f"kernels-{digest.hexdigest()[:16]}"
+    home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    wanted = Path(os.environ.get("DDAKF_KERNEL_CACHE") or Path(home, "ddakf"), name)
+    if _writable(wanted):
+        return wanted
+    spare = Path(tempfile.gettempdir(), f"ddakf-{os.getuid() if hasattr(os, 'getuid') else 'cache'}", name)
+    if wanted.is_dir() and not spare.is_dir():  # compiled beforehand, as in a read-only image
+        shutil.copytree(wanted, spare)
+    return spare
+
+
+def _writable(directory: Path) -> bool:
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=directory):
+            return True
+    except OSError:
+        return False
 
 
 CACHE_DIRECTORY = _cache_directory()

@@ -81,8 +81,13 @@ def total_gradient(energies: Energies, n: int) -> np.ndarray:
 
 
 def total_blocks(energies: Energies, n: int) -> np.ndarray:
-    """(V, 3, 3) H_phys,i: Gauss-Newton blocks of the second derivative of the energies."""
+    """(V, 3, 3) H_phys,i: how fast h_phys of a vertex changes, its neighbours moving as it does at worst.
+
+    The Gauss-Newton blocks of every energy, times the vertices of its stencil: with that factor steps that all vertices take at
+    the same time never overshoot (Cauchy-Schwarz on the terms of a constraint).
+    """
     total = np.zeros((n, 3, 3))
     for part, stiffness in energies.parts():
-        diagonal_blocks(part._replace(weight=stiffness * part.weight), n, total)
+        share = stiffness * part.stencil.shape[1]
+        diagonal_blocks(part._replace(weight=share * part.weight), n, total)
     return total

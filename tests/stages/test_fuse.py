@@ -18,7 +18,8 @@ THICKNESS = 0.003
 CONFIG = dataclasses.replace(
     Config(),
     fuse=MapUpdate(solver_iterations=1000, solver_tolerance=1e-9),
-    physics=dataclasses.replace(Config().physics, bend=0.5, stretch=3e5, shear=1e5, collision=1e9, thickness=THICKNESS),
+    physics=dataclasses.replace(Config().physics, bend=0.5, stretch=3e5, shear=1e5, collision=1e9, thickness=THICKNESS,
+                                strain_scale=1e3),  # quadratic; test_energies has the softened one
 )
 FAR = 10.0  # m, a gate that bounds nothing
 
@@ -78,7 +79,7 @@ def test_one_pass_is_the_dense_gauss_newton_step(seed, body):
     start, last = begun(problem)
     update = one_pass(start, problem, contact)
     rigid = rigid_terms(update, last, problem)
-    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    here, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), problem.prior.position)
     assert all(np.linalg.norm(part) > 1e-3 for name, part in here.items() if name != "prior"), "a term that does nothing"
     step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
     assert rms(step) > 5e-4
@@ -93,7 +94,7 @@ def test_every_term_acts_by_its_own_number(without):
     start, last = begun(problem)
     update = one_pass(start, problem, contact)
     rigid = rigid_terms(update, last, problem)
-    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    here, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), problem.prior.position)
     step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
     assert rms(update.position - problem.prior.position - step) < 2e-3 * rms(step)
 
@@ -104,7 +105,7 @@ def test_the_fabric_scales_its_terms(fabric):
     start, last = begun(problem)
     update = one_pass(start, problem, contact)
     rigid = rigid_terms(update, last, problem)
-    here, jacobian = dense.linearised(lambda x: dense.residuals(x, problem, rigid), problem.prior.position)
+    here, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), problem.prior.position)
     step = np.linalg.solve(dense.gauss_newton(jacobian), -dense.gradient(here, jacobian)).reshape(V, 3)
     assert rms(update.position - problem.prior.position - step) < 2e-3 * rms(step)
 
@@ -117,7 +118,7 @@ def test_passes_converge_to_where_the_total_energy_is_stationary(seed):
     for _ in range(60):
         update = one_pass(update, problem, contact)
     rigid = rigid_terms(update, last, problem)
-    function = lambda x: dense.residuals(x, problem, rigid)  # noqa: E731
+    function = lambda x, held: dense.residuals(x, held, problem, rigid)  # noqa: E731
     start = dense.gradient(*dense.linearised(function, problem.prior.position))
     end = dense.gradient(*dense.linearised(function, update.position))
     assert np.linalg.norm(end) < 5e-3 * np.linalg.norm(start)
@@ -129,11 +130,18 @@ def test_each_pass_lowers_the_energy(seed):
     start, last = begun(problem)
     update = one_pass(start, problem, contact)
     rigid = rigid_terms(update, last, problem)
+    assert dense.energy(update.position, problem, rigid) < dense.energy(problem.prior.position, problem, rigid)
 
-    def energy(x):
-        return 0.5 * sum(float(part @ part) for part in dense.residuals(x, problem, rigid).values())
 
-    assert energy(update.position) < energy(problem.prior.position)
+def test_the_dense_gradient_is_the_derivative_of_the_energy():
+    """The reference itself: finite differences of the total energy, softening and all."""
+    problem, contact = scene(2, body=True)
+    start, last = begun(problem)
+    rigid = rigid_terms(one_pass(start, problem, contact), last, problem)
+    x, direction, step = problem.prior.position, np.random.default_rng(0).normal(size=(V, 3)), 1e-7
+    ahead, behind = (dense.energy(x + s * step * direction, problem, rigid) for s in (1, -1))
+    here = dense.gradient(*dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), x))
+    assert here @ direction.ravel() == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
 
 
 @pytest.mark.parametrize("gate", [1e-4, 1e-3])
@@ -219,18 +227,21 @@ def test_decoupled_update_is_a_kalman_filter_per_vertex_and_the_gradient_pseudo_
     prior, weight, R = problem.prior, problem.weight, problem.R
     update = one_pass(begun(problem)[0], problem, contact)
 
-    here, jacobian = dense.linearised(lambda x: dense.cloth(x, problem), prior.position)
+    here, jacobian = dense.linearised(lambda x, held: dense.cloth(x, held, problem), prior.position)
     h = dense.gradient(here, jacobian).reshape(V, 3)
-    second = dense.gauss_newton(jacobian, majorised=False).reshape(V, 3, V, 3)
+    # every energy's blocks times the vertices of its stencil: the neighbours move as well
+    size = {"stretch": 3, "shear": 3, "bend": 4, "collision": 1}
+    blocks = sum(size[name] * (J.T @ J).reshape(V, 3, V, 3)[np.arange(V), :, np.arange(V)] for name, J in jacobian.items())
     H = np.concatenate([np.eye(3), np.zeros((3, 3))], axis=1)
     for i, P in enumerate(full(prior)):
         x = np.concatenate([prior.position[i], prior.velocity[i]])
         if weight[i] > 0:
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R[i] / weight[i])
             x, P = x + K @ (problem.measurement.target[i] - H @ x), (np.eye(6) - K @ H) @ P
-        Hp = second[i, :, i]
-        gain = P[:3, :3] @ Hp.T @ np.linalg.inv(Hp @ P[:3, :3] @ Hp.T + PAPER.fuse.physics_sd**2 * np.eye(3))
-        x[:3] -= gain @ h[i]
+        # z = 0, h = dE/dp, H_phys = R_phys = blocks[i]
+        Pp, B = P[:3, :3], blocks[i]
+        correction = Pp @ B.T @ np.linalg.inv(B @ Pp @ B.T + B) @ h[i]
+        x[:3] -= correction * min(1.0, PAPER.fuse.longest_correction / np.linalg.norm(correction))
         np.testing.assert_allclose(update.position[i], x[:3], rtol=0, atol=2e-6)
         np.testing.assert_allclose(update.state.velocity[i], x[3:], rtol=1e-9)
         np.testing.assert_allclose(full(update.state)[i], P, rtol=1e-7, atol=1e-12)
