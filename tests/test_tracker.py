@@ -105,7 +105,6 @@ def test_less_noise_is_tracked_more_closely():
     assert fine < coarse
 
 
-@pytest.mark.xfail(strict=True, reason="diverges and raises LinAlgError within ten frames")
 def test_the_papers_preset_runs_on_the_sample_and_stays_finite():
     tracker = Tracker(SHIRT, config=Config.paper())
     tracker.reset(SAMPLE.garment_vertices[0])
@@ -151,7 +150,7 @@ def test_rigid_motion_in_rigid_motion_out(worn, motion):
         results.append(result)
     here, there = results
     # another grid and other roundings: not equal, but far closer than the sensor's noise
-    tolerance = 5e-5 if motion == "shift" else 2e-3
+    tolerance = 5e-5 if motion == "shift" else 4e-3
     assert rms(there.vertices - (here.vertices @ R.T + shift)) < tolerance
     assert rms(there.velocities - here.velocities @ R.T) < 30 * tolerance
     turned = R @ here.covariance @ R.T
@@ -182,7 +181,7 @@ def test_the_order_of_the_points_does_not_matter():
         points = cloud(k)
         one = a.step(points, timestamp=k / FPS)
         other = b.step(points[rng.permutation(len(points))], timestamp=k / FPS)
-    assert rms(one.vertices - other.vertices) < 1e-3
+    assert rms(one.vertices - other.vertices) < 2e-3  # which points of a cell are thinned out does depend on it
 
 
 def test_only_differences_of_time_matter():
@@ -505,3 +504,29 @@ def test_a_configuration_that_is_accepted_is_survived(stage, field, value):
         result = tracker.step(points[: 0 if k == 2 else 400], timestamp=k / FPS, body_vertices=inner_body(SMALL).vertices)
         assert_finite(result)
         assert np.linalg.eigvalsh(result.covariance).min() > 0
+
+
+EXTREME = pytest.mark.xfail(strict=True, reason="overflows: a result that is not finite, and called tracking")
+
+
+@pytest.mark.parametrize("gap", [1e100, pytest.param(1e200, marks=EXTREME), pytest.param(1e308, marks=EXTREME)])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_any_later_time_gives_a_finite_result(gap):
+    assert_finite(tracked(3).step(cloud(3), timestamp=gap))
+
+
+@pytest.mark.parametrize("dt", [1e-9, pytest.param(1e-200, marks=EXTREME)])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_body_that_jumps_between_two_close_frames_gives_finite_results(dt):
+    tracker = Tracker(TUBE, body=BODY)
+    tracker.step(cloud(0), timestamp=0.0, body_vertices=BODY.vertices)
+    assert_finite(tracker.step(cloud(1), timestamp=dt, body_vertices=BODY.vertices + 0.01))
+    assert_finite(tracker.step(cloud(2), timestamp=1 / FPS))
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e6, pytest.param(1e100, marks=EXTREME)])
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_a_garment_of_any_size_gives_finite_results(size):
+    tracker = Tracker(Mesh(TUBE.vertices * size, TUBE.faces))
+    for k in range(2):
+        assert_finite(tracker.step(cloud(k), timestamp=k / FPS))

@@ -56,21 +56,30 @@ def dihedrals(x: np.ndarray, hinge: np.ndarray) -> np.ndarray:
     return np.arctan2(sine, np.einsum("ha,ha->h", n1, n2))
 
 
-def cloth(x: np.ndarray, problem: Problem) -> dict[str, np.ndarray]:
-    """Residuals of the energies of section 2.4, each times the root of its stiffness and weight."""
+def strains(x: np.ndarray, mesh: Mesh) -> np.ndarray:
+    """(2F,) relative lengthening along u, then along v."""
+    w_u, w_v, _ = triangles(x, mesh)
+    return np.concatenate([np.linalg.norm(w_u, axis=1), np.linalg.norm(w_v, axis=1)]) - 1
+
+
+def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.ndarray]:
+    """Residuals of the energies of section 2.4, each times the root of its stiffness and weight.
+
+    Stretch is softened: weight 1 / (1 + q) of the energy s^2 / 2 log(1 + q), q = (r / s)^2, taken at ``held`` (V, 3).
+    """
     mesh, numbers = problem.mesh, problem.config.physics
     k = {
         name: problem.physics_lambda * getattr(numbers, name) * getattr(numbers.fabric, name)
         for name in ("stretch", "shear", "bend")
     }
     w_u, w_v, area = triangles(x, mesh)
-    strain = np.concatenate([np.linalg.norm(w_u, axis=1) - 1, np.linalg.norm(w_v, axis=1) - 1])
+    soft = 1 / (1 + (strains(held, mesh) / numbers.strain_scale) ** 2)
     hinge = hinges(mesh)
     i, j, a, b = (mesh.vertices[column] for column in hinge.T)
     double_areas = np.linalg.norm(np.cross(j - i, a - i), axis=1) + np.linalg.norm(np.cross(j - i, b - i), axis=1)
     shape = 3 * np.sum((j - i) ** 2, axis=1) / (0.5 * double_areas)
     parts = {
-        "stretch": np.sqrt(k["stretch"] * np.tile(area, 2)) * strain,
+        "stretch": np.sqrt(k["stretch"] * np.tile(area, 2) * soft) * strains(x, mesh),
         "shear": np.sqrt(k["shear"] * area / 2) * np.einsum("fa,fa->f", w_u, w_v),
         "bend": np.sqrt(k["bend"] * shape) * (dihedrals(x, hinge) - dihedrals(mesh.vertices, hinge)),
     }
@@ -83,18 +92,18 @@ def cloth(x: np.ndarray, problem: Problem) -> dict[str, np.ndarray]:
     return parts
 
 
-def residuals(x: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
-    """All terms of the MAP problem; the energy is half their sum of squares.
+def residuals(x: np.ndarray, held: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
+    """All terms of the MAP problem, linearised at ``held``; without softening the energy is half their sum of squares.
 
     Args:
-        x: (V, 3) estimate, metres.
+        x, held: (V, 3) estimates, metres.
         problem: the frame.
         rigid: (source positions, weight, rotations) of each locally rigid term.
     """
     config, mesh = problem.config, problem.mesh
     covariance = problem.prior.P_pp + config.fuse.prior_sd**2 * np.eye(3)
     root = np.linalg.cholesky(np.linalg.inv(covariance)).transpose(0, 2, 1)
-    parts = cloth(x, problem)
+    parts = cloth(x, held, problem)
     parts["prior"] = np.einsum("vab,vb->va", root, x - problem.prior.position).ravel()
     n, off = problem.measurement.normal, x - problem.measurement.target
     along = np.einsum("va,va->v", n, off)
@@ -110,17 +119,28 @@ def residuals(x: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
 
 
 def linearised(function, x: np.ndarray):
-    """Residuals at x by name, and their Jacobians (C, 3V) by central differences."""
-    here = function(x)
+    """Residuals function(x, x) by name, and their Jacobians (C, 3V) by central differences in the first argument."""
+    here = function(x, x)
     jacobian = {name: np.zeros((len(part), x.size)) for name, part in here.items()}
     for column in range(x.size):
         ahead, behind = x.copy().ravel(), x.copy().ravel()
         ahead[column] += STEP
         behind[column] -= STEP
-        ahead, behind = function(ahead.reshape(x.shape)), function(behind.reshape(x.shape))
+        ahead, behind = function(ahead.reshape(x.shape), x), function(behind.reshape(x.shape), x)
         for name in here:
             jacobian[name][:, column] = (ahead[name] - behind[name]) / (2 * STEP)
     return here, jacobian
+
+
+def energy(x: np.ndarray, problem: Problem, rigid) -> float:
+    """Of the MAP problem, the softened stretch by its own formula."""
+    parts = residuals(x, x, problem, rigid)
+    numbers = problem.config.physics
+    stiffness = problem.physics_lambda * numbers.stretch * numbers.fabric.stretch
+    q = (strains(x, problem.mesh) / numbers.strain_scale) ** 2
+    area = np.tile(triangles(x, problem.mesh)[2], 2)
+    stretch = 0.5 * stiffness * numbers.strain_scale**2 * (area @ np.log1p(q))
+    return stretch + 0.5 * sum(float(part @ part) for name, part in parts.items() if name != "stretch")
 
 
 def gradient(here, jacobian) -> np.ndarray:

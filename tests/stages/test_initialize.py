@@ -50,7 +50,7 @@ def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degree
     assert rms(start - truth) > 0.25
 
 
-@pytest.mark.parametrize("degrees", [0, 15, 30, 45])
+@pytest.mark.parametrize("degrees", [0, 15, 30, 45, 100, -80])
 def test_placement_recovers_the_motion(degrees):
     start = SAMPLE.garment_vertices[40].astype(float)
     truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
