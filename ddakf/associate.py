@@ -12,6 +12,8 @@ from ddakf.kernels import associate as kernels
 from ddakf.model import Model
 from ddakf.preprocess import Cloud
 
+OCCLUDER_CELL = 1.5  # edges: wide enough that the vertices of a surface leave no holes
+
 
 class Measurement(NamedTuple):
     """One measurement per vertex; rows where ``found`` is false hold nothing."""
@@ -54,7 +56,7 @@ def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[flo
 
 
 def associate(
-    position: np.ndarray, last: Measurement, cloud: Cloud, model: Model, gate: float,
+    position: np.ndarray, last: Measurement, cloud: Cloud, body_vertices: np.ndarray | None, model: Model, gate: float,
     config: PlaneAssociation | NearestPoint,
 ) -> Measurement:  # fmt: skip
     """Measurements for the vertices at ``position`` (V, 3).
@@ -63,6 +65,7 @@ def associate(
         position: metres.
         last: of the pass before; vertices that hardly moved since keep their plane.
         cloud: the preprocessed points.
+        body_vertices: (B, 3) metres, what may hide the garment from a sensor, or None.
         model: the garment.
         gate: search radius, metres.
         config: plane-aligned, or the paper's nearest neighbour.
@@ -74,7 +77,11 @@ def associate(
             target, plane, distance, searched_at = (a.copy() for a in last[:4])
             kernels.vertex_normals(position, model.faces, normal)
             if cloud.oriented:
-                kernels.facing(position, normal, cloud.sensor, config.facing_cosine, visible)
+                body = np.empty((0, 3)) if body_vertices is None else body_vertices
+                cell = OCCLUDER_CELL * model.edge_length
+                kernels.seen(
+                    position, normal, body, cloud.sensor, cell, config.hidden_depth, config.facing_cosine, visible
+                )
             if not cloud.empty:
                 kernels.nearest_planes(
                     position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,

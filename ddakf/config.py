@@ -23,6 +23,8 @@ class Checked:
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
+            if isinstance(f.default, bool) and not isinstance(getattr(self, f.name), bool):
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "true or false", repr(getattr(self, f.name)))
             if "range" not in f.metadata:
                 continue
             low, high = f.metadata["range"]
@@ -64,10 +66,13 @@ class ConstantVelocity(Checked):
 
 @dataclass(frozen=True)
 class GridFilter(Checked):
-    """Outlier removal by the number of points in the 27 cells around a point: a cheap stand-in for k-NN statistics."""
+    """k-NN statistical outlier removal, its neighbours sought only where the 27 cells around a point are nearly empty."""
 
     points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size from the garment's area and the number of points
-    least_share: float = bounded(0.2, 0, 1)  # of the median neighbourhood, below which a point is an outlier
+    neighbours: int = bounded(16, 2, 64)  # as in the paper's filter
+    ratio: float = bounded(2.0, 0.1, 10)  # in standard deviations, as there
+    suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood, below which a point's neighbours are sought
+    sample: int = bounded(300, 1, 100_000)  # of the other points, for the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
     planes_per_vertex: float = bounded(2.0, 0.1, 100)  # a denser cloud is thinned to as many plane fits
 
@@ -97,6 +102,7 @@ class PlaneAssociation(Checked):
     still: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
     facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor
+    hidden_depth: float = bounded(0.02, 0, 100)  # m: a vertex with a surface nearer by more in front of it is hidden
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m: what the blended point says about the position in the plane
 
 
@@ -308,7 +314,7 @@ def _stage(name: str, fields, base, variants):
     fields = dict(fields)
     allowed = {t.__name__: t for t in (typing.get_args(variants) or (variants,))}
     kind = fields.pop("type", type(base).__name__)
-    if kind not in allowed:
+    if not isinstance(kind, str) or kind not in allowed:
         raise InvalidConfig(f"{name}.type", f"one of {', '.join(allowed)}", repr(kind))
     known = {f.name for f in dataclasses.fields(allowed[kind])}
     for key in fields:

@@ -8,10 +8,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.errors import InvalidFrame
-from ddakf.mesh import Mesh
+from ddakf.mesh import MAX_COORDINATE, Mesh  # float32 keeps a millimetre up to there
 
 MAX_POINTS = 1_000_000
-MAX_COORDINATE = 1e4  # m: float32 keeps a millimetre up to there
+MAX_TIME = 1e12  # s: 30,000 years
+LEAST_STEP = 1e-6  # s: two frames closer than that are one
 
 
 class Frame(NamedTuple):
@@ -39,7 +40,7 @@ def checked(points, timestamp, sensor_origin, body_vertices, last: float | None,
         raise InvalidFrame("points", f"at most {MAX_POINTS} points", str(len(points)))
     time = _time(timestamp, last)
     if sensor_origin is not None:
-        origin = np.asarray(sensor_origin)
+        origin = _array("sensor_origin", sensor_origin, f"(3,) or ({len(points)}, 3)")
         if origin.shape != (3,) and origin.shape != (len(points), 3):
             raise InvalidFrame("sensor_origin", f"shape (3,) or ({len(points)}, 3)", str(origin.shape))
         sensor_origin = _finite("sensor_origin", np.atleast_2d(origin)).astype(np.float64).reshape(origin.shape)
@@ -64,17 +65,22 @@ def positions(name: str, values, n: int) -> np.ndarray:
 
 
 def _positions(name: str, values) -> np.ndarray:
-    try:
-        array = np.asarray(values)
-    except ValueError:
-        raise InvalidFrame(name, "an array of shape (N, 3)", "rows of different lengths") from None
-    if array.dtype.kind not in "fiu" and array.size:
-        raise InvalidFrame(name, "numbers", f"dtype {array.dtype}")
+    array = _array(name, values, "(N, 3)")
     if array.ndim != 2 or array.shape[1] != 3:
         if array.size == 0:
             return np.empty((0, 3))
         raise InvalidFrame(name, "shape (N, 3)", str(array.shape))
     return _finite(name, array)
+
+
+def _array(name: str, values, shape: str) -> np.ndarray:
+    try:
+        array = np.asarray(values)
+    except ValueError:
+        raise InvalidFrame(name, f"an array of shape {shape}", "rows of different lengths") from None
+    if array.dtype.kind not in "fiu" and array.size:
+        raise InvalidFrame(name, "numbers", f"dtype {array.dtype}")
+    return array
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
@@ -88,10 +94,12 @@ def _finite(name: str, array: np.ndarray) -> np.ndarray:
 def _time(timestamp, last: float | None) -> float:
     try:
         time = float(timestamp)
-    except (TypeError, ValueError):
-        raise InvalidFrame("timestamp", "seconds", repr(timestamp)) from None
+    except (TypeError, ValueError, OverflowError):
+        raise InvalidFrame("timestamp", "seconds", f"{timestamp!r:.40}") from None
     if not math.isfinite(time):
         raise InvalidFrame("timestamp", "finite seconds", repr(timestamp))
-    if last is not None and time <= last:
+    if abs(time) > MAX_TIME:
+        raise InvalidFrame("timestamp", f"seconds within {MAX_TIME:g}", f"{time:g}")
+    if last is not None and time < last + LEAST_STEP:
         raise InvalidFrame("timestamp", f"later than the last frame's {last:.6f} s", f"{time:.6f} s")
     return time

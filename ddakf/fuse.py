@@ -234,11 +234,18 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 
 def invert(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric positive definite matrix; of NaN where it is not."""
+    """Inverse of a symmetric positive definite matrix.
+
+    Rounding can leave a very stiff one indefinite; it is then inverted with a growing share of its largest entry added.
+    """
     with BLAS.limit(limits=1, user_api="blas"):
         factor, failed = dpotrf(matrix, lower=1)
-        if failed:
-            return np.full_like(matrix, np.nan)
+        share = 1e-12
+        while failed:
+            if share > 1.0 or not np.isfinite(matrix).all():
+                return np.full_like(matrix, np.nan)
+            factor, failed = dpotrf(matrix + share * np.abs(matrix).max() * np.eye(len(matrix)), lower=1)
+            share *= 100.0
         inverse = dpotri(factor, lower=1)[0]
     return np.tril(inverse) + np.tril(inverse, -1).T
 

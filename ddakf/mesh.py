@@ -9,6 +9,7 @@ import numpy as np
 
 from ddakf.errors import InvalidMesh
 
+MAX_COORDINATE = 1e4  # m: what is farther away is in another unit
 MIN_FACE_AREA = 1e-12  # m^2: a triangle below a square micrometre has no usable normal
 
 
@@ -104,7 +105,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
-    vertices, faces = np.asarray(vertices), np.asarray(faces)
+    vertices, faces = _rectangular("mesh.vertices", vertices), _rectangular("mesh.faces", faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
         raise InvalidMesh("mesh.vertices", "numbers of shape (V, 3)", f"{vertices.dtype} of shape {vertices.shape}")
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
@@ -116,12 +117,21 @@ def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise InvalidMesh("mesh.vertices", "finite numbers", f"{bad.sum()} non-finite, the first at {bad.argmax()}")
+    if np.abs(vertices).max() > MAX_COORDINATE:
+        raise InvalidMesh("mesh.vertices", f"metres within {MAX_COORDINATE:g} of the origin", f"{np.abs(vertices).max():g}")
     if faces.min() < 0 or faces.max() >= len(vertices):
         worst = faces.min() if faces.min() < 0 else faces.max()
         raise InvalidMesh("mesh.faces", f"indices in [0, {len(vertices)})", str(worst))
     if not (_areas(vertices, faces) > MIN_FACE_AREA).any():
         raise InvalidMesh("mesh", "a surface with an area", "only degenerate faces")
     return vertices, faces
+
+
+def _rectangular(field: str, values) -> np.ndarray:
+    try:
+        return np.asarray(values)
+    except ValueError:
+        raise InvalidMesh(field, "rows of three numbers", "rows of different lengths") from None
 
 
 def _defects(vertices: np.ndarray, faces: np.ndarray) -> dict[str, int]:

@@ -10,6 +10,8 @@ from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssoc
 from ddakf.kernels import preprocess as kernels
 
 MAX_CELLS = 2_000_000
+CLEAN_FACTOR = 2.0  # times the mean distance: nearer points are no outliers
+SUSPECT_RINGS = 4  # a point without k neighbours that near is an outlier, however far the next ones are
 
 
 class Cloud(NamedTuple):
@@ -58,7 +60,7 @@ def preprocess(
             case GridFilter():
                 grid = _drop_sparse(grid, config.preprocess)
             case KnnFilter():
-                grid = _drop_far(points, grid, config.preprocess)
+                grid = _drop_far(grid, config.preprocess)
     sorted_points, index, start, origin, cell, dims = grid
     # a cloud denser than the garment is fitted with planes at the density that the garment can use
     stride = 1
@@ -99,30 +101,51 @@ def _grid(points, chosen, area, config):
 
 
 def _drop_sparse(grid, config: GridFilter):
-    points, index, start, origin, cell, dims = grid
+    """The statistical filter, with neighbours sought for suspects alone.
+
+    A point whose 27 cells hold a fair share of the median is an inlier. The statistics that the others are held against are of
+    all points: suspects, and a sample of the rest.
+    """
+    points, index, start, _, cell, dims = grid
     count = np.empty(len(start) - 2, np.int32)
     kernels.neighbourhood_counts(start, dims, count)
     per_point = np.repeat(count, np.diff(start[:-1]))
-    threshold = max(2, int(np.ceil(config.least_share * np.median(per_point))))
-    new_start, new_points, new_index = np.empty_like(start), np.empty_like(points), np.empty_like(index)
-    n = kernels.remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index)
-    return np.ascontiguousarray(new_points[:, :n]), new_index[:n], new_start, origin, cell, dims
+    suspect = per_point < config.suspect_share * np.median(per_point)
+    suspects, rest = np.flatnonzero(suspect), np.flatnonzero(~suspect)
+    if len(suspects) == 0:
+        return grid
+    sample = rest[:: max(1, len(rest) // config.sample)]
+    distance = np.empty(len(suspects) + len(sample))
+    kernels.knn_mean_distances(
+        points, np.concatenate([suspects, sample]), start, cell, dims, config.neighbours - 1, SUSPECT_RINGS, distance
+    )
+    mine, others = distance[: len(suspects)], distance[len(suspects) :]
+    total = len(index)
+    mean = (mine.sum() + len(rest) * others.mean()) / total if len(others) else mine.mean()
+    spread = np.square(mine - mean).sum() + (len(rest) * np.square(others - mean).mean() if len(others) else 0.0)
+    removed = np.zeros(total, bool)
+    # a clean cloud has little spread, and its sparser parts are no outliers
+    removed[suspects[mine > max(mean + config.ratio * np.sqrt(spread / total), CLEAN_FACTOR * mean)]] = True
+    return _without(grid, removed)
 
 
-def _drop_far(points, grid, config: KnnFilter):
+def _drop_far(grid, config: KnnFilter):
     """Rusu and Cousins 2011, as in Open3D: mean distance to the k nearest, the point itself among them."""
-    sorted_points, index, start, origin, cell, dims = grid
+    points, index, start, _, cell, dims = grid
     if len(index) <= 1:
         return grid
     others = min(config.neighbours, len(index)) - 1
     mean = np.empty(len(index))
-    kernels.knn_mean_distances(sorted_points, start, cell, dims, others, mean)
+    kernels.knn_mean_distances(points, np.arange(len(index)), start, cell, dims, others, len(start), mean)
     mean *= others / (others + 1)
-    kept = index[mean < mean.mean() + config.ratio * mean.std(ddof=1)]
-    refilled = np.empty_like(start)
-    new_points, new_index = np.empty((3, len(kept)), np.float32), np.empty(len(kept), np.int32)
-    kernels.fill_grid(points, kept, origin, cell, dims, refilled, new_points, new_index)
-    return new_points, new_index, refilled, origin, cell, dims
+    return _without(grid, ~(mean < mean.mean() + config.ratio * mean.std(ddof=1)))
+
+
+def _without(grid, removed: np.ndarray):
+    points, index, start, origin, cell, dims = grid
+    new_start, new_points, new_index = np.empty_like(start), np.empty_like(points), np.empty_like(index)
+    n = kernels.remove(start, removed, points, index, new_start, new_points, new_index)
+    return np.ascontiguousarray(new_points[:, :n]), new_index[:n], new_start, origin, cell, dims
 
 
 def _distinct(origins: np.ndarray) -> np.ndarray:

@@ -10,6 +10,8 @@ from ddakf.config import PaperReliability, Reliability
 from ddakf.fuse import Update
 from ddakf.types import State, TrackerState
 
+LONGEST_BOOKED = 0.1  # s: of a longer gap before a bad frame nothing is known, and it is no part of a loss
+
 
 class Health(NamedTuple):
     """What the tracker remembers about its own quality."""
@@ -116,6 +118,7 @@ def advance(
     if isinstance(config, PaperReliability):
         low = score < config.threshold
         return Health("recovering" if low else "tracking", config.recovery_lambda if low else 1.0)
+    dt = min(dt, LONGEST_BOOKED)
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
         health = health._replace(empty_for=health.empty_for + dt)

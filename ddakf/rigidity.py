@@ -42,10 +42,18 @@ def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = R
 
 
 def rotations(position: np.ndarray, model: Model) -> np.ndarray:
-    """(V, 3, 3) rotations of the one-rings from rest to ``position``, from any start."""
-    term = to_rest(model, 1.0, identity(len(position)))
-    turn(term, position, model, steps=50)
-    return term.rotation
+    """(V, 3, 3) rotations of the one-rings from rest to ``position``, exactly: the polar factor, by singular values.
+
+    A ring that is flat at rest and now leaves its turn about itself to its normal: of the two rotations the proper one.
+    """
+    edge = np.empty_like(model.rest_edge)
+    kernels.edge_vectors(position, model.start, model.neighbour, edge)
+    row = np.repeat(np.arange(len(position)), np.diff(model.start))
+    covariance = np.zeros((len(position), 3, 3))
+    np.add.at(covariance, row, edge[:, :, None] * model.rest_edge[:, None, :])
+    U, _, Vt = np.linalg.svd(covariance)
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    return U @ Vt
 
 
 def identity(n: int) -> np.ndarray:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import io
 import json
+import zipfile
 import zlib
+from typing import get_args
 
 import numpy as np
 
 from ddakf.config import Config
-from ddakf.errors import InvalidArgument, InvalidSnapshot
+from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
 from ddakf.reliability import Health
-from ddakf.types import State
+from ddakf.types import State, TrackerState
 
 MAGIC = b"DDAKFSNP"
 VERSION = 1
@@ -35,15 +37,35 @@ def load(data: bytes, kind):
         body = Mesh(arrays["body_V"], arrays["body_F"]) if "body_V" in arrays else None
         config = Config.from_dict(numbers["config"])
         tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
-        tracker._state = State(**{name: arrays[f"state_{name}"] for name in State._fields})
-        tracker._rotation = arrays["rotation"]
-        tracker._health = Health(**numbers["health"])
-        tracker._time = numbers["time"]
+        state = {name: like(getattr(tracker._state, name), arrays, f"state_{name}") for name in State._fields}
+        tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
+        tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
             tracker._contact.from_arrays(arrays)
-    except (KeyError, TypeError, InvalidArgument) as error:
+    except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
+
+
+def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """The array of this name, which must have the shape and type of ``model`` and finite numbers."""
+    array = arrays[name]
+    if array.shape != model.shape or array.dtype != model.dtype or not np.isfinite(array).all():
+        raise InvalidSnapshot(f"snapshot.{name}", f"finite {model.dtype} of shape {model.shape}", f"{array.dtype} {array.shape}")
+    return array
+
+
+def _health(values: dict) -> Health:
+    health = Health(**values)
+    if health.state not in get_args(TrackerState) or not np.isfinite(np.array(health[1:], np.float64)).all():
+        raise InvalidSnapshot("snapshot.health", "a state and three numbers", str(values))
+    return health
+
+
+def _time(value) -> float | None:
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+        raise InvalidSnapshot("snapshot.time", "seconds or null", repr(value))
+    return value
 
 
 def pack(numbers: dict, arrays: dict[str, np.ndarray]) -> bytes:
@@ -61,6 +83,9 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     Raises:
         InvalidSnapshot: not a snapshot, of another version, or damaged.
     """
+    if not isinstance(data, bytes | bytearray | memoryview):
+        raise InvalidSnapshot("snapshot", "bytes of a ddakf tracker", type(data).__name__)
+    data = bytes(data)
     if len(data) < 16 or data[:8] != MAGIC:
         raise InvalidSnapshot("snapshot", "bytes of a ddakf tracker", f"{len(data)} other bytes")
     version = int.from_bytes(data[8:12], "little")
@@ -68,6 +93,9 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         raise InvalidSnapshot("snapshot.version", str(VERSION), str(version))
     if zlib.crc32(data[16:]) != int.from_bytes(data[12:16], "little"):
         raise InvalidSnapshot("snapshot", "intact bytes", "a wrong checksum")
-    with np.load(io.BytesIO(zlib.decompress(data[16:])), allow_pickle=False) as archive:
-        arrays = {name: archive[name] for name in archive.files}
-    return json.loads(arrays.pop("numbers").tobytes()), arrays
+    try:
+        with np.load(io.BytesIO(zlib.decompress(data[16:])), allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return json.loads(arrays.pop("numbers").tobytes()), arrays
+    except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError) as error:
+        raise InvalidSnapshot("snapshot", "an archive of arrays", str(error) or type(error).__name__) from None

@@ -22,7 +22,7 @@ from ddakf import (
 )
 from ddakf import snapshot as snapshots
 from ddakf.config import Config
-from ddakf.errors import InvalidMesh
+from ddakf.errors import InvalidConfig, InvalidMesh
 from ddakf.mesh import Mesh
 from ddakf.physics import energies
 from ddakf.physics.contact import BodyContact
@@ -40,7 +40,8 @@ class Tracker:
         config: ``Config()`` or ``Config.paper()``, or a variation of them.
 
     Raises:
-        InvalidMesh: not meshes.
+        InvalidMesh: not meshes, or metres beyond 10 km.
+        InvalidConfig: no configuration.
     """
 
     def __init__(self, garment: Mesh, *, body: Mesh | None = None, config: Config | None = None):
@@ -48,6 +49,8 @@ class Tracker:
             raise InvalidMesh("garment", "a ddakf.Mesh", type(garment).__name__)
         if body is not None and not isinstance(body, Mesh):
             raise InvalidMesh("body", "a ddakf.Mesh or None", type(body).__name__)
+        if config is not None and not isinstance(config, Config):
+            raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
         self._model = model.build(garment, self.config.physics.thickness)
@@ -103,7 +106,9 @@ class Tracker:
         update = fuse.begin(prior, anchor, self._rotation, health.physics_lambda, garment, config)
         for gate in associate.gates(cloud, config.associate):
             # B. Association (2.3)
-            measurement = associate.associate(update.position, update.measurement, cloud, garment, gate, config.associate)
+            measurement = associate.associate(
+                update.position, update.measurement, cloud, now.body_vertices, garment, gate, config.associate
+            )
             clock.lap("associate")
 
             # C. Robustness (2.5)

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 BLEND = 4  # surfels that a measurement is averaged over
+DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: no search has been made there
 
 
@@ -152,16 +153,82 @@ def nearest_planes(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def facing(position, normal, sensor, min_cosine, eligible):
-    """Marks the vertices whose normal is turned to the sensor (or to any of several, (S, 3)) by at least min_cosine."""
-    for v in range(position.shape[0]):
-        eligible[v] = False
-        for s in range(sensor.shape[0]):
+def seen(position, normal, body, sensor, cell, depth_margin, min_cosine, visible):
+    """Marks the vertices that a sensor may see: turned to it, and with nothing in front.
+
+    From each sensor the vertices of garment and body are sorted into a grid of directions, as wide as ``cell`` at the garment's
+    distance, that keeps the least depth. A vertex is hidden when something in its cell is nearer by more than
+    ``depth_margin`` plus what its own slope explains across the cell.
+
+    Args:
+        position, normal: (V, 3) metres, unit.
+        body: (B, 3) metres, B may be 0.
+        sensor: (S, 3) metres.
+        cell: metres, about an edge and a half of the meshes.
+        depth_margin: metres.
+        min_cosine: least turn of a vertex toward the sensor.
+        visible: (V,) bool out.
+    """
+    n = position.shape[0]
+    visible[:] = False
+    nearest = np.empty((DIRECTIONS, DIRECTIONS))
+    center = np.zeros(3)
+    for v in range(n):
+        for a in range(3):
+            center[a] += position[v, a] / n
+    axes = np.empty((3, 3))
+    for s in range(sensor.shape[0]):
+        distance = 0.0
+        for a in range(3):
+            axes[2, a] = center[a] - sensor[s, a]
+            distance += axes[2, a] ** 2
+        distance = sqrt(distance) + 1e-12
+        axes[2] /= distance
+        # any right-handed frame about the viewing direction: start from the axis it is least along
+        least = 0
+        for a in range(1, 3):
+            if abs(axes[2, a]) < abs(axes[2, least]):
+                least = a
+        along = axes[2, least]
+        for a in range(3):
+            axes[0, a] = (1.0 if a == least else 0.0) - along * axes[2, a]
+        axes[0] /= sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
+        axes[1, 0] = axes[2, 1] * axes[0, 2] - axes[2, 2] * axes[0, 1]
+        axes[1, 1] = axes[2, 2] * axes[0, 0] - axes[2, 0] * axes[0, 2]
+        axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[2, 1] * axes[0, 0]
+        focal = distance / cell
+        nearest[:] = np.inf
+        for v in range(n + body.shape[0]):
+            p = position[v] if v < n else body[v - n]
+            column, row, depth = direction(p, sensor[s], axes, focal)
+            if column >= 0 and depth < nearest[row, column]:
+                nearest[row, column] = depth
+        for v in range(n):
+            if visible[v]:
+                continue
             dx, dy, dz = sensor[s, 0] - position[v, 0], sensor[s, 1] - position[v, 1], sensor[s, 2] - position[v, 2]
             length = sqrt(dx * dx + dy * dy + dz * dz)
-            if normal[v, 0] * dx + normal[v, 1] * dy + normal[v, 2] * dz > min_cosine * length:
-                eligible[v] = True
-                break
+            cosine = (normal[v, 0] * dx + normal[v, 1] * dy + normal[v, 2] * dz) / length
+            if not cosine > min_cosine:
+                continue
+            column, row, depth = direction(position[v], sensor[s], axes, focal)
+            slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-3)
+            if column < 0 or nearest[row, column] >= depth - depth_margin - 1.5 * cell * slope:
+                visible[v] = True
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def direction(p, eye, axes, focal):
+    """Column and row of a point in the grid of directions, and its depth; column -1 outside the grid or behind the eye."""
+    x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
+    depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
+    if depth < 0.05:
+        return -1, -1, depth
+    u = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth * focal + DIRECTIONS / 2
+    v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth * focal + DIRECTIONS / 2
+    if not (0.0 <= u < DIRECTIONS and 0.0 <= v < DIRECTIONS):
+        return -1, -1, depth
+    return int(u), int(v), depth
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -85,19 +85,19 @@ def neighbourhood_counts(start, dims, count):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def remove_sparse(start, count, threshold, points, index, new_start, new_points, new_index):
-    """Keeps the points of cells whose neighbourhood holds at least ``threshold`` points. Returns how many."""
+def remove(start, removed, points, index, new_start, new_points, new_index):
+    """Copies the grid without the points marked in (M,) removed. Returns how many are left."""
     n = 0
-    for c in range(count.shape[0]):
+    for c in range(start.shape[0] - 2):
         new_start[c] = n
-        if count[c] >= threshold:
-            for k in range(start[c], start[c + 1]):
+        for k in range(start[c], start[c + 1]):
+            if not removed[k]:
                 new_points[0, n] = points[0, k]
                 new_points[1, n] = points[1, k]
                 new_points[2, n] = points[2, k]
                 new_index[n] = index[k]
                 n += 1
-    for c in range(count.shape[0], new_start.shape[0]):
+    for c in range(start.shape[0] - 2, new_start.shape[0]):
         new_start[c] = n
     return n
 
@@ -215,16 +215,26 @@ def orient_normals(surfels, sensor):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def knn_mean_distances(points, start, cell, dims, k, mean_distance):
-    """Mean distance of each sorted point to its k nearest others, exact: the paper's statistical filter.
+def knn_mean_distances(points, chosen, start, cell, dims, k, reach, mean_distance):
+    """Mean distance of the chosen points to their k nearest others: the paper's statistical filter.
 
-    Rings of cells are searched outward until the k-th distance lies inside the searched box.
+    Rings of cells are searched outward until the k-th distance lies inside the searched box, exactly, or until ``reach`` rings;
+    a point that has not got k neighbours by then counts as far from all as was searched.
+
+    Args:
+        points: (3, M) float32 sorted by cell.
+        chosen: (C,) indices of sorted points.
+        start, cell, dims: the grid.
+        k: neighbours.
+        reach: most rings.
+        mean_distance: (C,) out, metres.
     """
     inverse = 1.0 / cell
     best = np.empty(k, np.float64)
     nx, ny, nz = dims[0], dims[1], dims[2]
-    reach = max(nx, ny, nz)
-    for i in range(points.shape[1]):
+    reach = min(reach, max(nx, ny, nz))
+    for c in range(chosen.shape[0]):
+        i = chosen[c]
         px, py, pz = points[0, i], points[1, i], points[2, i]
         ix = min(max(int(px * inverse), 0), nx - 1)
         iy = min(max(int(py * inverse), 0), ny - 1)
@@ -241,8 +251,8 @@ def knn_mean_distances(points, start, cell, dims, k, mean_distance):
                     jz = iz - ring
                     while jz <= iz + ring:
                         if 0 <= jz < nz:
-                            c = (jx * ny + jy) * nz + jz
-                            for m in range(start[c], start[c + 1]):
+                            box = (jx * ny + jy) * nz + jz
+                            for m in range(start[box], start[box + 1]):
                                 if m == i:
                                     continue
                                 d2 = (points[0, m] - px) ** 2 + (points[1, m] - py) ** 2 + (points[2, m] - pz) ** 2
@@ -260,4 +270,5 @@ def knn_mean_distances(points, start, cell, dims, k, mean_distance):
         total = 0.0
         for m in range(found):
             total += sqrt(best[m])
-        mean_distance[i] = total / found if found else 1e30
+        mean = total / found if found else 0.0
+        mean_distance[c] = mean if found == k else max(mean, reach * cell + margin)

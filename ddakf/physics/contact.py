@@ -100,8 +100,15 @@ class BodyContact:
         return arrays
 
     def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
-        """The inverse of :meth:`to_arrays`."""
-        self.vertices = arrays["contact_vertices"]
+        """The inverse of :meth:`to_arrays`.
+
+        Raises:
+            ValueError: a pose that is not of this body.
+        """
+        vertices = arrays["contact_vertices"]
+        if vertices.shape != self._mesh.vertices.shape or not np.isfinite(vertices).all():
+            raise ValueError(f"contact_vertices of shape {vertices.shape} is no pose of the body")
+        self.vertices = vertices
         self._surface = proximity.refresh(self._body, self.vertices)
         self.present = bool(arrays["contact_present"])
         self._velocity = arrays.get("contact_velocity")
