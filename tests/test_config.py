@@ -39,7 +39,8 @@ def test_presets_survive_a_round_trip_through_json(preset):
 
 @pytest.mark.parametrize(("stage", "kind"), list(variants()))
 def test_every_variant_survives_a_round_trip(stage, kind):
-    config = dataclasses.replace(Config(), **{stage: kind()})
+    base = Config.paper() if isinstance(getattr(Config.paper(), stage), kind) else Config()
+    config = dataclasses.replace(base, **{stage: kind()})
     values = config.to_dict()
     assert values[stage]["type"] == kind.__name__
     assert Config.from_dict(values) == config
@@ -50,6 +51,13 @@ def test_fabrics_survive_a_round_trip_and_go_by_name(fabric):
     config = Config().with_fabric(fabric)
     assert Config.from_dict(config.to_dict()) == config
     assert Config.from_dict({"physics": {"fabric": "denim"}}).physics.fabric == Fabric.DENIM
+
+
+@pytest.mark.parametrize("stage", ["associate", "fuse"])
+def test_variants_that_do_not_fit_together_are_refused(stage):
+    """Residual noise needs planes, the decoupled update points."""
+    with pytest.raises(InvalidConfig):
+        dataclasses.replace(Config(), **{stage: getattr(Config.paper(), stage)})
 
 
 def test_what_is_left_out_keeps_its_default():
@@ -93,12 +101,7 @@ def test_unknown_names_and_types_are_refused_by_name(values, field):
     assert "\n" not in str(refusal.value)
 
 
-UNHASHABLE = pytest.mark.xfail(strict=True, reason="a TypeError about hashing comes through")
-
-
-@pytest.mark.parametrize(
-    "value", [pytest.param([], marks=UNHASHABLE), pytest.param({}, marks=UNHASHABLE), None, b"GridFilter", 3.0]
-)
+@pytest.mark.parametrize("value", [[], {}, None, b"GridFilter", 3.0])
 def test_a_variants_name_that_is_no_text_is_refused(value):
     with pytest.raises(InvalidConfig):
         Config.from_dict({"predict": {"type": value}})
@@ -127,7 +130,6 @@ def test_counts_are_whole_numbers(stage, kind, field):
         kind(**{field.name: field.default + 0.5})
 
 
-@pytest.mark.xfail(strict=True, reason="switches are not checked: any value is taken for its truth")
 def test_switches_are_true_or_false():
     with pytest.raises(InvalidConfig):
         Config.from_dict({"start": {"search": "no"}})

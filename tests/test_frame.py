@@ -24,7 +24,6 @@ def spoilt(value, shape=(50, 3)):
     return array
 
 
-KNOWN = pytest.mark.xfail(strict=True, reason="an exception of Python's or NumPy's own comes through")
 BAD = {
     "points that are not a number": (dict(points=spoilt(np.nan)), "points", "finite", "1 bad rows, the first at 7"),
     "infinite points": (dict(points=spoilt(-np.inf)), "points", "finite", "the first at 7"),
@@ -47,6 +46,8 @@ BAD = {
     "endless time": (dict(timestamp=float("inf")), "timestamp", "finite", "inf"),
     "time that is too large an integer": (dict(timestamp=10**400), "timestamp", "seconds", "10"),
     "time standing still": (dict(timestamp=0.5), "timestamp", "later than the last frame's 0.5", "0.500000"),
+    "a second frame of the same moment": (dict(timestamp=0.5 + 1e-9), "timestamp", "later than", "0.500000"),
+    "time beyond reason": (dict(timestamp=1e300), "timestamp", "seconds within", "1e+300"),
     "time going backwards": (dict(timestamp=0.25), "timestamp", "later than", "0.250000"),
     "an origin of two coordinates": (dict(sensor_origin=[0.0, 1.0]), "sensor_origin", "(3,) or (50, 3)", "(2,)"),
     "origins of too few points": (dict(sensor_origin=np.zeros((49, 3))), "sensor_origin", "(50, 3)", "(49, 3)"),
@@ -61,10 +62,9 @@ BAD = {
     "a body without declaration": (
         dict(body_vertices=BODY.vertices, body=None), "body_vertices", "made without a body", "array"),
 }  # fmt: skip
-OPEN = ("time that is too large an integer", "an origin of text", "an origin of truth values", "a ragged origin")
 
 
-@pytest.mark.parametrize("what", [pytest.param(w, marks=KNOWN) if w in OPEN else w for w in BAD])
+@pytest.mark.parametrize("what", list(BAD))
 def test_bad_input_is_refused_with_the_field_what_was_expected_and_what_came(what):
     how, field, expected, got = BAD[what]
     with pytest.raises(InvalidFrame) as refusal:
@@ -98,7 +98,7 @@ def test_an_empty_cloud_is_a_frame_without_points(nothing):
     assert checked(nothing, sensor_origin=np.empty((0, 3))).sensor_origin is None
 
 
-@pytest.mark.parametrize("time", [0.75, np.float32(0.75), np.int64(1), 1, 1.7e9, np.nextafter(0.5, 1)])
+@pytest.mark.parametrize("time", [0.75, np.float32(0.75), np.int64(1), 1, 1.7e9, 0.50001])
 def test_any_later_time_is_taken(time):
     assert checked(timestamp=time).timestamp == float(time)
 

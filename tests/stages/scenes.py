@@ -103,9 +103,10 @@ def measured(target, normal, found) -> Measurement:
     )
 
 
-def associated(position, cloud, garment, gate, config) -> Measurement:
-    """Stage B in the first pass of a frame."""
-    return associate(position, Measurement.none(len(position)), cloud, garment, gate, config)
+def associated(position, cloud, garment, gate, config, last=None, body_vertices=None) -> Measurement:
+    """Stage B in the first pass of a frame, or after the pass that gave ``last``."""
+    last = Measurement.none(len(position)) if last is None else last
+    return associate(position, last, cloud, body_vertices, garment, gate, config)
 
 
 def kept_points(cloud) -> np.ndarray:
