@@ -131,6 +131,22 @@ def test_a_resting_garment_stays_where_it_is(part):
     assert rms(result.vertices - start) < 0.005
 
 
+def test_a_garment_that_turns_all_the_way_round_keeps_its_shape():
+    """400 degrees in steps of 8."""
+    tracker = Tracker(TUBE)
+    edges = TUBE.edges
+    rest = np.linalg.norm(TUBE.vertices[edges[:, 0]] - TUBE.vertices[edges[:, 1]], axis=1)
+    for k in range(50):
+        truth = (TUBE.vertices - TUBE.vertices.mean(axis=0)) @ about([1, 0, 1], np.radians(8 * k)).T
+        if k == 0:
+            tracker.reset(truth)
+        result = tracker.step(scan(truth, TUBE, 3000, 0.002, seed=k), timestamp=k / FPS)
+    assert result.state == "tracking"
+    assert rms(result.vertices - truth) < 0.02
+    now = np.linalg.norm(result.vertices[edges[:, 0]] - result.vertices[edges[:, 1]], axis=1)
+    assert np.sqrt(np.mean((now / rest - 1) ** 2)) < 0.05
+
+
 # Invariances --------------------------------------------------------------------------------------------------------
 
 

@@ -107,6 +107,19 @@ def test_planes_average_the_noise(seed):
     np.testing.assert_allclose(np.linalg.norm(measurement.normal[measurement.found], axis=1), 1.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("sensor", [None, np.array([1.5, 0.3, 1.5])], ids=["unknown sensor", "sensor"])
+def test_a_wall_across_the_garment_is_not_taken_for_it(sensor):
+    """Points of a surface at right angles, as near as they may be."""
+    grid = np.stack(np.meshgrid(np.arange(24), np.arange(24), indexing="ij"), axis=-1).reshape(-1, 2) * 0.025
+    floor = Mesh(np.column_stack([grid, np.zeros(len(grid))]), grid_faces(24, 24))
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([np.full(5000, 0.3), rng.uniform(0, 0.6, 5000), rng.uniform(0, 0.3, 5000)])
+    garment, cloud = prepared(floor, (wall + rng.normal(scale=0.001, size=wall.shape)).astype(np.float32), sensor)
+    assert associated(floor.vertices, cloud, garment, 0.1, CONFIG.associate).found.mean() < 0.01
+    anything = dataclasses.replace(CONFIG.associate, normal_cosine=-1.0)
+    assert associated(floor.vertices, cloud, garment, 0.1, anything).found.mean() > 0.2
+
+
 def test_normals_disagreeing_with_the_vertex_are_not_taken():
     """A thin double wall, its front alone scanned: without a match of normals its back would be measured too."""
     mesh = ball(3, 0.2)
