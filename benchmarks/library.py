@@ -61,7 +61,7 @@ def changes(settings) -> list[dict]:
     """The default on the sample, without each of its five changes to the paper's method, and the paper's preset."""
     default = Config()
     once = replace(default.associate, iterations=1, least_iterations=1)
-    blind = replace(default.associate, facing_cosine=-1.0, normal_cosine=-1.0)
+    blind = replace(default.associate, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
     variants = {
         "default": default,
         "1. without planes": replace(default, associate=replace(default.associate, tangential_sd=default.adapt.initial_sd)),
