@@ -12,7 +12,8 @@ from ddakf.reliability import Health
 from ddakf.types import State
 
 HEADINGS = 24
-SAMPLES = 800
+SAMPLES = 400
+SEARCH_EVERY = 8  # frames: a search takes as long as several of them, and a stream of nonsense must not stall
 TRUNCATION = 0.10  # m: points farther from the garment count as this far
 
 
@@ -97,7 +98,8 @@ def locate(
 
     Before the first fit and after a loss a cloud that lies elsewhere is searched; otherwise both come back as they are.
     """
-    if not config.search or health.state not in ("initializing", "lost") or len(points) < config.least_points:
+    unplaced = health.state in ("initializing", "lost") and health.frames_unplaced % SEARCH_EVERY == 0
+    if not config.search or not unplaced or len(points) < config.least_points:
         return prior, last
     stay = _cost(cKDTree(prior.position), points[:: max(1, len(points) // SAMPLES)].astype(np.float64))
     if stay < FAR:

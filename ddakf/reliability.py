@@ -20,6 +20,7 @@ class Health(NamedTuple):
     physics_lambda: float = 1.0
     poor_for: float = 0.0  # s of sensor time with points, but without a fit
     empty_for: float = 0.0  # s of empty clouds
+    frames_unplaced: int = 0  # frames with points since the start or the loss
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -125,9 +126,10 @@ def advance(
         return health._replace(state="lost") if health.empty_for >= config.lost_after_empty else health
     poor_for = health.poor_for + dt if rejected or coverage < config.lost_coverage else 0.0
     if poor_for >= config.lost_after or (health.state == "lost" and poor_for > 0):
-        return Health("lost", 1.0, poor_for, 0.0)
+        unplaced = health.frames_unplaced + 1 if health.state in ("lost", "initializing") else 0
+        return Health("lost", 1.0, poor_for, 0.0, unplaced)
     if health.state == "initializing" and poor_for > 0:
-        return health._replace(poor_for=poor_for, empty_for=0.0)
+        return health._replace(poor_for=poor_for, empty_for=0.0, frames_unplaced=health.frames_unplaced + 1)
     threshold = config.recovery_above if health.state == "recovering" else config.recovery_below
     recovering = score < threshold or poor_for > 0
     return Health(
