@@ -141,6 +141,7 @@ def test_damaged_payloads_give_points_or_a_codec_error(codec, data, damaged_sour
     message = pb.PointCloud()
     message.CopyFrom(damaged_source[codec])
     message.data = bytes(payload[:cut]) + data.draw(st.binary(max_size=4))
+    message.ClearField("crc32")  # which would notice nearly all of it
     message.point_count = data.draw(st.sampled_from([0, 1, 199, 200, 201, LIMIT, LIMIT + 1, 2**32 - 1]))
     try:
         points = decode(message, max_points=LIMIT)
@@ -167,6 +168,7 @@ def test_flipped_bits_of_a_compressed_payload_are_noticed(codec, damaged_source)
     for position in range(0, 8 * len(damaged_source[codec].data), 7):
         message = pb.PointCloud()
         message.CopyFrom(damaged_source[codec])
+        message.ClearField("crc32")
         payload = bytearray(message.data)
         payload[position // 8] ^= 1 << position % 8
         message.data = bytes(payload)
@@ -176,6 +178,43 @@ def test_flipped_bits_of_a_compressed_payload_are_noticed(codec, damaged_source)
             continue
         # A few header bits of a zstd frame carry no information about its content.
         assert np.array_equal(points, decode(damaged_source[codec], max_points=LIMIT))
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@settings(max_examples=200)
+@given(bits=st.sets(st.integers(0, 2**20), min_size=1, max_size=5))
+def test_flipped_bits_are_refused_with_both_checksums(codec, bits, damaged_source):
+    message = pb.PointCloud()
+    message.CopyFrom(damaged_source[codec])
+    payload = bytearray(message.data)
+    for bit in {bit % (8 * len(payload)) for bit in bits}:
+        payload[bit // 8] ^= 1 << bit % 8
+    message.data = bytes(payload)
+    said = f"expected CRC-32 {message.crc32:08x}, got {zlib.crc32(payload):08x}"
+    with pytest.raises(CodecError, match=rf"^payload point_cloud.data of {len(payload)} bytes: {said}$") as refusal:
+        decode(message, max_points=LIMIT)
+    assert refusal.value.field == "point_cloud.data"
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@given(kept=st.floats(0, 1, exclude_max=True))
+def test_truncated_payloads_are_refused(codec, kept, damaged_source):
+    message = pb.PointCloud()
+    message.CopyFrom(damaged_source[codec])
+    message.data = message.data[: int(kept * len(message.data))]
+    with pytest.raises(CodecError, match=r"CRC-32|bytes for point_count points"):
+        decode(message, max_points=LIMIT)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_the_checksum_is_always_sent_and_may_be_absent(codec, cloud):
+    for points in (cloud[:0], cloud[:200]):
+        message = encode(points, codec).cloud
+        assert message.HasField("crc32")
+        assert message.crc32 == zlib.crc32(message.data)
+        expected = decode(message, max_points=LIMIT)
+        message.ClearField("crc32")
+        assert np.array_equal(decode(message, max_points=LIMIT), expected)
 
 
 BOMB_BYTES = 256 * 1024 * 1024

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -65,19 +66,26 @@ def encode(
     points = _checked_points(points)
     runs = _checked_runs(runs, len(points))
     cloud = pb.PointCloud(codec=CODECS[codec], point_count=len(points))
+    order = _fill(cloud, codec, points, step, runs)
+    cloud.crc32 = zlib.crc32(cloud.data)
+    return Encoded(cloud, order)
+
+
+def _fill(cloud: pb.PointCloud, codec: str, points: np.ndarray, step: float, runs: list[int]) -> np.ndarray | None:
+    """Sets payload, step and origin; returns the order of the points, None when they keep theirs."""
     if codec == "raw":
         cloud.data = _as_float32(points).tobytes()
-        return Encoded(cloud, None)
+        return None
     coordinates, origin = quantise(points, step, 16 if codec == "quantised" else morton.BITS)
     cloud.step = step
     cloud.origin.x, cloud.origin.y, cloud.origin.z = origin.tolist()
     if codec == "quantised":
         cloud.data = coordinates.T.astype("<u2", order="C").tobytes()
-        return Encoded(cloud, None)
+        return None
     codes, order = morton.sort_within_runs(morton.interleave(coordinates), runs)
     if len(points):
         cloud.data = _COMPRESS[cloud.codec](planes.to_planes(codes))
-    return Encoded(cloud, order)
+    return order
 
 
 def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
@@ -91,7 +99,8 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
         (N, 3) float64 metres, finite.
 
     Raises:
-        CodecError: too many points, an unknown codec, or bytes that are not what they should be.
+        CodecError: too many points, an unknown codec, bytes that are not what they should be, or that have another
+            CRC-32 than the message says.
         Unimplemented: Draco.
     """
     count = cloud.point_count
@@ -102,8 +111,11 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
         raise Unimplemented("point_cloud.codec: this server does not decode Draco", field="point_cloud.codec")
     if codec not in CODECS.values():
         raise CodecError(field="point_cloud.codec", expected=" or ".join(CODECS), got=f"unknown codec {codec}")
+    lengths = {pb.POINT_CODEC_RAW_FLOAT32: 12 * count, pb.POINT_CODEC_QUANTISED_16: 6 * count}
+    if count == 0 or codec in lengths:
+        _require_length(cloud.data, lengths.get(codec, 0))
+    _require_checksum(cloud)
     if count == 0:
-        _require_length(cloud.data, 0)
         return np.empty((0, 3))
     if codec == pb.POINT_CODEC_RAW_FLOAT32:
         return _decode_raw(cloud.data, count)
@@ -111,7 +123,6 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
     step = cloud.step or DEFAULT_STEP
     if codec == pb.POINT_CODEC_QUANTISED_16:
         require_finite_range(origin, step, 16)
-        _require_length(cloud.data, 6 * count)
         return dequantise(np.frombuffer(cloud.data, "<u2").reshape(count, 3).T, origin, step)
     require_finite_range(origin, step, morton.BITS)
     codes = planes.from_planes(_DECOMPRESS[codec](cloud.data, count), count)
@@ -119,12 +130,20 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
 
 
 def _decode_raw(data: bytes, count: int) -> np.ndarray:
-    _require_length(data, 12 * count)
     points = np.frombuffer(data, "<f4").reshape(count, 3).astype(np.float64)
     if not np.isfinite(points).all():
         bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
         raise CodecError(field="point_cloud.data", expected="finite positions", got=f"{bad} points that are not")
     return points
+
+
+def _require_checksum(cloud: pb.PointCloud) -> None:
+    """Damage that no codec notices by itself; clients that send no checksum are not checked."""
+    if not cloud.HasField("crc32") or (actual := zlib.crc32(cloud.data)) == cloud.crc32:
+        return
+    expected, got = f"CRC-32 {cloud.crc32:08x}", f"{actual:08x}"
+    message = f"payload point_cloud.data of {len(cloud.data)} bytes: expected {expected}, got {got}"
+    raise CodecError(message, field="point_cloud.data", expected=expected, got=got)
 
 
 def _require_length(data: bytes, expected: int) -> None:

@@ -460,18 +460,20 @@ class Sensor(_message.Message):
     def __init__(self, origin: _Optional[_Union[Vector3, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., point_count: _Optional[int] = ...) -> None: ...
 
 class PointCloud(_message.Message):
-    __slots__ = ("codec", "point_count", "data", "step", "origin")
+    __slots__ = ("codec", "point_count", "data", "step", "origin", "crc32")
     CODEC_FIELD_NUMBER: _ClassVar[int]
     POINT_COUNT_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
     STEP_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
+    CRC32_FIELD_NUMBER: _ClassVar[int]
     codec: PointCodec
     point_count: int
     data: bytes
     step: float
     origin: Vector3
-    def __init__(self, codec: _Optional[_Union[PointCodec, str]] = ..., point_count: _Optional[int] = ..., data: _Optional[bytes] = ..., step: _Optional[float] = ..., origin: _Optional[_Union[Vector3, _Mapping]] = ...) -> None: ...
+    crc32: int
+    def __init__(self, codec: _Optional[_Union[PointCodec, str]] = ..., point_count: _Optional[int] = ..., data: _Optional[bytes] = ..., step: _Optional[float] = ..., origin: _Optional[_Union[Vector3, _Mapping]] = ..., crc32: _Optional[int] = ...) -> None: ...
 
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy")
