@@ -41,6 +41,10 @@ _REMEMBERED = 1024  # ids of ended sessions, and of requests, that are kept for 
 _MAX_LABELS, _MAX_TEXT = 64, 256  # labels of a session; characters of a label, its value or a request id
 _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
 _RETRY_WHEN_FULL = 5.0  # seconds
+# A client that left its stream may ask for the next one before its leaving is noticed here, or before the frame that is
+# in the worker has been tracked.
+_NOTICE_PATIENCE = 0.5  # seconds that a stream has to turn out to be left
+_ENDING_PATIENCE = 5.0  # seconds that a stream which is ending has to end
 
 
 class Sessions:
@@ -121,15 +125,15 @@ class Sessions:
         """The stream of a session; the caller closes it with :meth:`close_stream`."""
         require_compatible(start.api_version, peer="client")
         session = self._find(start.name)
-        if session.stream is not None:
-            if not start.takeover:
-                raise SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
+        if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
             await self.close_stream(before)
-            session = self._find(start.name)
-            if session.stream is not None:
-                raise SessionBusy(f"{session.name} was taken over by yet another stream")
+        elif session.stream is not None:
+            await self._ended_by_itself(session.stream)
+        session = self._find(start.name)
+        if session.stream is not None:
+            raise SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
         session.touch()
         session.stream = Stream(session, start, self._pool, self._metrics, self._mode(start.flow_mode))
         self._count()
@@ -140,6 +144,7 @@ class Sessions:
         await stream.close()
         if stream.session.stream is stream:
             stream.session.stream = None
+        stream.gone.set()
         self._count()
 
     def lose(self, session_ids: Sequence[str]) -> None:
@@ -171,6 +176,14 @@ class Sessions:
             await asyncio.sleep(0.02)
         for session in list(self._sessions.values()):
             self._end(session, Draining("the server has stopped; connect again later or elsewhere"))
+
+    async def _ended_by_itself(self, stream: Stream) -> None:
+        """Returns when a stream whose client has left is gone; without it, when the patience is at its end."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(_NOTICE_PATIENCE):
+                await stream.ending.wait()
+            async with asyncio.timeout(_ENDING_PATIENCE):
+                await stream.gone.wait()
 
     async def _once(self, request_id: str, session_id: str, request, open_) -> pb.Session:
         """Runs a creation, or waits for the same request's first run."""

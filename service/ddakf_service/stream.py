@@ -73,6 +73,10 @@ class Stream:
 
     A transport calls :meth:`receive` for each request, :meth:`finish` when no more will come, sends what
     :meth:`responses` yields, and calls :meth:`close` at the end, whichever side ended it.
+
+    Attributes:
+        ending: set once nothing more is tracked, though a frame may still be in the worker.
+        gone: set by whoever closed the stream, once its session is free for another one.
     """
 
     def __init__(self, session: Session, start: pb.Start, pool: WorkerPool, metrics: Metrics, mode: pb.FlowMode):
@@ -83,7 +87,7 @@ class Stream:
         self._mode = mode
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox()
-        self._ended = False
+        self.ending, self.gone = asyncio.Event(), asyncio.Event()
         self._pump = asyncio.create_task(self._run())
 
     async def receive(self, request: pb.TrackRequest) -> None:
@@ -109,7 +113,7 @@ class Stream:
 
     def end(self, error: Exception | None) -> None:
         """Ends the stream from the server's side, with what the client shall be told."""
-        self._ended = True
+        self.ending.set()
         self._outbox.close(error)
         self._mailbox.close()
 
@@ -158,7 +162,7 @@ class Stream:
         """Tracks frame after frame until no more come; one is in the worker at a time."""
         current_session.set(self.session.id)
         try:
-            while not self._ended and (waiting := await self._mailbox.get()) is not None:
+            while not self.ending.is_set() and (waiting := await self._mailbox.get()) is not None:
                 response = await self._track(waiting)
                 if response is not None:
                     await self._outbox.put(response)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from ddakf_api.errors import (
     FailedPrecondition,
+    InvalidFrame,
     SessionBusy,
     SessionNotFound,
     StreamTakenOver,
@@ -17,6 +18,7 @@ from ddakf_api.errors import (
     from_rpc_error,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import Frame
 
 from .conftest import TIMEOUT, frame_of, make_sheet, request_of, silence
 
@@ -192,3 +194,27 @@ def test_a_stream_of_another_version_is_refused(api, session):
 def test_a_stream_of_no_session_is_not_found(api):
     with pytest.raises(SessionNotFound, match="nobody"):
         list(api.track("sessions/nobody", []))
+
+
+@pytest.mark.parametrize("leave", ["break", "failing iterator", "refused frame"])
+def test_a_session_whose_stream_was_left_takes_the_next_one(client, leave):
+    """In the middle of tracking: the frame that is in the worker holds the session for a while."""
+    sheet = make_sheet(40, 0.01)
+
+    def clouds(start: float):
+        for i in range(6):
+            if i == 3 and leave == "failing iterator":
+                raise RuntimeError("the camera broke")
+            points = np.full((5, 3), np.nan) if i == 3 and leave == "refused frame" else sheet.vertices
+            yield Frame(points, start + i / 30)
+
+    expected = {"break": (), "failing iterator": RuntimeError, "refused frame": InvalidFrame}[leave]
+    with client.create_session(sheet, flow="lossless") as session:
+        for attempt in range(10):
+            try:
+                for _ in session.track(clouds(attempt)):
+                    if leave == "break":
+                        break
+            except expected:
+                pass
+        assert len(list(session.track([Frame(sheet.vertices, 100.0)]))) == 1
