@@ -31,7 +31,7 @@ from .session import Session
 from .settings import Settings
 from .stream import Stream
 from .telemetry import Metrics
-from .workers import WorkerPool
+from .workers import WorkerPool, worker_lost
 
 log = logging.getLogger(__name__)
 
@@ -151,7 +151,7 @@ class Sessions:
         """Ends the sessions whose worker is gone."""
         for session in self._existing(session_ids):
             log.error("the session was lost with its worker", extra={"session": session.id})
-            self._end(session, WorkerLost(f"the worker of {session.name} was lost; create the session anew"))
+            self._end(session, worker_lost(session.id))
 
     async def expire_idle(self) -> None:
         """Ends sessions that had no frame for their idle timeout; runs until it is cancelled."""

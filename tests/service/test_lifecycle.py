@@ -91,12 +91,14 @@ def test_a_killed_worker_gives_a_retryable_error_and_a_replacement(service, api,
     killed = time.monotonic()
     until(lambda: len([name for name in names if http.get(f"/v1/{name}").status_code == 503]) == 1, 2)
     lost = next(name for name in names if http.get(f"/v1/{name}").status_code == 503)
-    with pytest.raises(WorkerLost, match="create the session anew"):
+    with pytest.raises(WorkerLost, match="create the session anew") as caught:
         next(streams[lost])
+    assert caught.value.retry_after > 0
     assert time.monotonic() - killed < 2
     with pytest.raises(WorkerLost) as caught:
         api.get(lost)
     assert caught.value.retryable
+    assert caught.value.retry_after > 0
     assert http.get("/readyz").status_code == 200, "the other worker still takes sessions"
     (kept,) = set(names) - {lost}
     following = list(api.track(kept, [request_of(frame_of(sheet, 2))], takeover=True))

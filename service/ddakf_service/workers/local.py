@@ -11,11 +11,11 @@ import socket
 import subprocess
 import sys
 
-from ddakf_api.errors import Unavailable, WorkerLost, from_detail
+from ddakf_api.errors import Unavailable, from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from . import wire
-from .pool import Health, Limits, OnLost, Progress
+from .pool import RETRY_AFTER, Health, Limits, OnLost, Progress, worker_lost
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +24,6 @@ ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OP
 
 _STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
 _EXIT_PATIENCE = 5.0  # seconds that a worker has to end by itself once its pipe is closed
-_RETRY_AFTER = 1.0  # seconds, told to clients: about what a replacement takes with a warm kernel cache
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 10.0  # seconds between attempts to replace a worker that dies before it is ready
 
 
@@ -109,7 +108,7 @@ class LocalPool:
     async def _place(self, kind: wire.Kind, session_id: str, request: bytes) -> bytes:
         """Creates a session on the least loaded worker."""
         if not self._workers:
-            raise Unavailable("no worker is ready; try again in a few seconds", retry_after=_RETRY_AFTER)
+            raise Unavailable("no worker is ready; try again in a few seconds", retry_after=RETRY_AFTER)
         worker = min(self._workers, key=lambda w: len(w.sessions))
         worker.sessions.add(session_id)
         self._homes[session_id] = worker
@@ -126,7 +125,7 @@ class LocalPool:
         try:
             return self._homes[session_id]
         except KeyError:
-            raise _lost(session_id) from None
+            raise worker_lost(session_id) from None
 
     async def _call(self, worker: _Worker, kind: wire.Kind, session_id: str, payload: bytes = b"") -> bytes:
         try:
@@ -135,7 +134,7 @@ class LocalPool:
         except TimeoutError:
             log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout)
             worker.process.kill()
-            raise _lost(session_id) from None
+            raise worker_lost(session_id) from None
 
     async def _add_worker(self, progress: Progress) -> None:
         worker = await _Worker.start(self._limits, self._warm_timeout, progress)
@@ -214,7 +213,7 @@ class _Worker:
 
     async def call(self, kind: wire.Kind, session_id: str, payload: bytes) -> bytes:
         if self.gone.is_set():
-            raise _lost(session_id)
+            raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting[number] = session_id, answer
@@ -268,10 +267,5 @@ class _Worker:
         self.gone.set()
         for session_id, answer in self._waiting.values():
             if not answer.done():
-                answer.set_exception(_lost(session_id))
+                answer.set_exception(worker_lost(session_id))
         await self.end(patience=0)
-
-
-def _lost(session_id: str) -> WorkerLost:
-    message = f"the worker of session {session_id} was lost; create the session anew"
-    return WorkerLost(message, retry_after=_RETRY_AFTER)

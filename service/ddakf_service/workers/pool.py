@@ -7,6 +7,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from typing import NamedTuple, Protocol
 
+from ddakf_api.errors import WorkerLost
+
+RETRY_AFTER = 1.0  # seconds, told to clients: about what a replacement takes with a warm kernel cache
+
 # Called with (kernels compiled, kernels in all, name of the next one) while the first worker warms up.
 Progress = Callable[[int, int, str], None]
 
@@ -37,6 +41,12 @@ class Health(NamedTuple):
     ready: int
     wanted: int
     restarts: int
+
+
+def worker_lost(session_id: str) -> WorkerLost:
+    """What everyone is told who asks for a session that went with its worker."""
+    message = f"the worker of sessions/{session_id} was lost; create the session anew"
+    return WorkerLost(message, retry_after=RETRY_AFTER)
 
 
 class WorkerPool(Protocol):
