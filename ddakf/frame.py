@@ -12,6 +12,7 @@ from ddakf.mesh import MAX_COORDINATE, Mesh  # float32 keeps a millimetre up to 
 
 MAX_POINTS = 1_000_000
 MAX_TIME = 1e12  # s: 30,000 years
+BODY_FACTOR = 4.0  # a pose changes a body's extent by less; millimetres for metres change it by 1,000
 LEAST_STEP = 1e-6  # s: two frames closer than that are one
 
 
@@ -53,6 +54,9 @@ def checked(points, timestamp, sensor_origin, body_vertices, last: float | None,
         if len(body_vertices) != body.n_vertices:
             raise InvalidFrame("body_vertices", f"shape ({body.n_vertices}, 3), as declared", str(body_vertices.shape))
         body_vertices = body_vertices.astype(np.float64)
+        size, declared = np.ptp(body_vertices, axis=0).max(), np.ptp(body.vertices, axis=0).max()
+        if not declared / BODY_FACTOR < size < declared * BODY_FACTOR:
+            raise InvalidFrame("body_vertices", f"a body about {declared:.2g} m in size, as declared", f"{size:.2g} m")
     return Frame(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
 
 

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ddakf import rigidity
 from ddakf.config import Start
+from ddakf.model import Model
 from ddakf.reliability import Health
 from ddakf.types import State
 
@@ -92,20 +94,34 @@ def _cost(garment: cKDTree, cloud: np.ndarray) -> float:
 
 
 def locate(
-    prior: State, last: np.ndarray, points: np.ndarray, health: Health, config: Start
-) -> tuple[State, np.ndarray]:
-    """The prior, and the position from which motion is locally rigid, laid on the cloud where the tracker has no track.
+    prior: State, last: np.ndarray, rotation: np.ndarray, points: np.ndarray, health: Health, model: Model, config: Start
+) -> tuple[State, np.ndarray, np.ndarray]:
+    """The prior, laid on the cloud where the tracker has no track; otherwise as it came.
 
-    Before the first fit and after a loss a cloud that lies elsewhere is searched; otherwise both come back as they are.
+    Before the first fit and after a loss a cloud that lies elsewhere is searched. After a loss the shape may be as wrong as the
+    place, and what is sought is the template.
+
+    Args:
+        prior: the prediction.
+        last: (V, 3) position from which the motion is locally rigid, metres.
+        rotation: (V, 3, 3) of the one-rings against the rest shape.
+        points: (N, 3) metres.
+        health: state of the tracker.
+        model, config: the garment, and when to search.
+
+    Returns:
+        Prior, last and rotation, of the place that was found or as they came.
     """
     unplaced = health.state in ("initializing", "lost") and health.frames_unplaced % SEARCH_EVERY == 0
     if not config.search or not unplaced or len(points) < config.least_points:
-        return prior, last
+        return prior, last, rotation
     stay = _cost(cKDTree(prior.position), points[:: max(1, len(points) // SAMPLES)].astype(np.float64))
     if stay < FAR:
-        return prior, last
-    placement, stay = place(prior.position, points)
+        return prior, last, rotation
+    sought = model.mesh.vertices if health.state == "lost" else prior.position
+    placement, _ = place(sought, points)
     if placement.cost > GAIN * stay:
-        return prior, last
-    found = placement.apply(prior.position)
-    return prior._replace(position=found, velocity=np.zeros_like(found)), found
+        return prior, last, rotation
+    found = placement.apply(sought)
+    start = State.at(found, np.zeros_like(found), config.sd, config.speed_sd, 1.0)
+    return start._replace(R=prior.R), found, rigidity.rotations(found, model)

@@ -10,7 +10,7 @@ from ddakf.config import PaperReliability, Reliability
 from ddakf.fuse import Update
 from ddakf.types import State, TrackerState
 
-LONGEST_BOOKED = 0.1  # s: of a longer gap before a bad frame nothing is known, and it is no part of a loss
+LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
 
 
 class Health(NamedTuple):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import zipfile
 import zlib
 from typing import get_args
@@ -17,6 +18,7 @@ from ddakf.reliability import Health
 from ddakf.types import State, TrackerState
 
 MAGIC = b"DDAKFSNP"
+MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a body take a tenth of it
 VERSION = 1
 
 
@@ -38,10 +40,13 @@ def load(data: bytes, kind):
         config = Config.from_dict(numbers["config"])
         tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
         state = {name: like(getattr(tracker._state, name), arrays, f"state_{name}") for name in State._fields}
+        for block in ("P_pp", "P_uu", "R"):
+            if not (np.diagonal(state[block], axis1=1, axis2=2) > 0).all():
+                raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
         tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
         tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
-            tracker._contact.from_arrays(arrays)
+            tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
@@ -63,7 +68,7 @@ def _health(values: dict) -> Health:
 
 
 def _time(value) -> float | None:
-    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
+    if value is not None and (isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value)):
         raise InvalidSnapshot("snapshot.time", "seconds or null", repr(value))
     return value
 
@@ -94,8 +99,14 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     if zlib.crc32(data[16:]) != int.from_bytes(data[12:16], "little"):
         raise InvalidSnapshot("snapshot", "intact bytes", "a wrong checksum")
     try:
-        with np.load(io.BytesIO(zlib.decompress(data[16:])), allow_pickle=False) as archive:
+        reader = zlib.decompressobj()
+        body = reader.decompress(data[16:], MAX_BYTES)
+        if reader.unconsumed_tail:
+            raise InvalidSnapshot("snapshot", f"at most {MAX_BYTES} bytes when unpacked", "more")
+        with np.load(io.BytesIO(body), allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         return json.loads(arrays.pop("numbers").tobytes()), arrays
+    except InvalidSnapshot:
+        raise
     except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError) as error:
         raise InvalidSnapshot("snapshot", "an archive of arrays", str(error) or type(error).__name__) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 
 import numpy as np
@@ -29,6 +30,22 @@ from ddakf.physics.contact import BodyContact
 from ddakf.types import FrameResult, State
 
 FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
+
+
+def whole(step):
+    """A step that raises has not happened: the body, which moves before the garment does, goes back to where it was."""
+
+    @functools.wraps(step)
+    def guarded(self, *args, **kwargs):
+        mark = None if self._contact is None else self._contact.mark()
+        try:
+            return step(self, *args, **kwargs)
+        except BaseException:
+            if mark is not None:
+                self._contact.back_to(mark)
+            raise
+
+    return guarded
 
 
 class Tracker:
@@ -77,6 +94,7 @@ class Tracker:
         if self._contact is not None:
             self._contact.reset()
 
+    @whole
     def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
         """Tracks one frame.
 
@@ -96,14 +114,16 @@ class Tracker:
         # A. Prediction (2.2), riding on the body
         last, carried = self._ride(now.body_vertices, dt)
         prior = predict.predict(last, dt, carried, config.predict)
-        prior, anchor = initialize.locate(prior, last.position, now.points, health, config.start)
+        prior, anchor, rotation = initialize.locate(
+            prior, last.position, self._rotation, now.points, health, garment, config.start
+        )
         clock.lap("predict")
 
         # Preprocessing (2.1)
         cloud = preprocess.preprocess(now.points, now.sensor_origin, prior.position, garment.area, config)
         clock.lap("preprocess")
 
-        update = fuse.begin(prior, anchor, self._rotation, health.physics_lambda, garment, config)
+        update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config)
         for gate in associate.gates(cloud, config.associate):
             # B. Association (2.3)
             measurement = associate.associate(

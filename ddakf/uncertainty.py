@@ -27,9 +27,7 @@ def posterior(update: Update, prior: State, config: Config) -> State:
     if update.rejected or not (update.weight > 0).any():
         return bound(prior._replace(position=update.position), config.uncertainty)
     covariance = inverse_blocks(update.system.D)
-    # of a mesh torn beyond what its equations can carry; such a vertex keeps its prior
-    lost = ~(np.isfinite(covariance).all(axis=(1, 2)) & (np.diagonal(covariance, axis1=1, axis2=2) > 0).all(axis=1))
-    covariance[lost] = prior.P_pp[lost]
+    covariance = _or(covariance, prior.P_pp)
     return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
 
 
@@ -56,10 +54,20 @@ def marginals(update: Update, state: State, model: Model, config: Config) -> np.
     patch = invert(coarse).reshape(model.n_clusters, 3, model.n_clusters, 3)
     patch = patch[np.arange(model.n_clusters), :, np.arange(model.n_clusters)]
     covariance = local + patch[model.cluster]
-    lost = ~np.isfinite(covariance).all(axis=(1, 2))
-    covariance[lost] = state.P_pp[lost]
+    covariance = _or(covariance, state.P_pp)
     covariance += limits.floor_sd**2 * np.eye(3)
     return _scale(covariance, limits.ceiling_sd) ** 2 * covariance
+
+
+def _or(covariance: np.ndarray, fallback: np.ndarray) -> np.ndarray:
+    """(V, 3, 3): where a block is not positive definite, of a mesh torn beyond what its equations can carry, the fallback."""
+    a, b, c = (covariance[:, k, k] for k in range(3))
+    d, e, f = covariance[:, 0, 1], covariance[:, 0, 2], covariance[:, 1, 2]
+    with np.errstate(over="ignore", invalid="ignore"):
+        minor = a * b - d * d
+        determinant = a * (b * c - f * f) - d * (d * c - e * f) + e * (d * f - b * e)
+        good = (a > 0) & (minor > 0) & (determinant > 0) & np.isfinite(covariance).all(axis=(1, 2))
+    return np.where(good[:, None, None], covariance, fallback)
 
 
 def bound(state: State, limits: Uncertainty) -> State:

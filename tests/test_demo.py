@@ -46,7 +46,10 @@ def test_a_demo_ends_with_a_table_and_pictures(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_no_process(tmp_path, number):
     log = tmp_path / "service.log"
-    with subprocess.Popen([*DEMO, "--out", str(tmp_path)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as demo:
+    # a job in the background of a shell ignores SIGINT, and so would its children
+    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
+    command = [*DEMO, "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **listening) as demo:
         deadline = time.monotonic() + 60
         while len(processes_of(log)) < 2 and time.monotonic() < deadline:
             time.sleep(0.05)

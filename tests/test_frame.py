@@ -59,6 +59,7 @@ BAD = {
     "a body that is not a number": (dict(body_vertices=spoilt(np.nan, (18, 3))), "body_vertices", "finite", "at 7"),
     "a body of another shape": (dict(body_vertices=np.zeros((18, 2))), "body_vertices", "(N, 3)", "(18, 2)"),
     "no body vertices at all": (dict(body_vertices=np.zeros((0, 3))), "body_vertices", "(18, 3)", "(0, 3)"),
+    "a body in millimetres": (dict(body_vertices=1000 * BODY.vertices), "body_vertices", "m in size, as declared", "m"),
     "a body without declaration": (
         dict(body_vertices=BODY.vertices, body=None), "body_vertices", "made without a body", "array"),
 }  # fmt: skip

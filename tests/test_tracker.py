@@ -536,3 +536,25 @@ def test_a_garment_of_any_size_gives_finite_results(size):
     tracker = Tracker(Mesh(TUBE.vertices * size, TUBE.faces))
     for k in range(2):
         assert_finite(tracker.step(cloud(k), timestamp=k / FPS))
+
+
+def test_a_step_that_fails_inside_leaves_no_trace(monkeypatch):
+    """Even of the body, which is the first thing that a step moves."""
+    tracker = tracked(3, body=BODY)
+    before = tracker.snapshot()
+    with monkeypatch.context() as broken:
+        broken.setattr("ddakf.tracker.reliability.judge", lambda *args: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            tracker.step(cloud(3), timestamp=1.0, body_vertices=BODY.vertices + 0.01)
+    assert tracker.snapshot() == before
+
+
+def test_a_body_in_the_wrong_place_for_one_frame_does_not_cost_the_track():
+    tracker = tracked(3, body=BODY)
+    tracker.step(cloud(3), timestamp=0.2, body_vertices=BODY.vertices + [3.0, 0.0, 0.0])
+    for k in range(4, 30):
+        result = tracker.step(cloud(k), timestamp=k / FPS + 0.2, body_vertices=BODY.vertices)
+    assert_finite(result)
+    assert result.state in ("tracking", "recovering")
+    # a tube looks alike from every side: only its place can be found again
+    assert np.linalg.norm(result.vertices.mean(axis=0) - swaying(29).mean(axis=0)) < 0.05

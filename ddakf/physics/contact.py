@@ -33,6 +33,7 @@ class BodyContact:
         self._velocity: np.ndarray | None = None
         self.held: proximity.Contact | None = None  # closest points when last asked for
         self._asked_at: np.ndarray | None = None  # (V, 3) m, the position then
+        self._hint: np.ndarray | None = None  # (V,) int32 faces that are probably close; makes a search faster, no different
 
     def carry(self, state: State, vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
         """What the body's motion does to a garment, and the state whose velocities are relative to it.
@@ -54,10 +55,20 @@ class BodyContact:
         position = state.position
         # the closest points of the last frame's prediction: the correction moved the garment along the body by millimetres
         contact = self.nearest(position) if self.held is None else self.held
+        self.held = None  # in the next pose it is no longer true
         motion = proximity.surface_motion(self._body, self.vertices, vertices, position, contact, self._reach)
         displacement = motion.position - position
         self._velocity = displacement / dt
         return state, displacement
+
+    def mark(self) -> tuple:
+        """What :meth:`back_to` needs; arrays are never written in place between the two."""
+        return self.vertices, self.present, self._velocity, self.held, self._asked_at
+
+    def back_to(self, mark: tuple) -> None:
+        """As it was at the mark: the step since then did not happen."""
+        self.vertices, self.present, self._velocity, self.held, self._asked_at = mark
+        self._surface = proximity.refresh(self._body, self.vertices)
 
     def move(self, vertices: np.ndarray | None) -> None:
         """The body's pose in this frame; None: it is not known, and nothing collides."""
@@ -66,12 +77,12 @@ class BodyContact:
             self.held = None
         if vertices is not None:
             self.vertices = vertices
-            self._surface = proximity.refresh(self._body, vertices, self._surface)
+            self._surface = proximity.refresh(self._body, vertices)
 
     def nearest(self, position: np.ndarray) -> proximity.Contact:
         """Closest points on the body for (V, 3) ``position``; they are held for what follows."""
-        hint = None if self.held is None else self.held.face
-        self.held = proximity.closest_points(self._body, self._surface, position, self._reach, hint)
+        self.held = proximity.closest_points(self._body, self._surface, position, self._reach, self._hint)
+        self._hint = self.held.face
         self._asked_at = position.copy()
         return self.held
 
@@ -85,8 +96,10 @@ class BodyContact:
         found = proximity.closest_points(
             self._body, self._surface, position[near], self._reach, self.held.face[near]
         )
-        for held, new in zip(self.held, found, strict=True):
-            held[near] = new
+        held = proximity.Contact(*(array.copy() for array in self.held))
+        for array, new in zip(held, found, strict=True):
+            array[near] = new
+        self.held, self._asked_at = held, self._asked_at.copy()
         self._asked_at[near] = position[near]
         return self.held
 
@@ -97,21 +110,29 @@ class BodyContact:
             arrays["contact_velocity"] = self._velocity
         if self.held is not None:
             arrays |= {f"contact_{name}": value for name, value in self.held._asdict().items()}
+            arrays["contact_asked_at"] = self._asked_at
         return arrays
 
-    def from_arrays(self, arrays: dict[str, np.ndarray]) -> None:
+    def from_arrays(self, arrays: dict[str, np.ndarray], n: int) -> None:
         """The inverse of :meth:`to_arrays`.
 
         Raises:
-            ValueError: a pose that is not of this body.
+            ValueError: arrays that do not belong to this body and a garment of ``n`` vertices.
         """
-        vertices = arrays["contact_vertices"]
-        if vertices.shape != self._mesh.vertices.shape or not np.isfinite(vertices).all():
-            raise ValueError(f"contact_vertices of shape {vertices.shape} is no pose of the body")
-        self.vertices = vertices
+        shapes = {"vertices": self._mesh.vertices.shape, "velocity": (n, 3), "asked_at": (n, 3), "face": (n,), "distance": (n,)}
+        shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3)}
+        for name, shape in shapes.items():
+            array = arrays.get(f"contact_{name}")
+            if array is not None and (array.shape != shape or np.isnan(array).any()):
+                raise ValueError(f"contact_{name} is not of shape {shape} or not a number")
+        self.vertices = arrays["contact_vertices"]
         self._surface = proximity.refresh(self._body, self.vertices)
         self.present = bool(arrays["contact_present"])
         self._velocity = arrays.get("contact_velocity")
-        self.held = None
+        self.held = self._asked_at = None
         if "contact_face" in arrays:
+            face = arrays["contact_face"]
+            if face.dtype != np.int32 or face.min() < -1 or face.max() >= len(self._body.faces):
+                raise ValueError("contact_face is no face of the body")
             self.held = proximity.Contact(*(arrays[f"contact_{name}"] for name in proximity.Contact._fields))
+            self._asked_at = arrays["contact_asked_at"]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ddakf import Config, Mesh, Tracker
+from ddakf import Config, Mesh, Tracker, model, rigidity
 from ddakf.config import Start
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor, sample_surface
@@ -65,29 +65,41 @@ def prior_at(position):
     return random_state(position, np.random.default_rng(0))
 
 
+MODEL = model.build(TUBE, 0.003)
+UNTURNED = rigidity.identity(TUBE.n_vertices)
+
+
 def test_a_garment_in_place_is_left_alone():
     prior = prior_at(TUBE.vertices)
-    same, anchor = locate(prior, TUBE.vertices, scan(TUBE.vertices, TUBE), Health(), Start())
+    same, anchor, rotation = locate(prior, TUBE.vertices, UNTURNED, scan(TUBE.vertices, TUBE), Health(), MODEL, Start())
     assert same is prior
     assert anchor is TUBE.vertices
+    assert rotation is UNTURNED
 
 
 @pytest.mark.parametrize("state", ["tracking", "recovering"])
 def test_a_garment_that_is_tracked_is_never_searched(state):
     prior = prior_at(TUBE.vertices)
     far = scan(TUBE.vertices + 0.4, TUBE)
-    same, _ = locate(prior, TUBE.vertices, far, Health(state=state), Start())
+    same = locate(prior, TUBE.vertices, UNTURNED, far, Health(state=state), MODEL, Start())[0]
     assert same is prior
-    moved, _ = locate(prior, TUBE.vertices, far, Health(state="lost"), Start())
+    moved = locate(prior, TUBE.vertices, UNTURNED, far, Health(state="lost"), MODEL, Start())[0]
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
     assert not moved.velocity.any()
 
 
+def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
+    torn = prior_at(TUBE.vertices * [1.0, 30.0, 1.0] + 7.0)
+    found, anchor, _ = locate(torn, torn.position, UNTURNED, scan(TUBE.vertices, TUBE), Health(state="lost"), MODEL, Start())
+    assert rms(found.position - TUBE.vertices) < 0.05
+    assert anchor is found.position
+
+
 def test_the_search_can_be_switched_off_and_needs_enough_points():
     prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
-    assert locate(prior, TUBE.vertices, far, Health(), Start(search=False))[0] is prior
-    assert locate(prior, TUBE.vertices, far[:50], Health(), Start(least_points=51))[0] is prior
-    assert locate(prior, TUBE.vertices, far[:0], Health(), Start())[0] is prior
+    assert locate(prior, TUBE.vertices, UNTURNED, far, Health(), MODEL, Start(search=False))[0] is prior
+    assert locate(prior, TUBE.vertices, UNTURNED, far[:50], Health(), MODEL, Start(least_points=51))[0] is prior
+    assert locate(prior, TUBE.vertices, UNTURNED, far[:0], Health(), MODEL, Start())[0] is prior
     assert Config.paper().start.search is False
 
 
