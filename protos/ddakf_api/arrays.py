@@ -25,6 +25,39 @@ _DTYPES = {
 _QUANTISED = (pb.ARRAY_ENCODING_QUANTISED_16, pb.ARRAY_ENCODING_QUANTISED_8)
 
 
+def checked_array(
+    field: str,
+    values: object,
+    *,
+    expected: str,
+    kinds: str = "fiu",
+    columns: int | None = 3,
+    error: type[InvalidArgument] = InvalidArgument,
+) -> np.ndarray:
+    """What a caller gave as an array, as one.
+
+    Args:
+        field: name for errors.
+        expected: what should have been given, for errors.
+        kinds: those that the array's dtype may have.
+        columns: the array has to have shape (n, columns); None: any shape.
+        error: class of what is raised.
+
+    Raises:
+        InvalidArgument: no array can be made of it (rows of unequal lengths), or one of another shape or type.
+    """
+    try:
+        array = np.asarray(values)
+    except Exception as cause:  # numpy's, or whatever the object's own conversion raises
+        why = "rows of unequal lengths" if "inhomogeneous" in str(cause) else _first_line(cause)
+        got = f"{type(values).__name__} that is no array ({why})"
+        raise error(field=field, expected=expected, got=got) from None
+    shaped = columns is None or (array.ndim == 2 and array.shape[1] == columns)
+    if not shaped or array.dtype.kind not in kinds:
+        raise error(field=field, expected=expected, got=_described(array))
+    return array
+
+
 def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32) -> pb.PackedArray:
     """Packs an array of shape (n,) or (n, components).
 
@@ -91,11 +124,9 @@ def pack_mesh(vertices: np.ndarray, faces: np.ndarray, *, field: str = "mesh") -
     Raises:
         InvalidMesh: shapes or types that are no mesh, indices that are no unsigned 32-bit numbers.
     """
-    vertices, faces = np.asarray(vertices), np.asarray(faces)
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
-        raise InvalidMesh(field=f"{field}.vertices", expected="numbers of shape (V, 3)", got=_described(vertices))
-    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InvalidMesh(field=f"{field}.faces", expected="integers of shape (F, 3)", got=_described(faces))
+    vertices = checked_array(f"{field}.vertices", vertices, expected="numbers of shape (V, 3)", error=InvalidMesh)
+    expected = "integers of shape (F, 3)"
+    faces = checked_array(f"{field}.faces", faces, expected=expected, kinds="iu", error=InvalidMesh)
     if faces.size and (faces.min() < 0 or faces.max() >= len(vertices)):
         got = f"{faces.min()} to {faces.max()}"
         raise InvalidMesh(field=f"{field}.faces", expected=f"indices from 0 to {len(vertices) - 1}", got=got)
@@ -128,6 +159,11 @@ def _offset(packed: pb.PackedArray, components: int, field: str, error: type[Inv
 
 def _encoding_name(encoding: int) -> str:
     return pb.ArrayEncoding.Name(encoding) if encoding in pb.ArrayEncoding.values() else f"unknown encoding {encoding}"
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines() or [type(error).__name__]
+    return lines[0][:120]
 
 
 def _described(array: np.ndarray) -> str:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from ddakf_api.arrays import FLOATS, pack, pack_mesh, unpack, unpack_mesh
+from ddakf_api.arrays import FLOATS, checked_array, pack, pack_mesh, unpack, unpack_mesh
 from ddakf_api.errors import InvalidArgument, InvalidMesh
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -78,9 +78,26 @@ def test_meshes_round_trip_exactly():
         (VALUES, [[0, 1, -1]], "indices from 0 to 49"),
         (VALUES, [[0.0, 1.0, 2.0]], "integers of shape (F, 3)"),
         (VALUES[:, :2], [[0, 1, 2]], "numbers of shape (V, 3)"),
+        ([[0, 0, 0], [1, 0]], [[0, 1, 2]], "mesh.vertices: expected numbers of shape (V, 3), got list that is no array"),
+        ([["a", "b", "c"]], [[0, 0, 0]], "mesh.vertices: expected numbers of shape (V, 3), got <U1 of shape (1, 3)"),
     ],
 )
 def test_what_is_no_mesh_is_not_sent(vertices, faces, said):
     with pytest.raises(InvalidMesh) as refusal:
         pack_mesh(vertices, np.array(faces))
     assert said in str(refusal.value)
+
+
+def test_ragged_faces_are_not_sent():
+    with pytest.raises(InvalidMesh, match=r"^mesh.faces: .* that is no array \(rows of unequal lengths\)$") as refusal:
+        pack_mesh(VALUES, [[0, 1, 2], [0, 1]])
+    assert refusal.value.field == "mesh.faces"
+
+
+def test_what_an_object_raises_when_it_is_made_an_array_is_said_in_a_sentence():
+    class OnAnotherDevice:
+        def __array__(self, dtype=None, copy=None):
+            raise TypeError("copy it to the host first\nand more")
+
+    with pytest.raises(InvalidArgument, match=r"got OnAnotherDevice that is no array \(copy it to the host first\)$"):
+        checked_array("points", OnAnotherDevice(), expected="numbers")

@@ -4,6 +4,39 @@ import pytest
 from . import fake_server
 
 
+class Broken:
+    """A frame whose own code fails."""
+
+    timestamp = 0.5
+
+    @property
+    def points(self):
+        raise KeyError("no depth yet")
+
+
+RAGGED = [[0.0, 0, 0], [1.0, 0]]
+POINTS = np.zeros((2, 3))
+BAD_FRAMES = {
+    "ragged points": ((RAGGED, 0.5), "points"),
+    "points of text": (([["a", "b", "c"]], 0.5), "points"),
+    "points of objects": (([[{}, 1, 2]], 0.5), "points"),
+    "flat points with an origin": (([0.0, 0, 0], 0.5, [0, 0, 3]), "points"),
+    "points of two columns with as many origins": ((POINTS[:, :2], 0.5, POINTS[:, :2]), "points"),
+    "ragged origins": ((POINTS, 0.5, RAGGED), "sensor_origin"),
+    "an origin of text": ((POINTS, 0.5, "here"), "sensor_origin"),
+    "ragged body": ((POINTS, 0.5, None, RAGGED), "body_vertices"),
+    "complex time": ((POINTS, np.complex128(1)), "timestamp"),
+    "endless time": ((POINTS, 10**5000), "timestamp"),
+    "code that fails": (Broken(), "frame"),
+}
+
+
+@pytest.fixture(params=BAD_FRAMES)
+def bad_frame(request):
+    """A frame that no message can be made of, and the field that the error has to name."""
+    return BAD_FRAMES[request.param]
+
+
 @pytest.fixture
 def service():
     """A fake service, to be told how to behave; ``service.target`` is its address."""

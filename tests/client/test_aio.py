@@ -73,6 +73,47 @@ async def test_errors_of_frames_of_the_source_and_of_the_server(service, mesh, f
             await collected(session.track(frames(3)))
 
 
+async def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):
+    made, (bad, field) = frames(3), bad_frame
+    made[1] = bad
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = await collected(session.track(made, on_error="yield"))
+        with pytest.raises(errors.InvalidFrame, match=rf"^{field}: expected .*, got ") as refusal:
+            await collected(session.track(made))
+    refused = [a for a in answers if isinstance(a, FrameError)]
+    assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3]
+    assert [(a.sequence, a.error.field) for a in refused] == [(2, field)]
+    assert refusal.value.field == field
+
+
+@pytest.mark.parametrize("error", [ValueError("ragged"), errors.InvalidFrame("of the camera")])
+@pytest.mark.parametrize("on_error", ["raise", "yield"])
+async def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
+    async def source():
+        yield frames(1)[0]
+        raise error
+
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(type(error)) as raised:
+            await collected(session.track(source(), on_error=on_error, timeout=3))
+        assert raised.value is error
+
+
+async def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
+    async with aconnect(service.target) as client:
+        for call, field in [
+            (lambda: client.create_session(*mesh, labels={"a": 1}), "labels['a']"),
+            (lambda: client.restore_session("abc"), "snapshot"),
+            (lambda: client.open_session(5), "session_id"),
+        ]:
+            with pytest.raises(errors.InvalidArgument, match="expected") as refusal:
+                await call()
+            assert refusal.value.field == field
+        session = await client.create_session(*mesh)
+        with pytest.raises(errors.InvalidArgument, match=r"^vertices: expected"):
+            await session.reset([[0, 0, 0], [1, 0]])
+
+
 async def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
     service.silent_from = 2
     async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:

@@ -169,6 +169,33 @@ def test_frames_that_cannot_be_sent_raise_or_are_yielded(service, mesh, frames):
     assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3, 5]
 
 
+def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):
+    made, (bad, field) = frames(3), bad_frame
+    made[1] = bad
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = list(session.track(made, on_error="yield"))
+        with pytest.raises(errors.InvalidFrame, match=rf"^{field}: expected .*, got ") as refusal:
+            list(session.track(made))
+    refused = [a for a in answers if isinstance(a, FrameError)]
+    assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3]
+    assert [(a.sequence, a.error.field, type(a.error)) for a in refused] == [(2, field, type(refusal.value))]
+    assert refusal.value.field == field
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("error", [ValueError("ragged"), errors.InvalidFrame("of the camera"), SystemExit(3)])
+@pytest.mark.parametrize("on_error", ["raise", "yield"])
+def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
+    def source():
+        yield from frames(1)
+        raise error
+
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(type(error)) as raised:
+            list(session.track(source(), on_error=on_error, timeout=3))
+        assert raised.value is error
+
+
 def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, frames):
     service.refused, service.delay = set(range(1, 100)), 0.002
     with connect(service.target) as client, client.create_session(*mesh) as session:
@@ -296,6 +323,20 @@ def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
             (mesh, {"body": (mesh[0], [[0, 1]])}, errors.InvalidMesh, "body.faces"),
             (mesh, {"config": {"a": float("nan")}}, errors.InvalidConfig, "config"),
             (mesh, {"config": [1]}, errors.InvalidConfig, "a dict or a ddakf.Config, got list"),
+            ((mesh[0].tolist() + [[1.0]], mesh[1]), {}, errors.InvalidMesh, "garment.vertices: expected numbers"),
+            ((mesh[0], [[0, 1, 2], [0, 1]]), {}, errors.InvalidMesh, "garment.faces: expected integers"),
+            (mesh, {"body": mesh * 2}, errors.InvalidMesh, "body: expected vertices and faces"),
+            (mesh, {"labels": {"a": 1}}, errors.InvalidArgument, "labels['a']: expected text, got int 1"),
+            (mesh, {"labels": {1: "a"}}, errors.InvalidArgument, "labels: expected text as keys, got int 1"),
+            (mesh, {"labels": "a"}, errors.InvalidArgument, "labels: expected a dict of text to text, got str 'a'"),
+            (mesh, {"session_id": 5}, errors.InvalidArgument, "session_id: expected text, got int 5"),
+            (mesh, {"session_id": "\ud800"}, errors.InvalidArgument, "session_id: expected text that UTF-8 has"),
+            (mesh, {"fabric": 5}, errors.InvalidArgument, "fabric: expected text, got int 5"),
+            (mesh, {"clean": "no"}, errors.InvalidArgument, "clean: expected True or False, got str 'no'"),
+            (mesh, {"limits": {"max_points": 5}}, errors.InvalidArgument, "limits: expected a ddakf_client.Limits"),
+            (mesh, {"limits": Limits(max_points=-1)}, errors.InvalidArgument, "limits.max_points: expected a whole"),
+            (mesh, {"limits": Limits(idle_timeout="a")}, errors.InvalidArgument, "limits.idle_timeout: expected a num"),
+            (mesh, {"flow": ["realtime"]}, errors.InvalidArgument, "flow: expected realtime or lossless"),
             (mesh, {"codec": "zip"}, errors.InvalidArgument, "codec: expected raw or quantised"),
             (mesh, {"flow": "fast"}, errors.InvalidArgument, "flow: expected realtime or lossless, got 'fast'"),
         ]:
@@ -306,6 +347,22 @@ def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
         session = client.create_session(*mesh)
         with pytest.raises(errors.InvalidArgument, match="on_error: expected raise or yield"):
             session.track([], on_error="ignore")
+        for call, field in [
+            (lambda: session.track([], takeover="yes"), "takeover"),
+            (lambda: session.reset([[0, 0, 0], [1, 0]]), "vertices"),
+            (lambda: session.reset(velocities=[["a", "b", "c"]]), "velocities"),
+            (lambda: session.update(labels={"a": 1}), "labels['a']"),
+            (lambda: client.restore_session("abc"), "snapshot"),
+            (lambda: client.restore_session(b"", labels={"a": 1}), "labels['a']"),
+            (lambda: client.restore_session(b"", session_id=5), "session_id"),
+            (lambda: client.open_session(5), "session_id"),
+            (lambda: list(client.sessions(labels={"a": 1})), "labels['a']"),
+            (lambda: list(client.sessions(state=["idle"])), "state"),
+        ]:
+            with pytest.raises(errors.InvalidArgument) as refusal:
+                call()
+            assert refusal.value.field == field
+            assert str(refusal.value).startswith(f"{field}: expected ")
 
 
 def test_a_codec_that_the_server_lacks_is_refused(service, mesh):

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 import grpc
 import numpy as np
 from ddakf_api import API_VERSION
-from ddakf_api.arrays import pack, pack_mesh
+from ddakf_api.arrays import checked_array, pack, pack_mesh
 from ddakf_api.errors import (
     CodecError,
     DeadlineExceeded,
@@ -22,6 +22,7 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
+from google.protobuf.descriptor import FieldDescriptor
 
 from ddakf_client.results import Limits, ServerInfo, server_info_from
 
@@ -73,14 +74,20 @@ def create_request(
     session_id: str = "",
 ) -> pb.CreateSessionRequest:
     """The request of ``create_session``; its arguments are described there."""
-    session = pb.Session(labels=labels, config_json=_config_json(config), fabric=fabric)
+    _require_type("clean", clean, (bool, np.bool_), "True or False")
+    session = pb.Session(labels=_labels(labels), config_json=_config_json(config), fabric=_text("fabric", fabric))
     session.garment.CopyFrom(_mesh(garment, faces, "garment"))
     if body is not None:
-        session.body.CopyFrom(_mesh(*body, "body") if isinstance(body, tuple) else _mesh(body, None, "body"))
+        pair = body if isinstance(body, tuple) and len(body) == 2 else (body, None)
+        session.body.CopyFrom(_mesh(*pair, "body"))
     if limits is not None:
-        session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+        session.limits.CopyFrom(_limits(limits))
     return pb.CreateSessionRequest(
-        api_version=API_VERSION, session=session, session_id=session_id, request_id=str(uuid.uuid4()), clean=clean
+        api_version=API_VERSION,
+        session=session,
+        session_id=_text("session_id", session_id),
+        request_id=str(uuid.uuid4()),
+        clean=bool(clean),
     )
 
 
@@ -91,12 +98,16 @@ def restore_request(
     limits: Limits | None = None,
     session_id: str = "",
 ) -> pb.RestoreSessionRequest:
+    _require_type("snapshot", data, (bytes, bytearray, memoryview), "the bytes of Session.snapshot")
     request = pb.RestoreSessionRequest(
-        api_version=API_VERSION, session_id=session_id, request_id=str(uuid.uuid4()), data=data
+        api_version=API_VERSION,
+        session_id=_text("session_id", session_id),
+        request_id=str(uuid.uuid4()),
+        data=bytes(data),
     )
-    request.session.labels.update(labels or {})
+    request.session.labels.update(_labels(labels))
     if limits is not None:
-        request.session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+        request.session.limits.CopyFrom(_limits(limits))
     return request
 
 
@@ -111,11 +122,11 @@ def update_request(
     request = pb.UpdateSessionRequest(session=pb.Session(name=name))
     given = {"labels": labels, "config_json": config, "fabric": fabric, "limits": limits}
     request.update_mask.paths.extend(path for path, value in given.items() if value is not None)
-    request.session.labels.update(labels or {})
+    request.session.labels.update(_labels(labels))
     request.session.config_json = _config_json(config)
-    request.session.fabric = fabric or ""
+    request.session.fabric = "" if fabric is None else _text("fabric", fabric)
     if limits is not None:
-        request.session.limits.CopyFrom(pb.SessionLimits(**limits._asdict()))
+        request.session.limits.CopyFrom(_limits(limits))
     return request
 
 
@@ -126,11 +137,7 @@ def reset_request(
     for field, array in (("vertices", vertices), ("velocities", velocities)):
         if array is None:
             continue
-        array = np.asarray(array)
-        if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
-            raise InvalidArgument(
-                field=field, expected="numbers of shape (V, 3)", got=f"{array.dtype} of {array.shape}"
-            )
+        array = checked_array(field, array, expected="numbers of shape (V, 3)")
         getattr(request, field).CopyFrom(pack(array, pb.ARRAY_ENCODING_FLOAT64))
     return request
 
@@ -138,10 +145,10 @@ def reset_request(
 def list_request(
     *, state: str | None = None, labels: Mapping[str, str] | None = None, page_token: str = ""
 ) -> pb.ListSessionsRequest:
-    request = pb.ListSessionsRequest(labels=labels, page_token=page_token)
+    request = pb.ListSessionsRequest(labels=_labels(labels), page_token=page_token)
     if state is not None:
         names = {name.removeprefix("SESSION_STATE_").lower(): value for name, value in pb.SessionState.items() if value}
-        if state not in names:
+        if not isinstance(state, str) or state not in names:
             raise InvalidArgument(field="state", expected=" or ".join(names), got=repr(state))
         request.states.append(names[state])
     return request
@@ -149,7 +156,56 @@ def list_request(
 
 def session_name(session_id: str) -> str:
     """ "sessions/{id}" of an id or of such a name."""
+    _text("session_id", session_id)
     return session_id if session_id.startswith("sessions/") else f"sessions/{session_id}"
+
+
+def _require_type(field: str, value: object, types: type | tuple[type, ...], expected: str) -> None:
+    if not isinstance(value, types):
+        raise InvalidArgument(field=field, expected=expected, got=_shown(value))
+
+
+def _text(field: str, value: object) -> str:
+    _require_type(field, value, str, "text")
+    try:
+        value.encode()
+    except UnicodeEncodeError:
+        raise InvalidArgument(field=field, expected="text that UTF-8 has", got=ascii(value)[:80]) from None
+    return value
+
+
+def _labels(labels: object) -> dict[str, str]:
+    if labels is None:
+        return {}
+    _require_type("labels", labels, Mapping, "a dict of text to text")
+    for key, value in labels.items():
+        if not isinstance(key, str):
+            raise InvalidArgument(field="labels", expected="text as keys", got=_shown(key))
+        _text("labels", key)
+        _text(f"labels[{key!r}]", value)
+    return dict(labels)
+
+
+def _limits(limits: object) -> pb.SessionLimits:
+    _require_type("limits", limits, Limits, "a ddakf_client.Limits")
+    message = pb.SessionLimits()
+    for name, value in limits._asdict().items():
+        if value is None:
+            continue
+        try:
+            setattr(message, name, value)
+        except (TypeError, ValueError, OverflowError):
+            whole = message.DESCRIPTOR.fields_by_name[name].cpp_type != FieldDescriptor.CPPTYPE_DOUBLE
+            expected = "a whole number from 0 to 4294967295" if whole else "a number"
+            raise InvalidArgument(field=f"limits.{name}", expected=expected, got=_shown(value)) from None
+    return message
+
+
+def _shown(value: object) -> str:
+    """A value for a sentence: itself where that is short, with its type."""
+    if isinstance(value, (float, str)) or (isinstance(value, int) and value.bit_length() <= 128):
+        return f"{type(value).__name__} {repr(value)[:40]}"
+    return type(value).__name__
 
 
 def _mesh(mesh: object, faces: np.ndarray | None, field: str) -> pb.Mesh:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_STEP
-from ddakf_api.errors import DeadlineExceeded, InvalidArgument, ServiceError, Unavailable
+from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.frames import Frame, to_message
@@ -55,8 +55,12 @@ class Plan:
 
     def __post_init__(self) -> None:
         for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR)):
-            if getattr(self, field) not in allowed:
-                raise InvalidArgument(field=field, expected=" or ".join(allowed), got=repr(getattr(self, field)))
+            value = getattr(self, field)
+            if not isinstance(value, str) or value not in allowed:
+                raise InvalidArgument(field=field, expected=" or ".join(allowed), got=repr(value)[:80])
+        for field in ("velocities", "covariance", "takeover"):
+            if not isinstance(getattr(self, field), bool):
+                raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
 
     def start(self) -> pb.TrackRequest:
         options = pb.ResultOptions(include_velocities=self.velocities, include_covariance=self.covariance)
@@ -138,8 +142,11 @@ class Exchange:
         del self._unanswered[offered.sequence]
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
-            self.failure = error
-        timestamp = getattr(offered.frame, "timestamp", None)
+            self.failure = self.failure or error
+        try:
+            timestamp = getattr(offered.frame, "timestamp", None)
+        except Exception:  # of the caller's object, which may be why the frame is refused
+            timestamp = None
         self._refused.append(FrameError(offered.sequence, timestamp, error))
 
     # Answers out ----------------------------------------------------------------------------------------------------
@@ -230,6 +237,12 @@ def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
     """The request of a frame.
 
     Raises:
-        ServiceError: it cannot be sent.
+        ServiceError: it cannot be sent; :class:`~ddakf_api.errors.InvalidFrame` too for what its object raises itself.
     """
-    return pb.TrackRequest(frame=to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step))
+    try:
+        return pb.TrackRequest(frame=to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step))
+    except ServiceError:
+        raise
+    except Exception as error:  # raised inside gRPC's iterator it would end the stream without a reason
+        got = f"{type(offered.frame).__name__} ({type(error).__name__}: {str(error)[:120]})"
+        raise InvalidFrame(field="frame", expected="a frame that can be made a message", got=got) from error

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from ddakf_api.arrays import checked_array
 from ddakf_api.codec import encode, group_by_sensor
-from ddakf_api.errors import InvalidFrame
+from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
 
@@ -53,21 +54,23 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float) -> pb.Frame
         InvalidFrame: what cannot be sent; :class:`~ddakf_api.errors.CodecError` where it is about the points.
     """
     message = pb.Frame(sequence_number=sequence, capture_time=_timestamp(frame.timestamp))
-    points, runs = np.asarray(frame.points), None
+    points, runs = checked_array("points", frame.points, expected="numbers of shape (N, 3)", error=CodecError), None
     if frame.sensor_origin is not None:
-        points, runs = _with_sensors(message, points, np.asarray(frame.sensor_origin))
+        points, runs = _with_sensors(message, points, frame.sensor_origin)
     message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs).cloud)
     if frame.body_vertices is not None:
-        message.body_vertices = _body(np.asarray(frame.body_vertices)).tobytes()
+        message.body_vertices = _body(frame.body_vertices).tobytes()
     return message
 
 
-def _with_sensors(message: pb.Frame, points: np.ndarray, origin: np.ndarray) -> tuple[np.ndarray, list[int] | None]:
+def _with_sensors(message: pb.Frame, points: np.ndarray, origin: object) -> tuple[np.ndarray, list[int] | None]:
     """Names the sensors in the message; returns the points in runs by sensor, and the runs' lengths."""
+    expected = "finite numbers of shape (3,) or (N, 3)"
+    origin = checked_array("sensor_origin", origin, expected=expected, columns=None, error=InvalidFrame)
     per_point = origin.ndim == 2 and origin.shape == points.shape
-    if origin.dtype.kind not in "fiu" or not (origin.shape == (3,) or per_point) or not np.isfinite(origin).all():
+    if not (origin.shape == (3,) or per_point) or not np.isfinite(origin).all():
         got = f"{origin.dtype} of shape {origin.shape}"
-        raise InvalidFrame(field="sensor_origin", expected="finite numbers of shape (3,) or (N, 3)", got=got)
+        raise InvalidFrame(field="sensor_origin", expected=expected, got=got)
     if not per_point:
         _add_sensor(message, origin)
         return points, None
@@ -83,13 +86,16 @@ def _add_sensor(message: pb.Frame, origin: np.ndarray) -> pb.Sensor:
 
 
 def _timestamp(timestamp: float) -> float:
-    if not isinstance(timestamp, (int, float, np.number)) or not math.isfinite(timestamp):
-        raise InvalidFrame(field="timestamp", expected="a finite number of seconds", got=repr(timestamp)[:40])
-    return float(timestamp)
+    try:
+        seconds = float(timestamp) if isinstance(timestamp, (int, float, np.integer, np.floating)) else math.nan
+    except OverflowError:
+        seconds = math.inf
+    if not math.isfinite(seconds):
+        got = repr(timestamp)[:40] if isinstance(timestamp, (float, str, np.number)) else type(timestamp).__name__
+        raise InvalidFrame(field="timestamp", expected="a finite number of seconds", got=got)
+    return seconds
 
 
-def _body(vertices: np.ndarray) -> np.ndarray:
-    if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
-        got = f"{vertices.dtype} of shape {vertices.shape}"
-        raise InvalidFrame(field="body_vertices", expected="numbers of shape (B, 3)", got=got)
+def _body(vertices: object) -> np.ndarray:
+    vertices = checked_array("body_vertices", vertices, expected="numbers of shape (B, 3)", error=InvalidFrame)
     return vertices.astype("<f4", order="C")

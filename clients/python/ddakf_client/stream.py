@@ -117,7 +117,7 @@ class _Stream:
             while self._wait_to_offer() and (frame := next(frames, _NO_MORE)) is not _NO_MORE:
                 with self._change():
                     self._exchange.offer(frame, time.monotonic())
-        except Exception as error:  # of the caller's iterator: raised where the results are read
+        except BaseException as error:  # of the caller's iterator: raised where the results are read
             self._fail(error)
         with self._change():
             self._exchange.exhausted = True
@@ -142,7 +142,7 @@ class _Stream:
             now = time.monotonic()
             return self._exchange.deadline(now) - now
 
-    def _fail(self, error: Exception) -> None:
+    def _fail(self, error: BaseException) -> None:
         self._exchange.failure = self._exchange.failure or error
         self._call.cancel()
 
