@@ -157,11 +157,20 @@ class Sessions:
         """Ends sessions that had no frame for their idle timeout; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
-            for session in [s for s in self._sessions.values() if s.idle_for > s.limits.idle_timeout]:
-                log.info("the session expired", extra={"session": session.id})
-                idle = session.limits.idle_timeout
-                self._end(session, SessionExpired(f"{session.name} had no frame for {idle:g} s and has expired"))
-                await self._forget(session)
+            for session in list(self._sessions.values()):
+                try:
+                    await self._expire(session)
+                except Exception:  # one session's trouble shall not keep the others for ever
+                    log.exception("a session could not be ended as it should", extra={"session": session.id})
+
+    async def _expire(self, session: Session) -> None:
+        """Ends a session if it is idle now, and is still there: others may have ended while this was waited for."""
+        idle = session.limits.idle_timeout
+        if session.idle_for <= idle or self._sessions.get(session.id) is not session:
+            return
+        log.info("the session expired", extra={"session": session.id})
+        self._end(session, SessionExpired(f"{session.name} had no frame for {idle:g} s and has expired"))
+        await self._forget(session)
 
     async def drain(self, grace: float) -> None:
         """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds."""

@@ -137,7 +137,8 @@ class Stream:
         self.end(None)
         while (waiting := await self._mailbox.get()) is not None:
             self._count_dropped(1, waiting.frame)
-        await self._pump
+        # Not the pump itself: whoever waits here may be cancelled, and the frame in the worker shall be counted still.
+        await asyncio.wait({self._pump})
 
     async def _receive_frame(self, frame: pb.Frame) -> None:
         try:
@@ -201,6 +202,7 @@ class Stream:
             )
 
     def _rejection(self, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
+        self.session.touch()  # who sends frames, if bad ones, is there
         statistics = self.session.statistics
         statistics.frames_rejected += 1
         self._metrics.frames.labels("failed" if isinstance(error, Internal) else "rejected").inc()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
+import signal
 import threading
+import time
 
 import grpc
 import numpy as np
@@ -20,7 +23,7 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 
-from .conftest import TIMEOUT, frame_of, make_sheet, request_of, silence
+from .conftest import TIMEOUT, children, frame_of, make_sheet, request_of, silence
 
 FRAMES = 60
 
@@ -140,6 +143,38 @@ def test_a_second_stream_is_refused_or_takes_over(api, session, sheet):
     assert second[1].result.sequence_number == 2
     with pytest.raises(StreamTakenOver):
         list(first)
+    hold.set()
+
+
+def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, session, sheet):
+    """It gives up while the old stream's frame is still in the worker."""
+    hold = threading.Event()
+
+    def frames():
+        yield request_of(frame_of(sheet, 1))
+        held.wait(TIMEOUT)
+        yield request_of(frame_of(sheet, 2))
+        hold.wait(TIMEOUT)
+
+    held = threading.Event()
+    first = api.track(session, frames())
+    assert [next(first).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    workers = children(service.pid)
+    try:
+        for pid in workers:
+            os.kill(pid, signal.SIGSTOP)
+        held.set()
+        time.sleep(0.2)
+        begin = pb.TrackRequest(start=pb.Start(name=session, api_version="1.0", takeover=True))
+        with pytest.raises(grpc.RpcError):
+            list(api.stub.Track(iter([begin]), timeout=0.3))
+        time.sleep(0.2)
+    finally:
+        for pid in workers:
+            os.kill(pid, signal.SIGCONT)
+    with pytest.raises(StreamTakenOver):
+        list(first)
+    assert next(api.track(session, [])).started.last_sequence_number == 2
     hold.set()
 
 

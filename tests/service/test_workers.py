@@ -120,6 +120,18 @@ async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
 
 
 @pytest.mark.slow
+async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
+    await pool.open("one", creation(sheet))
+    worker = pool._homes["one"]
+    worker._reader.feed_data(b"\xff" + bytes(14))
+    await until(lambda: pool.lost, 5.0)
+    with pytest.raises(WorkerLost):
+        await track(pool, "one", frame_of(sheet, 1))
+    await until(lambda: pool.health() == (2, 2, 1))
+    assert not is_running(worker.process.pid)
+
+
+@pytest.mark.slow
 async def test_a_call_in_progress_fails_when_its_worker_is_killed(pool, sheet):
     await pool.open("one", creation(sheet))
     home = pool.process_ids()[0]

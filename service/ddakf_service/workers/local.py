@@ -262,6 +262,9 @@ class _Worker:
         except (asyncio.IncompleteReadError, ConnectionError):
             # The kernel closes the pipe of a killed process at once, so this is also how a kill is noticed.
             await self._lose()
+        except Exception:
+            log.exception("a worker sent what cannot be read and is replaced", extra={"worker": self.process.pid})
+            await self._lose()
 
     async def _lose(self) -> None:
         self.gone.set()
