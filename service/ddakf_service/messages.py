@@ -11,11 +11,12 @@ from contextlib import contextmanager
 import numpy as np
 from ddakf_api import codec
 from ddakf_api.arrays import FLOATS, pack, pack_mesh, unpack, unpack_mesh
-from ddakf_api.errors import InvalidConfig, InvalidFrame, Unimplemented
+from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidSnapshot, Unimplemented
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
 from ddakf import errors as library
+from ddakf import snapshot
 from ddakf.types import FrameResult
 
 _MAX_CONFIG_CHARACTERS = 1 << 16
@@ -56,6 +57,20 @@ def config(session: pb.Session) -> ddakf.Config:
     except (json.JSONDecodeError, RecursionError) as error:
         raise InvalidConfig(field="config_json", expected="a JSON object", got=str(error)) from None
     return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
+
+
+def require_snapshot_within(data: bytes, max_vertices: int, max_faces: int, max_body_vertices: int) -> None:
+    """Refuses a snapshot whose meshes no new session could have, before a tracker is built from them."""
+    _, arrays = snapshot.unpack(data)
+    for name, most, what in (
+        ("garment_V", max_vertices, "garment vertices"),
+        ("garment_F", max_faces, "garment faces"),
+        ("body_V", max_body_vertices, "body vertices"),
+        ("body_F", max_faces, "body faces"),
+    ):
+        count = np.size(arrays[name]) // 3 if name in arrays else 0
+        if count > most:
+            raise InvalidSnapshot(field="data", expected=f"at most {most} {what}", got=str(count))
 
 
 def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 import uuid
 
@@ -20,13 +21,17 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
+from ddakf_service import sessions
+from ddakf_service.child import ServiceProcess
+from ddakf_service.settings import Settings
+from ddakf_service.telemetry import Metrics
 
 import ddakf
 from ddakf import data
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Sensor
 
-from .conftest import frame_of, request_of
+from .conftest import Api, frame_of, make_sheet, request_of
 
 
 def test_life_over_grpc(api, sheet):
@@ -151,6 +156,49 @@ def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
         api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data[:-9]))
 
 
+@pytest.fixture(scope="module")
+def small_service(tmp_path_factory):
+    """Takes the sheet as garment and as body, and nothing larger."""
+    limits = ["--max-vertices", "144", "--max-faces", "242", "--max-body-vertices", "144", "--workers", "1"]
+    process = ServiceProcess(limits, log=tmp_path_factory.mktemp("small") / "service.log")
+    try:
+        process.wait_until_ready()
+        yield Api(process.grpc)
+    finally:
+        process.stop()
+
+
+def torus(side: int) -> ddakf.Mesh:
+    """More faces than a sheet of as many vertices."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+    u, v = 2 * np.pi * i / side, 2 * np.pi * j / side
+    vertices = np.stack([(1 + 0.3 * np.cos(v)) * np.cos(u), (1 + 0.3 * np.cos(v)) * np.sin(u), 0.3 * np.sin(v)], axis=1)
+    right, up = (i + 1) % side, (j + 1) % side
+    a, b, c, d = i * side + j, right * side + j, i * side + up, right * side + up
+    return ddakf.Mesh(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([c, b, d], axis=1)]))
+
+
+@pytest.mark.parametrize(
+    ("garment", "body", "words"),
+    [
+        (13, 12, "at most 144 garment vertices, got 169"),
+        (12, 13, "at most 144 body vertices, got 169"),
+        (12, "torus", "at most 242 body faces, got 288"),
+        (12, 12, ""),
+    ],
+)
+def test_a_snapshot_has_the_limits_of_a_new_session(small_service, garment, body, words):
+    below = torus(12) if body == "torus" else ddakf.Mesh(*make_sheet(body))
+    data = ddakf.Tracker(ddakf.Mesh(*make_sheet(garment)), body=below).snapshot()
+    request = pb.RestoreSessionRequest(api_version=API_VERSION, data=data)
+    if not words:
+        small_service.delete(small_service.call("RestoreSession", request).name)
+        return
+    with pytest.raises(InvalidSnapshot, match=words) as caught:
+        small_service.call("RestoreSession", request)
+    assert caught.value.field == "data"
+
+
 def test_cleaning_answers_the_vertex_map(api, http, sheet):
     vertices = np.concatenate([[[9.0, 9.0, 9.0]], sheet.vertices])
     faces = np.concatenate([sheet.faces + 1, sheet.faces[:1] + 1])
@@ -201,3 +249,45 @@ def test_the_sample_is_tracked(client):
     assert results[-1].state == "tracking"
     assert results[-1].covariance.shape == (garment.n_vertices, 3, 3)
     assert rmse_mm(results[-1].vertices, sequence.garment_vertices[5]) < 15
+
+
+async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch):
+    """A worker that fails at the end of a session, and a session that comes back to life meanwhile."""
+    monkeypatch.setattr(sessions, "_EXPIRY_INTERVAL", 0.01)
+
+    class Pool:
+        async def open(self, session_id, request):
+            return pb.Session(name=session_id).SerializeToString()
+
+        async def close(self, session_id):
+            await asyncio.sleep(0.05)
+            revived.touch()
+            raise RuntimeError("no")
+
+    mine = sessions.Sessions(Pool(), Settings(), Metrics())
+    for name in ("first", "other", "revived"):
+        await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
+    revived = mine._find("sessions/revived")
+    for session in list(mine._sessions.values()):
+        session.last_active -= 1e6
+    expiry = asyncio.create_task(mine.expire_idle())
+    await asyncio.sleep(0.3)
+    assert not expiry.done()
+    expiry.cancel()
+    for name in ("first", "other"):
+        with pytest.raises(SessionExpired):
+            mine.get(f"sessions/{name}")
+    assert mine.get("sessions/revived").name == "sessions/revived"
+
+
+def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=1)).name
+
+    def bad_frames():
+        for number in range(1, 10):
+            time.sleep(0.3)
+            yield pb.TrackRequest(frame=pb.Frame(sequence_number=number, point_cloud=pb.PointCloud(point_count=3)))
+
+    responses = list(api.track(name, bad_frames()))
+    assert [response.HasField("frame_error") for response in responses[1:]] == [True] * 9
+    api.delete(name)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from time import perf_counter
 
-from ddakf_api.errors import InvalidSnapshot, SessionNotFound
+from ddakf_api.errors import SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
@@ -55,10 +55,9 @@ class Compute:
 
     def restore(self, session_id: str, payload: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
-        tracker = ddakf.Tracker.restore(pb.RestoreSessionRequest.FromString(payload).data)
-        if tracker.garment.n_vertices > self._limits.max_vertices:
-            expected, got = f"at most {self._limits.max_vertices} vertices", str(tracker.garment.n_vertices)
-            raise InvalidSnapshot(field="data", expected=expected, got=got)
+        data, limits = pb.RestoreSessionRequest.FromString(payload).data, self._limits
+        messages.require_snapshot_within(data, limits.max_vertices, limits.max_faces, limits.max_body_vertices)
+        tracker = ddakf.Tracker.restore(data)
         self._trackers[session_id] = tracker
         return messages.opened(tracker).SerializeToString()
 
