@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import logging
 import math
 import socket
@@ -30,6 +29,7 @@ from .rest_models import CreateSession, ErrorOut, Info, SessionList, SessionOut,
 from .sessions import Sessions
 from .settings import Settings
 from .telemetry import Metrics
+from .validation import invalid_argument
 
 log = logging.getLogger(__name__)
 
@@ -168,12 +168,7 @@ def _add_error_handlers(app: FastAPI) -> None:
         return _error_response(error)
 
     async def invalid(request: Request, error: RequestValidationError | ValidationError) -> JSONResponse:
-        first = error.errors()[0]
-        location = [str(part) for part in first["loc"] if part not in ("query", "path", "body")]
-        location = list(itertools.takewhile(_is_field, location))
-        expected = first["msg"].removeprefix("Input should be ")
-        got = _short(first.get("input"))
-        return _error_response(InvalidArgument(field=".".join(location) or "body", expected=expected, got=got))
+        return _error_response(invalid_argument(error))
 
     async def refused(request: Request, error: HTTPException) -> JSONResponse:
         phrase = HTTPStatus(error.status_code).phrase
@@ -208,21 +203,11 @@ async def _bounded_body(request: Request) -> bytes:
     return b"".join(chunks)
 
 
-def _is_field(part: str) -> bool:
-    """Whether a part of pydantic's location is a field or index, rather than the name of a type of a union."""
-    return (part.islower() and "[" not in part) or part.isdigit()
-
-
 def _key_value(text: str) -> tuple[str, str]:
     key, separator, value = text.partition("=")
     if not separator:
         raise InvalidArgument(field="label", expected="key=value", got=repr(text[:80]))
     return key, value
-
-
-def _short(value) -> str:
-    text = repr(value)
-    return text if len(text) <= 80 else text[:77] + "..."
 
 
 def _openapi(app: FastAPI) -> dict:

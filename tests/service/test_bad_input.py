@@ -251,6 +251,49 @@ def test_a_bad_body_is_refused_with_its_field(http, case):
     assert error["message"]
 
 
+@pytest.mark.parametrize(
+    ("body", "sentence"),
+    [
+        ({"garment": GARMENT, "colour": "red"}, 'colour: expected no field of this name, got "red"'),
+        ({"garment": GARMENT, "sessionId": "a"}, 'sessionId: expected no field of this name, got "a"'),
+        ({}, "garment: expected a value, got nothing"),
+        ([], "body: expected an object, got []"),
+        ({"garment": 5}, "garment: expected an object, got 5"),
+        (
+            {"garment": {**GARMENT, "vertices": 7}},
+            "garment.vertices: expected a list of triples, or an object of encoding and data, got 7",
+        ),
+        ({"garment": {**GARMENT, "vertices": [[0, 1]]}}, "garment.vertices: expected three numbers in each row, got [0, 1]"),
+        ({"garment": {**GARMENT, "vertices": [["a", 1, 2]]}}, 'garment.vertices: expected a number, got "a"'),
+        ({"garment": {**GARMENT, "faces": [[0, 1, 2.5]]}}, "garment.faces: expected an integer, got 2.5"),
+        ({"garment": GARMENT, "limits": {"max_points": "many"}}, 'limits.max_points: expected an integer, got "many"'),
+        ({"garment": GARMENT, "limits": {"idle_timeout": -1}}, "limits.idle_timeout: expected at least 0, got -1"),
+        ({"garment": GARMENT, "fabric": None}, "fabric: expected a string, got null"),
+        ({"garment": GARMENT, "fabric": "x" * 65}, "fabric: expected at most 64 characters, got more"),
+        ({"garment": GARMENT, "clean": "maybe"}, 'clean: expected true or false, got "maybe"'),
+    ],
+)
+def test_a_bad_body_is_refused_in_a_sentence(http, body, sentence):
+    assert http.post("/v1/sessions", json=body).json()["error"]["message"] == sentence
+
+
+def test_text_that_is_no_json_is_refused_in_a_sentence(http):
+    message = http.post("/v1/sessions", content=b"{").json()["error"]["message"]
+    assert message.startswith("body: expected JSON, got text that is none: EOF while parsing")
+
+
+@pytest.mark.parametrize(
+    ("path", "sentence"),
+    [
+        ("sessions?page_size=x", 'page_size: expected an integer, got "x"'),
+        ("sessions?page_size=-1", 'page_size: expected at least 0, got "-1"'),
+        ("sessions/any?view=all", "view: expected 'basic' or 'full', got \"all\""),
+    ],
+)
+def test_a_bad_query_is_refused_in_a_sentence(http, path, sentence):
+    assert http.get(f"/v1/{path}").json()["error"]["message"] == sentence
+
+
 def test_a_body_above_the_limit_is_cut_off(http):
     def endless():
         for _ in range(40):

@@ -1,0 +1,70 @@
+"""What pydantic found wrong with a request, as field, expected and got."""
+
+from __future__ import annotations
+
+import itertools
+import json
+
+from ddakf_api.errors import InvalidArgument
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+
+_LONGEST = 80  # characters of a value that is shown
+# By the type of pydantic's error; with what its context holds filled in.
+_EXPECTED = {
+    "extra_forbidden": "no field of this name",
+    "missing": "a value",
+    "float_type": "a number",
+    "float_parsing": "a number",
+    "finite_number": "a finite number",
+    "int_type": "an integer",
+    "int_parsing": "an integer",
+    "int_parsing_size": "an integer of fewer digits",
+    "int_from_float": "an integer",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "string_type": "a string",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "dict_type": "an object",
+    "model_type": "an object",
+    "model_attributes_type": "an object",
+    "string_too_long": "at most {max_length} characters",
+    "too_long": "at most {max_length} items",
+    "literal_error": "{expected}",
+    "greater_than_equal": "at least {ge:g}",
+    "less_than_equal": "at most {le:.15g}",
+}
+
+
+def invalid_argument(error: RequestValidationError | ValidationError) -> InvalidArgument:
+    """The first thing that is wrong, in the words that other errors use."""
+    first = error.errors()[0]
+    kind, value, context = first["type"], first.get("input"), first.get("ctx", {})
+    location = [part for part in first["loc"] if part not in ("query", "path", "body")]
+    field = ".".join(itertools.takewhile(_is_field, map(str, location))) or "body"
+    if kind == "extra_forbidden":  # a name that is the client's, of whatever letters
+        field = ".".join(map(str, location))
+    if kind == "json_invalid":
+        return InvalidArgument(field=field, expected="JSON", got=f"text that is none: {context.get('error', 'not readable')}")
+    in_union = any(not _is_field(str(part)) for part in location)
+    if in_union and kind == "list_type":
+        return InvalidArgument(field=field, expected="a list of triples, or an object of encoding and data", got=_shown(value))
+    if in_union and kind in ("missing", "too_long"):
+        return InvalidArgument(field=field, expected="three numbers in each row", got=_shown(value))
+    expected = _EXPECTED[kind].format(**context) if kind in _EXPECTED else first["msg"].removeprefix("Input should be ")
+    got = {"missing": "nothing", "string_too_long": "more"}.get(kind) or _shown(value)
+    return InvalidArgument(field=field, expected=expected, got=got)
+
+
+def _is_field(part: str) -> bool:
+    """Whether a part of pydantic's location is a field or index, rather than the name of a type of a union."""
+    return (part.islower() and "[" not in part) or part.isdigit()
+
+
+def _shown(value) -> str:
+    try:
+        text = json.dumps(value, ensure_ascii=False)
+    except (TypeError, ValueError):
+        text = repr(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
