@@ -74,7 +74,7 @@ class GridFilter(Checked):
     suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood, below which a point's neighbours are sought
     sample: int = bounded(300, 1, 100_000)  # of the other points, for the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
-    planes_per_vertex: float = bounded(2.0, 0.1, 100)  # a denser cloud is thinned to as many plane fits
+    planes_per_vertex: float = bounded(1.25, 0.1, 100)  # a denser cloud is thinned to as many plane fits
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
+from scipy.linalg.lapack import spotrf, spotri
 from threadpoolctl import ThreadpoolController
 
 from ddakf import rigidity
@@ -211,7 +211,7 @@ def coarse_inverse(system: System, model: Model) -> np.ndarray:
     """(3K, 3K) float32, inverse of P' A P on the clusters: the coarse level of the preconditioner."""
     coarse = np.empty((3 * model.n_clusters, 3 * model.n_clusters))
     kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.cluster, coarse)
-    return invert(coarse).astype(np.float32)
+    return invert(coarse)
 
 
 def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
@@ -234,19 +234,19 @@ def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
 
 
 def invert(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric positive definite matrix.
+    """Inverse of a symmetric positive definite matrix, in float32: a preconditioner and a variance need few digits.
 
     Rounding can leave a very stiff one indefinite; it is then inverted with a growing share of its largest entry added.
     """
     with BLAS.limit(limits=1, user_api="blas"):
-        factor, failed = dpotrf(matrix, lower=1)
-        share = 1e-12
+        factor, failed = spotrf(matrix.astype(np.float32), lower=1)
+        share = 1e-7
         while failed:
             if share > 1.0 or not np.isfinite(matrix).all():
-                return np.full_like(matrix, np.nan)
-            factor, failed = dpotrf(matrix + share * np.abs(matrix).max() * np.eye(len(matrix)), lower=1)
-            share *= 100.0
-        inverse = dpotri(factor, lower=1)[0]
+                return np.full(matrix.shape, np.nan, np.float32)
+            factor, failed = spotrf((matrix + share * np.abs(matrix).max() * np.eye(len(matrix))).astype(np.float32), lower=1)
+            share *= 10.0
+        inverse = spotri(factor, lower=1)[0]
     return np.tril(inverse) + np.tril(inverse, -1).T
 
 

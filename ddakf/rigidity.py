@@ -13,7 +13,7 @@ import numpy as np
 from ddakf.kernels import rigidity as kernels
 from ddakf.model import Model
 
-ROTATION_STEPS = 2  # warm-started from pass to pass
+ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
 
 
 class LocalRigidity(NamedTuple):
@@ -37,7 +37,7 @@ def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
 
 
 def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
-    """Fits the rotations to (V, 3) ``position``, in place."""
+    """Fits the rotations to (V, 3) ``position``, in place, by so many steps."""
     kernels.fit_rotations(position, model.start, model.neighbour, term.source, term.weight, steps, term.rotation)
 
 
