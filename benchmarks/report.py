@@ -53,7 +53,7 @@ def _changes(console: Console, rows: list[dict]) -> None:
 
 def _change(row: dict) -> list[str]:
     if "failed" in row:
-        return ["diverged", "", "", ""]
+        return [f"failed: {row['failed']}", "", "", ""]
     return [f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}", f"{row['coverage90']:.0%}", f"{row['ms_p50']:.1f}"]
 
 
@@ -140,7 +140,7 @@ def readme_table(report: dict) -> str:
     added = next(row for row in report["service"]["overhead"] if row["codec"] == "morton-zstd")
     bare = report["open3d"].get("rows")
     compared = (
-        f"1/{bare[0]['open3d_over_ddakf']:.0f} of Open3D's outlier removal and normals alone"
+        f"{1 / bare[0]['open3d_over_ddakf']:.1f} times Open3D's outlier removal and normals alone"
         if bare
         else f"not compared: {report['open3d']['skipped']}"
     )
