@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ddakf.errors import InvalidArgument
+from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets import Recording, load_recording
 from ddakf.evaluation.sensors import Sensor
 from ddakf.io import read_mesh
@@ -226,6 +226,8 @@ def open_source(
         InvalidFile, InvalidArgument, InvalidMesh: as they say.
     """
     path = Path(path)
+    if not path.exists():
+        raise InvalidFile(str(path), "a sequence (.npz), a depth recording (.mat) or a folder of clouds", "nothing there")
     if path.is_file() and path.suffix.lower() == ".npz":
         if template is not None:
             raise InvalidArgument("template", "none for a sequence, which has its own", str(template))
