@@ -17,8 +17,6 @@ HEADINGS = 24
 SAMPLES = 400
 SEARCH_EVERY = 8  # frames: a search takes as long as several of them, and a stream of nonsense must not stall
 TRUNCATION = 0.10  # m: points farther from the garment count as this far
-
-
 FAR = 0.05  # m: a mean truncated distance above it asks for a search
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
 
