@@ -26,7 +26,6 @@ class Cloud(NamedTuple):
     cell: float  # m
     dims: np.ndarray  # (3,) int64
     sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
-    n_input: int  # points before crop and outlier removal
 
     @property
     def oriented(self) -> bool:
@@ -76,7 +75,7 @@ def preprocess(
             sensor, per_point = _distinct(sensor_origin), sensor_origin[index[::stride]]
         kernels.orient_normals(surfels, per_point - origin)
     surfel_start = (start + (stride - 1)) // stride
-    return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor, len(points))
+    return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor)
 
 
 def _grid(points, chosen, area, config):
