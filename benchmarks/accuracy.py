@@ -1,0 +1,157 @@
+"""Accuracy on recordings: ``python benchmarks/accuracy.py [--sequences ...] [--views full front+body] [--variants ...]``.
+
+Runs a grid of trials, one JSON row each, into a file that a later call goes on with; ``--table`` prints what a file holds.
+Recordings are found through DDAKF_DATA; the bundled sample is always there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import sys
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from multiprocessing import get_context
+from pathlib import Path
+
+import machine
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ddakf import kernels
+from ddakf.evaluation import figures, tables, trials
+from ddakf.evaluation.trials import Trial
+
+ROOT = Path(__file__).resolve().parents[1]
+OUT, RESULT = ROOT / "out/accuracy.jsonl", ROOT / "benchmarks/results/accuracy.json"
+VARIANTS = ("default", "nicp", "paper", *trials.ablations())
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs what is missing; returns the exit status."""
+    arguments = _parser().parse_args(argv)
+    if arguments.table:
+        print(tables.report(read(arguments.out)))
+        return 0
+    if arguments.summary:
+        RESULT.write_text(json.dumps(tables.summary(read(arguments.out)) | {"machine": machine.describe()}, indent=1) + "\n")
+        return 0
+    if arguments.figure:
+        figures.reliability_diagram(arguments.figure, tables.reliability_curves(read(arguments.out)))
+        return 0
+    wanted = starts(arguments) if arguments.starts else grid(arguments)
+    done = {row["key"] for row in read(arguments.out)}
+    missing = [trial for trial in wanted if trial.key not in done]
+    print(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them in {arguments.out}", file=sys.stderr)
+    execute(missing, arguments.out, arguments.procs)
+    return 0
+
+
+def grid(arguments) -> list[Trial]:
+    """Sequence x view x seed x variant; what makes no difference is left out."""
+    wanted = []
+    for name, view, seed in itertools.product(arguments.sequences or trials.names(), arguments.views, arguments.seeds):
+        view, _, body = view.partition("+")
+        if body and not trials.recording(name).has_body:
+            continue
+        for variant in arguments.variants:
+            if variant == ("nicp" if body else "no-carrying"):
+                continue  # the one knows no body, the other knows it only to be carried by it
+            wanted.append(_trial(arguments, name, view, bool(body), seed, variant))
+    return wanted
+
+
+def starts(arguments) -> list[Trial]:
+    """Random starts, over the sequences by turns, in random frames; the first view and the first seed count."""
+    chosen, wanted = arguments.sequences or trials.names(), []
+    view, _, body = arguments.views[0].partition("+")
+    for number in range(arguments.starts):
+        name = chosen[number % len(chosen)]
+        last = len(trials.recording(name)) - 1 - trials.START_FRAMES
+        first = 0 if arguments.first_frame else int(np.random.default_rng([number, 1]).integers(last + 1))
+        told = bool(body) and trials.recording(name).has_body
+        for variant in arguments.variants:
+            trial = _trial(arguments, name, view, told, arguments.seeds[0], variant)
+            wanted.append(replace(trial, start=number, first=first, frames=trials.START_FRAMES))
+    return wanted
+
+
+def execute(wanted: list[Trial], out: Path, procs: int) -> None:
+    """Runs trials in ``procs`` processes and appends their rows to a file as they come."""
+    out.parent.mkdir(parents=True, exist_ok=True)
+    commit, begun = machine.commit(), time.monotonic()
+    with out.open("a") as file, ExitStack() as stack:
+        if procs > 1:
+            rows = stack.enter_context(get_context("spawn").Pool(procs, prepare)).imap_unordered
+        else:
+            rows = map
+            prepare()
+        for count, row in enumerate(rows(trials.run, wanted), 1):
+            file.write(json.dumps({"commit": commit} | row) + "\n")
+            file.flush()
+            left = (time.monotonic() - begun) / count * (len(wanted) - count)
+            print(f"{count}/{len(wanted)}, {left / 60:.0f} min left: {line(row)}", file=sys.stderr, flush=True)
+
+
+def prepare() -> None:
+    """One thread, and compiled kernels: no time holds anything else."""
+    threadpool_limits(1)
+    kernels.warm()
+
+
+def read(path: Path) -> list[dict]:
+    """The rows of a file; none where there is no file yet."""
+    return [json.loads(text) for text in path.read_text().splitlines()] if path.is_file() else []
+
+
+def line(row: dict) -> str:
+    """A row in a few words."""
+    name = f"{row['sequence']} {row['view']}{'+body' if row['body'] else ''} {row['variant']} seed {row['seed']}"
+    if "failed" in row:
+        return f"{name}: {row['failed']}"
+    text = f"{name}: RMSE {row['rmse_mm']:.1f} mm, normal {row['normal_rmse_mm']:.1f}, {row['cpu_ms_p50']:.0f} ms"
+    if row["start"] is not None:
+        text += f", normal RMSE within {trials.CONVERGED} of the true start's after {row['frames_until_normal_rmse_mm']} frames"
+    return text
+
+
+def _trial(arguments, name: str, view: str, body: bool, seed: int, variant: str) -> Trial:
+    return Trial(
+        name,
+        view,
+        body,
+        seed,
+        variant,
+        arguments.frames,
+        segmented=not arguments.unsegmented,
+        points=arguments.points,
+        noise=arguments.noise_mm / 1e3,
+    )
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sequences", nargs="+", metavar="NAME", help="default: the sample and all recordings of DDAKF_DATA")
+    parser.add_argument("--views", nargs="+", default=["full"], metavar="VIEW", help="full, ring4, front, each also with +body")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED", help="of the noise (default 1)")
+    parser.add_argument("--variants", nargs="+", default=["default", "nicp"], metavar="VARIANT",
+                        help=f"{', '.join(VARIANTS)}, or NAME={{JSON of Config.from_dict}}")  # fmt: skip
+    parser.add_argument("--frames", type=int, help="tracked per trial (default all)")
+    parser.add_argument("--points", type=int, default=10_000)
+    parser.add_argument("--noise-mm", type=float, default=3.0)
+    parser.add_argument("--unsegmented", action="store_true", help="points of the whole person")
+    parser.add_argument("--starts", type=int, metavar="N", help="N random starts off the truth instead of the grid")
+    parser.add_argument("--first-frame", action="store_true", help="start them in frame 0 instead of random frames")
+    parser.add_argument("--procs", type=int, default=1, help="processes")
+    parser.add_argument("--out", type=Path, default=OUT, help=f"file of the rows (default {OUT.relative_to(ROOT)})")
+    ending = parser.add_mutually_exclusive_group()
+    ending.add_argument("--table", action="store_true", help="print the tables of --out, and run nothing")
+    ending.add_argument("--summary", action="store_true", help=f"write {RESULT.relative_to(ROOT)} from --out, and run nothing")
+    ending.add_argument("--figure", type=Path, metavar="PNG", help="draw the reliability diagram of --out, and run nothing")
+    return parser
+
+
+if __name__ == "__main__":  # the workers are spawned: they import this file
+    sys.exit(main())

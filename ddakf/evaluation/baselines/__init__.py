@@ -1,0 +1,52 @@
+"""Methods that the tracker is compared with, behind one small interface."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.baselines.nicp import NonRigidIcp
+from ddakf.mesh import Mesh
+
+
+class Baseline(Protocol):
+    """A method that follows a garment through point clouds; what it keeps between frames is its own affair."""
+
+    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
+        """Starts anew.
+
+        Args:
+            garment: its vertices are the rest shape.
+            vertices: (V, 3) where the garment is before the first frame, metres.
+            body: in the pose of the start, or None; what knows no body ignores it.
+        """
+
+    def step(
+        self,
+        points: np.ndarray,
+        timestamp: float,
+        sensor_origin: np.ndarray | None,
+        body_vertices: np.ndarray | None,
+    ) -> np.ndarray:
+        """One frame; the arguments are those of :meth:`ddakf.Tracker.step`.
+
+        Returns:
+            (V, 3) the garment in this frame, metres.
+        """
+
+
+BASELINES: dict[str, Callable[[], Baseline]] = {"nicp": NonRigidIcp}
+
+
+def baseline(name: str) -> Baseline:
+    """A baseline by its name.
+
+    Raises:
+        InvalidArgument: none of that name.
+    """
+    if name not in BASELINES:
+        raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}", repr(name))
+    return BASELINES[name]()

@@ -1,0 +1,223 @@
+"""Rows of :mod:`ddakf.evaluation.trials`, pooled and written as Markdown tables."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+
+import numpy as np
+
+from ddakf.evaluation import metrics
+from ddakf.evaluation.trials import NOMINAL
+
+GROUPS = ("observed", "hidden, body given", "hidden, no body")
+WITHIN = 15  # frames in which a run from a random start shall converge
+# Garments on which sleeves or legs tell where the template's vertices belong; skirts and tank tops turn unnoticed
+ASYMMETRIC = ("sample", "pergamo_005", "sim_tshirt_jump", "samba_whole")
+ACCURACY = (  # heading, key, decimals
+    ("normal", "normal_rmse_mm", 1),
+    ("first 60", "rmse_mm_first60", 1),
+    ("last 10", "rmse_mm_last10", 1),
+    ("flicker", "flicker_mm", 1),
+    ("penetration", "penetration_mm", 2),
+    ("stretch %", "stretch_pct", 1),
+    ("of truth", "stretch_truth_pct", 1),
+    ("bend deg", "bend_deg", 1),
+    ("of truth", "bend_truth_deg", 1),
+    ("ms p50", "cpu_ms_p50", 0),
+    ("p99", "cpu_ms_p99", 0),
+)
+
+
+def view_of(row: dict) -> str:
+    """``front+body``, for instance."""
+    return row["view"] + ("+body" if row["body"] else "") + ("" if row["segmented"] else ", unsegmented")
+
+
+def mean(rows: list[dict], key: str) -> float | None:
+    """Over the rows that did not fail and have a value."""
+    values = [row[key] for row in rows if row.get(key) is not None]
+    return float(np.mean(values)) if values else None
+
+
+def report(rows: list[dict]) -> str:
+    """All tables that the rows can fill."""
+    grid, starts = [row for row in rows if row["start"] is None], [row for row in rows if row["start"] is not None]
+    parts = [
+        ("Accuracy", accuracy(grid)),
+        ("Ablation: RMSE / normal RMSE, mm", ablation(grid)),
+        ("Calibration", calibration(grid)),
+        ("Starts off the truth", converged(starts)),
+    ]
+    failures = [f"- {row['sequence']} {view_of(row)} {row['variant']}: {row['failed']}" for row in rows if "failed" in row]
+    text = "\n\n".join(f"## {title}\n\n{table}" for title, table in parts if table)
+    return text + ("\n\nFailed:\n" + "\n".join(failures) if failures else "")
+
+
+def accuracy(rows: list[dict], variant: str = "default") -> str:
+    """A variant per sequence and view, means over the seeds, with the non-rigid ICP's of the same clouds beside it."""
+    ours = _by(rows, lambda row: (row["sequence"], view_of(row)), variant)
+    other = _by(rows, lambda row: (row["sequence"], view_of(row).replace("+body", "")), "nicp")
+    lines = []
+    for (sequence, view), runs in ours.items():
+        nicp = other.get((sequence, view.replace("+body", "")), [])
+        both = f"{_number(mean(nicp, 'rmse_mm'))} / {_number(mean(nicp, 'normal_rmse_mm'))}" if nicp else ""
+        values = [_number(mean(runs, key), decimals) for _, key, decimals in ACCURACY]
+        lines.append([sequence, view, str(len(runs)), _spread(runs, "rmse_mm"), *values, _states(runs), both])
+    heads = ["sequence", "view", "runs", "RMSE mm", *(head for head, _, _ in ACCURACY), "states", "nicp RMSE / normal"]
+    return _markdown(heads, lines)
+
+
+def ablation(rows: list[dict]) -> str:
+    """Every variant on every sequence and view."""
+    cells = _by(rows, lambda row: (row["variant"].partition("=")[0], row["sequence"], view_of(row)))
+    variants = list(dict.fromkeys(key[0] for key in cells))
+    if len(variants) < 2:
+        return ""
+    lines = []
+    for place in dict.fromkeys(key[1:] for key in cells):
+        runs = [cells.get((variant, *place), []) for variant in variants]
+        lines.append([*place, *(_pair(part) if part else "" for part in runs)])
+    return _markdown(["sequence", "view", *variants], lines)
+
+
+def calibration(rows: list[dict], variant: str = "default") -> str:
+    """Claimed covariances pooled over runs: all, each half of the sequences, each view and each sequence."""
+    rows = [row for row in rows if row["variant"] == variant and "failed" not in row]
+    sequences = sorted({row["sequence"] for row in rows})
+    parts: list[tuple[str, Callable[[dict], bool]]] = [("all", lambda row: True)]
+    if len(sequences) > 1:
+        halves = sequences[::2], sequences[1::2]
+        parts += [(", ".join(half), lambda row, half=half: row["sequence"] in half) for half in halves]
+    parts += [(view, lambda row, view=view: view_of(row) == view) for view in dict.fromkeys(map(view_of, rows))]
+    parts += [(name, lambda row, name=name: row["sequence"] == name) for name in sequences if len(sequences) > 1]
+    lines = []
+    for name, belongs in parts:
+        chosen = [row for row in rows if belongs(row)]
+        single = [row for row in chosen if row["view"] == "front"]
+        for group, pool in pooled(chosen).items():
+            spearman = _number(mean(single, "spearman_sigma"), 2) if single else ""
+            lines.append([
+                name, group, f"{pool['n']:,}", f"{pool['coverage90']:.1%}", f"{pool['nees3']:.2f}",
+                f"{pool['nll'] - pool['nll_constant']:+.2f}", spearman,
+            ])  # fmt: skip
+    heads = ["runs", "group", "vertices", "in 90 %", "NEES/3", "NLL less best constant's", "Spearman(sigma, error), front"]
+    return _markdown(heads, lines)
+
+
+def pooled(rows: Iterable[dict]) -> dict[str, dict]:
+    """Calibration by group over all vertices, frames and runs: ``n``, ``coverage90``, ``nees3``, ``nll``, ``inside``, and
+    ``nll_constant``, of the one covariance that suits the group best in all these runs."""
+    parts = defaultdict(list)
+    for row in rows:
+        if row.get("observed"):
+            parts["observed"].append(row["observed"])
+        if row.get("hidden"):
+            parts["hidden, body given" if row["body"] else "hidden, no body"].append(row["hidden"])
+    pools = {}
+    for group in GROUPS:
+        if parts[group]:
+            n = np.array([part["n"] for part in parts[group]], float)
+            pool = {
+                name: (np.array([part[name] for part in parts[group]]).T @ n / n.sum()).tolist()
+                for name in ("coverage90", "nees3", "nll", "inside", "second_moment")
+            }
+            second = np.zeros((3, 3))
+            second[np.triu_indices(3)] = np.array(pool.pop("second_moment")) / 1e6
+            second = second + np.triu(second, 1).T
+            pools[group] = pool | {"n": int(n.sum()), "nll_constant": metrics.best_constant_nll(second)}
+    return pools
+
+
+def reliability_curves(rows: Iterable[dict], variant: str = "default") -> dict[str, tuple[tuple[float, ...], list[float]]]:
+    """Nominal probabilities and observed shares by group, for the reliability diagram."""
+    chosen = [row for row in rows if row["variant"] == variant and row["start"] is None and "failed" not in row]
+    return {group: (NOMINAL, pool["inside"]) for group, pool in pooled(chosen).items()}
+
+
+def converged(rows: list[dict]) -> str:
+    """Of the runs from random starts, how many converged within 15 frames."""
+    lines = []
+    for variant in dict.fromkeys(row["variant"] for row in rows):
+        runs = [row for row in rows if row["variant"] == variant]
+        for name in ["all", *dict.fromkeys(row["sequence"] for row in runs)]:
+            chosen = [row for row in runs if name in ("all", row["sequence"])]
+            count = sum(map(success, chosen))
+            normal = sum(_soon(row, "normal_rmse_mm") for row in chosen)
+            lines.append([variant, name, str(len(chosen)), f"{count} ({count / len(chosen):.0%})", str(normal)])
+    return _markdown(["variant", "sequence", "starts", "converged", "of the normal RMSE alone"], lines)
+
+
+def success(row: dict) -> bool:
+    """A run from a random start converged: in normal RMSE, and in vertex RMSE where sleeves or legs fix the vertices."""
+    return _soon(row, "normal_rmse_mm") and (row["sequence"] not in ASYMMETRIC or _soon(row, "rmse_mm"))
+
+
+def summary(rows: list[dict]) -> dict:
+    """What is worth keeping of a file of rows: means per sequence, view and variant, and the pooled calibration."""
+    grid = [row for row in rows if row["start"] is None]
+    keys = ("rmse_mm", *(key for _, key, _ in ACCURACY), "spearman_sigma", "stretch_error_pct", "bend_error_deg")
+    runs = [
+        {"sequence": sequence, "view": view, "variant": variant, "runs": len(part)}
+        | {key: _rounded(mean(part, key)) for key in keys}
+        for (sequence, view, variant), part in _by(grid, lambda row: (row["sequence"], view_of(row), row["variant"])).items()
+    ]
+    pools = pooled(row for row in grid if row["variant"] == "default" and "failed" not in row)
+    starts = [row for row in rows if row["start"] is not None]
+    return {
+        "commits": sorted({str(row.get("commit")) for row in rows}),
+        "runs": runs,
+        "calibration": {group: {name: _rounded(value) for name, value in pool.items()} for group, pool in pools.items()},
+        "starts": {"runs": len(starts), "converged": sum(map(success, starts))},
+    }
+
+
+def _soon(row: dict, name: str) -> bool:
+    taken = row.get(f"frames_until_{name}")
+    return taken is not None and taken <= WITHIN
+
+
+def _by(rows: Iterable[dict], key: Callable[[dict], tuple], variant: str | None = None) -> dict[tuple, list[dict]]:
+    groups = defaultdict(list)
+    for row in rows:
+        if variant in (None, row["variant"]):
+            groups[key(row)].append(row)
+    return dict(sorted(groups.items(), key=lambda item: [str(part) for part in item[0]][-2:])) if variant else dict(groups)
+
+
+def _pair(rows: list[dict]) -> str:
+    if all("failed" in row for row in rows):
+        return "failed"
+    return f"{_number(mean(rows, 'rmse_mm'))} / {_number(mean(rows, 'normal_rmse_mm'))}"
+
+
+def _spread(rows: list[dict], key: str) -> str:
+    """Mean, and the standard deviation over runs where there are several."""
+    values = [row[key] for row in rows if row.get(key) is not None]
+    return f"{np.mean(values):.1f} ± {np.std(values, ddof=1):.1f}" if len(values) > 1 else _number(mean(rows, key))
+
+
+def _states(rows: list[dict]) -> str:
+    """Shares of the frames that were not tracked."""
+    count = defaultdict(int)
+    for row in rows:
+        for state, frames in row.get("states", {}).items():
+            count[state] += frames
+    total = sum(count.values())
+    return ", ".join(f"{state} {n / total:.0%}" for state, n in count.items() if state != "tracking")
+
+
+def _number(value: float | None, decimals: int = 1) -> str:
+    return "" if value is None else f"{value:.{decimals}f}"
+
+
+def _rounded(value):
+    if isinstance(value, list):
+        return [_rounded(inner) for inner in value]
+    return float(f"{value:.4g}") if isinstance(value, float) else value
+
+
+def _markdown(heads: list[str], lines: list[list[str]]) -> str:
+    if not lines:
+        return ""
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in [heads, ["---"] * len(heads), *lines])

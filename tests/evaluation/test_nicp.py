@@ -1,0 +1,120 @@
+"""The non-rigid ICP that the tracker is measured against is a good one, not a straw man."""
+
+import numpy as np
+import pytest
+
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.baselines import BASELINES, baseline
+from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp, closest_rotations
+from ddakf.evaluation.metrics import rmse_mm
+from ddakf.evaluation.sensors import sample_surface
+from ddakf.mesh import Mesh
+from ddakf.physics.bend import build as hinges
+
+
+def box(n=8):
+    """A closed box of 40 x 30 x 20 cm, (n + 1)^2 vertices to a side before they are joined."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-0.5, 0.5, n + 1)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    quads = np.array([[i * (n + 1) + j, (i + 1) * (n + 1) + j, (i + 1) * (n + 1) + j + 1, i * (n + 1) + j + 1]
+                      for i in range(n) for j in range(n)])  # fmt: skip
+    corners, faces = [], []
+    for axis in range(3):
+        for side in (-0.5, 0.5):
+            points = np.insert(grid, axis, side, axis=1)
+            outward = quads if (side > 0) == (axis != 1) else quads[:, ::-1]
+            faces.append(np.concatenate([outward[:, [0, 1, 2]], outward[:, [0, 2, 3]]]) + len(corners) * len(grid))
+            corners.append(points)
+    unique, index = np.unique(np.concatenate(corners).round(9), axis=0, return_inverse=True)
+    return Mesh(unique * [0.4, 0.3, 0.2], index.ravel()[np.concatenate(faces)])
+
+
+@pytest.fixture(scope="module")
+def garment():
+    return box()
+
+
+def turned(vertices, angle, shift):
+    c, s = np.cos(angle), np.sin(angle)
+    return vertices @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) + shift
+
+
+def test_the_box_is_closed_and_its_faces_point_outward(garment):
+    corners = garment.vertices[garment.faces]
+    assert np.einsum("fa,fa->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) / 6 == pytest.approx(0.024)
+    assert len(hinges(garment).stencil) == len(garment.edges)
+
+
+def test_it_follows_a_rigid_motion(garment):
+    method, rng = baseline("nicp"), np.random.default_rng(0)
+    method.start(garment, garment.vertices, None)
+    for k in range(1, 8):
+        truth = turned(garment.vertices, 0.03 * k, [0.01 * k, 0.005 * k, 0])
+        points = sample_surface(truth, garment.faces, 3000, rng)
+        estimate = method.step(points, k / 30, None, None)
+    assert rmse_mm(garment.vertices, truth) > 60
+    assert rmse_mm(estimate, truth) < 6
+
+
+def test_without_points_it_stays_where_it_is(garment):
+    method = baseline("nicp")
+    method.start(garment, garment.vertices + 1.0, None)
+    for k in range(3):
+        assert np.array_equal(method.step(np.zeros((0, 3)), k / 30, None, None), garment.vertices + 1.0)
+
+
+def test_without_points_it_goes_on_and_comes_to_rest(garment):
+    method = NonRigidIcp(NicpSettings(momentum=0.8))
+    method.start(garment, garment.vertices, None)
+    moving = garment.vertices + [0.004, 0, 0]
+    for _ in range(30):
+        first = method.step(moving, 0.0, None, None)
+    moved = method.step(moving + [0.004, 0, 0], 0.0, None, None)
+    ahead = [method.step(np.zeros((0, 3)), 0.0, None, None) for _ in range(60)]
+    step = (moved - first).mean(axis=0)[0]
+    assert (ahead[0] - moved).mean(axis=0)[0] == pytest.approx(0.8 * step)
+    assert (ahead[-1] - moved).mean(axis=0)[0] == pytest.approx(4 * step, rel=1e-4)  # 0.8 + 0.8^2 + ...
+
+
+def test_points_beyond_the_gate_do_not_pull(garment):
+    method = NonRigidIcp(NicpSettings(gate=0.05))
+    method.start(garment, garment.vertices, None)
+    estimate = method.step(garment.vertices + [10.0, 0, 0], 0.0, None, None)
+    assert np.allclose(estimate, garment.vertices, atol=1e-9)
+
+
+def test_what_faces_away_from_the_sensor_takes_no_point(garment):
+    """A wall of points behind the box: seen from the front, its back must not be drawn to them."""
+    back = garment.vertices[:, 2] < -0.09
+    wall = garment.vertices[back] - [0, 0, 0.03]
+    pulled = {}
+    for name, origin in (("blind", None), ("seeing", np.array([0, 0, 3.0])), ("each", np.tile([0, 0, 3.0], (len(wall), 1)))):
+        method = baseline("nicp")
+        method.start(garment, garment.vertices, None)
+        pulled[name] = -(method.step(wall, 0.0, origin, None) - garment.vertices)[back, 2].mean()
+    assert pulled["blind"] > 0.015
+    assert pulled["seeing"] < 0.002
+    assert pulled["each"] == pytest.approx(pulled["seeing"])
+
+
+def test_results_belong_to_the_caller(garment):
+    method = baseline("nicp")
+    method.start(garment, garment.vertices, None)
+    first = method.step(garment.vertices, 0.0, None, None)
+    kept = first.copy()
+    first += 1.0
+    assert rmse_mm(method.step(garment.vertices, 0.1, None, None), kept) < 2
+
+
+def test_closest_rotations_are_rotations_also_of_reflections_and_flat_matrices():
+    rng = np.random.default_rng(0)
+    matrices = np.concatenate([rng.normal(size=(50, 3, 3)), rng.normal(size=(5, 3, 1)) * rng.normal(size=(5, 1, 3))])
+    rotation = closest_rotations(matrices)
+    assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3))
+    assert np.allclose(np.linalg.det(rotation), 1)
+    assert np.allclose(closest_rotations(rotation @ np.diag([3.0, 2.0, 1.0])), rotation)
+
+
+def test_baselines_go_by_name():
+    assert "nicp" in BASELINES
+    with pytest.raises(InvalidArgument, match="baseline"):
+        baseline("magic")

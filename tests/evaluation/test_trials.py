@@ -1,0 +1,177 @@
+"""Trials: one row of numbers each, the same from run to run, and pooled as if they had been one."""
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ddakf import Config
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation import tables, trials
+from ddakf.evaluation.baselines import BASELINES
+from ddakf.evaluation.baselines.nicp import NonRigidIcp
+from ddakf.evaluation.trials import Trial
+
+ROOT = Path(__file__).parents[2]
+SHORT = Trial("sample", frames=4, points=3000)
+TIMES = {"cpu_ms_p50", "cpu_ms_p99", "wall_ms_p50", "wall_ms_p99"}
+
+
+@pytest.fixture(scope="module")
+def rows():
+    front = replace(SHORT, view="front", body=True)
+    wanted = SHORT, replace(SHORT, variant="nicp"), front, replace(front, variant="no-carrying"), replace(front, seed=2)
+    return [json.loads(json.dumps(trials.run(trial))) for trial in wanted]
+
+
+def test_a_row_holds_the_trial_and_its_numbers(rows):
+    row = rows[2]
+    assert (row["sequence"], row["view"], row["body"], row["seed"], row["variant"]) == ("sample", "front", True, 1, "default")
+    assert row["frames_tracked"] == 4
+    assert row["per_frame"]["number"] == [1, 2, 3, 4]
+    assert 0 < row["normal_rmse_mm"] < row["rmse_mm"] < 30
+    assert row["rmse_mm"] == pytest.approx(np.mean(row["per_frame"]["rmse_mm"]), rel=1e-4)
+    assert row["observed"]["n"] + row["hidden"]["n"] == 4 * 2658
+    assert sum(row["states"].values()) == 4 == len(row["per_frame"]["state"])
+    for name in ("reliability", "paper_score", "coverage", "penetration_mm", "coverage90"):
+        assert len(row["per_frame"][name]) == 4
+    for group in ("observed", "hidden"):
+        assert np.all(np.diff(row[group]["inside"]) >= 0)
+        assert row[group]["inside"][trials.NOMINAL.index(0.9)] == pytest.approx(row[group]["coverage90"], abs=1e-3)
+
+
+def test_a_baseline_has_errors_but_no_uncertainty(rows):
+    row = rows[1]
+    assert 0 < row["normal_rmse_mm"] < row["rmse_mm"] < 30
+    assert row["observed"] is None
+    assert row["states"] == {}
+
+
+def test_the_same_trial_gives_the_same_row(rows):
+    again = json.loads(json.dumps(trials.run(SHORT)))
+    assert {k: v for k, v in again.items() if k not in TIMES} == {k: v for k, v in rows[0].items() if k not in TIMES}
+
+
+def test_keys_tell_trials_apart():
+    others = [replace(SHORT, seed=2), replace(SHORT, variant="paper"), replace(SHORT, body=True), replace(SHORT, start=0)]
+    assert len({trial.key for trial in [SHORT, *others]}) == 5
+    assert SHORT.key == replace(SHORT).key
+
+
+def test_every_ablation_differs_from_the_default_in_one_stage():
+    default = Config().to_dict()
+    for name, config in trials.ablations().items():
+        assert sum(config.to_dict()[stage] != default[stage] for stage in default) == 1, name
+
+
+def test_variants_by_name_and_by_json():
+    assert trials.configuration("default") == Config()
+    assert trials.configuration("paper") == Config.paper()
+    assert trials.configuration('eager={"associate": {"iterations": 3}}').associate.iterations == 3
+    for wrong in ("magic", "x={", 'x={"associate": {"pace": 3}}'):
+        with pytest.raises(InvalidArgument):
+            trials.configuration(wrong)
+
+
+def test_an_unknown_recording_is_named_and_no_row():
+    with pytest.raises(InvalidArgument, match="nowhere"):
+        trials.run(replace(SHORT, sequence="nowhere"))
+
+
+def test_what_a_method_cannot_do_is_a_row_that_says_so(monkeypatch, rows):
+    class Breaks(NonRigidIcp):
+        def step(self, points, timestamp, sensor_origin, body_vertices):
+            raise np.linalg.LinAlgError("singular matrix")
+
+    monkeypatch.setitem(BASELINES, "breaks", Breaks)
+    row = trials.run(replace(SHORT, variant="breaks"))
+    assert row["failed"] == "LinAlgError: singular matrix"
+    assert "breaks: LinAlgError: singular matrix" in tables.report([*rows, row])
+    assert "failed" in tables.ablation([*rows, row])
+
+
+def test_a_start_astray_is_a_rigid_motion_by_ten_centimetres_and_twenty_degrees():
+    sequence = trials.recording("sample")
+    rest, truth = sequence.garment_rest.astype(float), sequence.garment_vertices[60].astype(float)
+    for number in range(4):
+        start = trials.astray(rest, truth, number)
+        shift = start.mean(axis=0) - truth.mean(axis=0)
+        assert np.linalg.norm(shift) == pytest.approx(0.1)
+        assert shift[1] == pytest.approx(0, abs=1e-9)
+        edges = start[sequence.garment_faces[:, 0]] - start[sequence.garment_faces[:, 1]]
+        rest_edges = rest[sequence.garment_faces[:, 0]] - rest[sequence.garment_faces[:, 1]]
+        assert np.allclose(np.linalg.norm(edges, axis=1), np.linalg.norm(rest_edges, axis=1))
+    own = trials.astray(truth, truth, 0) - trials.astray(truth, truth, 0).mean(axis=0)
+    centred = truth - truth.mean(axis=0)
+    cosine = (own[:, [0, 2]] * centred[:, [0, 2]]).sum() / (centred[:, [0, 2]] ** 2).sum()
+    assert cosine == pytest.approx(np.cos(np.radians(20)))
+
+
+def test_a_start_is_compared_with_the_run_from_the_truth():
+    row = trials.run(replace(SHORT, start=0, first=30, frames=3))
+    assert row["per_frame"]["number"] == [31, 32, 33]
+    assert len(row["truth_rmse_mm"]) == 3
+    assert row["per_frame"]["rmse_mm"][0] > row["truth_rmse_mm"][0]
+    assert tables.success(row | {"frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": 15})
+    assert not tables.success(row | {"frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": None})
+    skirt = row | {"sequence": "sim_skirt_dance", "frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": 16}
+    assert tables.success(skirt)
+
+
+def test_pooling_two_runs_is_as_if_they_were_one():
+    rng = np.random.default_rng(0)
+    whole, parts = trials.Calibration(), [trials.Calibration(), trials.Calibration()]
+    for part, n in zip(parts, (10, 30), strict=True):
+        error, nll = rng.normal(size=(n, 3)) * 0.01, rng.normal(size=n)
+        m = (error**2).sum(axis=1) / 1e-4
+        for target in (whole, part):
+            target.add(error, 0 * error, m, nll)
+    rows = [{"body": False, "observed": part.summary(), "hidden": None} for part in parts]
+    pool = tables.pooled(rows)["observed"]
+    expected = whole.summary()
+    assert pool["n"] == 40
+    for name in ("coverage90", "nees3", "nll", "inside", "nll_constant"):
+        assert pool[name] == pytest.approx(expected[name])
+
+
+def test_tables_hold_every_run(rows):
+    text = tables.report(rows)
+    assert "| sample | full | 1 |" in text
+    assert "| sample | front+body | 2 |" in text
+    assert " ± " in text
+    widths = {line.count("|") for line in tables.accuracy(rows).splitlines()}
+    assert len(widths) == 1, "every line has as many cells as the head"
+    assert "no-carrying" in tables.ablation(rows)
+    assert "hidden, body given" in tables.calibration(rows)
+    assert {run["variant"] for run in tables.summary(rows)["runs"]} == {"default", "nicp", "no-carrying"}
+
+
+def test_the_reliability_diagram_is_a_picture(rows, tmp_path):
+    pytest.importorskip("matplotlib")
+    from ddakf.evaluation.figures import reliability_diagram
+
+    curves = tables.reliability_curves(rows)
+    assert "observed" in curves
+    reliability_diagram(tmp_path / "new/reliability.png", curves)
+    assert (tmp_path / "new/reliability.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(InvalidArgument):
+        reliability_diagram(tmp_path / "none.png", {})
+
+
+def test_the_command_goes_on_where_it_ended(tmp_path):
+    command = [sys.executable, ROOT / "benchmarks/accuracy.py", "--sequences", "sample", "--frames", "2", "--points", "2000",
+               "--out", tmp_path / "rows.jsonl"]  # fmt: skip
+
+    def call(*more):
+        ended = subprocess.run([*command, *more], capture_output=True, text=True, timeout=110, check=False)
+        assert ended.returncode == 0, ended.stderr
+        return ended
+
+    assert "2 trials, 0 of them" in call("--variants", "default", "nicp").stderr
+    assert "3 trials, 2 of them" in call("--variants", "default", "nicp", "one-association").stderr
+    assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 3
+    assert "one-association" in call("--table").stdout
