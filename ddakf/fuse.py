@@ -12,8 +12,8 @@ from ddakf import rigidity
 from ddakf.associate import Measurement
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import fuse as kernels
-from ddakf.kernels import rigidity as rigidity_kernels
 from ddakf.kernels import robust as robust_kernels
+from ddakf.kernels import strain as strain_kernels
 from ddakf.model import Model
 from ddakf.physics.energies import Energies, total_blocks, total_gradient
 from ddakf.rigidity import LocalRigidity
@@ -39,8 +39,8 @@ class System(NamedTuple):
 
     unary: np.ndarray  # (V, 3, 3) part of D that each vertex has on its own: prior, measurement, contact, 1/m^2
     D: np.ndarray  # (V, 3, 3) diagonal blocks of A, 1/m^2
-    B: np.ndarray  # (2E, 3, 3) float32, its other blocks, in rows of the adjacency
-    force: np.ndarray  # (V, 3) 1/m, minus the gradient
+    B: np.ndarray  # (2E, 12) float32, its other blocks, in rows of the adjacency, by columns padded to four
+    force: np.ndarray  # (V, 4) 1/m, minus the gradient, padded
 
 
 class Update(NamedTuple):
@@ -106,7 +106,7 @@ def fuse(
         case MapUpdate():
             return _map_update(update, prior, energies, gate, model, config)
         case DecoupledUpdate():
-            return _decoupled_update(update, prior, energies, config.fuse)
+            return _decoupled_update(update, prior, energies, model, config.fuse)
 
 
 def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
@@ -184,26 +184,20 @@ def normal_equations(
         model: the garment.
     """
     n = len(position)
-    unary, force = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    B = np.empty((len(model.neighbour), 3, 3), np.float32)
+    unary, force = np.zeros((n, 3, 3)), np.zeros((n, 4))
     kernels.add_prior(position, prior, information, unary, force)
     kernels.add_planes(
         position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
     )
-    stretch, shear, bend, collision = energies.stiffness
+    stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
-    D = unary.copy()
-    for term in rigid:
-        rigidity_kernels.add_force(
-            position, model.start, model.neighbour, term.source, term.weight, term.rotation, force
-        )
-    kernels.add_edges(model.start, sum(term.weight for term in rigid), D, B)
-    kernels.add_triangles(
-        model.faces, model.slot, *energies.stretch[1:], stretch, *energies.shear[1:], shear, D, B, force
-    )
-    if bend > 0:
-        kernels.add_hinges(*energies.bend, bend, D, force)
+    force[:, :3] += energies.bending.force
+    rigidity.add_force(rigid, position, model, force)
+    blocks = np.zeros((len(model.mesh.edges), 9), np.float32)
+    strain_kernels.add_strain(position, *model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
+    D, B = unary + energies.bending.blocks, np.empty((len(model.neighbour), 12), np.float32)
+    kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, sum(term.weight for term in rigid), D, B)
     return System(unary, D, B, force)
 
 
@@ -217,13 +211,14 @@ def coarse_inverse(system: System, model: Model) -> np.ndarray:
 def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
     """(V, 3) delta in metres, A delta = force, by conjugate gradients under a two-level preconditioner."""
     n, k = len(system.D), len(coarse_inverse)
-    delta, work = np.empty((n, 3), np.float32), np.empty((4, n, 3), np.float32)
+    delta, work = np.empty((n, 4), np.float32), np.empty((4, n, 4), np.float32)
+    D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
+    kernels.pack(system.D, D, inverse)
     kernels.conjugate_gradients(
-        system.D.astype(np.float32), system.B, model.start, model.neighbour,
-        inverse_blocks(system.D).astype(np.float32), model.cluster, coarse_inverse, system.force,
+        D, system.B, model.start, model.neighbour, inverse, model.cluster, coarse_inverse, system.force,
         config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
-    return delta.astype(np.float64)
+    return delta[:, :3].astype(np.float64)
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
@@ -250,7 +245,9 @@ def invert(matrix: np.ndarray) -> np.ndarray:
     return np.tril(inverse) + np.tril(inverse, -1).T
 
 
-def _decoupled_update(update: Update, prior: State, energies: Energies, config: DecoupledUpdate) -> Update:
+def _decoupled_update(
+    update: Update, prior: State, energies: Energies, model: Model, config: DecoupledUpdate
+) -> Update:
     """The paper's: a Kalman update of every vertex, then the gradient pseudo-measurement on the mean.
 
     Geometry, section 2.3: S = P_pp + R / w, K = [P_pp; P_up] S^-1, x += K y, P -= K S K'. Physics, section 2.4: z = 0,
@@ -258,7 +255,6 @@ def _decoupled_update(update: Update, prior: State, energies: Energies, config: 
     H_i here, the covariance of the gradient of a log density, and then K = (P^-1 + H)^-1. Any other makes K unsymmetric, and
     the step no descent.
     """
-    n = len(prior.position)
     used = update.weight > 0
     y = update.measurement.innovation(prior.position)
     S_inverse = inverse_blocks(prior.P_pp + update.R / np.maximum(update.weight, 1e-9)[:, None, None]) * used[:, None, None]
@@ -273,7 +269,7 @@ def _decoupled_update(update: Update, prior: State, energies: Energies, config: 
         P_uu=prior.P_uu - gain_u @ prior.P_pu,
         R=update.R,
     )
-    H, h = total_blocks(energies, n), total_gradient(energies, n)
+    H, h = total_blocks(energies, model), total_gradient(energies, model)
     gain = inverse_blocks(inverse_blocks(state.P_pp) + H)
     correction = np.einsum("vab,vb->va", gain, h)
     length = np.sqrt(np.einsum("va,va->v", correction, correction))[:, None]

@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from ddakf.mesh import Mesh
-from ddakf.physics import bend, collision, shear, stretch
+from ddakf.physics import bend, collision, shear, strain, stretch
 
 CLUSTERS = 80
 VERTICES_PER_CLUSTER = 8  # at least, on average
@@ -20,51 +20,47 @@ class Model(NamedTuple):
 
     mesh: Mesh
     faces: np.ndarray  # (F, 3) int32
-    start: np.ndarray  # (V + 1,) int32: row i of the one-rings is [start[i], start[i + 1])
-    neighbour: np.ndarray  # (2E,) int32
-    slot: np.ndarray  # (F, 3, 3) int32, row entry of each pair of a face's corners
+    start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
+    neighbour: np.ndarray  # (2E,) uint32, ascending in each row
+    edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
     cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, the coarse level of the solver
     n_clusters: int
-    rest_edge: np.ndarray  # (2E, 3) m, x_j - x_i at rest
+    rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
     area: float  # m^2
     edge_length: float  # m, mean
     stretch: stretch.StretchConstants
     shear: shear.ShearConstants
+    strain: strain.StrainConstants  # both at once
     bend: bend.BendConstants
     collision: collision.CollisionConstants
 
 
 def build(mesh: Mesh, thickness: float) -> Model:
     """The constants of a garment whose rest shape is ``mesh``, kept ``thickness`` metres from the body."""
-    edges = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
-    edges = edges[np.lexsort((edges[:, 1], edges[:, 0]))]
-    start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1)).astype(np.int32)
+    ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    edges = ends[order]
+    start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1))
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     cluster = _clusters(edges, mesh)
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
-        start=start,
-        neighbour=np.ascontiguousarray(edges[:, 1], np.int32),
-        slot=_slots(edges, mesh),
+        start=start.astype(np.uint32),
+        neighbour=np.ascontiguousarray(edges[:, 1], np.uint32),
+        edge=(order % len(mesh.edges)).astype(np.uint32),
         cluster=cluster,
         n_clusters=int(cluster.max()) + 1,
-        rest_edge=mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]],
+        rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
         area=float(area),
         edge_length=mesh.edge_length,
         stretch=stretch.build(mesh),
         shear=shear.build(mesh),
+        strain=strain.build(mesh),
         bend=bend.build(mesh),
         collision=collision.build(mesh, thickness),
     )
-
-
-def _slots(edges: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """(F, 3, 3) position of each pair of corners among the sorted directed edges; the diagonal is unused."""
-    keys = edges[:, 0] * mesh.n_vertices + edges[:, 1]
-    pairs = mesh.faces[:, :, None] * mesh.n_vertices + mesh.faces[:, None, :]
-    return np.minimum(np.searchsorted(keys, pairs), len(keys) - 1).astype(np.int32)
 
 
 def _clusters(edges: np.ndarray, mesh: Mesh) -> np.ndarray:

@@ -19,26 +19,49 @@ ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left i
 class LocalRigidity(NamedTuple):
     """One term; the rotations are its only changing part."""
 
-    source: np.ndarray  # (2E, 3) m
-    weight: np.ndarray  # (2E,) 1/m^2
+    source: np.ndarray  # (2E, 3) float32 m
+    weight: float  # 1/m^2
     rotation: np.ndarray  # (V, 3, 3)
+    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times the rotations by columns padded to four: what neighbours read
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray) -> LocalRigidity:
     """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed."""
-    return LocalRigidity(model.rest_edge, np.full(len(model.neighbour), weight), rotation.copy())
+    return LocalRigidity(model.rest_edge, weight, rotation.copy(), np.empty((len(rotation), 12), np.float32))
 
 
 def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
     """The term that makes the change since ``position`` (V, 3) locally rigid."""
-    source = np.empty((len(model.neighbour), 3))
-    kernels.edge_vectors(position, model.start, model.neighbour, source)
-    return LocalRigidity(source, np.full(len(model.neighbour), weight), identity(len(position)))
+    n = len(position)
+    return LocalRigidity(edges(position, model), weight, identity(n), np.empty((n, 12), np.float32))
+
+
+def edges(position: np.ndarray, model: Model) -> np.ndarray:
+    """(2E, 3) float32 x_j - x_i of each entry of the one-rings, metres."""
+    edge = np.empty((len(model.neighbour), 3), np.float32)
+    kernels.edge_vectors(position, model.start, model.neighbour, edge)
+    return edge
 
 
 def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
     """Fits the rotations to (V, 3) ``position``, in place, by so many steps."""
-    kernels.fit_rotations(position, model.start, model.neighbour, term.source, term.weight, steps, term.rotation)
+    kernels.fit_rotations(
+        padded(position), model.start, model.neighbour, term.source, steps, 0.5 * term.weight, term.rotation, term.shared
+    )
+
+
+def add_force(terms: tuple[LocalRigidity, ...], position: np.ndarray, model: Model, force: np.ndarray) -> None:
+    """Adds to (V, 4) ``force`` minus the gradient of the terms at (V, 3) ``position``, their rotations fitted to it and held."""
+    position = padded(position)
+    for term in terms:
+        kernels.add_force(position, model.start, model.neighbour, term.source, term.weight, term.shared, force)
+
+
+def padded(position: np.ndarray) -> np.ndarray:
+    """(V, 4): a zero behind each row of (V, 3)."""
+    rows = np.zeros((len(position), 4))
+    rows[:, :3] = position
+    return rows
 
 
 def rotations(position: np.ndarray, model: Model) -> np.ndarray:
@@ -46,11 +69,10 @@ def rotations(position: np.ndarray, model: Model) -> np.ndarray:
 
     A ring that is flat at rest and now leaves its turn about itself to its normal: of the two rotations the proper one.
     """
-    edge = np.empty_like(model.rest_edge)
-    kernels.edge_vectors(position, model.start, model.neighbour, edge)
+    edge = edges(position, model)
     row = np.repeat(np.arange(len(position)), np.diff(model.start))
     covariance = np.zeros((len(position), 3, 3))
-    np.add.at(covariance, row, edge[:, :, None] * model.rest_edge[:, None, :])
+    np.add.at(covariance, row, edge[:, :, None] * model.rest_edge[:, None, :].astype(float))
     U, _, Vt = np.linalg.svd(covariance)
     U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
     return U @ Vt

@@ -1,10 +1,13 @@
 """Stage F, fusion update (paper, sections 2.4 and 2.8): the normal equations of the MAP problem and their solution.
 
-A is stored as 3x3 blocks on the mesh's one-rings: the diagonal ones in D, the others in B, in the rows of the adjacency.
+A is stored as 3x3 blocks on the mesh's one-rings: the diagonal ones in D, the others in B, in the rows of the adjacency. For the
+solver blocks are stored by columns, and columns padded to four numbers, so that the compiler makes a vector of each.
 """
 
 import numpy as np
 from numba import njit
+
+from ddakf.kernels import FAST
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -59,77 +62,50 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
                 D[i, a, b] += k * jacobian[c, 0, a] * jacobian[c, 0, b]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def add_hinges(stencil, residual, jacobian, weight, stiffness, D, force):
-    """Adds bending: its exact force, and as its matrix the block-diagonal majoriser.
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def add_coupling(start, neighbour, edge, blocks, weight, D, B):
+    """Fills the rows of B with the blocks of the edges less w I, and takes the sum of each row from D.
 
-    A hinge's k J^T J couples vertices that are not neighbours. 4 k blockdiag(J_s^T J_s) is nowhere smaller (Cauchy-Schwarz on
-    its four terms), so the step stays a descent step and A keeps the sparsity of the one-rings.
+    No energy that couples vertices changes when all move alike, so that the rows of its matrix add up to nothing.
+
+    Args:
+        start, neighbour, edge: the one-rings.
+        blocks: (E, 9) float32, of each edge i < j by columns.
+        weight: w, of all edges alike.
+        D: (V, 3, 3) in and out.
+        B: (2E, 12) float32 out.
     """
-    for c in range(stencil.shape[0]):
-        k = stiffness * weight[c]
-        for s in range(4):
-            i = stencil[c, s]
-            x, y, z = jacobian[c, s, 0], jacobian[c, s, 1], jacobian[c, s, 2]
-            force[i, 0] -= k * residual[c] * x
-            force[i, 1] -= k * residual[c] * y
-            force[i, 2] -= k * residual[c] * z
-            m = 4.0 * k
-            D[i, 0, 0] += m * x * x
-            D[i, 1, 1] += m * y * y
-            D[i, 2, 2] += m * z * z
-            D[i, 0, 1] += m * x * y
-            D[i, 1, 0] += m * x * y
-            D[i, 0, 2] += m * x * z
-            D[i, 2, 0] += m * x * z
-            D[i, 1, 2] += m * y * z
-            D[i, 2, 1] += m * y * z
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def add_edges(start, weight, D, B):
-    """Starts B with the edges' -w I, and adds their w I to D."""
+    w, zero = np.float32(weight), np.float32(0.0)
     for i in range(D.shape[0]):
-        s = 0.0
+        xx = yy = zz = xy = xz = yz = zero
         for e in range(start[i], start[i + 1]):
-            w = weight[e]
-            s += w
-            B[e, :, :] = 0.0
-            B[e, 0, 0] = -w
-            B[e, 1, 1] = -w
-            B[e, 2, 2] = -w
-        D[i, 0, 0] += s
-        D[i, 1, 1] += s
-        D[i, 2, 2] += s
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def add_triangles(
-    faces, slot, stretch_r, stretch_J, stretch_w, stretch_k, shear_r, shear_J, shear_w, shear_k, D, B, force
-):
-    """Adds stretch (two constraints per face, warp first) and shear (one): force and Gauss-Newton blocks.
-
-    ``slot`` (F, 3, 3) holds, for corners s and t of a face, the row entry of that pair. The three constraints of a face share
-    their blocks, so that each is read and written once.
-    """
-    n = faces.shape[0]
-    for f in range(n):
-        ku, kv, kh = stretch_k * stretch_w[f], stretch_k * stretch_w[f + n], shear_k * shear_w[f]
-        fu, fv, fh = ku * stretch_r[f], kv * stretch_r[f + n], kh * shear_r[f]
-        U, W, H = stretch_J[f], stretch_J[f + n], shear_J[f]
-        for s in range(3):
-            i = faces[f, s]
-            for a in range(3):
-                u, w, h = ku * U[s, a], kv * W[s, a], kh * H[s, a]
-                force[i, a] -= fu * U[s, a] + fv * W[s, a] + fh * H[s, a]
-                for b in range(3):
-                    D[i, a, b] += u * U[s, b] + w * W[s, b] + h * H[s, b]
-                for t in range(s):
-                    e, d = slot[f, s, t], slot[f, t, s]
-                    for b in range(3):
-                        x = np.float32(u * U[t, b] + w * W[t, b] + h * H[t, b])
-                        B[e, a, b] += x
-                        B[d, b, a] += x
+            block = blocks[edge[e]]
+            x0, y0, z0 = block[0] - w, block[1], block[2]
+            x1, y1, z1 = block[3], block[4] - w, block[5]
+            x2, y2, z2 = block[6], block[7], block[8] - w
+            if neighbour[e] < i:
+                y0, x1 = x1, y0
+                z0, x2 = x2, z0
+                z1, y2 = y2, z1
+            B[e, 0], B[e, 1], B[e, 2], B[e, 3] = x0, y0, z0, zero
+            B[e, 4], B[e, 5], B[e, 6], B[e, 7] = x1, y1, z1, zero
+            B[e, 8], B[e, 9], B[e, 10], B[e, 11] = x2, y2, z2, zero
+            xx += x0
+            yy += y1
+            zz += z2
+            xy += y0 + x1
+            xz += z0 + x2
+            yz += z1 + y2
+        xy, xz, yz = 0.5 * xy, 0.5 * xz, 0.5 * yz
+        D[i, 0, 0] -= xx
+        D[i, 1, 1] -= yy
+        D[i, 2, 2] -= zz
+        D[i, 0, 1] -= xy
+        D[i, 1, 0] -= xy
+        D[i, 0, 2] -= xz
+        D[i, 2, 0] -= xz
+        D[i, 1, 2] -= yz
+        D[i, 2, 1] -= yz
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -154,6 +130,24 @@ def invert_blocks(D, inverse):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def pack(D, packed, inverse):
+    """(V, 12) float32 out: the blocks (V, 3, 3), symmetric and positive definite, and their inverses, by columns and padded."""
+    for i in range(D.shape[0]):
+        a, b, c, d, e, f = D[i, 0, 0], D[i, 1, 1], D[i, 2, 2], D[i, 0, 1], D[i, 0, 2], D[i, 1, 2]
+        set_columns(packed[i], a, b, c, d, e, f)
+        a, b, c, d, e, f = invert3(a, b, c, d, e, f)
+        set_columns(inverse[i], a, b, c, d, e, f)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def set_columns(out, a, b, c, d, e, f):
+    """[[a, d, e], [d, b, f], [e, f, c]] by columns, padded."""
+    out[0], out[1], out[2], out[3] = a, d, e, 0.0
+    out[4], out[5], out[6], out[7] = d, b, f, 0.0
+    out[8], out[9], out[10], out[11] = e, f, c, 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def coarsen(D, B, start, neighbour, cluster, coarse):
     """coarse (3K, 3K) out: P' A P with P the piecewise constant interpolation from clusters (V,) to vertices."""
     coarse[:] = 0.0
@@ -166,31 +160,35 @@ def coarsen(D, B, start, neighbour, cluster, coarse):
             q = 3 * cluster[neighbour[e]]
             for a in range(3):
                 for b in range(3):
-                    coarse[p + a, q + b] += B[e, a, b]
+                    coarse[p + a, q + b] += B[e, 4 * b + a]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def multiply(D, B, start, neighbour, v, out):
-    """out = A v, all (V, 3)."""
+    """out = A v, both (V, 4) padded; returns v . A v."""
+    total = 0.0
     for i in range(v.shape[0]):
         x, y, z = v[i, 0], v[i, 1], v[i, 2]
-        ox = D[i, 0, 0] * x + D[i, 0, 1] * y + D[i, 0, 2] * z
-        oy = D[i, 1, 0] * x + D[i, 1, 1] * y + D[i, 1, 2] * z
-        oz = D[i, 2, 0] * x + D[i, 2, 1] * y + D[i, 2, 2] * z
+        ox = D[i, 0] * x + D[i, 4] * y + D[i, 8] * z
+        oy = D[i, 1] * x + D[i, 5] * y + D[i, 9] * z
+        oz = D[i, 2] * x + D[i, 6] * y + D[i, 10] * z
+        ow = D[i, 3] * x + D[i, 7] * y + D[i, 11] * z
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
             x, y, z = v[j, 0], v[j, 1], v[j, 2]
-            ox += B[e, 0, 0] * x + B[e, 0, 1] * y + B[e, 0, 2] * z
-            oy += B[e, 1, 0] * x + B[e, 1, 1] * y + B[e, 1, 2] * z
-            oz += B[e, 2, 0] * x + B[e, 2, 1] * y + B[e, 2, 2] * z
-        out[i, 0] = ox
-        out[i, 1] = oy
-        out[i, 2] = oz
+            ox += B[e, 0] * x + B[e, 4] * y + B[e, 8] * z
+            oy += B[e, 1] * x + B[e, 5] * y + B[e, 9] * z
+            oz += B[e, 2] * x + B[e, 6] * y + B[e, 10] * z
+            ow += B[e, 3] * x + B[e, 7] * y + B[e, 11] * z
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ox, oy, oz, ow
+    for i in range(v.shape[0]):
+        total += v[i, 0] * out[i, 0] + v[i, 1] * out[i, 1] + v[i, 2] * out[i, 2]
+    return total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
-    """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz."""
+    """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz. Returns r . z."""
     gathered[:] = 0.0
     for i in range(r.shape[0]):
         p = 3 * cluster[i]
@@ -198,15 +196,19 @@ def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
         gathered[p + 1] += r[i, 1]
         gathered[p + 2] += r[i, 2]
     np.dot(coarse_inverse, gathered, spread)
+    total = 0.0
     for i in range(r.shape[0]):
         p = 3 * cluster[i]
         x, y, w = r[i, 0], r[i, 1], r[i, 2]
-        z[i, 0] = inverse[i, 0, 0] * x + inverse[i, 0, 1] * y + inverse[i, 0, 2] * w + spread[p]
-        z[i, 1] = inverse[i, 1, 0] * x + inverse[i, 1, 1] * y + inverse[i, 1, 2] * w + spread[p + 1]
-        z[i, 2] = inverse[i, 2, 0] * x + inverse[i, 2, 1] * y + inverse[i, 2, 2] * w + spread[p + 2]
+        zx = inverse[i, 0] * x + inverse[i, 4] * y + inverse[i, 8] * w + spread[p]
+        zy = inverse[i, 1] * x + inverse[i, 5] * y + inverse[i, 9] * w + spread[p + 1]
+        zz = inverse[i, 2] * x + inverse[i, 6] * y + inverse[i, 10] * w + spread[p + 2]
+        z[i, 0], z[i, 1], z[i, 2], z[i, 3] = zx, zy, zz, 0.0
+        total += x * zx + y * zy + w * zz
+    return total
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def conjugate_gradients(
     D, B, start, neighbour, inverse, cluster, coarse_inverse, force, iterations, tolerance, work, gathered, spread, delta
 ):
@@ -216,49 +218,39 @@ def conjugate_gradients(
     ``iterations``, or when the preconditioned residual norm has fallen by ``tolerance``. Returns the iterations done.
 
     Args:
-        D, B: (V, 3, 3), (2E, 3, 3) float32 blocks of A.
-        inverse, cluster, coarse_inverse: the preconditioner, float32.
-        force: (V, 3).
-        work, gathered, spread: (4, V, 3), (3K,), (3K,) float32 scratch.
-        delta: (V, 3) float32 out.
+        D, B: (V, 12), (2E, 12) float32 blocks of A by columns, padded.
+        inverse, cluster, coarse_inverse: the preconditioner; float32, the blocks stored as D is.
+        force: (V, 4) padded.
+        work, gathered, spread: (4, V, 4), (3K,), (3K,) float32 scratch.
+        delta: (V, 4) float32 out, padded.
     """
     r, z, p, q = work[0], work[1], work[2], work[3]
     n = force.shape[0]
     for i in range(n):
-        for a in range(3):
+        for a in range(4):
             delta[i, a] = 0.0
             r[i, a] = force[i, a]
-    precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
-    rz = 0.0
-    for i in range(n):
-        for a in range(3):
-            p[i, a] = z[i, a]
-            rz += r[i, a] * z[i, a]
+    rz = precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
+    p[:] = z
     first = rz
     if not first > 0.0:
         return 0
     for iteration in range(iterations):
-        multiply(D, B, start, neighbour, p, q)
-        pq = 0.0
-        for i in range(n):
-            pq += p[i, 0] * q[i, 0] + p[i, 1] * q[i, 1] + p[i, 2] * q[i, 2]
+        pq = multiply(D, B, start, neighbour, p, q)
         if not pq > 0.0:
             return iteration
         step = np.float32(rz / pq)
         for i in range(n):
-            for a in range(3):
+            for a in range(4):
                 delta[i, a] += step * p[i, a]
                 r[i, a] -= step * q[i, a]
-        precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
-        new = 0.0
-        for i in range(n):
-            new += r[i, 0] * z[i, 0] + r[i, 1] * z[i, 1] + r[i, 2] * z[i, 2]
+        new = precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
         if new <= tolerance * tolerance * first:
             return iteration + 1
         beta = np.float32(new / rz)
         rz = new
         for i in range(n):
-            for a in range(3):
+            for a in range(4):
                 p[i, a] = z[i, a] + beta * p[i, a]
     return iterations
 
@@ -302,9 +294,7 @@ def condition(P_pp, P_pu, P_uu, shift, posterior_pp, velocity, posterior_pu, pos
     G = np.empty((3, 3))
     change = np.empty((3, 3))
     for i in range(P_pp.shape[0]):
-        a, b, c, d, e, f = invert3(
-            P_pp[i, 0, 0], P_pp[i, 1, 1], P_pp[i, 2, 2], P_pp[i, 0, 1], P_pp[i, 0, 2], P_pp[i, 1, 2]
-        )
+        a, b, c, d, e, f = invert3(P_pp[i, 0, 0], P_pp[i, 1, 1], P_pp[i, 2, 2], P_pp[i, 0, 1], P_pp[i, 0, 2], P_pp[i, 1, 2])
         for r in range(3):
             x, y, z = P_pu[i, 0, r], P_pu[i, 1, r], P_pu[i, 2, r]
             G[r, 0] = x * a + y * d + z * e

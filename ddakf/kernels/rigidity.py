@@ -1,86 +1,128 @@
-"""Local rigidity: best-fitting rotations of one-rings, and the force of edges that do not follow them."""
+"""Local rigidity: best-fitting rotations of one-rings, and the force of edges that do not follow them.
+
+Rows are padded to four numbers, so that the compiler makes a vector of each; matrices are stored by columns then.
+"""
 
 from math import sqrt
 
+import numpy as np
 from numba import njit
 
+from ddakf.kernels import FAST
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def fit_rotations(position, start, neighbour, source, weight, iterations, rotation):
+LANES = 32  # vertices whose rotations are fitted side by side
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def fit_rotations(position, start, neighbour, source, iterations, share, rotation, shared):
     """Rotation of each one-ring from its source edges to the present ones, in place, warm-started.
 
-    Maximises sum_j w_ij (x_j - x_i) . R_i s_ij by the iteration of Mueller, Bender, Chentanez and Macklin, "A robust method
-    to extract the rotational part of deformations" (2016), which stays defined on flat rings.
+    Maximises sum_j (x_j - x_i) . R_i s_ij by the iteration of Mueller, Bender, Chentanez and Macklin, "A robust method to
+    extract the rotational part of deformations" (2016), which stays defined on flat rings. In float32: 1e-7 rad.
 
     Args:
-        position: (V, 3) metres.
+        position: (V, 4) metres, padded.
         start, neighbour: one-rings in compressed rows.
-        source: (2E, 3) source edge vectors s_ij = s_j - s_i per row entry, metres.
-        weight: (2E,) edge weights.
+        source: (2E, 3) float32 source edge vectors s_ij = s_j - s_i per row entry, metres.
         iterations: fixed number of steps.
+        share: what ``shared`` is multiplied by.
         rotation: (V, 3, 3) in: the start; out: the fit.
+        shared: (V, 12) float32 out, share R by columns, padded.
     """
-    for i in range(position.shape[0]):
-        c00 = c01 = c02 = c10 = c11 = c12 = c20 = c21 = c22 = 0.0
-        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
-        for e in range(start[i], start[i + 1]):
-            j = neighbour[e]
-            w = weight[e]
-            ex, ey, ez = (position[j, 0] - px) * w, (position[j, 1] - py) * w, (position[j, 2] - pz) * w
-            sx, sy, sz = source[e, 0], source[e, 1], source[e, 2]
-            c00 += ex * sx
-            c01 += ex * sy
-            c02 += ex * sz
-            c10 += ey * sx
-            c11 += ey * sy
-            c12 += ey * sz
-            c20 += ez * sx
-            c21 += ez * sy
-            c22 += ez * sz
-        r00, r01, r02 = rotation[i, 0, 0], rotation[i, 0, 1], rotation[i, 0, 2]
-        r10, r11, r12 = rotation[i, 1, 0], rotation[i, 1, 1], rotation[i, 1, 2]
-        r20, r21, r22 = rotation[i, 2, 0], rotation[i, 2, 1], rotation[i, 2, 2]
+    n = position.shape[0]
+    covariance = np.empty((LANES, 12), np.float32)
+    lanes = np.ones((18, LANES), np.float32)
+    for first in range(0, n, LANES):
+        size = min(LANES, n - first)
+        for k in range(size):
+            add_covariance(position, start, neighbour, source, first + k, covariance[k])
+        for k in range(size):
+            for b in range(3):
+                for a in range(3):
+                    lanes[3 * b + a, k] = covariance[k, 4 * b + a]
+                    lanes[9 + 3 * b + a, k] = rotation[first + k, a, b]
         for _ in range(iterations):
-            # omega = sum of columns r_k x c_k over |sum of r_k . c_k|
-            wx = r10 * c20 - r20 * c10 + r11 * c21 - r21 * c11 + r12 * c22 - r22 * c12
-            wy = r20 * c00 - r00 * c20 + r21 * c01 - r01 * c21 + r22 * c02 - r02 * c22
-            wz = r00 * c10 - r10 * c00 + r01 * c11 - r11 * c01 + r02 * c12 - r12 * c02
-            trace = r00 * c00 + r10 * c10 + r20 * c20 + r01 * c01 + r11 * c11 + r21 * c21 + r02 * c02 + r12 * c12 + r22 * c22
-            scale = 1.0 / (abs(trace) + 1e-20)
-            wx, wy, wz = wx * scale, wy * scale, wz * scale
-            # Cayley's rotation of about that angle: (1 + h^2) Q = (1 - h^2) I + 2 h h' + 2 [h]x, h = omega / 2
-            hx, hy, hz = 0.5 * wx, 0.5 * wy, 0.5 * wz
-            h2 = hx * hx + hy * hy + hz * hz
-            t = 1.0 / (1.0 + h2)
-            d = (1.0 - h2) * t
-            hx2, hy2, hz2 = 2.0 * t * hx, 2.0 * t * hy, 2.0 * t * hz
-            q00, q01, q02 = d + hx2 * hx, hx2 * hy - hz2, hx2 * hz + hy2
-            q10, q11, q12 = hx2 * hy + hz2, d + hy2 * hy, hy2 * hz - hx2
-            q20, q21, q22 = hx2 * hz - hy2, hy2 * hz + hx2, d + hz2 * hz
-            r00, r10, r20 = (
-                q00 * r00 + q01 * r10 + q02 * r20,
-                q10 * r00 + q11 * r10 + q12 * r20,
-                q20 * r00 + q21 * r10 + q22 * r20,
-            )
-            r01, r11, r21 = (
-                q00 * r01 + q01 * r11 + q02 * r21,
-                q10 * r01 + q11 * r11 + q12 * r21,
-                q20 * r01 + q21 * r11 + q22 * r21,
-            )
-            r02, r12, r22 = r10 * r21 - r20 * r11, r20 * r01 - r00 * r21, r00 * r11 - r10 * r01
-            if h2 < 1e-7:
-                break
+            turn(lanes)
+        for k in range(size):
+            i = first + k
+            for b in range(3):
+                for a in range(3):
+                    rotation[i, a, b] = lanes[9 + 3 * b + a, k]
+                    shared[i, 4 * b + a] = np.float32(share) * lanes[9 + 3 * b + a, k]
+                shared[i, 4 * b + 3] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def add_covariance(position, start, neighbour, source, i, out):
+    """(12,) out: sum_j (x_j - x_i) s_ij' of a ring, by columns, padded."""
+    px, py, pz, pw = position[i, 0], position[i, 1], position[i, 2], position[i, 3]
+    ax = ay = az = aw = bx = by = bz = bw = cx = cy = cz = cw = np.float32(0.0)
+    for e in range(start[i], start[i + 1]):
+        j = neighbour[e]
+        ex, ey = np.float32(position[j, 0] - px), np.float32(position[j, 1] - py)
+        ez, ew = np.float32(position[j, 2] - pz), np.float32(position[j, 3] - pw)
+        s = source[e, 0]
+        ax += ex * s
+        ay += ey * s
+        az += ez * s
+        aw += ew * s
+        s = source[e, 1]
+        bx += ex * s
+        by += ey * s
+        bz += ez * s
+        bw += ew * s
+        s = source[e, 2]
+        cx += ex * s
+        cy += ey * s
+        cz += ez * s
+        cw += ew * s
+    out[0], out[1], out[2], out[3] = ax, ay, az, aw
+    out[4], out[5], out[6], out[7] = bx, by, bz, bw
+    out[8], out[9], out[10], out[11] = cx, cy, cz, cw
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def turn(lanes):
+    """One step of the iteration on LANES rings: rows of (18, LANES) are covariance and rotation by columns."""
+    one, two, half, tiny = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(1e-20)
+    for k in range(LANES):
+        c00, c10, c20 = lanes[0, k], lanes[1, k], lanes[2, k]
+        c01, c11, c21 = lanes[3, k], lanes[4, k], lanes[5, k]
+        c02, c12, c22 = lanes[6, k], lanes[7, k], lanes[8, k]
+        r00, r10, r20 = lanes[9, k], lanes[10, k], lanes[11, k]
+        r01, r11, r21 = lanes[12, k], lanes[13, k], lanes[14, k]
+        r02, r12, r22 = lanes[15, k], lanes[16, k], lanes[17, k]
+        # omega = sum of columns r_k x c_k over |sum of r_k . c_k|
+        wx = r10 * c20 - r20 * c10 + r11 * c21 - r21 * c11 + r12 * c22 - r22 * c12
+        wy = r20 * c00 - r00 * c20 + r21 * c01 - r01 * c21 + r22 * c02 - r02 * c22
+        wz = r00 * c10 - r10 * c00 + r01 * c11 - r11 * c01 + r02 * c12 - r12 * c02
+        trace = r00 * c00 + r10 * c10 + r20 * c20 + r01 * c01 + r11 * c11 + r21 * c21 + r02 * c02 + r12 * c12 + r22 * c22
+        # Cayley's rotation of about that angle: (1 + h^2) Q = (1 - h^2) I + 2 h h' + 2 [h]x, h = omega / 2
+        scale = half / (abs(trace) + tiny)
+        hx, hy, hz = wx * scale, wy * scale, wz * scale
+        h2 = hx * hx + hy * hy + hz * hz
+        t = one / (one + h2)
+        d = (one - h2) * t
+        hx2, hy2, hz2 = two * t * hx, two * t * hy, two * t * hz
+        q00, q01, q02 = d + hx2 * hx, hx2 * hy - hz2, hx2 * hz + hy2
+        q10, q11, q12 = hx2 * hy + hz2, d + hy2 * hy, hy2 * hz - hx2
+        q20, q21, q22 = hx2 * hz - hy2, hy2 * hz + hx2, d + hz2 * hz
+        ax = q00 * r00 + q01 * r10 + q02 * r20
+        ay = q10 * r00 + q11 * r10 + q12 * r20
+        az = q20 * r00 + q21 * r10 + q22 * r20
+        bx = q00 * r01 + q01 * r11 + q02 * r21
+        by = q10 * r01 + q11 * r11 + q12 * r21
+        bz = q20 * r01 + q21 * r11 + q22 * r21
         # what rounding adds up over thousands of frames is taken out here
-        n = 1.0 / sqrt(r00 * r00 + r10 * r10 + r20 * r20)
-        r00, r10, r20 = r00 * n, r10 * n, r20 * n
-        d = r00 * r01 + r10 * r11 + r20 * r21
-        r01, r11, r21 = r01 - d * r00, r11 - d * r10, r21 - d * r20
-        n = 1.0 / sqrt(r01 * r01 + r11 * r11 + r21 * r21)
-        r01, r11, r21 = r01 * n, r11 * n, r21 * n
-        r02, r12, r22 = r10 * r21 - r20 * r11, r20 * r01 - r00 * r21, r00 * r11 - r10 * r01
-        rotation[i, 0, 0], rotation[i, 0, 1], rotation[i, 0, 2] = r00, r01, r02
-        rotation[i, 1, 0], rotation[i, 1, 1], rotation[i, 1, 2] = r10, r11, r12
-        rotation[i, 2, 0], rotation[i, 2, 1], rotation[i, 2, 2] = r20, r21, r22
+        s = one / sqrt(ax * ax + ay * ay + az * az)
+        ax, ay, az = ax * s, ay * s, az * s
+        d = ax * bx + ay * by + az * bz
+        bx, by, bz = bx - d * ax, by - d * ay, bz - d * az
+        s = one / sqrt(bx * bx + by * by + bz * bz)
+        bx, by, bz = bx * s, by * s, bz * s
+        lanes[9, k], lanes[10, k], lanes[11, k] = ax, ay, az
+        lanes[12, k], lanes[13, k], lanes[14, k] = bx, by, bz
+        lanes[15, k], lanes[16, k], lanes[17, k] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -93,33 +135,40 @@ def edge_vectors(position, start, neighbour, edge):
                 edge[e, a] = position[j, a] - position[i, a]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def add_force(position, start, neighbour, source, weight, rotation, force):
-    """Adds -gradient of 1/2 sum_edges w_ij |x_j - x_i - (R_i + R_j) s_ij / 2|^2 to (V, 3) force."""
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def add_force(position, start, neighbour, source, weight, shared, force):
+    """Adds -gradient of 1/2 sum_edges w |x_j - x_i - (R_i + R_j) s_ij / 2|^2.
+
+    Args:
+        position: (V, 4) metres, padded.
+        start, neighbour, source: as for :func:`fit_rotations`.
+        weight: w.
+        shared: (V, 12) float32, w R / 2 as :func:`fit_rotations` wrote it.
+        force: (V, 4) padded, added to.
+    """
     for i in range(position.shape[0]):
-        fx = fy = fz = 0.0
+        px, py, pz, pw = position[i, 0], position[i, 1], position[i, 2], position[i, 3]
+        fx = fy = fz = fw = 0.0
+        gx = gy = gz = gw = sx = sy = sz = np.float32(0.0)
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
-            w = weight[e]
-            sx, sy, sz = 0.5 * source[e, 0], 0.5 * source[e, 1], 0.5 * source[e, 2]
-            m00, m01, m02 = (
-                rotation[i, 0, 0] + rotation[j, 0, 0],
-                rotation[i, 0, 1] + rotation[j, 0, 1],
-                rotation[i, 0, 2] + rotation[j, 0, 2],
-            )
-            m10, m11, m12 = (
-                rotation[i, 1, 0] + rotation[j, 1, 0],
-                rotation[i, 1, 1] + rotation[j, 1, 1],
-                rotation[i, 1, 2] + rotation[j, 1, 2],
-            )
-            m20, m21, m22 = (
-                rotation[i, 2, 0] + rotation[j, 2, 0],
-                rotation[i, 2, 1] + rotation[j, 2, 1],
-                rotation[i, 2, 2] + rotation[j, 2, 2],
-            )
-            fx += w * (position[j, 0] - position[i, 0] - (m00 * sx + m01 * sy + m02 * sz))
-            fy += w * (position[j, 1] - position[i, 1] - (m10 * sx + m11 * sy + m12 * sz))
-            fz += w * (position[j, 2] - position[i, 2] - (m20 * sx + m21 * sy + m22 * sz))
-        force[i, 0] += fx
-        force[i, 1] += fy
-        force[i, 2] += fz
+            fx += position[j, 0] - px
+            fy += position[j, 1] - py
+            fz += position[j, 2] - pz
+            fw += position[j, 3] - pw
+            x, y, z = source[e, 0], source[e, 1], source[e, 2]
+            sx += x
+            sy += y
+            sz += z
+            gx += shared[j, 0] * x + shared[j, 4] * y + shared[j, 8] * z
+            gy += shared[j, 1] * x + shared[j, 5] * y + shared[j, 9] * z
+            gz += shared[j, 2] * x + shared[j, 6] * y + shared[j, 10] * z
+            gw += shared[j, 3] * x + shared[j, 7] * y + shared[j, 11] * z
+        gx += shared[i, 0] * sx + shared[i, 4] * sy + shared[i, 8] * sz
+        gy += shared[i, 1] * sx + shared[i, 5] * sy + shared[i, 9] * sz
+        gz += shared[i, 2] * sx + shared[i, 6] * sy + shared[i, 10] * sz
+        gw += shared[i, 3] * sx + shared[i, 7] * sy + shared[i, 11] * sz
+        force[i, 0] += weight * fx - gx
+        force[i, 1] += weight * fy - gy
+        force[i, 2] += weight * fz - gz
+        force[i, 3] += weight * fw - gw

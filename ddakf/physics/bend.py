@@ -49,10 +49,23 @@ def linearize(positions: np.ndarray, constants: BendConstants, out: Linearizatio
     edge or face has none. ``out``, a former result for the same constants, is overwritten and returned.
     """
     lin = allocate(constants.stencil, constants.weight) if out is None else out
-    kernels.linearize(
-        positions, constants.stencil, constants.rest_angle, constants.floor, lin.residual, lin.jacobian
-    )
+    kernels.linearize(positions, constants.stencil, constants.rest_angle, constants.floor, lin.residual, lin.jacobian)
     return lin
+
+
+class Hinges(NamedTuple):
+    """Bending summed up over the hinges, for the fused update."""
+
+    force: np.ndarray  # (V, 3) minus the gradient
+    blocks: np.ndarray  # (V, 3, 3) a block-diagonal bound of the Gauss-Newton matrix
+
+
+def summed(linearization: Linearization, stiffness: float, n: int) -> Hinges:
+    """Force and matrix of a garment of ``n`` vertices."""
+    hinges = Hinges(np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    if stiffness > 0:
+        kernels.add_hinges(*linearization, stiffness, hinges.blocks, hinges.force)
+    return hinges
 
 
 def _hinges(faces: np.ndarray) -> np.ndarray:

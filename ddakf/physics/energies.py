@@ -13,17 +13,23 @@ from ddakf.physics.contact import BodyContact
 
 
 class Energies(NamedTuple):
-    """The cloth energies, linearised at one position, and the stiffness of each (lambda and fabric included)."""
+    """The cloth energies at one position, and the stiffness of each (lambda and fabric included).
 
-    stretch: Linearization
-    shear: Linearization
+    Stretch and shear are not linearised here: the fused update takes their blocks straight from the position.
+    """
+
+    position: np.ndarray  # (V, 3) m
     bend: Linearization
+    bending: bend.Hinges  # its sums
     collision: Linearization | None
-    stiffness: tuple[float, float, float, float]
+    stiffness: tuple[float, float, float, float]  # of stretch, shear, bend and collision
+    strain_scale: float  # of stretch, see :func:`softened`
 
-    def parts(self) -> list[tuple[Linearization, float]]:
-        """Each energy that acts, with its stiffness."""
-        pairs = zip(self[:4], self.stiffness, strict=True)
+    def parts(self, model: Model) -> list[tuple[Linearization, float]]:
+        """Each energy that acts, linearised, with its stiffness."""
+        stretched = softened(stretch.linearize(self.position, model.stretch), self.strain_scale)
+        linear = (stretched, shear.linearize(self.position, model.shear), self.bend, self.collision)
+        pairs = zip(linear, self.stiffness, strict=True)
         return [(part, stiffness) for part, stiffness in pairs if part is not None and stiffness > 0]
 
 
@@ -49,18 +55,18 @@ def linearize(
         closest = contact.nearest(position) if last is None else contact.touching(position, thickness)
         touching = collision.linearize(position, model.collision, closest)
     fabric = config.fabric
-    return Energies(
-        softened(stretch.linearize(position, model.stretch), config.strain_scale),
-        shear.linearize(position, model.shear),
-        bend.linearize(position, model.bend) if last is None else last.bend,
-        touching,
-        (
-            physics_lambda * config.stretch * fabric.stretch,
-            physics_lambda * config.shear * fabric.shear,
-            physics_lambda * config.bend * fabric.bend,
-            config.collision,
-        ),
+    stiffness = (
+        physics_lambda * config.stretch * fabric.stretch,
+        physics_lambda * config.shear * fabric.shear,
+        physics_lambda * config.bend * fabric.bend,
+        config.collision,
     )
+    if last is None:
+        bent = bend.linearize(position, model.bend)
+        bending = bend.summed(bent, stiffness[2], len(position))
+    else:
+        bent, bending = last.bend, last.bending
+    return Energies(position, bent, bending, touching, stiffness, config.strain_scale)
 
 
 def softened(part: Linearization, scale: float) -> Linearization:
@@ -72,22 +78,24 @@ def softened(part: Linearization, scale: float) -> Linearization:
     return part._replace(weight=part.weight / (1.0 + np.square(part.residual / scale)))
 
 
-def total_gradient(energies: Energies, n: int) -> np.ndarray:
+def total_gradient(energies: Energies, model: Model) -> np.ndarray:
     """(V, 3) h_phys = dE/dp, section 2.4."""
+    n = len(energies.position)
     total = np.zeros((n, 3))
-    for part, stiffness in energies.parts():
+    for part, stiffness in energies.parts(model):
         gradient(part._replace(weight=stiffness * part.weight), n, total)
     return total
 
 
-def total_blocks(energies: Energies, n: int) -> np.ndarray:
+def total_blocks(energies: Energies, model: Model) -> np.ndarray:
     """(V, 3, 3) H_phys,i: how fast h_phys of a vertex changes, its neighbours moving as it does at worst.
 
     The Gauss-Newton blocks of every energy, times the vertices of its stencil: with that factor steps that all vertices take at
     the same time never overshoot (Cauchy-Schwarz on the terms of a constraint).
     """
+    n = len(energies.position)
     total = np.zeros((n, 3, 3))
-    for part, stiffness in energies.parts():
+    for part, stiffness in energies.parts(model):
         share = stiffness * part.stencil.shape[1]
         diagonal_blocks(part._replace(weight=share * part.weight), n, total)
     return total
