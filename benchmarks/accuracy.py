@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from ddakf import kernels
 from ddakf.evaluation import figures, tables, trials
+from ddakf.evaluation.degradations import DISTURBANCES
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -42,8 +43,8 @@ def main(argv: list[str] | None = None) -> int:
         figures.reliability_diagram(arguments.figure, tables.reliability_curves(read(arguments.out)))
         return 0
     wanted = starts(arguments) if arguments.starts else grid(arguments)
-    done = {row["key"] for row in read(arguments.out)}
-    missing = [trial for trial in wanted if trial.key not in done]
+    done = {Trial.of(row) for row in read(arguments.out)}
+    missing = [trial for trial in wanted if trial not in done]
     print(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them in {arguments.out}", file=sys.stderr)
     execute(missing, arguments.out, arguments.procs)
     return 0
@@ -54,12 +55,13 @@ def grid(arguments) -> list[Trial]:
     wanted = []
     for name, view, seed in itertools.product(arguments.sequences or trials.names(), arguments.views, arguments.seeds):
         view, _, body = view.partition("+")
-        if body and not trials.recording(name).has_body:
+        if (body or arguments.unsegmented) and not trials.recording(name).has_body:
             continue
         for variant in arguments.variants:
             if variant == ("nicp" if body else "no-carrying"):
                 continue  # the one knows no body, the other knows it only to be carried by it
-            wanted.append(_trial(arguments, name, view, bool(body), seed, variant))
+            trial = _trial(arguments, name, view, bool(body), seed, variant)
+            wanted += [replace(trial, disturbance=script.name) for script in DISTURBANCES] if arguments.disturbances else [trial]
     return wanted
 
 
@@ -112,8 +114,9 @@ def line(row: dict) -> str:
     if "failed" in row:
         return f"{name}: {row['failed']}"
     text = f"{name}: RMSE {row['rmse_mm']:.1f} mm, normal {row['normal_rmse_mm']:.1f}, {row['cpu_ms_p50']:.0f} ms"
-    if row["start"] is not None:
-        text += f", normal RMSE within {trials.CONVERGED} of the true start's after {row['frames_until_normal_rmse_mm']} frames"
+    if "frames_until_rmse_mm" in row:
+        text += f", {row['disturbance'] or 'start astray'}: over after {row['frames_until_rmse_mm']} frames"
+        text += f", normal after {row['frames_until_normal_rmse_mm']}"
     return text
 
 
@@ -142,6 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--noise-mm", type=float, default=3.0)
     parser.add_argument("--unsegmented", action="store_true", help="points of the whole person")
+    parser.add_argument("--disturbances", action="store_true", help="every trial of the grid through each of the disturbances")
     parser.add_argument("--starts", type=int, metavar="N", help="N random starts off the truth instead of the grid")
     parser.add_argument("--first-frame", action="store_true", help="start them in frame 0 instead of random frames")
     parser.add_argument("--procs", type=int, default=1, help="processes")

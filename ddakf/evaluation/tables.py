@@ -12,6 +12,7 @@ from ddakf.evaluation.trials import NOMINAL
 
 GROUPS = ("observed", "hidden, body given", "hidden, no body")
 WITHIN = 15  # frames in which a run from a random start shall converge
+BACK = 10  # frames in which a run shall be itself again after a disturbance
 # Garments on which sleeves or legs tell where the template's vertices belong; skirts and tank tops turn unnoticed
 ASYMMETRIC = ("sample", "pergamo_005", "sim_tshirt_jump", "samba_whole")
 ACCURACY = (  # heading, key, decimals
@@ -42,16 +43,26 @@ def mean(rows: list[dict], key: str) -> float | None:
 
 def report(rows: list[dict]) -> str:
     """All tables that the rows can fill."""
-    grid, starts = [row for row in rows if row["start"] is None], [row for row in rows if row["start"] is not None]
+    grid, starts, disturbed = kinds(rows)
     parts = [
         ("Accuracy", accuracy(grid)),
         ("Ablation: RMSE / normal RMSE, mm", ablation(grid)),
         ("Calibration", calibration(grid)),
+        ("Points of the whole person", unsegmented(grid)),
         ("Starts off the truth", converged(starts)),
+        ("Disturbances", recovered(disturbed)),
     ]
     failures = [f"- {row['sequence']} {view_of(row)} {row['variant']}: {row['failed']}" for row in rows if "failed" in row]
     text = "\n\n".join(f"## {title}\n\n{table}" for title, table in parts if table)
     return text + ("\n\nFailed:\n" + "\n".join(failures) if failures else "")
+
+
+def kinds(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
+    """Runs of the grid, runs from starts off the truth, and disturbed runs."""
+    grid, starts, disturbed = [], [], []
+    for row in rows:
+        (starts if row["start"] is not None else disturbed if row["disturbance"] is not None else grid).append(row)
+    return grid, starts, disturbed
 
 
 def accuracy(rows: list[dict], variant: str = "default") -> str:
@@ -131,8 +142,33 @@ def pooled(rows: Iterable[dict]) -> dict[str, dict]:
 
 def reliability_curves(rows: Iterable[dict], variant: str = "default") -> dict[str, tuple[tuple[float, ...], list[float]]]:
     """Nominal probabilities and observed shares by group, for the reliability diagram."""
-    chosen = [row for row in rows if row["variant"] == variant and row["start"] is None and "failed" not in row]
+    chosen = [row for row in kinds(list(rows))[0] if row["variant"] == variant and "failed" not in row]
     return {group: (NOMINAL, pool["inside"]) for group, pool in pooled(chosen).items()}
+
+
+def unsegmented(rows: list[dict], variant: str = "default") -> str:
+    """The error with the points of the whole person over that with the garment's alone."""
+    cells = _by(rows, lambda row: (row["sequence"], view_of(row | {"segmented": True}), row["segmented"]), variant)
+    lines = []
+    for place in dict.fromkeys(key[:2] for key in cells):
+        alone, person = (mean(cells.get((*place, segmented), []), "rmse_mm") for segmented in (True, False))
+        if alone is not None and person is not None:
+            lines.append([*place, _number(alone), _number(person), f"{person / alone:.2f}"])
+    return _markdown(["sequence", "view", "garment alone, RMSE mm", "whole person", "ratio"], lines)
+
+
+def recovered(rows: list[dict]) -> str:
+    """Of the disturbed runs, how many were within 1.5 times the undisturbed run's error after at most 10 frames."""
+    lines = []
+    for (variant, what), runs in _by(rows, lambda row: (row["variant"].partition("=")[0], row["disturbance"])).items():
+        slow = [row for row in runs if not _soon(row, "rmse_mm", BACK)]
+        taken = sorted(row.get("frames_until_rmse_mm") or np.inf for row in runs)
+        lost = sum("lost" in row.get("states", {}) for row in runs)
+        exceptions = ", ".join(f"{row['sequence']} {view_of(row)} ({row.get('frames_until_rmse_mm')})" for row in slow)
+        back = f"{len(runs) - len(slow)} of {len(runs)}"
+        lines.append([variant, what, back, f"{taken[len(taken) // 2]:.0f}", str(lost), exceptions])
+    heads = ["variant", "disturbance", "back within 10 frames", "median frames", "runs declared lost", "later (frames)"]
+    return _markdown(heads, lines)
 
 
 def converged(rows: list[dict]) -> str:
@@ -155,7 +191,7 @@ def success(row: dict) -> bool:
 
 def summary(rows: list[dict]) -> dict:
     """What is worth keeping of a file of rows: means per sequence, view and variant, and the pooled calibration."""
-    grid = [row for row in rows if row["start"] is None]
+    grid, starts, disturbed = kinds(rows)
     keys = ("rmse_mm", *(key for _, key, _ in ACCURACY), "spearman_sigma", "stretch_error_pct", "bend_error_deg")
     runs = [
         {"sequence": sequence, "view": view, "variant": variant, "runs": len(part)}
@@ -163,18 +199,24 @@ def summary(rows: list[dict]) -> dict:
         for (sequence, view, variant), part in _by(grid, lambda row: (row["sequence"], view_of(row), row["variant"])).items()
     ]
     pools = pooled(row for row in grid if row["variant"] == "default" and "failed" not in row)
-    starts = [row for row in rows if row["start"] is not None]
     return {
         "commits": sorted({str(row.get("commit")) for row in rows}),
         "runs": runs,
         "calibration": {group: {name: _rounded(value) for name, value in pool.items()} for group, pool in pools.items()},
-        "starts": {"runs": len(starts), "converged": sum(map(success, starts))},
+        "starts": _counts(starts, lambda row: row["variant"], success),
+        "disturbances": _counts(
+            disturbed, lambda row: f"{row['variant']}, {row['disturbance']}", lambda row: _soon(row, "rmse_mm", BACK)
+        ),
     }
 
 
-def _soon(row: dict, name: str) -> bool:
+def _soon(row: dict, name: str, within: int = WITHIN) -> bool:
     taken = row.get(f"frames_until_{name}")
-    return taken is not None and taken <= WITHIN
+    return taken is not None and taken <= within
+
+
+def _counts(rows: list[dict], key: Callable[[dict], str], good: Callable[[dict], bool]) -> dict[str, dict[str, int]]:
+    return {name: {"runs": len(part), "good": sum(map(good, part))} for name, part in _by(rows, key).items()}
 
 
 def _by(rows: Iterable[dict], key: Callable[[dict], tuple], variant: str | None = None) -> dict[tuple, list[dict]]:

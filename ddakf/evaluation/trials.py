@@ -11,8 +11,8 @@ import os
 import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from dataclasses import asdict, dataclass, fields, replace
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +23,9 @@ from ddakf.config import Config
 from ddakf.errors import DdakfError, InvalidArgument
 from ddakf.evaluation import metrics
 from ddakf.evaluation.baselines import BASELINES, baseline
+from ddakf.evaluation.degradations import CLEAN, DISTURBANCES, Script
 from ddakf.evaluation.sensors import Cloud, Sensor
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.sequence import Sequence, load_sequence
 from ddakf.tracker import Tracker
@@ -33,6 +35,7 @@ FIRST_FRAMES, LAST_FRAMES = 59, 10  # tracked frames that the means "first60" (f
 NOMINAL = tuple(round(0.05 * k, 2) for k in range(1, 20)) + (0.99,)  # probabilities of the reliability diagram
 OFFSET, TURN = 0.10, np.radians(20)  # m, rad: how far off a trial of the start begins
 CONVERGED, START_FRAMES = 1.2, 20  # times the error of the run from the truth; frames that such a trial lasts
+RECOVERED, FRAMES_AFTER = 1.5, 20  # times the error of the undisturbed run; frames that are tracked after a disturbance
 
 
 @dataclass(frozen=True)
@@ -51,6 +54,7 @@ class Trial:
         points: per cloud at most.
         noise: standard deviation, metres.
         start: number of a random start off the truth, see :func:`astray`; None starts at the truth.
+        disturbance: name of one of :data:`ddakf.evaluation.degradations.DISTURBANCES`, or None.
     """
 
     sequence: str
@@ -64,11 +68,12 @@ class Trial:
     points: int = 10_000
     noise: float = 0.003
     start: int | None = None
+    disturbance: str | None = None
 
-    @property
-    def key(self) -> str:
-        """Text that tells this trial from every other."""
-        return json.dumps(asdict(self), sort_keys=True)
+    @classmethod
+    def of(cls, row: dict) -> Trial:
+        """The trial of a row; fields that the row does not know have their defaults."""
+        return cls(**{field.name: row[field.name] for field in fields(cls) if field.name in row})
 
 
 class Estimate(NamedTuple):
@@ -83,7 +88,7 @@ class Estimate(NamedTuple):
     state: str | None = None
 
 
-Method = Callable[[Cloud, float, np.ndarray | None], Estimate]
+Method = Callable[[Frame], Estimate]
 
 
 # Methods ------------------------------------------------------------------------------------------------------------
@@ -122,12 +127,17 @@ def configuration(variant: str) -> Config:
     return known[name]
 
 
-def _tracker(variant: str, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
-    tracker = Tracker(garment, body=body, config=configuration(variant))
+def _tracker(config: Config, variant: str, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    tracker = Tracker(garment, body=body, config=config)
     tracker.reset(vertices=start)
 
-    def step(cloud: Cloud, timestamp: float, body_vertices: np.ndarray | None) -> Estimate:
-        r = tracker.step(cloud.points, timestamp=timestamp, sensor_origin=cloud.sensor_origin, body_vertices=body_vertices)
+    def step(frame: Frame) -> Estimate:
+        r = tracker.step(
+            frame.points,
+            timestamp=frame.timestamp,
+            sensor_origin=frame.sensor_origin,
+            body_vertices=frame.body_vertices,
+        )
         return Estimate(r.vertices, r.covariance, r.observed, r.reliability, r.paper_score, r.coverage, r.state)
 
     return step
@@ -137,8 +147,8 @@ def _baseline(name: str, garment: Mesh, start: np.ndarray, body: Mesh | None) ->
     method = baseline(name)
     method.start(garment, start, body)
 
-    def step(cloud: Cloud, timestamp: float, body_vertices: np.ndarray | None) -> Estimate:
-        return Estimate(method.step(cloud.points, timestamp, cloud.sensor_origin, body_vertices))
+    def step(frame: Frame) -> Estimate:
+        return Estimate(method.step(frame.points, frame.timestamp, frame.sensor_origin, frame.body_vertices))
 
     return step
 
@@ -172,7 +182,7 @@ def _folder() -> Path | None:
     return Path(root, "sequences") if root else None
 
 
-@lru_cache(maxsize=512)
+@lru_cache(maxsize=256)
 def _cloud(name: str, frame: int, seed: int, sensor: Sensor) -> Cloud:
     return sensor.capture(recording(name), frame, np.random.default_rng([seed, frame]))
 
@@ -208,49 +218,83 @@ def run(trial: Trial) -> dict:
     """Runs a trial.
 
     Returns:
-        The trial's fields and key, and what :class:`Record` sums up; or, where the method could not go on, ``failed`` with
+        The trial's fields, and what :meth:`Record.summary` gives; with a start off the truth or a disturbance also
+        ``reference_rmse_mm`` and ``reference_normal_rmse_mm``, per frame, of the run from the truth or the undisturbed one,
+        and ``frames_until_rmse_mm`` and ``frames_until_normal_rmse_mm``, after which the error was within
+        :data:`CONVERGED` or :data:`RECOVERED` times that, None for never. Where the method could not go on, ``failed`` with
         its sentence.
+
+    Raises:
+        InvalidArgument: no such variant, view, disturbance or recording.
     """
-    row = asdict(trial) | {"key": trial.key}
+    method = _baseline if trial.variant in BASELINES else partial(_tracker, configuration(trial.variant))
+    recording(trial.sequence), _sensor(trial), _script(trial)
     try:
-        return row | (_start(trial) if trial.start is not None else _track(trial, _clouds(trial)).summary())
+        return asdict(trial) | _outcome(trial, method)
     except (DdakfError, ArithmeticError, np.linalg.LinAlgError) as error:
-        if isinstance(error, InvalidArgument) and error.field in ("variant", "sequence", "view"):
-            raise
-        return row | {"failed": f"{type(error).__name__}: {error}"}
+        return asdict(trial) | {"failed": f"{type(error).__name__}: {error}"}
 
 
-def _clouds(trial: Trial) -> Iterator[tuple[int, Cloud]]:
-    sensor = Sensor(trial.view, trial.points, trial.noise, segmented=trial.segmented)
-    for number in _numbers(trial):
-        yield number, _cloud(trial.sequence, number, trial.seed, sensor)
+def _outcome(trial: Trial, method) -> dict:
+    if trial.start is not None:
+        trial = replace(trial, frames=trial.frames or START_FRAMES)
+        return _compared(_track(trial, method), _track(replace(trial, start=None), method), CONVERGED)
+    if trial.disturbance is not None:
+        last = _script(trial).events[-1].last
+        trial = replace(trial, frames=trial.frames or last + FRAMES_AFTER)
+        disturbed, calm = _track(trial, method), _track(replace(trial, disturbance=None), method)
+        return _compared(disturbed, calm, RECOVERED, after=trial.first + last)
+    return _track(trial, method).summary()
 
 
-def _track(trial: Trial, clouds: Iterator[tuple[int, Cloud]]) -> Record:
+def _compared(record: Record, reference: Record, factor: float, after: int = -1) -> dict:
+    """A run's summary, and how long after frame number ``after`` its errors came within those of another."""
+    place = {number: k for k, number in enumerate(reference.numbers)}
+    compared = {}
+    for name in ("rmse_mm", "normal_rmse_mm"):
+        other = [reference.frames[name][place[number]] for number in record.numbers]
+        compared[f"reference_{name}"] = _short(other)
+        pairs = [(e, r) for n, e, r in zip(record.numbers, record.frames[name], other, strict=True) if n > after]
+        compared[f"frames_until_{name}"] = metrics.frames_until_within(*np.array(pairs).reshape(-1, 2).T, factor)
+    return record.summary() | compared
+
+
+def _sensor(trial: Trial) -> Sensor:
+    return Sensor(trial.view, trial.points, trial.noise, segmented=trial.segmented)
+
+
+def _script(trial: Trial) -> Script:
+    known = {script.name: script for script in DISTURBANCES} | {None: CLEAN}
+    if trial.disturbance not in known:
+        raise InvalidArgument("disturbance", f"one of {', '.join(filter(None, known))}", repr(trial.disturbance))
+    return known[trial.disturbance]
+
+
+def _frames(trial: Trial) -> Iterator[Frame]:
+    """What arrives."""
+    sequence, sensor = recording(trial.sequence), _sensor(trial)
+
+    def undisturbed() -> Iterator[Frame]:
+        for number in _numbers(trial):
+            points, origin = _cloud(trial.sequence, number, trial.seed, sensor)
+            body = sequence.body_vertices[number] if trial.body else None
+            yield Frame(number, sequence.timestamp(number), points, origin, body)
+
+    return (frame for frame, _ in _script(trial).apply(undisturbed(), trial.seed))
+
+
+def _track(trial: Trial, method) -> Record:
     sequence = recording(trial.sequence)
     garment = Mesh(sequence.template, sequence.garment_faces)
     truth = sequence.garment_vertices[trial.first].astype(np.float64)
     start = truth if trial.start is None else astray(sequence.template, truth, trial.start)
     body = Mesh(sequence.body_vertices[trial.first], sequence.body_faces) if trial.body else None
-    step = (_baseline if trial.variant in BASELINES else _tracker)(trial.variant, garment, start, body)
-    record = Record(garment, sequence)
-    for number, cloud in clouds:
-        body_vertices = sequence.body_vertices[number] if trial.body else None
+    step, record = method(trial.variant, garment, start, body), Record(garment, sequence)
+    for frame in _frames(trial):
         wall, cpu = time.perf_counter(), time.thread_time()
-        estimate = step(cloud, sequence.timestamp(number), body_vertices)
-        record.add(number, estimate, time.thread_time() - cpu, time.perf_counter() - wall)
+        estimate = step(frame)
+        record.add(frame.number, estimate, time.thread_time() - cpu, time.perf_counter() - wall)
     return record
-
-
-def _start(trial: Trial) -> dict:
-    """A run from a random start beside the one from the truth, on the same clouds."""
-    trial = replace(trial, frames=trial.frames or START_FRAMES)
-    off, right = (_track(t, _clouds(t)) for t in (trial, replace(trial, start=None)))
-    summary = {f"truth_{name}": right.frames[name] for name in ("rmse_mm", "normal_rmse_mm")}
-    for name in ("rmse_mm", "normal_rmse_mm"):
-        taken = metrics.frames_until_within(off.frames[name], right.frames[name], CONVERGED)
-        summary[f"frames_until_{name}"] = taken
-    return off.summary() | {name: _short(value) for name, value in summary.items()}
 
 
 class Record:

@@ -5,7 +5,7 @@ import pytest
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.baselines import BASELINES, baseline
-from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp, closest_rotations
+from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp, best_rotations, turned
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.mesh import Mesh
@@ -33,7 +33,7 @@ def garment():
     return box()
 
 
-def turned(vertices, angle, shift):
+def moved(vertices, angle, shift):
     c, s = np.cos(angle), np.sin(angle)
     return vertices @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) + shift
 
@@ -48,7 +48,7 @@ def test_it_follows_a_rigid_motion(garment):
     method, rng = baseline("nicp"), np.random.default_rng(0)
     method.start(garment, garment.vertices, None)
     for k in range(1, 8):
-        truth = turned(garment.vertices, 0.03 * k, [0.01 * k, 0.005 * k, 0])
+        truth = moved(garment.vertices, 0.03 * k, [0.01 * k, 0.005 * k, 0])
         points = sample_surface(truth, garment.faces, 3000, rng)
         estimate = method.step(points, k / 30, None, None)
     assert rmse_mm(garment.vertices, truth) > 60
@@ -65,14 +65,14 @@ def test_without_points_it_stays_where_it_is(garment):
 def test_without_points_it_goes_on_and_comes_to_rest(garment):
     method = NonRigidIcp(NicpSettings(momentum=0.8))
     method.start(garment, garment.vertices, None)
-    moving = garment.vertices + [0.004, 0, 0]
+    near = garment.vertices + [0.004, 0, 0]
     for _ in range(30):
-        first = method.step(moving, 0.0, None, None)
-    moved = method.step(moving + [0.004, 0, 0], 0.0, None, None)
+        first = method.step(near, 0.0, None, None)
+    last = method.step(near + [0.004, 0, 0], 0.0, None, None)
     ahead = [method.step(np.zeros((0, 3)), 0.0, None, None) for _ in range(60)]
-    step = (moved - first).mean(axis=0)[0]
-    assert (ahead[0] - moved).mean(axis=0)[0] == pytest.approx(0.8 * step)
-    assert (ahead[-1] - moved).mean(axis=0)[0] == pytest.approx(4 * step, rel=1e-4)  # 0.8 + 0.8^2 + ...
+    step = (last - first).mean(axis=0)[0]
+    assert (ahead[0] - last).mean(axis=0)[0] == pytest.approx(0.8 * step)
+    assert (ahead[-1] - last).mean(axis=0)[0] == pytest.approx(4 * step, rel=1e-4)  # 0.8 + 0.8^2 + ...
 
 
 def test_points_beyond_the_gate_do_not_pull(garment):
@@ -105,13 +105,22 @@ def test_results_belong_to_the_caller(garment):
     assert rmse_mm(method.step(garment.vertices, 0.1, None, None), kept) < 2
 
 
-def test_closest_rotations_are_rotations_also_of_reflections_and_flat_matrices():
+def test_best_rotations_are_rotations_also_of_reflections_and_flat_matrices():
     rng = np.random.default_rng(0)
     matrices = np.concatenate([rng.normal(size=(50, 3, 3)), rng.normal(size=(5, 3, 1)) * rng.normal(size=(5, 1, 3))])
-    rotation = closest_rotations(matrices)
+    rotation = best_rotations(matrices)
     assert np.allclose(rotation @ rotation.transpose(0, 2, 1), np.eye(3))
     assert np.allclose(np.linalg.det(rotation), 1)
-    assert np.allclose(closest_rotations(rotation @ np.diag([3.0, 2.0, 1.0])), rotation)
+    assert np.allclose(best_rotations(rotation @ np.diag([3.0, 2.0, 1.0])), rotation)
+
+
+def test_turning_step_by_step_ends_at_the_best_rotations():
+    rng = np.random.default_rng(0)
+    matrices = np.eye(3) + 0.3 * rng.normal(size=(200, 3, 3))
+    best = best_rotations(matrices)
+    rotation = turned(np.tile(np.eye(3), (200, 1, 1)), matrices, 60)
+    assert np.allclose(rotation, best, atol=1e-6)
+    assert np.allclose(turned(best, matrices, 1), best, atol=1e-12)
 
 
 def test_baselines_go_by_name():

@@ -11,9 +11,10 @@ import pytest
 
 from ddakf import Config
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation import tables, trials
+from ddakf.evaluation import metrics, tables, trials
 from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.baselines.nicp import NonRigidIcp
+from ddakf.evaluation.degradations import DISTURBANCES
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).parents[2]
@@ -56,10 +57,9 @@ def test_the_same_trial_gives_the_same_row(rows):
     assert {k: v for k, v in again.items() if k not in TIMES} == {k: v for k, v in rows[0].items() if k not in TIMES}
 
 
-def test_keys_tell_trials_apart():
-    others = [replace(SHORT, seed=2), replace(SHORT, variant="paper"), replace(SHORT, body=True), replace(SHORT, start=0)]
-    assert len({trial.key for trial in [SHORT, *others]}) == 5
-    assert SHORT.key == replace(SHORT).key
+def test_a_row_knows_its_trial(rows):
+    assert Trial.of(rows[0]) == SHORT
+    assert Trial.of({"sequence": "sample", "view": "front"}) == Trial("sample", "front")
 
 
 def test_every_ablation_differs_from_the_default_in_one_stage():
@@ -77,9 +77,10 @@ def test_variants_by_name_and_by_json():
             trials.configuration(wrong)
 
 
-def test_an_unknown_recording_is_named_and_no_row():
-    with pytest.raises(InvalidArgument, match="nowhere"):
-        trials.run(replace(SHORT, sequence="nowhere"))
+def test_what_there_is_not_is_named_and_no_row():
+    for name in ("sequence", "view", "variant"):
+        with pytest.raises(InvalidArgument, match="nowhere"):
+            trials.run(replace(SHORT, **{name: "nowhere"}))
 
 
 def test_what_a_method_cannot_do_is_a_row_that_says_so(monkeypatch, rows):
@@ -114,12 +115,37 @@ def test_a_start_astray_is_a_rigid_motion_by_ten_centimetres_and_twenty_degrees(
 def test_a_start_is_compared_with_the_run_from_the_truth():
     row = trials.run(replace(SHORT, start=0, first=30, frames=3))
     assert row["per_frame"]["number"] == [31, 32, 33]
-    assert len(row["truth_rmse_mm"]) == 3
-    assert row["per_frame"]["rmse_mm"][0] > row["truth_rmse_mm"][0]
+    assert row["reference_rmse_mm"] == trials.run(replace(SHORT, first=30, frames=3))["per_frame"]["rmse_mm"]
+    assert row["per_frame"]["rmse_mm"][0] > row["reference_rmse_mm"][0]
     assert tables.success(row | {"frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": 15})
     assert not tables.success(row | {"frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": None})
     skirt = row | {"sequence": "sim_skirt_dance", "frames_until_normal_rmse_mm": 15, "frames_until_rmse_mm": 16}
     assert tables.success(skirt)
+
+
+def test_a_disturbed_run_is_compared_with_the_undisturbed_one():
+    gap, missing = (script.name for script in DISTURBANCES[:2])
+    calm = trials.run(replace(SHORT, frames=52))["per_frame"]["rmse_mm"]
+    for name, numbers in ((gap, [*range(1, 31), *range(46, 53)]), (missing, list(range(1, 53)))):
+        row = trials.run(replace(SHORT, frames=52, disturbance=name))
+        per_frame = row["per_frame"]
+        assert per_frame["number"] == numbers
+        assert row["reference_rmse_mm"] == [calm[number - 1] for number in numbers]
+        assert per_frame["rmse_mm"][:30] == calm[:30], "until then nothing has happened"
+        assert per_frame["rmse_mm"][30] != calm[numbers[30] - 1]
+        ratio = np.divide(per_frame["rmse_mm"], row["reference_rmse_mm"])
+        after = numbers.index(46 if name == gap else 51)
+        assert row["frames_until_rmse_mm"] == metrics.frames_until_within(ratio[after:], np.ones(52 - numbers[after] + 1), 1.5)
+    assert "| default | " + missing in tables.report([row])
+    with pytest.raises(InvalidArgument, match="disturbance"):
+        trials.run(replace(SHORT, disturbance="an earthquake"))
+
+
+def test_unsegmented_points_are_compared_with_the_garments_own(rows):
+    person = json.loads(json.dumps(trials.run(replace(SHORT, view="front", body=True, segmented=False))))
+    line = tables.unsegmented([rows[2], person]).splitlines()[-1]
+    assert line.startswith("| sample | front+body |")
+    assert float(line.split("|")[-2]) == pytest.approx(person["rmse_mm"] / rows[2]["rmse_mm"], abs=0.006)
 
 
 def test_pooling_two_runs_is_as_if_they_were_one():

@@ -23,6 +23,8 @@ from scipy.spatial import cKDTree
 from ddakf.mesh import Mesh, vertex_normals
 
 LEAST_POINTS = 8  # a frame with fewer moves on as predicted
+ROTATION_STEPS = 2  # per iteration; they start where the last one ended
+TINY = 1e-20  # m^2
 
 
 @dataclass(frozen=True)
@@ -52,15 +54,19 @@ class NonRigidIcp:
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        n = garment.n_vertices
-        first, second = garment.edges.T
-        self._from, self._to = np.concatenate([first, second]), np.concatenate([second, first])
-        self._faces, self._rest = garment.faces, garment.vertices[self._from] - garment.vertices[self._to]
-        entries = np.arange(len(self._from))
-        self._sum = sparse.csr_array((np.ones(len(entries)), (self._from, entries)), (n, len(entries)))
-        adjacency = sparse.csr_array((np.ones(len(entries)), (self._from, self._to)), (n, n))
+        n, (first, second) = garment.n_vertices, garment.edges.T
+        i, j = np.concatenate([first, second]), np.concatenate([second, first])
+        adjacency = sparse.csr_array((np.ones(len(i)), (i, j)), (n, n))
         laplacian = sparse.diags_array(adjacency.sum(axis=1)) - adjacency
         self._factor = splu((self.settings.stiffness * laplacian + sparse.eye_array(n)).tocsc())
+        # row 3 i + k: component k of r_i - r_j in column j, and minus their sum in column i
+        edge = garment.vertices[i] - garment.vertices[j]
+        entries, row = np.concatenate([edge.ravel(), -edge.ravel()]), (3 * i[:, None] + np.arange(3)).ravel()
+        column = np.concatenate([np.repeat(j, 3), np.repeat(i, 3)])
+        self._lever = sparse.csr_array((entries, (np.tile(row, 2), column)), (3 * n, n))
+        self._lever_transposed = self._lever.T.tocsr()
+        self._faces = garment.faces
+        self._rotation = best_rotations(self._edge_products(np.asarray(vertices, np.float64)))
         self._position = np.array(vertices, np.float64)
         self._last = self._position.copy()
 
@@ -75,32 +81,52 @@ class NonRigidIcp:
         x = self._position + self.settings.momentum * (self._position - self._last)
         self._last = self._position
         if len(points) >= max(LEAST_POINTS, self.settings.neighbours):
-            tree = cKDTree(np.asarray(points, np.float64))
+            # a tree of many boxes is quick to build, and to leave when nothing is near
+            tree = cKDTree(np.asarray(points, np.float64), balanced_tree=False, compact_nodes=False)
             for _ in range(self.settings.iterations):
                 x = self._iterate(x, tree, sensor_origin)
         self._position = x
         return x.copy()
 
     def _iterate(self, x: np.ndarray, tree: cKDTree, sensor_origin: np.ndarray | None) -> np.ndarray:
-        distance, nearest = tree.query(x, k=self.settings.neighbours)
-        weight = np.square(np.maximum(1 - np.square(distance[:, 0] / self.settings.gate), 0))
+        settings = self.settings
+        distance, nearest = tree.query(x, k=settings.neighbours, distance_upper_bound=settings.gate)
+        found = nearest[:, 0] < tree.n
+        nearest = np.where(nearest < tree.n, nearest, np.where(found, nearest[:, 0], 0)[:, None])
+        weight = np.where(found, np.square(1 - np.square(np.where(found, distance[:, 0], 0) / settings.gate)), 0)
         if sensor_origin is not None:
             origin = sensor_origin[nearest[:, 0]] if np.ndim(sensor_origin) == 2 else sensor_origin
             weight *= (vertex_normals(x, self._faces) * (origin - x)).sum(axis=1) > 0
         pull = weight[:, None] * (tree.data[nearest].mean(axis=1) - x)
-        return self._factor.solve(self.settings.stiffness * self._rigid_laplacian(x) + x + pull)
+        self._rotation = turned(self._rotation, self._edge_products(x), ROTATION_STEPS)
+        # sum_j (R_i + R_j) / 2 (r_i - r_j), by both ends of every edge
+        rigid = -0.5 * (self._lever_transposed @ self._rotation.transpose(0, 2, 1).reshape(-1, 3))
+        return self._factor.solve(settings.stiffness * rigid + x + pull)
 
-    def _rigid_laplacian(self, x: np.ndarray) -> np.ndarray:
-        """(V, 3) sum_j (R_i + R_j) / 2 (r_i - r_j) with the best rotations of the one-rings of x."""
-        edge = x[self._from] - x[self._to]
-        outer = (edge[:, :, None] * self._rest[:, None, :]).reshape(-1, 9)
-        rotation = closest_rotations((self._sum @ outer).reshape(-1, 3, 3))
-        turned = 0.5 * ((rotation[self._from] + rotation[self._to]) @ self._rest[:, :, None])[:, :, 0]
-        return self._sum @ turned
+    def _edge_products(self, x: np.ndarray) -> np.ndarray:
+        """(V, 3, 3) sum_j (x_i - x_j) (r_i - r_j)' over the one-rings, whose closest rotations are those of x (V, 3)."""
+        return -(self._lever @ x).reshape(-1, 3, 3).transpose(0, 2, 1)
 
 
-def closest_rotations(matrices: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rotations R that maximise trace(R' M) for matrices M (n, 3, 3) (Kabsch 1976)."""
+def best_rotations(matrices: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) rotations R that maximise trace(R' M) for matrices M (n, 3, 3), by singular values (Kabsch 1976)."""
     u, _, vt = np.linalg.svd(matrices)
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
     return u @ vt
+
+
+def turned(rotation: np.ndarray, matrices: np.ndarray, steps: int) -> np.ndarray:
+    """Rotations R (n, 3, 3) after so many steps toward :func:`best_rotations` of M, at a third of its cost from nearby: omega =
+    sum_k r_k x m_k / |sum_k r_k . m_k| over the columns (Mueller, Bender, Chentanez and Macklin 2016, "A robust method to extract
+    the rotational part of deformations"), applied as Cayley's rotation."""
+    for _ in range(steps):
+        product = matrices @ rotation.transpose(0, 2, 1)
+        h = 0.5 * np.stack([product[:, a, b] - product[:, b, a] for a, b in ((2, 1), (0, 2), (1, 0))], axis=1)
+        h /= np.abs(np.trace(product, axis1=1, axis2=2))[:, None] + TINY
+        square = (h**2).sum(axis=1)[:, None, None]
+        cayley = h[:, :, None] * h[:, None, :] + 0.5 * (1 - square) * np.eye(3)
+        for axis, (a, b) in enumerate(((2, 1), (0, 2), (1, 0))):
+            cayley[:, a, b] += h[:, axis]
+            cayley[:, b, a] -= h[:, axis]
+        rotation = (2 / (1 + square)) * cayley @ rotation
+    return rotation
