@@ -51,9 +51,10 @@ def preprocess(
     match config.associate:
         case PlaneAssociation(wide_gate=gate) | NearestPoint(gate=gate):
             margin = 2.0 * gate
-    chosen = np.empty(len(points), np.int32)
-    chosen = chosen[: kernels.crop(points, position.min(axis=0) - margin, position.max(axis=0) + margin, chosen)]
-    grid = _grid(points, chosen, area, config.preprocess)
+    lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(points), np.int32)
+    kernels.bounds(position, margin, lower, upper)
+    chosen = chosen[: kernels.crop(points, lower, upper, chosen)]
+    grid = _grid(points, chosen, lower, upper, area, config.preprocess)
     if len(chosen):
         match config.preprocess:
             case GridFilter():
@@ -78,13 +79,12 @@ def preprocess(
     return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor)
 
 
-def _grid(points, chosen, area, config):
-    """Sorted points of the chosen ones, their indices, cell starts, origin, cell size and dimensions."""
+def _grid(points, chosen, lower, upper, area, config):
+    """Sorted points of the chosen ones, between lower and upper, their indices, cell starts, origin, cell size and dimensions."""
     if len(chosen) == 0:
         return np.empty((3, 0), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
-    inside = points[chosen]
-    origin = inside.min(axis=0).astype(np.float64) - 1e-6
-    extent = inside.max(axis=0).astype(np.float64) - origin + 1e-6
+    origin = lower - 1e-6
+    extent = upper - origin + 1e-6
     per_cell = config.points_per_cell if isinstance(config, GridFilter) else 5.0
     cell = float(np.sqrt(per_cell * area / len(chosen)))
     cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / MAX_CELLS ** (1 / 3))) ** (1 / 3))
@@ -108,11 +108,11 @@ def _drop_sparse(grid, config: GridFilter):
     points, index, start, _, cell, dims = grid
     count = np.empty(len(start) - 2, np.int32)
     kernels.neighbourhood_counts(start, dims, count)
-    per_point = np.repeat(count, np.diff(start[:-1]))
-    suspect = per_point < config.suspect_share * np.median(per_point)
-    suspects, rest = np.flatnonzero(suspect), np.flatnonzero(~suspect)
-    if len(suspects) == 0:
+    suspects, rest = np.empty(len(index), np.int32), np.empty(len(index), np.int32)
+    n = kernels.split(start, count, config.suspect_share, suspects, rest)
+    if n == 0:
         return grid
+    suspects, rest = suspects[:n], rest[: len(index) - n]
     sample = rest[:: max(1, len(rest) // config.sample)]
     distance = np.empty(len(suspects) + len(sample))
     kernels.knn_mean_distances(

@@ -42,16 +42,22 @@ def weigh(
         return weight
     if measurement.normal is None:
         y = measurement.innovation(position)[found]
-        d2, dimension = np.einsum("va,va->v", y, np.linalg.solve((prior_covariance + R)[found], y[..., None])[..., 0]), 3
-    else:
-        y2, variance = np.empty(len(found)), np.empty(len(found))
-        kernels.along_normals(position, measurement.target, measurement.normal, R, y2, variance)
-        y2, variance = y2[found], variance[found]
-        scale2 = max(1.4826**2 * float(np.median(y2)), float(np.median(variance)))
-        d2, dimension = y2 / np.maximum(variance, scale2), 1
-    gated = d2 > gate_threshold(config.gate_probability, dimension)
-    weight[found] = np.where(gated, 0.0, tukey(np.sqrt(d2), config.cutoff))
+        d2 = np.einsum("va,va->v", y, np.linalg.solve((prior_covariance + R)[found], y[..., None])[..., 0])
+        gated = d2 > gate_threshold(config.gate_probability, 3)
+        weight[found] = np.where(gated, 0.0, tukey(np.sqrt(d2), config.cutoff))
+        return weight
+    squared, variance = np.empty(len(found)), np.empty(len(found))
+    kernels.along_normals(position, measurement.target, measurement.normal, R, squared, variance)
+    scale2 = max(1.4826**2 * median(squared[found]), median(variance[found]))
+    kernels.bisquare(found, squared, variance, scale2, config.cutoff, gate_threshold(config.gate_probability, 1), weight)
     return weight
+
+
+def median(values: np.ndarray) -> float:
+    """Of (K,) finite values, which are reordered."""
+    half = len(values) // 2
+    values.partition(half)
+    return float(values[half] if len(values) % 2 else 0.5 * (values[:half].max() + values[half]))
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:

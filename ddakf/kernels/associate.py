@@ -5,7 +5,11 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from ddakf.kernels import FAST
+
 BLEND = 4  # surfels that a measurement is averaged over
+CANDIDATES = 256  # surfels that are looked at together, a power of two
+NONE = np.int32(2**31 - 1)
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: no search has been made there
 
@@ -30,7 +34,34 @@ def vertex_normals(position, faces, normal):
             normal[v, a] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+@njit(nogil=True, cache=True, error_model="numpy")
+def keep_nearest(squared, bits, index, n):
+    """Moves the BLEND nearest of n candidates to the front, in order. Returns how many there are.
+
+    Positive floats are ordered as their bits are: with the candidate's number in the lowest ones, a distance and its owner are
+    sorted as one integer, without a branch. Distances that agree to 2^-15 count as equal.
+
+    Args:
+        squared: (CANDIDATES,) float32 square metres, in and out.
+        bits: the same memory as int32.
+        index: (CANDIDATES,) in and out, numbers of the surfels.
+        n: candidates.
+    """
+    number, coarse = np.int32(CANDIDATES - 1), np.int32(~(CANDIDATES - 1))
+    a = b = c = d = NONE
+    for m in range(n):
+        key = (bits[m] & coarse) | np.int32(m)
+        key, a = max(a, key), min(a, key)
+        key, b = max(b, key), min(b, key)
+        key, c = max(c, key), min(c, key)
+        d = min(d, key)
+    a, b, c, d = a & number, b & number, c & number, d & number
+    squared[0], squared[1], squared[2], squared[3] = squared[a], squared[b], squared[c], squared[d]
+    index[0], index[1], index[2], index[3] = index[a], index[b], index[c], index[d]
+    return min(n, BLEND)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def nearest_planes(
     position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, oriented, still,
     searched_at, target, plane_normal, distance,
@@ -61,8 +92,8 @@ def nearest_planes(
     least = np.float32(min_cosine)
     X, Y, Z = surfels[0], surfels[1], surfels[2]
     NX, NY, NZ = surfels[3], surfels[4], surfels[5]
-    best = np.empty(BLEND, np.float32)
-    slot_of = np.empty(BLEND, np.int64)
+    squared, index = np.zeros(CANDIDATES, np.float32), np.zeros(CANDIDATES, np.int64)
+    bits = squared.view(np.int32)
     for v in range(position.shape[0]):
         if not eligible[v]:
             distance[v] = -1.0
@@ -86,11 +117,11 @@ def nearest_planes(
         )
         limit = np.float32(gate * gate)
         found = 0
-        for ring in range(reach + 1):
+        for ring in range(1, reach + 1):
             for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
                 for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
                     row = (jx * ny + jy) * nz
-                    whole = ring == 0 or abs(jx - ix) == ring or abs(jy - iy) == ring
+                    whole = ring == 1 or abs(jx - ix) == ring or abs(jy - iy) == ring
                     for part in range(1 if whole else 2):
                         if whole:
                             z0, z1 = max(iz - ring, 0), min(iz + ring, nz - 1)
@@ -101,37 +132,31 @@ def nearest_planes(
                         for k in range(start[row + z0], start[row + z1 + 1]):
                             dx, dy, dz = X[k] - px, Y[k] - py, Z[k] - pz
                             d2 = dx * dx + dy * dy + dz * dz
-                            if d2 >= limit:
-                                continue
                             agreement = NX[k] * ax + NY[k] * ay + NZ[k] * az
                             if not oriented:
                                 agreement = abs(agreement)
-                            if agreement < least:
-                                continue
-                            slot = min(found, BLEND - 1)
-                            while slot > 0 and best[slot - 1] > d2:
-                                best[slot] = best[slot - 1]
-                                slot_of[slot] = slot_of[slot - 1]
-                                slot -= 1
-                            best[slot] = d2
-                            slot_of[slot] = k
-                            if found < BLEND:
-                                found += 1
-                            if found == BLEND:
-                                limit = best[BLEND - 1]
+                            # written in any case, counted where it fits: no branch to mispredict
+                            squared[found] = d2
+                            index[found] = k
+                            found += int((d2 < limit) & (agreement >= least))
+                            if found == CANDIDATES:
+                                found = keep_nearest(squared, bits, index, found)
+            found = keep_nearest(squared, bits, index, found)
+            if found == BLEND:
+                limit = squared[BLEND - 1]
             searched = ring * cell + margin
             if found == BLEND and limit <= searched * searched:
                 break
             # one compatible surfel well inside the searched ball is enough: the others only smooth
-            if found > 0 and best[0] <= 0.25 * searched * searched:
+            if found > 0 and squared[0] <= 0.25 * searched * searched:
                 break
         if found == 0:
             continue
-        soft = best[0] + (0.25 * cell) ** 2
+        soft = squared[0] + (0.25 * cell) ** 2
         sw = tx = ty = tz = mx = my = mz = 0.0
         for m in range(found):
-            k = slot_of[m]
-            w = 1.0 / (best[m] + soft)
+            k = index[m]
+            w = 1.0 / (squared[m] + soft)
             signed = -w if NX[k] * ax + NY[k] * ay + NZ[k] * az < 0.0 else w
             sw += w
             tx += w * X[k]
@@ -143,7 +168,7 @@ def nearest_planes(
         length = sqrt(mx * mx + my * my + mz * mz)
         if length < 1e-12:
             continue
-        distance[v] = sqrt(best[0])
+        distance[v] = sqrt(squared[0])
         target[v, 0] = tx / sw + origin[0]
         target[v, 1] = ty / sw + origin[1]
         target[v, 2] = tz / sw + origin[2]

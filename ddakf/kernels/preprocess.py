@@ -5,20 +5,39 @@ from math import acos, cos, pi, sqrt
 import numpy as np
 from numba import njit
 
+LANES = 16  # neighbours that are summed up side by side
+FAR = np.float32(1e9)  # m: outside any radius
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def bounds(points, margin, lower, upper):
+    """(3,) out: the box around the points, ``margin`` metres wider on all sides."""
+    x0 = y0 = z0 = np.inf
+    x1 = y1 = z1 = -np.inf
+    for i in range(points.shape[0]):
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+        x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    lower[0], lower[1], lower[2] = x0 - margin, y0 - margin, z0 - margin
+    upper[0], upper[1], upper[2] = x1 + margin, y1 + margin, z1 + margin
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def crop(points, lower, upper, kept):
-    """Indices of the points inside a box, in order. Returns their number."""
+    """Indices of the points inside a box, in order. Returns their number; the box shrinks to them."""
+    x0 = y0 = z0 = np.inf
+    x1 = y1 = z1 = -np.inf
     n = 0
     for i in range(points.shape[0]):
-        inside = True
-        for a in range(3):
-            if points[i, a] < lower[a] or points[i, a] > upper[a]:
-                inside = False
-                break
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        inside = (x >= lower[0]) & (x <= upper[0]) & (y >= lower[1]) & (y <= upper[1]) & (z >= lower[2]) & (z <= upper[2])
         if inside:
             kept[n] = i
             n += 1
+            x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
+            x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
+    lower[0], lower[1], lower[2] = x0, y0, z0
+    upper[0], upper[1], upper[2] = x1, y1, z1
     return n
 
 
@@ -82,6 +101,47 @@ def neighbourhood_counts(start, dims, count):
                         r = (jx * ny + jy) * nz
                         total += start[r + z1 + 1] - start[r + z0]
                 count[c] = total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def split(start, count, share, suspect, rest):
+    """Points of cells whose (cells,) count is below ``share`` of the median point's, and the others, in order.
+
+    Returns the number of suspects. The median is exact: counts are small integers.
+
+    Args:
+        start, count: of the grid, and of :func:`neighbourhood_counts`.
+        share: of the median.
+        suspect, rest: (M,) out, indices of sorted points.
+    """
+    cells = count.shape[0]
+    most = 0
+    for c in range(cells):
+        most = max(most, count[c])
+    points = np.zeros(most + 1, np.int64)
+    for c in range(cells):
+        points[count[c]] += start[c + 1] - start[c]
+    total = start[cells]
+    low = high = -1
+    passed = 0
+    for value in range(most + 1):
+        passed += points[value]
+        if low < 0 and passed > (total - 1) // 2:
+            low = value
+        if high < 0 and passed > total // 2:
+            high = value
+    limit = share * 0.5 * (low + high)
+    n = m = 0
+    for c in range(cells):
+        if count[c] < limit:
+            for k in range(start[c], start[c + 1]):
+                suspect[n] = k
+                n += 1
+        else:
+            for k in range(start[c], start[c + 1]):
+                rest[m] = k
+                m += 1
+    return n
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -156,33 +216,46 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
     zero, one = np.float32(0.0), np.float32(1.0)
     nx, ny, nz = dims[0], dims[1], dims[2]
     X, Y, Z = points[0], points[1], points[2]
+    near = np.empty((3, points.shape[1] + LANES), np.float32)
+    AX, AY, AZ = near[0], near[1], near[2]
+    here, padded = -1, 0
     for i in range(surfels.shape[1]):
         px, py, pz = X[i * stride], Y[i * stride], Z[i * stride]
         ix = min(max(int(px * inverse), 0), nx - 1)
         iy = min(max(int(py * inverse), 0), ny - 1)
         iz = min(max(int(pz * inverse), 0), nz - 1)
-        z0 = max(iz - 1, 0)
-        z1 = min(iz + 1, nz - 1)
+        if (ix * ny + iy) * nz + iz != here:
+            # the 27 cells around, gathered once for all points of a cell
+            here = (ix * ny + iy) * nz + iz
+            z0 = max(iz - 1, 0)
+            z1 = min(iz + 1, nz - 1)
+            n = 0
+            for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+                for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                    row = (jx * ny + jy) * nz
+                    for k in range(start[row + z0], start[row + z1 + 1]):
+                        AX[n], AY[n], AZ[n] = X[k], Y[k], Z[k]
+                        n += 1
+            padded = (n + LANES - 1) // LANES * LANES
+            for k in range(n, padded):
+                AX[k], AY[k], AZ[k] = FAR, FAR, FAR
         sw = sx = sy = sz = zero
         xx = yy = zz = xy = xz = yz = zero
-        for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
-            for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
-                row = (jx * ny + jy) * nz
-                for k in range(start[row + z0], start[row + z1 + 1]):
-                    dx, dy, dz = X[k] - px, Y[k] - py, Z[k] - pz
-                    w = max(one - (dx * dx + dy * dy + dz * dz) * inverse_r2, zero)
-                    w = w * w
-                    wx, wy, wz = w * dx, w * dy, w * dz
-                    sw += w
-                    sx += wx
-                    sy += wy
-                    sz += wz
-                    xx += wx * dx
-                    yy += wy * dy
-                    zz += wz * dz
-                    xy += wx * dy
-                    xz += wx * dz
-                    yz += wy * dz
+        for k in range(padded):
+            dx, dy, dz = AX[k] - px, AY[k] - py, AZ[k] - pz
+            w = max(one - (dx * dx + dy * dy + dz * dz) * inverse_r2, zero)
+            w = w * w
+            wx, wy, wz = w * dx, w * dy, w * dz
+            sw += w
+            sx += wx
+            sy += wy
+            sz += wz
+            xx += wx * dx
+            yy += wy * dy
+            zz += wz * dz
+            xy += wx * dy
+            xz += wx * dz
+            yz += wy * dz
         s = 1.0 / sw
         mx, my, mz = sx * s, sy * s, sz * s
         smallest, middle, ux, uy, uz = smallest_eigenvector(
