@@ -127,7 +127,7 @@ def configuration(variant: str) -> Config:
     return known[name]
 
 
-def _tracker(config: Config, variant: str, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
     tracker = Tracker(garment, body=body, config=config)
     tracker.reset(vertices=start)
 
@@ -227,24 +227,23 @@ def run(trial: Trial) -> dict:
     Raises:
         InvalidArgument: no such variant, view, disturbance or recording.
     """
-    method = _baseline if trial.variant in BASELINES else partial(_tracker, configuration(trial.variant))
-    recording(trial.sequence), _sensor(trial), _script(trial)
+    for check in (_method, _sensor, _script, _numbers):
+        check(trial)
     try:
-        return asdict(trial) | _outcome(trial, method)
+        return asdict(trial) | _outcome(trial)
     except (DdakfError, ArithmeticError, np.linalg.LinAlgError) as error:
         return asdict(trial) | {"failed": f"{type(error).__name__}: {error}"}
 
 
-def _outcome(trial: Trial, method) -> dict:
+def _outcome(trial: Trial) -> dict:
     if trial.start is not None:
         trial = replace(trial, frames=trial.frames or START_FRAMES)
-        return _compared(_track(trial, method), _track(replace(trial, start=None), method), CONVERGED)
+        return _compared(_track(trial), _reference(replace(trial, start=None)), CONVERGED)
     if trial.disturbance is not None:
         last = _script(trial).events[-1].last
         trial = replace(trial, frames=trial.frames or last + FRAMES_AFTER)
-        disturbed, calm = _track(trial, method), _track(replace(trial, disturbance=None), method)
-        return _compared(disturbed, calm, RECOVERED, after=trial.first + last)
-    return _track(trial, method).summary()
+        return _compared(_track(trial), _reference(replace(trial, disturbance=None)), RECOVERED, after=trial.first + last)
+    return _track(trial).summary()
 
 
 def _compared(record: Record, reference: Record, factor: float, after: int = -1) -> dict:
@@ -283,18 +282,28 @@ def _frames(trial: Trial) -> Iterator[Frame]:
     return (frame for frame, _ in _script(trial).apply(undisturbed(), trial.seed))
 
 
-def _track(trial: Trial, method) -> Record:
+def _method(trial: Trial):
+    return partial(_baseline, trial.variant) if trial.variant in BASELINES else partial(_tracker, configuration(trial.variant))
+
+
+def _track(trial: Trial) -> Record:
     sequence = recording(trial.sequence)
     garment = Mesh(sequence.template, sequence.garment_faces)
     truth = sequence.garment_vertices[trial.first].astype(np.float64)
     start = truth if trial.start is None else astray(sequence.template, truth, trial.start)
     body = Mesh(sequence.body_vertices[trial.first], sequence.body_faces) if trial.body else None
-    step, record = method(trial.variant, garment, start, body), Record(garment, sequence)
+    step, record = _method(trial)(garment, start, body), Record(garment, sequence)
     for frame in _frames(trial):
         wall, cpu = time.perf_counter(), time.thread_time()
         estimate = step(frame)
         record.add(frame.number, estimate, time.thread_time() - cpu, time.perf_counter() - wall)
     return record
+
+
+@lru_cache(maxsize=2)
+def _reference(trial: Trial) -> Record:
+    """What several trials in a row are compared with."""
+    return _track(trial)
 
 
 class Record:

@@ -90,7 +90,7 @@ class NonRigidIcp:
 
     def _iterate(self, x: np.ndarray, tree: cKDTree, sensor_origin: np.ndarray | None) -> np.ndarray:
         settings = self.settings
-        distance, nearest = tree.query(x, k=settings.neighbours, distance_upper_bound=settings.gate)
+        distance, nearest = tree.query(x, k=np.arange(1, settings.neighbours + 1), distance_upper_bound=settings.gate)
         found = nearest[:, 0] < tree.n
         nearest = np.where(nearest < tree.n, nearest, np.where(found, nearest[:, 0], 0)[:, None])
         weight = np.where(found, np.square(1 - np.square(np.where(found, distance[:, 0], 0) / settings.gate)), 0)
