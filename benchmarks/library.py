@@ -6,7 +6,6 @@ import gc
 import os
 import sys
 from collections import defaultdict
-from dataclasses import replace
 from pathlib import Path
 
 import inputs
@@ -14,7 +13,10 @@ import numpy as np
 
 from ddakf import Config, data
 from ddakf.evaluation import metrics
+from ddakf.evaluation.trials import ablations
 
+CHANGES = ("without planes", "one association per frame", "without visibility", "without correlated noise",
+           "without the body's motion")  # fmt: skip
 WARM = 3  # frames that the times leave out: caches, and the first growth of arrays
 
 
@@ -59,18 +61,10 @@ def frames(settings) -> list[dict]:
 
 def changes(settings) -> list[dict]:
     """The default on the sample, without each of its five changes to the paper's method, and the paper's preset."""
-    default = Config()
-    once = replace(default.associate, iterations=1, least_iterations=1)
-    blind = replace(default.associate, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
-    variants = {
-        "default": default,
-        "1. without planes": replace(default, associate=replace(default.associate, tangential_sd=default.adapt.initial_sd)),
-        "2. one association per frame": replace(default, associate=once),
-        "3. without visibility": replace(default, associate=blind),
-        "4. without correlated noise": replace(default, physics=replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0)),
-        "5. without the body's motion": replace(default, predict=replace(default.predict, carry_reach=0.0)),
-        "Config.paper()": Config.paper(),
-    }
+    variants = {"default": Config()}
+    for number, (label, config) in enumerate(zip(CHANGES, ablations().values(), strict=True), 1):
+        variants[f"{number}. {label}"] = config
+    variants["Config.paper()"] = Config.paper()
     rows = []
     for view, body in (("full", False), ("front", True)):
         run = inputs.run_of(data.sample(), settings.change_frames, view, settings.points, body=body)
