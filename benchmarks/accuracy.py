@@ -12,7 +12,7 @@ import json
 import sys
 import time
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -104,8 +104,9 @@ def prepare() -> None:
 
 
 def read(path: Path) -> list[dict]:
-    """The rows of a file; none where there is no file yet."""
-    return [json.loads(text) for text in path.read_text().splitlines()] if path.is_file() else []
+    """The rows of a file, with the fields of a trial that they do not know; none where there is no file yet."""
+    rows = [json.loads(text) for text in path.read_text().splitlines()] if path.is_file() else []
+    return [asdict(Trial.of(row)) | row for row in rows]
 
 
 def line(row: dict) -> str:

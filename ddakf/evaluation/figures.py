@@ -28,7 +28,7 @@ def reliability_diagram(path, curves: Mapping[str, tuple]) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingDependency("matplotlib, which draws diagrams, is not installed: pip install 'ddakf[evaluation]'") from error
-    figure = Figure(figsize=(4.6, 4.6), layout="constrained")
+    figure = Figure(figsize=(4.6, 5.2), layout="constrained")
     axes = figure.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="calibrated")
     for number, (name, (nominal, observed)) in enumerate(curves.items()):
@@ -38,7 +38,7 @@ def reliability_diagram(path, curves: Mapping[str, tuple]) -> None:
     axes.set(xlabel="probability of the claimed ellipsoid", ylabel="share of vertices inside it")
     axes.text(0.03, 0.93, "too cautious", color="0.45")
     axes.text(0.97, 0.04, "overconfident", color="0.45", ha="right")
-    axes.legend(loc="center right", frameon=False)
+    figure.legend(loc="outside lower center", ncols=2, frameon=False)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)

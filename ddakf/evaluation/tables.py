@@ -93,8 +93,8 @@ def ablation(rows: list[dict]) -> str:
 
 
 def calibration(rows: list[dict], variant: str = "default") -> str:
-    """Claimed covariances pooled over runs: all, each half of the sequences, each view and each sequence."""
-    rows = [row for row in rows if row["variant"] == variant and "failed" not in row]
+    """Claimed covariances pooled over runs with a mask: all, each half of the sequences, each view and each sequence."""
+    rows = _with_mask(rows, variant)
     sequences = sorted({row["sequence"] for row in rows})
     parts: list[tuple[str, Callable[[dict], bool]]] = [("all", lambda row: True)]
     if len(sequences) > 1:
@@ -142,8 +142,7 @@ def pooled(rows: Iterable[dict]) -> dict[str, dict]:
 
 def reliability_curves(rows: Iterable[dict], variant: str = "default") -> dict[str, tuple[tuple[float, ...], list[float]]]:
     """Nominal probabilities and observed shares by group, for the reliability diagram."""
-    chosen = [row for row in kinds(list(rows))[0] if row["variant"] == variant and "failed" not in row]
-    return {group: (NOMINAL, pool["inside"]) for group, pool in pooled(chosen).items()}
+    return {group: (NOMINAL, pool["inside"]) for group, pool in pooled(_with_mask(kinds(list(rows))[0], variant)).items()}
 
 
 def unsegmented(rows: list[dict], variant: str = "default") -> str:
@@ -198,7 +197,7 @@ def summary(rows: list[dict]) -> dict:
         | {key: _rounded(mean(part, key)) for key in keys}
         for (sequence, view, variant), part in _by(grid, lambda row: (row["sequence"], view_of(row), row["variant"])).items()
     ]
-    pools = pooled(row for row in grid if row["variant"] == "default" and "failed" not in row)
+    pools = pooled(_with_mask(grid, "default"))
     return {
         "commits": sorted({str(row.get("commit")) for row in rows}),
         "runs": runs,
@@ -213,6 +212,10 @@ def summary(rows: list[dict]) -> dict:
 def _soon(row: dict, name: str, within: int = WITHIN) -> bool:
     taken = row.get(f"frames_until_{name}")
     return taken is not None and taken <= within
+
+
+def _with_mask(rows: list[dict], variant: str) -> list[dict]:
+    return [row for row in rows if row["variant"] == variant and row["segmented"] and "failed" not in row]
 
 
 def _counts(rows: list[dict], key: Callable[[dict], str], good: Callable[[dict], bool]) -> dict[str, dict[str, int]]:

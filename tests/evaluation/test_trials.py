@@ -145,6 +145,7 @@ def test_unsegmented_points_are_compared_with_the_garments_own(rows):
     person = json.loads(json.dumps(trials.run(replace(SHORT, view="front", body=True, segmented=False))))
     line = tables.unsegmented([rows[2], person]).splitlines()[-1]
     assert line.startswith("| sample | front+body |")
+    assert tables.calibration([*rows, person]) == tables.calibration(rows), "points of the whole person are another task"
     assert float(line.split("|")[-2]) == pytest.approx(person["rmse_mm"] / rows[2]["rmse_mm"], abs=0.006)
 
 
