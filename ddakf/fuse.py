@@ -111,19 +111,16 @@ def fuse(
 
 def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
     planes = _planes(update, config)
+    rows = rigidity.padded(update.position)
     for term in (update.rest, update.motion):
-        rigidity.turn(term, update.position, model)
-    system = normal_equations(
-        update.position, prior.position, update.information, planes, energies, (update.rest, update.motion), model
-    )
+        rigidity.fit(term, rows, model)
+    system = normal_equations(rows, prior.position, update.information, planes, energies, (update.rest, update.motion), model)
     # the coarse level of the first passes preconditions the later ones as well
     coarse = coarse_inverse(system, model) if update.passes <= COARSE_PASSES else update.coarse
-    delta = solve(system, coarse, model, config.fuse)
-    if not np.isfinite(delta).all():
+    step, delta = solve(system, coarse, model, config.fuse), np.empty_like(update.position)
+    rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
+    if not np.isfinite(rms):
         return update._replace(position=prior.position, planes=planes, system=system, settled=True, rejected=True)
-    length = np.sqrt(np.einsum("va,va->v", delta, delta))
-    delta *= np.minimum(1.0, gate / np.maximum(length, 1e-12))[:, None]
-    rms = float(np.sqrt(np.mean(length**2)))
     planned = config.associate
     settled = isinstance(planned, NearestPoint) or (update.passes >= planned.least_iterations and rms < planned.tolerance)
     position = update.position + accelerated(update.position, delta, update.before)
@@ -173,10 +170,10 @@ def normal_equations(
     rigid: tuple[LocalRigidity, ...],
     model: Model,
 ) -> System:
-    """Gauss-Newton equations of the MAP problem at ``position`` (V, 3).
+    """Gauss-Newton equations of the MAP problem at ``position`` (V, 4), padded.
 
     Args:
-        position, prior: (V, 3) estimate and predicted mean, metres.
+        position, prior: (V, 4) estimate and (V, 3) predicted mean, metres.
         information: (V, 3, 3) inverse of the prior covariance, 1/m^2.
         planes: the measurements.
         energies: the physics at ``position``.
@@ -184,7 +181,7 @@ def normal_equations(
         model: the garment.
     """
     n = len(position)
-    unary, force = np.zeros((n, 3, 3)), np.zeros((n, 4))
+    unary, force = np.zeros((n, 3, 3)), energies.bending.force.copy()
     kernels.add_prior(position, prior, information, unary, force)
     kernels.add_planes(
         position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
@@ -192,12 +189,12 @@ def normal_equations(
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
-    force[:, :3] += energies.bending.force
     rigidity.add_force(rigid, position, model, force)
     blocks = np.zeros((len(model.mesh.edges), 9), np.float32)
     strain_kernels.add_strain(position, *model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
-    D, B = unary + energies.bending.blocks, np.empty((len(model.neighbour), 12), np.float32)
-    kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, sum(term.weight for term in rigid), D, B)
+    D, B = energies.bending.blocks.copy(), np.empty((len(model.neighbour), 12), np.float32)
+    weight = sum(term.weight for term in rigid)
+    kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, unary, D, B)
     return System(unary, D, B, force)
 
 
@@ -209,7 +206,7 @@ def coarse_inverse(system: System, model: Model) -> np.ndarray:
 
 
 def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
-    """(V, 3) delta in metres, A delta = force, by conjugate gradients under a two-level preconditioner."""
+    """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner."""
     n, k = len(system.D), len(coarse_inverse)
     delta, work = np.empty((n, 4), np.float32), np.empty((4, n, 4), np.float32)
     D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
@@ -218,7 +215,7 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapU
         D, system.B, model.start, model.neighbour, inverse, model.cluster, coarse_inverse, system.force,
         config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
-    return delta[:, :3].astype(np.float64)
+    return delta
 
 
 def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
@@ -241,8 +238,9 @@ def invert(matrix: np.ndarray) -> np.ndarray:
                 return np.full(matrix.shape, np.nan, np.float32)
             factor, failed = spotrf((matrix + share * np.abs(matrix).max() * np.eye(len(matrix))).astype(np.float32), lower=1)
             share *= 10.0
-        inverse = spotri(factor, lower=1)[0]
-    return np.tril(inverse) + np.tril(inverse, -1).T
+        inverse = spotri(factor, lower=1)[0].T
+    kernels.mirror(inverse.T)
+    return inverse
 
 
 def _decoupled_update(

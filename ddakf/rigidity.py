@@ -45,14 +45,18 @@ def edges(position: np.ndarray, model: Model) -> np.ndarray:
 
 def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
     """Fits the rotations to (V, 3) ``position``, in place, by so many steps."""
+    fit(term, padded(position), model, steps)
+
+
+def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
+    """As :func:`turn`, of (V, 4) :func:`padded` positions."""
     kernels.fit_rotations(
-        padded(position), model.start, model.neighbour, term.source, steps, 0.5 * term.weight, term.rotation, term.shared
+        position, model.start, model.neighbour, term.source, steps, 0.5 * term.weight, term.rotation, term.shared
     )
 
 
 def add_force(terms: tuple[LocalRigidity, ...], position: np.ndarray, model: Model, force: np.ndarray) -> None:
-    """Adds to (V, 4) ``force`` minus the gradient of the terms at (V, 3) ``position``, their rotations fitted to it and held."""
-    position = padded(position)
+    """Adds to (V, 4) ``force`` minus the gradient of the terms at (V, 4) ``position``, their rotations fitted to it and held."""
     for term in terms:
         kernels.add_force(position, model.start, model.neighbour, term.source, term.weight, term.shared, force)
 

@@ -4,6 +4,8 @@ A is stored as 3x3 blocks on the mesh's one-rings: the diagonal ones in D, the o
 solver blocks are stored by columns, and columns padded to four numbers, so that the compiler makes a vector of each.
 """
 
+from math import sqrt
+
 import numpy as np
 from numba import njit
 
@@ -63,8 +65,8 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def add_coupling(start, neighbour, edge, blocks, weight, D, B):
-    """Fills the rows of B with the blocks of the edges less w I, and takes the sum of each row from D.
+def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
+    """Fills the rows of B with the blocks of the edges less w I, and D with what vertices have of their own less the row's sum.
 
     No energy that couples vertices changes when all move alike, so that the rows of its matrix add up to nothing.
 
@@ -72,7 +74,8 @@ def add_coupling(start, neighbour, edge, blocks, weight, D, B):
         start, neighbour, edge: the one-rings.
         blocks: (E, 9) float32, of each edge i < j by columns.
         weight: w, of all edges alike.
-        D: (V, 3, 3) in and out.
+        own: (V, 3, 3) symmetric.
+        D: (V, 3, 3) in and out, added to.
         B: (2E, 12) float32 out.
     """
     w, zero = np.float32(weight), np.float32(0.0)
@@ -97,15 +100,16 @@ def add_coupling(start, neighbour, edge, blocks, weight, D, B):
             xz += z0 + x2
             yz += z1 + y2
         xy, xz, yz = 0.5 * xy, 0.5 * xz, 0.5 * yz
-        D[i, 0, 0] -= xx
-        D[i, 1, 1] -= yy
-        D[i, 2, 2] -= zz
-        D[i, 0, 1] -= xy
-        D[i, 1, 0] -= xy
-        D[i, 0, 2] -= xz
-        D[i, 2, 0] -= xz
-        D[i, 1, 2] -= yz
-        D[i, 2, 1] -= yz
+        D[i, 0, 0] += own[i, 0, 0] - xx
+        D[i, 1, 1] += own[i, 1, 1] - yy
+        D[i, 2, 2] += own[i, 2, 2] - zz
+        xy, xz, yz = own[i, 0, 1] - xy, own[i, 0, 2] - xz, own[i, 1, 2] - yz
+        D[i, 0, 1] += xy
+        D[i, 1, 0] += xy
+        D[i, 0, 2] += xz
+        D[i, 2, 0] += xz
+        D[i, 1, 2] += yz
+        D[i, 2, 1] += yz
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -127,6 +131,27 @@ def invert_blocks(D, inverse):
         inverse[i, 1, 2] = (e * d - a * f) * r
         inverse[i, 2, 1] = (e * d - a * f) * r
         inverse[i, 2, 2] = (a * b - d * d) * r
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def limit(step, longest, limited):
+    """(V, 3) out: each row of (V, 4) step, padded, no longer than ``longest``. Returns the sum of the squared lengths."""
+    total = 0.0
+    for i in range(step.shape[0]):
+        x, y, z = np.float64(step[i, 0]), np.float64(step[i, 1]), np.float64(step[i, 2])
+        squared = x * x + y * y + z * z
+        total += squared
+        scale = longest / sqrt(squared) if squared > longest * longest else 1.0
+        limited[i, 0], limited[i, 1], limited[i, 2] = scale * x, scale * y, scale * z
+    return total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mirror(matrix):
+    """Copies what is below the diagonal of a square matrix to above it."""
+    for i in range(matrix.shape[0]):
+        for j in range(i):
+            matrix[j, i] = matrix[i, j]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

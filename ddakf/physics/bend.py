@@ -56,13 +56,13 @@ def linearize(positions: np.ndarray, constants: BendConstants, out: Linearizatio
 class Hinges(NamedTuple):
     """Bending summed up over the hinges, for the fused update."""
 
-    force: np.ndarray  # (V, 3) minus the gradient
+    force: np.ndarray  # (V, 4) minus the gradient, padded
     blocks: np.ndarray  # (V, 3, 3) a block-diagonal bound of the Gauss-Newton matrix
 
 
 def summed(linearization: Linearization, stiffness: float, n: int) -> Hinges:
     """Force and matrix of a garment of ``n`` vertices."""
-    hinges = Hinges(np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    hinges = Hinges(np.zeros((n, 4)), np.zeros((n, 3, 3)))
     if stiffness > 0:
         kernels.add_hinges(*linearization, stiffness, hinges.blocks, hinges.force)
     return hinges
