@@ -7,6 +7,7 @@ ratios inside one run; milliseconds of two runs only where the machine was other
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
 import sys
@@ -15,7 +16,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PARTS = ("frame", "changes", "open3d", "scaling", "outliers", "growth", "codecs", "service")
+PARTS = ("frame", "changes", "open3d", "scaling", "outliers", "memory", "cold", "growth", "codecs", "service")
+ALL_CORES = ("service",)  # parts that are about several processes
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -26,11 +28,13 @@ class Settings:
     points: int = 10_000
     frames: int = 149  # of each sequence, at most
     change_frames: int = 149
-    sizes: tuple[int, ...] = (1_000, 2_000, 4_000, 8_000, 16_000)
+    sizes: tuple[tuple[int, int], ...] = ((1_000, 5_000), (2_500, 10_000), (5_000, 20_000), (10_000, 40_000), (20_000, 80_000))
     scaling_frames: int = 20
     open3d_sizes: tuple[tuple[int, int], ...] = ((5_000, 20_000), (2_500, 10_000))
     open3d_frames: int = 20
     outlier_frames: int = 10
+    memory_frames: int = 20
+    cold_starts: int = 5
     growth_frames: int = 600
     codec_repeats: int = 30
     codecs: tuple[str, ...] = ("raw", "quantised", "morton-zstd", "morton-deflate")
@@ -43,7 +47,7 @@ class Settings:
 FULL = replace(
     Settings(),
     frames=1_000,
-    sizes=(1_000, 2_000, 4_000, 8_000, 16_000, 32_000, 64_000, 80_000),
+    sizes=(*Settings.sizes, (40_000, 160_000), (80_000, 320_000)),
     open3d_frames=40,
     growth_frames=10_000,
     client_frames=149,
@@ -52,11 +56,13 @@ QUICK = Settings(
     points=2_000,
     frames=2,
     change_frames=2,
-    sizes=(400, 800),
+    sizes=((400, 2_000), (800, 4_000)),
     scaling_frames=2,
     open3d_sizes=((800, 2_000),),
     open3d_frames=2,
     outlier_frames=1,
+    memory_frames=3,
+    cold_starts=1,
     growth_frames=4,
     codec_repeats=1,
     codecs=("raw", "morton-zstd"),
@@ -81,7 +87,8 @@ def main(argv: list[str] | None = None) -> int:
     measure = _measures()
     for part in arguments.only or PARTS:
         print(f"{part} ...", file=sys.stderr, flush=True)
-        report[part] = measure[part](settings)
+        with contextlib.nullcontext() if part in ALL_CORES else machine.one_core():
+            report[part] = measure[part](settings)
     arguments.out.mkdir(parents=True, exist_ok=True)
     path = arguments.out / f"{arguments.name}.json"
     path.write_text(json.dumps(report, indent=1) + "\n")
@@ -104,6 +111,8 @@ def _measures() -> dict:
         "open3d": preprocessing.against_open3d,
         "scaling": library.scaling,
         "outliers": preprocessing.outliers,
+        "memory": library.memory,
+        "cold": library.cold,
         "growth": library.growth,
         "codecs": streaming.codec_costs,
         "service": streaming.through_a_service,

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import gc
+import json
 import os
+import subprocess
 import sys
+import tracemalloc
 from collections import defaultdict
 from pathlib import Path
 
@@ -81,11 +84,11 @@ def changes(settings) -> list[dict]:
 
 
 def scaling(settings) -> dict:
-    """Time per frame of the sample's garment at other sizes, five points per vertex, and the exponent fitted to it."""
+    """Time per frame of the sample's garment at other sizes, four or five points per vertex, and the exponent fitted to it."""
     rows = []
-    for vertices in settings.sizes:
+    for vertices, points in settings.sizes:
         sequence = inputs.resampled(inputs.shortened(data.sample(), settings.scaling_frames), vertices)
-        row = track(inputs.run_of(sequence, settings.scaling_frames, "full", 5 * vertices))
+        row = track(inputs.run_of(sequence, settings.scaling_frames, "full", points))
         rows.append({key: row[key] for key in ("vertices", "points", "frames", "rmse_mm", "normal_rmse_mm")})
         rows[-1]["ms_p50"] = row["ms"]["total"]["p50"]
         rows[-1]["stages_ms_p50"] = {stage: times["p50"] for stage, times in row["ms"].items()}
@@ -101,6 +104,38 @@ def scaling(settings) -> dict:
         for before, after, a, b in zip(rows[:-1], rows[1:], size[:-1], size[1:], strict=True)
     ]
     return {"rows": rows, "exponent": round(exponent, 3), "steps": steps}
+
+
+def memory(settings) -> dict:
+    """What a frame allocates: the most that is in use at once beyond what was before, and what stays, of Python and NumPy."""
+    run = inputs.run_of(data.sample(), settings.memory_frames, "full", settings.points)
+    tracker, peak, kept = run.tracker(), [], []
+    tracemalloc.start()
+    try:
+        for number, cloud, how in run.frames():
+            before = tracemalloc.get_traced_memory()[0]
+            tracemalloc.reset_peak()
+            tracker.step(cloud.points, **how)
+            now, most = tracemalloc.get_traced_memory()
+            if number > min(WARM, len(run.clouds) - 1):
+                peak.append((most - before) / 2**20)
+                kept.append((now - before) / 2**20)
+    finally:
+        tracemalloc.stop()
+    return {
+        "vertices": tracker.garment.n_vertices,
+        "points": settings.points,
+        "peak_mib_per_frame": percentiles(peak),
+        "kept_mib_per_frame": round(float(np.mean(kept)), 4),
+    }
+
+
+def cold(settings) -> dict:
+    """A fresh process with a warm kernel cache: seconds of the import and of the first tracked frame, and its memory."""
+    script = [sys.executable, str(Path(__file__).with_name("cold.py")), str(settings.points)]
+    outputs = [subprocess.run(script, capture_output=True, check=True).stdout for _ in range(settings.cold_starts)]
+    runs = [json.loads(output) for output in outputs]
+    return {key: round(float(np.median([run[key] for run in runs])), 3) for key in runs[0]}
 
 
 def growth(settings) -> dict:

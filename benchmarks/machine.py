@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import platform
 import subprocess
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -22,6 +24,24 @@ def describe() -> dict:
         "packages": {name: _version(name) for name in PACKAGES},
         "load_average": round(os.getloadavg()[0], 2),
     }
+
+
+@contextlib.contextmanager
+def one_core() -> Iterator[None]:
+    """Keeps this process, and every thread that it starts meanwhile, on one core, where the platform can.
+
+    Environment variables do not bind all libraries: Open3D 0.20 takes as many threads as the process has cores when it is
+    first used.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
 
 
 def commit() -> str | None:

@@ -38,9 +38,9 @@ def _frame(console: Console, rows: list[dict]) -> None:
         table.add_row(row["name"], str(row["vertices"]), str(row["points"]), _time(row["ms"]["total"], True), *accuracy)
     console.print(table)
     stages = [stage for stage in rows[0]["ms"] if stage != "total"]
-    table = Table("stage by stage, ms p50", *stages, box=None, header_style="bold")
+    table = Table("ms p50 (p99)", *stages, box=None, header_style="bold")
     for row in rows:
-        table.add_row(row["name"], *(_time(row["ms"].get(stage)) for stage in stages))
+        table.add_row(row["name"], *(_time(row["ms"].get(stage), True) for stage in stages))
     console.print(table)
 
 
@@ -61,11 +61,13 @@ def _open3d(console: Console, part: dict) -> None:
     if "skipped" in part:
         console.print(f"not compared with Open3D: {part['skipped']}")
         return
-    table = Table("V", "N", "ddakf, whole frame ms", "Open3D, outliers + normals ms", "ratio", box=None, header_style="bold")
+    columns = "V", "N", "ddakf, whole frame ms", "Open3D, outliers + normals ms", "ratio", "RMSE mm", "normal"
+    table = Table(*columns, box=None, header_style="bold")
     for row in part["rows"]:
         ratio = f"1/{row['open3d_over_ddakf']:.1f}"
         times = _time(row["ddakf_frame_ms"]), _time(row["open3d_ms"])
-        table.add_row(str(row["vertices"]), str(row["points"]), *times, ratio)
+        errors = f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}"
+        table.add_row(str(row["vertices"]), str(row["points"]), *times, ratio, *errors)
     console.print(table)
 
 
@@ -84,6 +86,20 @@ def _outliers(console: Console, part: dict) -> None:
     for row in part["rows"]:
         table.add_row(row["filter"], f"{row['ms_p50']:.1f}", f"{row['outliers_removed']:.1%}", f"{row['inliers_lost']:.1%}")
     console.print(table)
+
+
+def _memory(console: Console, part: dict) -> None:
+    console.print(
+        f"a frame of {part['vertices']} vertices and {part['points']} points has {part['peak_mib_per_frame']['p50']:.1f} MiB "
+        f"in use at most, and keeps {part['kept_mib_per_frame']:.2f} MiB"
+    )
+
+
+def _cold(console: Console, part: dict) -> None:
+    console.print(
+        f"fresh process, warm kernel cache: import {part['import_s']:.2f} s, first frame {part['first_frame_s']:.2f} s, "
+        f"together {part['together_s']:.2f} s, {part['peak_mib']:.0f} MiB resident at most"
+    )
 
 
 def _growth(console: Console, part: dict) -> None:
@@ -120,6 +136,8 @@ PRINTERS = {
     "open3d": _open3d,
     "scaling": _scaling,
     "outliers": _outliers,
+    "memory": _memory,
+    "cold": _cold,
     "growth": _growth,
     "codecs": _codecs,
     "service": _service,

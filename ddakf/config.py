@@ -184,7 +184,7 @@ class MapUpdate(Checked):
     """Gauss-Newton on the MAP problem over all vertices."""
 
     solver_iterations: int = bounded(10, 1, 1000)
-    solver_tolerance: float = bounded(0.02, 0, 1)
+    solver_tolerance: float = bounded(0.1, 0, 1)
     prior_sd: float = bounded(0.15, 1e-4, 10)  # m, the prior of a vertex on its own is never tighter than this
 
 

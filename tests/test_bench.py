@@ -51,14 +51,21 @@ def test_every_change_is_switched_off_in_turn(report):
 
 def test_open3d_is_compared_or_a_sentence_says_why_not(report):
     part = report["open3d"]
-    assert "skipped" in part or part["rows"][0]["open3d_over_ddakf"] > 0
+    assert "skipped" in part or all(part["rows"][0][key] > 0 for key in ("open3d_over_ddakf", "rmse_mm", "normal_rmse_mm"))
 
 
 def test_scaling_has_an_exponent_and_garments_of_the_sizes_asked_for(report):
     part = report["scaling"]
     assert isinstance(part["exponent"], float)
     assert len(part["rows"]) == len(part["steps"]) + 1
-    assert [row["points"] for row in part["rows"]] == [5 * row["vertices"] for row in part["rows"]]
+    assert [(row["vertices"], row["points"]) for row in part["rows"]] == [(400, 2_000), (800, 4_000)]
+
+
+def test_memory_of_a_frame_and_a_cold_start(report):
+    assert report["memory"]["peak_mib_per_frame"]["p50"] > 0
+    cold = report["cold"]
+    assert cold["together_s"] == pytest.approx(cold["import_s"] + cold["first_frame_s"], abs=2e-3)
+    assert cold["peak_mib"] > 0
 
 
 def test_filters_memory_codecs_and_service(report):
