@@ -169,8 +169,9 @@ class Physics(Checked):
     shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
     strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: beyond it a strain counts as an error of the model
     bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
-    collision: float = bounded(1.0e8, 0, 1e15)  # 1/m^4
+    collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
+    gap_time: float = bounded(0.5, 0, 1e3)  # s, in which it follows what is seen deeper in the body; 0: it is kept everywhere
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)
@@ -263,7 +264,7 @@ class Config:
             preprocess=KnnFilter(),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
-            physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3),
+            physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, gap_time=0.0),
             fuse=DecoupledUpdate(),
             reliability=PaperReliability(),
         )

@@ -93,6 +93,8 @@ class Tracker:
         self._time: float | None = None
         if self._contact is not None:
             self._contact.reset()
+            if self.config.physics.gap_time > 0:
+                self._contact.start(position, self.config.physics.thickness)
 
     @whole
     def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
@@ -157,6 +159,9 @@ class Tracker:
         # G. Reliability (2.6)
         verdict = reliability.judge(health, update, posterior, covariance, prior, len(now.points), dt, config.reliability)
         clock.lap("reliability")
+
+        if self._contact is not None:
+            self._contact.learn(posterior.position, update.weight > 0, dt, config.physics)
 
         # H. Output
         self._state, self._rotation, self._health, self._time = posterior, update.rest.rotation, verdict.health, now.timestamp

@@ -36,14 +36,15 @@ def marginals(update: Update, state: State, model: Model, config: Config) -> np.
 
     What the MAP problem treats as independent is not: a patch of n vertices shares the error of its prediction, neighbouring
     plane fits share points, and the cloth's model is wrong in the same way from frame to frame. The prior therefore counts
-    once per patch, and the measurements and the coupling are divided by one global constant each.
+    once per patch, and the measurements and the coupling are divided by one global constant each. Contact does not count: a
+    bound says where a vertex is not.
     """
     if update.state is not None or update.rejected:
         return state.P_pp
     limits, system, planes = config.uncertainty, update.system, update.planes
     size = np.bincount(model.cluster, minlength=model.n_clusters)[model.cluster]
     kept = 1.0 / limits.correlated_coupling
-    D = kept * (system.D - system.unary) + system.unary
+    D = kept * (system.D - system.unary) + system.unary - _contact_blocks(update)
     local = inverse_blocks(D)
     kernels.discount(
         D, update.information, 1.0 - 1.0 / size,
@@ -57,6 +58,14 @@ def marginals(update: Update, state: State, model: Model, config: Config) -> np.
     covariance = _or(covariance, state.P_pp)
     covariance += limits.floor_sd**2 * np.eye(3)
     return _scale(covariance, limits.ceiling_sd) ** 2 * covariance
+
+
+def _contact_blocks(update: Update) -> np.ndarray:
+    """(V, 3, 3) 1/m^2, what the contacts added to the diagonal blocks."""
+    touching, blocks = update.energies.collision, np.zeros_like(update.system.unary)
+    if touching is not None:
+        kernels.add_single(*touching, update.energies.stiffness[-1], blocks, np.zeros((len(blocks), 4)))
+    return blocks
 
 
 def _or(covariance: np.ndarray, fallback: np.ndarray) -> np.ndarray:

@@ -121,6 +121,15 @@ def leaf_distances(triangles, leaf, x, y, z, squared):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def keep_nearer(now, leaf, squared, held):
+    """Keeps in every lane the least squared distance so far and the first leaf that has it."""
+    for s in range(now.shape[0]):
+        better = (now[s] < squared[s]) | ((now[s] == squared[s]) & (leaf < held[s]))
+        squared[s] = now[s] if better else squared[s]
+        held[s] = leaf if better else held[s]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def closest_on_triangle(p, b, c):
     """Coordinates (v, w) on edges b and c of the point closest to p, relative to corner 0 (Ericson 2005, 5.1.5)."""
     bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
@@ -144,51 +153,167 @@ def closest_on_triangle(p, b, c):
     return min(vb / total, 1.0), min(vc / total, 1.0)
 
 
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def boxes_apart(boxes, node, lower, upper, squared):
+    """Squared distances from a box to those of a node's children, 0 where they meet."""
+    for s in range(boxes.shape[2]):
+        dx = max(max(boxes[node, 0, s] - upper[0], lower[0] - boxes[node, 3, s]), 0.0)
+        dy = max(max(boxes[node, 1, s] - upper[1], lower[1] - boxes[node, 4, s]), 0.0)
+        dz = max(max(boxes[node, 2, s] - upper[2], lower[2] - boxes[node, 5, s]), 0.0)
+        squared[s] = dx * dx + dy * dy + dz * dz
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def list_distances(listed, n, x, y, z, squared):
+    """Squared distances from a point to the first n of a list of boxes (6, L)."""
+    for s in range(n):
+        dx = max(max(listed[0, s] - x, x - listed[3, s]), 0.0)
+        dy = max(max(listed[1, s] - y, y - listed[4, s]), 0.0)
+        dz = max(max(listed[2, s] - z, z - listed[5, s]), 0.0)
+        squared[s] = dx * dx + dy * dy + dz * dz
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def within(best):
+    """Squared distance that must be looked at for one of ``best`` to be the least but for rounding."""
+    return best * (1.0 + SLACK) + SLACK**3
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def search_leaf(triangles, leaf_start, leaf, x, y, z, best, best_face, squared):
+    """Squared distance and face of the nearest so far, after a leaf; of equally near faces the first."""
+    leaf_distances(triangles, leaf, x, y, z, squared)
+    for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
+        if squared[s] <= best and (squared[s] < best or leaf_start[leaf] + s < best_face):
+            best, best_face = squared[s], leaf_start[leaf] + s
+    return best, best_face
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def search_tree(triangles, boxes, leaf_start, shift, x, y, z, radius, start, nodes, lower, squared):
+    """The nearest face to a point, -1 where none is within the radius. A leaf to begin with, or -1, saves time."""
+    n_inner = boxes.shape[0]
+    best, best_face = radius * radius, -1
+    top = 0
+    nodes[0], lower[0] = 0, 0.0
+    if start >= 0:  # a good bound first: on the stack after the root, so looked at before it
+        top = 1
+        nodes[1], lower[1] = n_inner + start, -1.0
+    while top >= 0:
+        node, bound = nodes[top], lower[top]
+        top -= 1
+        if bound > within(best):
+            continue
+        if node >= n_inner:
+            leaf = node - n_inner
+            if leaf != start or bound < 0.0:  # else met again on the way through the tree
+                best, best_face = search_leaf(triangles, leaf_start, leaf, x, y, z, best, best_face, squared)
+            continue
+        box_distances(boxes, node, x, y, z, squared)
+        nearest = limit = within(best)
+        at = top
+        for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
+            nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
+            top += 1 if squared[s] < limit else 0
+            nearer = squared[s] < nearest
+            at, nearest = top if nearer else at, squared[s] if nearer else nearest
+        if at >= 0:  # the nearest child on top
+            nodes[at], nodes[top] = nodes[top], nodes[at]
+            lower[at], lower[top] = lower[top], lower[at]
+    return best_face
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def list_leaves(boxes, shift, lower, upper, reach, nodes, squared, leaf, listed):
+    """Lists the leaves whose boxes are within a squared ``reach`` of the box from lower to upper; how many they are."""
+    n_inner, found, top = boxes.shape[0], 0, 0
+    nodes[0] = 0
+    while top >= 0:
+        node = nodes[top]
+        top -= 1
+        boxes_apart(boxes, node, lower, upper, squared)
+        child = LANES * node + shift
+        if child + LANES - 1 < n_inner:
+            for s in range(LANES):  # here too written before it is known whether it stays
+                nodes[top + 1] = child + s
+                top += 1 if squared[s] <= reach else 0
+            continue
+        for s in range(LANES):
+            leaf[found] = child + s - n_inner
+            for a in range(6):
+                listed[a, found] = boxes[node, a, s]
+            found += 1 if squared[s] <= reach else 0
+    return found
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def by_leaf(leaf_of, hint, n_leaves, first, order):
+    """Sorts the points by the leaf of their hint: leaf l has order[first[l]:first[l + 1]], and those without come last."""
+    first[:] = 0
+    for i in range(hint.shape[0]):
+        first[(leaf_of[hint[i]] if hint[i] >= 0 else n_leaves) + 1] += 1
+    for leaf in range(n_leaves + 1):
+        first[leaf + 1] += first[leaf]
+    for i in range(hint.shape[0]):
+        leaf = leaf_of[hint[i]] if hint[i] >= 0 else n_leaves
+        order[first[leaf]] = i
+        first[leaf] += 1
+    for leaf in range(n_leaves, 0, -1):
+        first[leaf] = first[leaf - 1]
+    first[0] = 0
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, hint, face):
     """The nearest face of every point, of equally near ones the first; -1 where none is within the radius.
 
-    A hint saves time and never changes the result: everything within rounding of the best is looked at.
+    A hint saves time and never changes the result: everything within rounding of the best is looked at. Points whose hints
+    are in one leaf go through the tree together, once for all of them, and then through the leaves found by it one by one.
     """
-    n_inner = boxes.shape[0]
+    n, n_leaves = points.shape[0], leaf_start.shape[0] - 1
     nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
-    squared = np.empty(LANES)
+    squared, now = np.empty(LANES), np.empty(LANES)
+    first, order = np.empty(n_leaves + 2, np.int64), np.empty(n, np.int64)
+    best, least, most = np.empty(n), np.empty(3), np.empty(3)
+    leaves, listed = np.empty(n_leaves + 1, np.int64), np.empty((6, n_leaves + 1))
+    apart, held, chosen = np.empty(n_leaves), np.empty(LANES, np.int64), np.empty(n_leaves + 1, np.int64)
+    by_leaf(leaf_of, hint, n_leaves, first, order)
+    for start in range(n_leaves):
+        if first[start + 1] == first[start]:
+            continue
+        least[:], most[:], reach = inf, -inf, 0.0
+        for o in range(first[start], first[start + 1]):
+            i = order[o]
+            best[i], face[i] = search_leaf(
+                triangles, leaf_start, start, points[i, 0], points[i, 1], points[i, 2], radius * radius, -1, squared
+            )
+            reach = max(reach, best[i])
+            for a in range(3):
+                least[a], most[a] = min(least[a], points[i, a]), max(most[a], points[i, a])
+        found = list_leaves(boxes, shift, least, most, within(reach), nodes, squared, leaves, listed)
+        for o in range(first[start], first[start + 1]):
+            i = order[o]
+            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            list_distances(listed, found, x, y, z, apart)
+            n_chosen, limit = 0, within(best[i])
+            for k in range(found):
+                chosen[n_chosen] = leaves[k]
+                n_chosen += 1 if apart[k] <= limit else 0
+            squared[:], held[:] = inf, n_leaves
+            for k in range(n_chosen):
+                leaf_distances(triangles, chosen[k], x, y, z, now)
+                keep_nearer(now, chosen[k], squared, held)
+            for s in range(LANES):
+                if squared[s] < best[i] or (squared[s] == best[i] and leaf_start[held[s]] + s < face[i]):
+                    best[i], face[i] = squared[s], leaf_start[held[s]] + s
     previous = -1  # neighbours in the garment's numbering are mostly neighbours in space
-    for i in range(points.shape[0]):
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        best, best_face = radius * radius, -1
-        start = leaf_of[hint[i]] if hint[i] >= 0 else previous
-        top = 0
-        nodes[0], lower[0] = 0, 0.0
-        if start >= 0:  # a good bound first: on the stack after the root, so looked at before it
-            top = 1
-            nodes[1], lower[1] = n_inner + start, -1.0
-        while top >= 0:
-            node, bound = nodes[top], lower[top]
-            top -= 1
-            if bound > best * (1.0 + SLACK) + SLACK**3:
-                continue
-            if node >= n_inner:
-                leaf = node - n_inner
-                if leaf == start and bound >= 0.0:  # met again on the way through the tree
-                    continue
-                leaf_distances(triangles, leaf, x, y, z, squared)
-                for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
-                    if squared[s] <= best and (squared[s] < best or leaf_start[leaf] + s < best_face):
-                        best, best_face, previous = squared[s], leaf_start[leaf] + s, leaf
-                continue
-            box_distances(boxes, node, x, y, z, squared)
-            nearest = limit = best * (1.0 + SLACK) + SLACK**3
-            at = top
-            for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
-                nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
-                top += 1 if squared[s] < limit else 0
-                nearer = squared[s] < nearest
-                at, nearest = top if nearer else at, squared[s] if nearer else nearest
-            if at >= 0:  # the nearest child on top
-                nodes[at], nodes[top] = nodes[top], nodes[at]
-                lower[at], lower[top] = lower[top], lower[at]
-        face[i] = best_face
+    for o in range(first[n_leaves], n):
+        i = order[o]
+        face[i] = search_tree(
+            triangles, boxes, leaf_start, shift, points[i, 0], points[i, 1], points[i, 2], radius, previous,
+            nodes, lower, squared,
+        )  # fmt: skip
+        previous = leaf_of[face[i]] if face[i] >= 0 else previous
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

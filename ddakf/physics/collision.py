@@ -1,9 +1,9 @@
-"""Stage E, body collision (paper, section 2.4): garment vertices stay a thickness outside the body.
+"""Stage E, body collision (paper, section 2.4): garment vertices stay a gap outside the body.
 
-Per vertex one constraint, r = min(0, n . (p - q) - thickness) in metres, with q and n the closest point and outward
-normal of the body (``proximity.py``), held while the solver iterates. Weight: the vertex's share of the rest area,
-m^2, so that k is in J/m^4 = Pa/m, contact pressure per depth. A vertex that does not touch, or has no body within
-reach, has weight 0.
+Per vertex one constraint, r = min(0, n . (p - q) - gap) in metres, with q and n the closest point and outward
+normal of the body (``proximity.py``), held while the solver iterates. The gap is the fabric's thickness, or less where
+the garment is known to lie deeper (``contact.py``). Weight: the vertex's share of the rest area, m^2, so that k is in
+J/m^4 = Pa/m, contact pressure per depth. A vertex that does not touch, or has no body within reach, has weight 0.
 """
 
 from __future__ import annotations
@@ -47,18 +47,28 @@ def build(mesh: Mesh, thickness: float = 0.002) -> CollisionConstants:
 
 
 def linearize(
-    positions: np.ndarray, constants: CollisionConstants, contact: Contact, out: Linearization | None = None
+    positions: np.ndarray,
+    constants: CollisionConstants,
+    contact: Contact,
+    gap: np.ndarray | None = None,
+    out: Linearization | None = None,
 ) -> Linearization:
     """Residuals (penetration, metres, at most 0) and Jacobians at positions (V, 3) metres.
 
-    ``contact`` holds, for every vertex, the body's closest point. ``out``, a former result for a garment of the
-    same size, is overwritten and returned.
+    Args:
+        positions: (V, 3) metres.
+        constants: of the garment.
+        contact: for every vertex, the body's closest point.
+        gap: (V,) metres, negative inside; the thickness if None.
+        out: a former result for a garment of the same size, overwritten and returned.
     """
+    if gap is None:
+        gap = np.full(len(constants.stencil), constants.thickness)
     if out is None:
         count = len(constants.stencil)
         out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
     kernels.linearize(
-        positions, contact.face, contact.point, contact.normal, constants.thickness, constants.weight,
+        positions, contact.face, contact.point, contact.normal, gap, constants.weight,
         out.residual, out.jacobian, out.weight,
     )  # fmt: skip
     return out

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.config import Physics
 from ddakf.mesh import Mesh
 from ddakf.physics import proximity
 from ddakf.types import State
 
 COLLISION_REACH = 0.05  # m: where the body does not carry, it pushes out what is no deeper inside than this
+DEEPEST = 0.03  # m: more than this inside is no error of a body model
 
 
 class BodyContact:
@@ -34,6 +36,34 @@ class BodyContact:
         self.held: proximity.Contact | None = None  # closest points when last asked for
         self._asked_at: np.ndarray | None = None  # (V, 3) m, the position then
         self._hint: np.ndarray | None = None  # (V,) int32 faces that are probably close; makes a search faster, no different
+        self.gap: np.ndarray | None = None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
+
+    def start(self, position: np.ndarray, thickness: float) -> None:
+        """Vertices that start closer than the thickness may stay as close.
+
+        A body model is wrong by centimetres in places, and a garment reconstructed beside it lies inside it there, the same
+        vertices all the time. Pushed out by the thickness, the unseen half of a shirt inflates. Of a wrong start nothing is
+        lost: contact only pushes, so that the vertices come out as soon as anything pulls them.
+        """
+        self.gap = np.clip(self.nearest(position).distance, -DEEPEST, thickness)
+        self.held = self._asked_at = None
+
+    def learn(self, position: np.ndarray, observed: np.ndarray, dt: float, config: Physics) -> None:
+        """Where a sensor sees them, vertices may be as close as they turn out to be at (V, 3) ``position``.
+
+        Args:
+            position: the estimate, metres.
+            observed: (V,) bool, vertices with a measurement.
+            dt: seconds since the last frame.
+            config: thickness, and the time constant.
+        """
+        if self.gap is None or self.held is None:
+            return
+        distance = np.einsum("va,va->v", self.held.normal, position - self.held.point)
+        seen = observed & (self.held.face >= 0)
+        share = 1.0 - np.exp(-dt / config.gap_time)
+        change = np.clip(distance, -DEEPEST, config.thickness) - self.gap
+        self.gap = np.where(seen, self.gap + share * change, self.gap)
 
     def carry(self, state: State, vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
         """What the body's motion does to a garment, and the state whose velocities are relative to it.
@@ -63,11 +93,11 @@ class BodyContact:
 
     def mark(self) -> tuple:
         """What :meth:`back_to` needs; arrays are never written in place between the two."""
-        return self.vertices, self.present, self._velocity, self.held, self._asked_at
+        return self.vertices, self.present, self._velocity, self.held, self._asked_at, self.gap
 
     def back_to(self, mark: tuple) -> None:
         """As it was at the mark: the step since then did not happen."""
-        self.vertices, self.present, self._velocity, self.held, self._asked_at = mark
+        self.vertices, self.present, self._velocity, self.held, self._asked_at, self.gap = mark
         self._surface = proximity.refresh(self._body, self.vertices)
 
     def move(self, vertices: np.ndarray | None) -> None:
@@ -111,6 +141,8 @@ class BodyContact:
         if self.held is not None:
             arrays |= {f"contact_{name}": value for name, value in self.held._asdict().items()}
             arrays["contact_asked_at"] = self._asked_at
+        if self.gap is not None:
+            arrays["contact_gap"] = self.gap
         return arrays
 
     def from_arrays(self, arrays: dict[str, np.ndarray], n: int) -> None:
@@ -120,7 +152,7 @@ class BodyContact:
             ValueError: arrays that do not belong to this body and a garment of ``n`` vertices.
         """
         shapes = {"vertices": self._mesh.vertices.shape, "velocity": (n, 3), "asked_at": (n, 3), "face": (n,), "distance": (n,)}
-        shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3)}
+        shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3), "gap": (n,)}
         for name, shape in shapes.items():
             array = arrays.get(f"contact_{name}")
             if array is not None and (array.shape != shape or np.isnan(array).any()):
@@ -129,6 +161,7 @@ class BodyContact:
         self._surface = proximity.refresh(self._body, self.vertices)
         self.present = bool(arrays["contact_present"])
         self._velocity = arrays.get("contact_velocity")
+        self.gap = arrays.get("contact_gap")
         self.held = self._asked_at = None
         if "contact_face" in arrays:
             face = arrays["contact_face"]

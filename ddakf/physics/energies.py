@@ -51,9 +51,8 @@ def linearize(
     """
     touching = None
     if contact is not None and contact.present and config.collision > 0:
-        thickness = model.collision.thickness
-        closest = contact.nearest(position) if last is None else contact.touching(position, thickness)
-        touching = collision.linearize(position, model.collision, closest)
+        closest = contact.nearest(position) if last is None else contact.touching(position, model.collision.thickness)
+        touching = collision.linearize(position, model.collision, closest, contact.gap)
     fabric = config.fabric
     stiffness = (
         physics_lambda * config.stretch * fabric.stretch,

@@ -7,13 +7,13 @@ from ddakf.kernels import collision
 
 def test_agrees_with_the_formula():
     rng = np.random.default_rng(0)
-    n, thickness = 40, 0.1
+    n, gap = 40, rng.uniform(-0.2, 0.2, 40)
     x, q, normal = rng.normal(size=(3, n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     face, area = rng.integers(-1, 2, n).astype(np.int32), rng.uniform(1.0, 2.0, n)
     residual, jacobian, weight = np.full(n, np.nan), np.full((n, 1, 3), np.nan), np.full(n, np.nan)
-    collision.linearize(x, face, q, normal, thickness, area, residual, jacobian, weight)
-    depth = np.where(face >= 0, np.einsum("va,va->v", normal, x - q) - thickness, 0.0)
+    collision.linearize(x, face, q, normal, gap, area, residual, jacobian, weight)
+    depth = np.where(face >= 0, np.einsum("va,va->v", normal, x - q) - gap, 0.0)
     touching = depth < 0.0
     np.testing.assert_allclose(residual, np.minimum(0.0, depth), atol=1e-12)
     np.testing.assert_array_equal(weight, np.where(touching, area, 0.0))

@@ -59,7 +59,7 @@ def test_a_former_result_is_overwritten_and_the_constants_are_not():
     inside = np.outer(np.full(MESH.n_vertices, 0.9 * RADIUS), [0.0, 1.0, 0.0])
     lin = collision.linearize(inside, constants, contact_of(inside))
     outside = 2.0 * inside
-    again = collision.linearize(outside, constants, contact_of(outside), lin)
+    again = collision.linearize(outside, constants, contact_of(outside), out=lin)
     assert again.residual is lin.residual
     assert not again.weight.any()
     assert constants.weight.all()
