@@ -37,7 +37,7 @@ def main(argv: list[str] | None = None) -> int:
         print(tables.report(read(arguments.out)))
         return 0
     if arguments.summary:
-        RESULT.write_text(json.dumps(tables.summary(read(arguments.out)) | {"machine": machine.describe()}, indent=1) + "\n")
+        arguments.summary.write_text(lines(tables.summary(read(arguments.out)) | {"machine": machine.describe()}))
         return 0
     if arguments.figure:
         figures.reliability_diagram(arguments.figure, tables.reliability_curves(read(arguments.out)))
@@ -109,6 +109,15 @@ def read(path: Path) -> list[dict]:
     return [asdict(Trial.of(row)) | row for row in rows]
 
 
+def lines(report: dict) -> str:
+    """JSON with a line per entry of a list, which a person can read and a later version be compared with."""
+    parts = []
+    for name, value in report.items():
+        text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if isinstance(value, list) else json.dumps(value)
+        parts.append(f" {json.dumps(name)}: {text}")
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
 def line(row: dict) -> str:
     """A row in a few words."""
     name = f"{row['sequence']} {row['view']}{'+body' if row['body'] else ''} {row['variant']} seed {row['seed']}"
@@ -153,7 +162,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, default=OUT, help=f"file of the rows (default {OUT.relative_to(ROOT)})")
     ending = parser.add_mutually_exclusive_group()
     ending.add_argument("--table", action="store_true", help="print the tables of --out, and run nothing")
-    ending.add_argument("--summary", action="store_true", help=f"write {RESULT.relative_to(ROOT)} from --out, and run nothing")
+    ending.add_argument("--summary", type=Path, nargs="?", const=RESULT, metavar="JSON",
+                        help=f"write the means of --out (default {RESULT.relative_to(ROOT)}), and run nothing")  # fmt: skip
     ending.add_argument("--figure", type=Path, metavar="PNG", help="draw the reliability diagram of --out, and run nothing")
     return parser
 

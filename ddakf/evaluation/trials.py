@@ -348,7 +348,9 @@ class Record:
             "wall_ms": 1e3 * wall_seconds,
         }
         if self._inside is not None:
-            values["penetration_mm"], values["inside"] = self._inside(vertices, self._sequence.body_vertices[number])
+            body = self._sequence.body_vertices[number]
+            values["penetration_mm"], values["inside"] = self._inside(vertices, body)
+            values["penetration_truth_mm"], _ = self._inside(truth, body)
         for name in ("reliability", "paper_score", "coverage", "state"):
             if getattr(estimate, name) is not None:
                 values[name] = getattr(estimate, name)

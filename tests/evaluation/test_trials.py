@@ -202,3 +202,7 @@ def test_the_command_goes_on_where_it_ended(tmp_path):
     assert "3 trials, 2 of them" in call("--variants", "default", "nicp", "one-association").stderr
     assert len((tmp_path / "rows.jsonl").read_text().splitlines()) == 3
     assert "one-association" in call("--table").stdout
+    call("--summary", tmp_path / "summary.json")
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [run["variant"] for run in summary["runs"]] == ["default", "nicp", "one-association"]
+    assert summary["machine"]["cpu"]
