@@ -22,12 +22,13 @@ from threadpoolctl import threadpool_limits
 
 from ddakf import kernels
 from ddakf.evaluation import figures, tables, trials
+from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.degradations import DISTURBANCES
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, RESULT = ROOT / "out/accuracy.jsonl", ROOT / "benchmarks/results/accuracy.json"
-VARIANTS = ("default", "nicp", "paper", *trials.ablations())
+VARIANTS = ("default", *BASELINES, "paper", *trials.ablations())
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -58,8 +59,8 @@ def grid(arguments) -> list[Trial]:
         if (body or arguments.unsegmented) and not trials.recording(name).has_body:
             continue
         for variant in arguments.variants:
-            if variant == ("nicp" if body else "no-carrying"):
-                continue  # the one knows no body, the other knows it only to be carried by it
+            if variant in BASELINES if body else variant == "no-carrying":
+                continue  # the ones know no body, the other knows it only to be carried by it
             trial = _trial(arguments, name, view, bool(body), seed, variant)
             wanted += [replace(trial, disturbance=script.name) for script in DISTURBANCES] if arguments.disturbances else [trial]
     return wanted

@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.baselines.nicp import NonRigidIcp
+from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
 from ddakf.mesh import Mesh
 
 
@@ -38,7 +38,10 @@ class Baseline(Protocol):
         """
 
 
-BASELINES: dict[str, Callable[[], Baseline]] = {"nicp": NonRigidIcp}
+BASELINES: dict[str, Callable[[], Baseline]] = {
+    "nicp": NonRigidIcp,
+    "nicp-12": lambda: NonRigidIcp(TWELVE_ITERATIONS),
+}
 
 
 def baseline(name: str) -> Baseline:

@@ -31,6 +31,14 @@ TINY = 1e-20  # m^2
 class NicpSettings:
     """Numbers of the method.
 
+    The defaults are the best of those tried on the first 44 tracked frames of two recordings, scanned all around and from one
+    depth camera (pergamo_005 full, sim_tshirt_jump full, pergamo_005 front; RMSE in mm):
+
+    - stiffness 4, 8, 16, 32 at 12 iterations: 11.6, 24.0, 41.2; 7.5, 14.5, 29.9; 6.7, 10.2, 21.8; 6.7, 9.7, 17.8
+    - stiffness 16, 24, 32 at 24 iterations: 6.1, 7.6, 20.2; 6.1, 7.9, 17.9; 6.3, 8.5, 16.7
+    - 36 iterations at 16: 6.0, 7.0, 19.7; 48 at 32: 6.2, 8.2, 16.4; twice the time for little
+    - a gate of 15 cm, or a momentum of 1, changes them by a few per cent in either direction
+
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
         iterations: per frame, all of them.
@@ -39,11 +47,14 @@ class NicpSettings:
         momentum: share of the last frame's displacement with which the next one begins.
     """
 
-    stiffness: float = 8.0
-    iterations: int = 12
+    stiffness: float = 24.0
+    iterations: int = 24
     gate: float = 0.10
     neighbours: int = 4
     momentum: float = 0.8
+
+
+TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # cheaper and softer, as often quoted
 
 
 class NonRigidIcp:
