@@ -9,10 +9,24 @@ import numpy as np
 
 from ddakf.config import NearestPoint, PlaneAssociation
 from ddakf.kernels import associate as kernels
+from ddakf.kernels import hem as hem_kernels
 from ddakf.model import Model
 from ddakf.preprocess import Cloud
 
+HEM_WIDTH = 0.012  # m to either side: points of a cloud with 1 cm between them mark its end there
+HEM_DEPTH = 0.010  # m above and below: another layer is farther away
 OCCLUDER_CELL = 1.5  # edges: wide enough that the vertices of a surface leave no holes
+
+
+class Hem(NamedTuple):
+    """Where the cloud ends beside the H vertices of the garment's open boundaries: hems, cuffs, neck.
+
+    A plane says nothing about the position along the surface; where the cloth ends does.
+    """
+
+    direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
+    offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
+    weight: np.ndarray  # (H,) Tukey's, 0 where the cloud does not end
 
 
 class Measurement(NamedTuple):
@@ -23,6 +37,7 @@ class Measurement(NamedTuple):
     distance: np.ndarray  # (V,) m to the nearest point; negative where nothing was found
     searched_at: np.ndarray  # (V, 3) m, where the vertex was when its plane was looked for
     visible: np.ndarray  # (V,) bool, vertices that a sensor may see
+    hem: Hem | None = None  # None: no boundary, or no cloud
 
     @classmethod
     def none(cls, n: int) -> Measurement:
@@ -88,7 +103,8 @@ def associate(
                     gate, config.normal_cosine, cloud.oriented, config.still * cloud.cell,
                     searched_at, target, plane, distance,
                 )  # fmt: skip
-            return Measurement(target, plane, distance, searched_at, visible)
+            hem = _hem(position, normal, visible, cloud, model, config)
+            return Measurement(target, plane, distance, searched_at, visible, hem)
         case NearestPoint():
             target, distance = np.zeros((n, 3)), np.full(n, -1.0)
             if not cloud.empty:
@@ -96,3 +112,18 @@ def associate(
                     position, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims, gate, target, distance
                 )
             return Measurement(target, None, distance, position, np.ones(n, bool))
+
+
+def _hem(
+    position: np.ndarray, normal: np.ndarray, visible: np.ndarray, cloud: Cloud, model: Model, config: PlaneAssociation
+) -> Hem | None:
+    """The end of the cloud beside each vertex of a boundary at ``position`` (V, 3), its unit ``normal`` (V, 3)."""
+    n = len(model.boundary)
+    if cloud.empty or n == 0 or config.hem_reach == 0:
+        return None
+    direction, offset, found = np.zeros((n, 3)), np.zeros(n), np.zeros(n, bool)
+    hem_kernels.ends_of_cloud(
+        position, normal, visible, model.boundary, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims,
+        config.hem_reach, HEM_WIDTH, HEM_DEPTH, direction, offset, found,
+    )  # fmt: skip
+    return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))

@@ -103,6 +103,8 @@ class PlaneAssociation(Checked):
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
     facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a vertex with a surface nearer by more in front of it is hidden
+    hem_reach: float = bounded(0.04, 0, 0.2)  # m from a boundary of the garment that the cloud's end is sought; 0: nowhere
+    hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m: what the blended point says about the position in the plane
 
 

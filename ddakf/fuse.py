@@ -9,9 +9,10 @@ from scipy.linalg.lapack import spotrf, spotri
 from threadpoolctl import ThreadpoolController
 
 from ddakf import rigidity
-from ddakf.associate import Measurement
+from ddakf.associate import Hem, Measurement
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import fuse as kernels
+from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
 from ddakf.kernels import strain as strain_kernels
 from ddakf.model import Model
@@ -32,6 +33,8 @@ class Planes(NamedTuple):
     weight: np.ndarray  # (V,)
     variance: np.ndarray  # (V,) m^2 along the normal
     tangential: np.ndarray  # (V,) m^2 in the plane
+    hem: Hem | None = None
+    hem_variance: float = 1.0
 
 
 class System(NamedTuple):
@@ -141,7 +144,9 @@ def _planes(update: Update, config: Config) -> Planes:
     )
     variance = np.maximum(variance, config.adapt.lowest_sd**2)
     tangential = np.full(n, config.associate.tangential_sd**2)
-    return Planes(measurement.target, measurement.normal, update.weight, variance, tangential)
+    return Planes(
+        measurement.target, measurement.normal, update.weight, variance, tangential, measurement.hem, config.associate.hem_sd**2
+    )
 
 
 def accelerated(position: np.ndarray, delta: np.ndarray, before: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
@@ -187,6 +192,10 @@ def normal_equations(
         position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
     )
     stretch, shear, _, collision = energies.stiffness
+    if planes.hem is not None:
+        hem_kernels.add_ends_of_cloud(
+            model.boundary[:, 0], planes.hem.direction, planes.hem.offset, planes.hem.weight, planes.hem_variance, unary, force
+        )
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
     rigidity.add_force(rigid, position, model, force)

@@ -26,6 +26,7 @@ class Model(NamedTuple):
     cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, the coarse level of the solver
     n_clusters: int
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
+    boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
     edge_length: float  # m, mean
     stretch: stretch.StretchConstants
@@ -53,6 +54,7 @@ def build(mesh: Mesh, thickness: float) -> Model:
         cluster=cluster,
         n_clusters=int(cluster.max()) + 1,
         rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
+        boundary=_boundary(mesh),
         area=float(area),
         edge_length=mesh.edge_length,
         stretch=stretch.build(mesh),
@@ -75,3 +77,14 @@ def _clusters(edges: np.ndarray, mesh: Mesh) -> np.ndarray:
         closer = distance < nearest
         nearest[closer], owner[closer] = distance[closer], k
     return owner
+
+
+def _boundary(mesh: Mesh) -> np.ndarray:
+    """(H, 3) vertices of open boundaries, each with the one before and the one after it in the sense in which its faces run."""
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
+    forward, backward = edges @ [mesh.n_vertices, 1], edges @ [1, mesh.n_vertices]
+    edges = edges[~np.isin(forward, backward)]
+    after, before = np.full(mesh.n_vertices, -1), np.full(mesh.n_vertices, -1)
+    after[edges[:, 0]], before[edges[:, 1]] = edges[:, 1], edges[:, 0]
+    vertex = np.flatnonzero((after >= 0) & (before >= 0))
+    return np.stack([vertex, before[vertex], after[vertex]], axis=1).astype(np.int32)
