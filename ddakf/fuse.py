@@ -83,7 +83,7 @@ def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: 
         position=prior.position,
         rest=rigidity.to_rest(model, physics_lambda * config.physics.rest_rigidity, rotation),
         motion=rigidity.since(last, model, config.physics.motion_rigidity),
-        information=inverse_blocks(prior.P_pp + floor * np.eye(3)),
+        information=inverse_blocks(prior.P_pp, floor),
         measurement=Measurement.none(n),
         weight=np.zeros(n),
         R=prior.R,
@@ -227,10 +227,10 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapU
     return delta
 
 
-def inverse_blocks(blocks: np.ndarray) -> np.ndarray:
-    """Inverses of symmetric positive definite (V, 3, 3)."""
+def inverse_blocks(blocks: np.ndarray, added: float = 0.0) -> np.ndarray:
+    """Inverses of symmetric positive definite (V, 3, 3), with ``added`` on their diagonals."""
     inverse = np.empty_like(blocks)
-    kernels.invert_blocks(blocks, inverse)
+    kernels.invert_blocks(blocks, added, inverse)
     return inverse
 
 

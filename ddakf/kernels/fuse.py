@@ -113,10 +113,10 @@ def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def invert_blocks(D, inverse):
-    """Inverse of symmetric positive definite 3x3 blocks, (V, 3, 3) each."""
+def invert_blocks(D, added, inverse):
+    """Inverse of D + ``added`` I, of symmetric positive definite 3x3 blocks, (V, 3, 3) each."""
     for i in range(D.shape[0]):
-        a, b, c = D[i, 0, 0], D[i, 1, 1], D[i, 2, 2]
+        a, b, c = D[i, 0, 0] + added, D[i, 1, 1] + added, D[i, 2, 2] + added
         d, e, f = D[i, 0, 1], D[i, 0, 2], D[i, 1, 2]
         A = b * c - f * f
         B = e * f - d * c

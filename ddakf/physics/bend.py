@@ -60,11 +60,13 @@ class Hinges(NamedTuple):
     blocks: np.ndarray  # (V, 3, 3) a block-diagonal bound of the Gauss-Newton matrix
 
 
-def summed(linearization: Linearization, stiffness: float, n: int) -> Hinges:
-    """Force and matrix of a garment of ``n`` vertices."""
+def summed(positions: np.ndarray, constants: BendConstants, stiffness: float) -> Hinges:
+    """Force and matrix at positions (V, 3) metres; :func:`linearize` is the reference."""
+    n = len(positions)
     hinges = Hinges(np.zeros((n, 4)), np.zeros((n, 3, 3)))
     if stiffness > 0:
-        kernels.add_hinges(*linearization, stiffness, hinges.blocks, hinges.force)
+        stencil, rest_angle, least, weight = constants
+        kernels.add_hinges(positions, stencil, rest_angle, least, weight, stiffness, hinges.blocks, hinges.force)
     return hinges
 
 

@@ -15,12 +15,11 @@ from ddakf.physics.contact import BodyContact
 class Energies(NamedTuple):
     """The cloth energies at one position, and the stiffness of each (lambda and fabric included).
 
-    Stretch and shear are not linearised here: the fused update takes their blocks straight from the position.
+    Stretch, shear and bending are not linearised here: the fused update takes their blocks straight from the position.
     """
 
     position: np.ndarray  # (V, 3) m
-    bend: Linearization
-    bending: bend.Hinges  # its sums
+    bending: bend.Hinges  # of the frame's first pass
     collision: Linearization | None
     stiffness: tuple[float, float, float, float]  # of stretch, shear, bend and collision
     strain_scale: float  # of stretch, see :func:`softened`
@@ -28,7 +27,8 @@ class Energies(NamedTuple):
     def parts(self, model: Model) -> list[tuple[Linearization, float]]:
         """Each energy that acts, linearised, with its stiffness."""
         stretched = softened(stretch.linearize(self.position, model.stretch), self.strain_scale)
-        linear = (stretched, shear.linearize(self.position, model.shear), self.bend, self.collision)
+        sheared, bent = shear.linearize(self.position, model.shear), bend.linearize(self.position, model.bend)
+        linear = (stretched, sheared, bent, self.collision)
         pairs = zip(linear, self.stiffness, strict=True)
         return [(part, stiffness) for part, stiffness in pairs if part is not None and stiffness > 0]
 
@@ -60,12 +60,8 @@ def linearize(
         physics_lambda * config.bend * fabric.bend,
         config.collision,
     )
-    if last is None:
-        bent = bend.linearize(position, model.bend)
-        bending = bend.summed(bent, stiffness[2], len(position))
-    else:
-        bent, bending = last.bend, last.bending
-    return Energies(position, bent, bending, touching, stiffness, config.strain_scale)
+    bending = bend.summed(position, model.bend, stiffness[2]) if last is None else last.bending
+    return Energies(position, bending, touching, stiffness, config.strain_scale)
 
 
 def softened(part: Linearization, scale: float) -> Linearization:

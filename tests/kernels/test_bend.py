@@ -62,3 +62,16 @@ def test_coinciding_vertices_stay_finite():
     residual, jacobian = run(x, stencil, rest, np.full((60, 2), 1e-6))
     assert np.isfinite(residual).all()
     assert np.isfinite(jacobian).all()
+
+
+def test_sums_over_the_hinges_are_those_of_the_jacobian():
+    x, stencil, rest = hinges(4)
+    least, weight = np.full((60, 2), 1e-6), np.random.default_rng(5).uniform(1, 2, 60)
+    residual, jacobian = run(x, stencil, rest, least)
+    force, blocks = np.zeros((30, 4)), np.zeros((30, 3, 3))
+    bend.add_hinges(x, stencil, rest, least, weight, 0.7, blocks, force)
+    k, expected_force, expected_blocks = 0.7 * weight[:, None, None], np.zeros((30, 3)), np.zeros((30, 3, 3))
+    np.add.at(expected_force, stencil, -k * residual[:, None, None] * jacobian)
+    np.add.at(expected_blocks, stencil, 4 * k[..., None] * jacobian[..., :, None] * jacobian[..., None, :])
+    np.testing.assert_allclose(force[:, :3], expected_force, rtol=0, atol=1e-9 * np.abs(expected_force).max())
+    np.testing.assert_allclose(blocks, expected_blocks, rtol=0, atol=1e-9 * np.abs(expected_blocks).max())
