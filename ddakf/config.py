@@ -174,6 +174,7 @@ class Physics(Checked):
     collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
     gap_time: float = bounded(0.5, 0, 1e3)  # s, in which it follows what is seen deeper in the body; 0: it is kept everywhere
+    self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)

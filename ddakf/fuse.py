@@ -14,6 +14,7 @@ from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import fuse as kernels
 from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
+from ddakf.kernels import self_collision as self_collision_kernels
 from ddakf.kernels import strain as strain_kernels
 from ddakf.model import Model
 from ddakf.physics.energies import Energies, total_blocks, total_gradient
@@ -198,6 +199,8 @@ def normal_equations(
         )
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
+    if energies.self_collision is not None:
+        self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, unary, force)
     rigidity.add_force(rigid, position, model, force)
     blocks = np.zeros((len(model.mesh.edges), 9), np.float32)
     strain_kernels.add_strain(position, *model.strain, stretch, shear, energies.strain_scale**2, blocks, force)

@@ -143,7 +143,7 @@ class Tracker:
 
             # E. Physics (2.4)
             forces = energies.linearize(
-                update.position, update.energies, garment, self._contact, health.physics_lambda, config.physics
+                update.position, update.energies, garment, self._contact, health.physics_lambda, config.physics, anchor
             )
             clock.lap("physics")
 

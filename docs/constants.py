@@ -92,6 +92,7 @@ REASONS = {
     "Physics.bend": "tuned: keeps folds",
     "Physics.collision": "tuned: penetration below 0.1 mm in the mean; ten times stiffer makes tight garments stick",
     "Physics.thickness": "chosen",
+    "Physics.self_collision": "off: it helps where the estimate is good and holds on to crossings where it is not",
     "Physics.gap_time": "chosen: some fifteen frames, so that no single one decides",
     "Physics.motion_rigidity": "tuned",
     "Physics.rest_rigidity": "tuned",

@@ -107,7 +107,7 @@ class BodyContact:
             self.held = None
         if vertices is not None:
             self.vertices = vertices
-            self._surface = proximity.refresh(self._body, vertices)
+            self._surface = proximity.refresh(self._body, vertices, self._surface)
 
     def nearest(self, position: np.ndarray) -> proximity.Contact:
         """Closest points on the body for (V, 3) ``position``; they are held for what follows."""

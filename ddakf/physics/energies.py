@@ -8,7 +8,7 @@ import numpy as np
 
 from ddakf.config import Physics
 from ddakf.model import Model
-from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, shear, stretch
+from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, self_collision, shear, stretch
 from ddakf.physics.contact import BodyContact
 
 
@@ -23,23 +23,27 @@ class Energies(NamedTuple):
     collision: Linearization | None
     stiffness: tuple[float, float, float, float]  # of stretch, shear, bend and collision
     strain_scale: float  # of stretch, see :func:`softened`
+    layers: self_collision.Layers | None = None
+    self_collision: Linearization | None = None  # as stiff as self_stiffness
+    self_stiffness: float = 0.0
 
     def parts(self, model: Model) -> list[tuple[Linearization, float]]:
         """Each energy that acts, linearised, with its stiffness."""
         stretched = softened(stretch.linearize(self.position, model.stretch), self.strain_scale)
         sheared, bent = shear.linearize(self.position, model.shear), bend.linearize(self.position, model.bend)
-        linear = (stretched, sheared, bent, self.collision)
-        pairs = zip(linear, self.stiffness, strict=True)
+        linear = (stretched, sheared, bent, self.collision, self.self_collision)
+        pairs = zip(linear, (*self.stiffness, self.self_stiffness), strict=True)
         return [(part, stiffness) for part, stiffness in pairs if part is not None and stiffness > 0]
 
 
 def linearize(
     position: np.ndarray, last: Energies | None, model: Model, contact: BodyContact | None, physics_lambda: float,
-    config: Physics,
+    config: Physics, before: np.ndarray | None = None,
 ) -> Energies:  # fmt: skip
     """All energies at ``position`` (V, 3) metres, multiplied by lambda; collision is not, it is a bound and no preference.
 
-    Bending is linearised once per frame: it is the dearest of the energies, and the angles change little from pass to pass.
+    Bending is linearised once per frame: it is the dearest of the energies, and the angles change little from pass to pass. So
+    are the pairs of self-collision found.
 
     Args:
         position: the estimate.
@@ -48,8 +52,13 @@ def linearize(
         contact: the body, or None.
         physics_lambda: of stage G.
         config: stiffnesses and fabric.
+        before: (V, 3) after the last frame, metres; None: the layers of the garment do not collide.
     """
-    touching = None
+    touching = layers = folded = None
+    if config.self_collision > 0 and before is not None:
+        share, thickness = model.collision.weight, model.collision.thickness
+        layers = self_collision.find(before, position, model.mesh, share, thickness) if last is None else last.layers
+        folded = self_collision.linearize(position, layers)
     if contact is not None and contact.present and config.collision > 0:
         closest = contact.nearest(position) if last is None else contact.touching(position, model.collision.thickness)
         touching = collision.linearize(position, model.collision, closest, contact.gap)
@@ -61,7 +70,7 @@ def linearize(
         config.collision,
     )
     bending = bend.summed(position, model.bend, stiffness[2]) if last is None else last.bending
-    return Energies(position, bending, touching, stiffness, config.strain_scale)
+    return Energies(position, bending, touching, stiffness, config.strain_scale, layers, folded, config.self_collision)
 
 
 def softened(part: Linearization, scale: float) -> Linearization:

@@ -1,6 +1,8 @@
+import numpy as np
 import pytest
 
 from ddakf.errors import InvalidConfig
+from ddakf.physics import fabric
 from ddakf.physics.fabric import PRESETS, Fabric
 
 
@@ -12,6 +14,21 @@ def test_presets_by_attribute_and_by_name(name):
 
 def test_normalised_is_the_default_and_changes_nothing():
     assert Fabric.NORMALISED == Fabric() == Fabric(1.0, 1.0, 1.0)
+
+
+def table():
+    """Name: stretch, shear and bend, of the module's docstring."""
+    rows = [line.split() for line in fabric.__doc__.splitlines()]
+    return {row[0]: [float(x) for x in row[1:4]] for row in rows if row and row[0] in PRESETS}
+
+
+def test_presets_are_the_values_of_the_table_over_their_geometric_means():
+    values = table()
+    assert set(values) == set(PRESETS) - {"normalised"}
+    means = np.exp(np.mean(np.log(list(values.values())), axis=0))
+    for name, moduli in values.items():
+        preset = PRESETS[name]
+        np.testing.assert_allclose([preset.stretch, preset.shear, preset.bend], moduli / means, rtol=0.06)
 
 
 def test_order_of_the_fabrics():

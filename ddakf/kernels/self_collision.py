@@ -1,0 +1,100 @@
+"""Pairs of vertices of two layers of a garment, and their contact. Twin: tests/kernels/test_self_collision.py."""
+
+import numpy as np
+from numba import njit
+
+MOST_CELLS = 64  # per axis: a stray vertex must not make the grid large
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def cell_of(position, i, low, cell, dims):
+    """Cell of a vertex along each axis."""
+    x = min(dims[0] - 1, int((position[i, 0] - low[0]) / cell))
+    y = min(dims[1] - 1, int((position[i, 1] - low[1]) / cell))
+    z = min(dims[2] - 1, int((position[i, 2] - low[2]) / cell))
+    return x, y, z
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def opposite(position, normal, rest, reach, apart, partner, side):
+    """The nearest vertex of another layer under or above each vertex, -1 where there is none, and on which side of it.
+
+    Another layer is what is at least ``apart`` away at rest. Under or above: no farther along that vertex's tangent plane than
+    three quarters of the reach.
+    """
+    n = position.shape[0]
+    low, high = np.empty(3), np.empty(3)
+    for a in range(3):
+        low[a], high[a] = position[:, a].min(), position[:, a].max()
+    cell = max(reach, (high - low).max() / (MOST_CELLS - 1))
+    dims = np.empty(3, np.int64)
+    for a in range(3):
+        dims[a] = int((high[a] - low[a]) / cell) + 1
+    start, order = np.zeros(dims[0] * dims[1] * dims[2] + 1, np.int32), np.empty(n, np.int32)
+    key = np.empty(n, np.int64)
+    for i in range(n):
+        x, y, z = cell_of(position, i, low, cell, dims)
+        key[i] = (x * dims[1] + y) * dims[2] + z
+        start[key[i] + 1] += 1
+    for k in range(start.shape[0] - 1):
+        start[k + 1] += start[k]
+    for i in range(n - 1, -1, -1):
+        start[key[i] + 1] -= 1
+        order[start[key[i] + 1]] = i
+    # start[k + 1] is now where cell k begins, and start[k + 2], or n, where it ends
+    for i in range(n):
+        partner[i], side[i] = -1, 0.0
+        best = reach * reach
+        x, y, z = cell_of(position, i, low, cell, dims)
+        for cx in range(max(0, x - 1), min(dims[0], x + 2)):
+            for cy in range(max(0, y - 1), min(dims[1], y + 2)):
+                first = (cx * dims[1] + cy) * dims[2] + max(0, z - 1)
+                last = (cx * dims[1] + cy) * dims[2] + min(dims[2], z + 2) - 1
+                end = start[last + 2] if last + 2 < start.shape[0] else n
+                for o in range(start[first + 1], end):
+                    j = order[o]
+                    dx, dy, dz = position[i, 0] - position[j, 0], position[i, 1] - position[j, 1], position[i, 2] - position[j, 2]
+                    squared = dx * dx + dy * dy + dz * dz
+                    if squared >= best or j == i:
+                        continue
+                    rx, ry, rz = rest[i, 0] - rest[j, 0], rest[i, 1] - rest[j, 1], rest[i, 2] - rest[j, 2]
+                    if rx * rx + ry * ry + rz * rz < apart * apart:
+                        continue
+                    height = normal[j, 0] * dx + normal[j, 1] * dy + normal[j, 2] * dz
+                    if squared - height * height > 0.5625 * reach * reach:
+                        continue
+                    best, partner[i], side[i] = squared, j, 1.0 if height >= 0.0 else -1.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def linearize(position, stencil, normal, gap, area, residual, jacobian, weight):
+    """r = min(0, n . (p_i - p_j) - gap), dr/dp = (n, -n) where it is negative."""
+    for c in range(stencil.shape[0]):
+        i, j = stencil[c, 0], stencil[c, 1]
+        r = -gap[c]
+        for a in range(3):
+            r += normal[c, a] * (position[i, a] - position[j, a])
+        touching = r < 0.0
+        residual[c], weight[c] = (r, area[c]) if touching else (0.0, 0.0)
+        for a in range(3):
+            jacobian[c, 0, a] = normal[c, a] if touching else 0.0
+            jacobian[c, 1, a] = -normal[c, a] if touching else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def add_pairs(stencil, residual, jacobian, weight, stiffness, D, force):
+    """Adds constraints on two vertices each to the normal equations.
+
+    The two are no neighbours in the mesh, and there is no block that couples them. Twice their own blocks take its place: with
+    them steps of both at the same time never overshoot.
+    """
+    for c in range(stencil.shape[0]):
+        k = stiffness * weight[c]
+        if k == 0.0:
+            continue
+        for s in range(2):
+            i = stencil[c, s]
+            for a in range(3):
+                force[i, a] -= k * residual[c] * jacobian[c, s, a]
+                for b in range(3):
+                    D[i, a, b] += 2.0 * k * jacobian[c, s, a] * jacobian[c, s, b]
