@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ddakf.config import PaperReliability, Reliability
 from ddakf.fuse import Update
+from ddakf.kernels import reliability as kernels
+from ddakf.kernels.associate import vertex_normals
+from ddakf.model import Model
 from ddakf.types import State, TrackerState
 
+EVIDENCE_POINTS = 800  # of a cloud that are held against the surface
+REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
+SPEED_MEMORY, MISFIT_MEMORY, UNSEEN_MEMORY = 1.0, 0.5, 0.3  # s
+ONE_SECOND = 1.0  # s: time over which an unseen part's travel adds up
+SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
 LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
 
 
@@ -20,7 +29,25 @@ class Health(NamedTuple):
     physics_lambda: float = 1.0
     poor_for: float = 0.0  # s of sensor time with points, but without a fit
     empty_for: float = 0.0  # s of empty clouds
-    frames_unplaced: int = 0  # frames with points since the start or the loss
+    doubtful: bool = False  # there is a fit, but hardly of this garment
+    frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    # what the predicted error remembers
+    speed2: float = 0.0  # m^2/s^2, mean squared velocity
+    usual_strain: float = 10.0  # least RMS strain so far
+    misfit: float = 0.0  # m^2
+    offset: float = 0.0  # m^2, of the last cloud
+    unseen: float = 0.0  # m^2
+
+    @property
+    def unplaced(self) -> bool:
+        """Where the garment is has not been seen lately: before the first fit, lost, out of sight or without a fit."""
+        return self.state in ("initializing", "lost") or self.poor_for > 0.0 or self.empty_for > 0.0 or self.doubtful
+
+    @property
+    def search_due(self) -> bool:
+        """Whether it is looked for: a search takes as long as several frames, and a stream of nonsense must not stall."""
+        rounds, rest = divmod(self.frames_unplaced, SEARCH_EVERY)
+        return self.unplaced and rest == 0 and rounds & (rounds - 1) == 0
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -39,22 +66,78 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     return float(np.exp(-energy[found].sum() / len(found)))
 
 
-def score(covariance: np.ndarray, normalised: np.ndarray, expected: int, config) -> float:
-    """The product's score in [0, 1]: 1 / (1 + (e / e_half)^2) with e the error that the frame's own evidence predicts.
+class Evidence(NamedTuple):
+    """What a frame says about its own error: contributions to its mean square, square metres but for their weights."""
 
-    e^2 is the mean of trace(P_i), times the mean normalised innovation squared where that is larger than its expectation, over
-    the squared share of the visible vertices that found a measurement.
+    misfit: float  # of the cloud from the surface along its normals, over the last half second
+    offset: float  # the same in all directions, this frame: a sleeve that lies elsewhere
+    strain: float  # squared RMS strain beyond the least so far, times the edge length squared: a wrong fit is crumpled
+    correction: float  # mean squared correction of the prediction in the patch where it is largest
+    unseen: float  # share of the garment without measurements times its squared travel, remembered for UNSEEN_MEMORY
+    unmatched: float  # share of the vertices that a sensor may see without a measurement, times REACH^2
+
+
+# fitted: benchmarks/reliability.py --fit prints them
+WEIGHTS = Evidence(misfit=9.8, offset=18.0, strain=2100.0, correction=0.18, unseen=0.035, unmatched=0.079)
+
+
+def evidence(
+    health: Health, update: Update, position: np.ndarray, velocity: np.ndarray, prior: np.ndarray, points: np.ndarray,
+    dt: float, model: Model,
+) -> tuple[Evidence, Health]:  # fmt: skip
+    """What speaks for and against a frame, and the memory of it.
 
     Args:
-        covariance: (V, 3, 3) posterior, square metres.
-        normalised: (K,) squared residuals of the used measurements over the trace of R.
-        expected: number of vertices that a sensor may see.
-        config: the scale.
+        health: after the last frame.
+        update: the finished update.
+        position, velocity: (V, 3) of the posterior, metres and metres per second, relative to the body where it carries.
+        prior: (V, 3) predicted position, metres.
+        points: (N, 3) the cloud as it came, metres.
+        dt: seconds since the last frame.
+        model: the garment.
     """
-    nis = max(1.0, 3.0 * float(np.mean(normalised))) if len(normalised) else 1.0
-    share = min(1.0, max(len(normalised) / expected, 1e-3)) if expected else 1.0
-    error2 = float(np.trace(covariance, axis1=1, axis2=2).mean()) * nis / share**2
-    return 1.0 / (1.0 + error2 / config.half_error**2)
+    used = update.weight > 0
+    speed2 = _follow(health.speed2, float(np.einsum("va,va->", velocity, velocity)) / len(velocity), dt, SPEED_MEMORY)
+    travel2 = (1.0 - float(used.mean())) * speed2 * min(dt, LONGEST_BOOKED) * ONE_SECOND
+    misfit, offset = health.misfit, health.offset
+    if len(points):
+        normal = np.empty_like(position)
+        vertex_normals(position, model.faces, normal)
+        stride = max(1, len(points) // EVIDENCE_POINTS)
+        along, offset = kernels.misfit(points, stride, position, normal, model.cluster, model.n_clusters, REACH)
+        misfit = _follow(misfit, along, dt, MISFIT_MEMORY)
+    strain = kernels.strain(position, model.start, model.neighbour, model.rest_edge)
+    health = health._replace(
+        speed2=speed2,
+        usual_strain=min(health.usual_strain, strain),
+        misfit=misfit,
+        offset=offset,
+        unseen=health.unseen * math.exp(-dt / UNSEEN_MEMORY) + travel2,
+    )
+    move2 = np.einsum("va,va->v", position - prior, position - prior)
+    patch_move2 = np.bincount(model.cluster, move2, model.n_clusters) / np.bincount(model.cluster, minlength=model.n_clusters)
+    return Evidence(
+        misfit=misfit,
+        offset=offset,
+        strain=(model.edge_length * (strain - health.usual_strain)) ** 2,
+        correction=float(patch_move2.max()),
+        unseen=health.unseen,
+        unmatched=REACH**2 * float((update.measurement.visible & ~used).mean()),
+    ), health
+
+
+def _follow(old: float, new: float, dt: float, memory: float) -> float:
+    return old + (1.0 - math.exp(-dt / memory)) * (new - old)
+
+
+def predicted_error(found: Evidence, weights: Evidence = WEIGHTS) -> float:
+    """Metres: the RMSE that the evidence predicts."""
+    return math.sqrt(sum(weight * value for weight, value in zip(weights, found, strict=True)))
+
+
+def score(error: float, config: Reliability | PaperReliability) -> float:
+    """The product's score in [0, 1]: 1 / (1 + (e / e_half)^2) of the predicted error, metres."""
+    return 1.0 / (1.0 + (error / config.half_error) ** 2)
 
 
 def vertex_reliability(sigma: np.ndarray, weight: np.ndarray, config: Reliability | PaperReliability) -> np.ndarray:
@@ -71,11 +154,12 @@ class Verdict(NamedTuple):
     paper_score: float
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
+    evidence: Evidence
 
 
 def judge(
-    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, n_points: int, dt: float,
-    config: Reliability | PaperReliability,
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, points: np.ndarray, dt: float,
+    model: Model, config: Reliability | PaperReliability,
 ) -> Verdict:  # fmt: skip
     """Scores a frame and moves the tracker's state on.
 
@@ -84,21 +168,22 @@ def judge(
         update: the finished update.
         posterior, prior: states of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
-        n_points: in the cloud as it came.
+        points: (N, 3) the cloud as it came, metres.
         dt: seconds of sensor time since the last frame.
+        model: the garment.
         config: ``Reliability`` or ``PaperReliability``.
     """
-    used = update.weight > 0
-    coverage = float(used.mean())
+    coverage = float((update.weight > 0).mean())
     s_k = paper_score(update.measurement.innovation(prior.position), update.R, update.measurement.found)
-    residual = update.measurement.innovation(posterior.position)[used]
-    normalised = np.einsum("va,va->v", residual, residual) / np.maximum(np.trace(update.R[used], axis1=1, axis2=2), 1e-12)
-    reliability = score(covariance, normalised, int(update.measurement.visible.sum()), config)
+    found, health = evidence(
+        health, update, posterior.position, posterior.velocity, prior.position, points, dt, model
+    )
+    reliability = score(predicted_error(found), config)
     moved = advance(
-        health, s_k if isinstance(config, PaperReliability) else reliability, coverage, n_points, update.rejected, dt, config
+        health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
     )
     sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
-    return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config))
+    return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config), found)
 
 
 def advance(
@@ -116,22 +201,26 @@ def advance(
         dt: seconds of sensor time since the last frame.
         config: thresholds.
     """
+    calm = health._replace(
+        state="tracking", physics_lambda=1.0, poor_for=0.0, empty_for=0.0, frames_unplaced=0, doubtful=False
+    )
+    worried = calm._replace(state="recovering", physics_lambda=config.recovery_lambda)
     if isinstance(config, PaperReliability):
-        low = score < config.threshold
-        return Health("recovering" if low else "tracking", config.recovery_lambda if low else 1.0)
+        return worried if score < config.threshold else calm
     dt = min(dt, LONGEST_BOOKED)
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
         health = health._replace(empty_for=health.empty_for + dt)
         return health._replace(state="lost") if health.empty_for >= config.lost_after_empty else health
-    poor_for = health.poor_for + dt if rejected or coverage < config.lost_coverage else 0.0
-    if poor_for >= config.lost_after or (health.state == "lost" and poor_for > 0):
-        unplaced = health.frames_unplaced + 1 if health.state in ("lost", "initializing") else 0
-        return Health("lost", 1.0, poor_for, 0.0, unplaced)
-    if health.state == "initializing" and poor_for > 0:
-        return health._replace(poor_for=poor_for, empty_for=0.0, frames_unplaced=health.frames_unplaced + 1)
-    threshold = config.recovery_above if health.state == "recovering" else config.recovery_below
-    recovering = score < threshold or poor_for > 0
-    return Health(
-        "recovering" if recovering else "tracking", config.recovery_lambda if recovering else 1.0, poor_for, 0.0
-    )
+    if rejected or coverage < config.lost_coverage:
+        poor_for = health.poor_for + dt
+        unplaced = health.frames_unplaced + 1 if health.unplaced else 0
+        if poor_for >= config.lost_after or health.state == "lost":
+            # the search begins anew with the loss: what is sought then is more than the last shape
+            return calm._replace(state="lost", poor_for=poor_for, frames_unplaced=unplaced if health.state == "lost" else 0)
+        state = "initializing" if health.state == "initializing" else "recovering"
+        return worried._replace(state=state, poor_for=poor_for, frames_unplaced=unplaced)
+    if score < config.doubt_below:
+        # points are measured, but not where they should be: the garment is looked for, and is not yet lost
+        return worried._replace(doubtful=True, frames_unplaced=health.frames_unplaced + 1 if health.unplaced else 0)
+    return worried if score < (config.recovery_above if health.state == "recovering" else config.recovery_below) else calm

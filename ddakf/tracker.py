@@ -117,7 +117,7 @@ class Tracker:
         last, carried = self._ride(now.body_vertices, dt)
         prior = predict.predict(last, dt, carried, config.predict)
         prior, anchor, rotation = initialize.locate(
-            prior, last.position, self._rotation, now.points, health, garment, config.start
+            prior, last.position, self._rotation, now, dt, health, garment, config.start
         )
         clock.lap("predict")
 
@@ -157,7 +157,9 @@ class Tracker:
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
-        verdict = reliability.judge(health, update, posterior, covariance, prior, len(now.points), dt, config.reliability)
+        verdict = reliability.judge(
+            health, update, posterior, covariance, prior, now.points, dt, garment, config.reliability
+        )
         clock.lap("reliability")
 
         if self._contact is not None:

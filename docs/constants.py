@@ -105,6 +105,7 @@ REASONS = {
     "Reliability.recovery_below": "chosen",
     "Reliability.recovery_above": "chosen, above recovery_below: hysteresis",
     "Reliability.recovery_lambda": "the paper says that lambda is raised, not by how much; tuned",
+    "Reliability.doubt_below": "chosen: a predicted error of more than 10 cm",
     "Reliability.lost_coverage": "chosen: so few measured vertices hold nothing in place",
     "Reliability.lost_after": "chosen: 15 frames at 30 per second",
     "Reliability.lost_after_empty": "chosen: no points say nothing about the fit for a while",

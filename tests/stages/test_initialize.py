@@ -7,7 +7,8 @@ from ddakf import Config, Mesh, Tracker, model, rigidity
 from ddakf.config import Start
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor, sample_surface
-from ddakf.initialize import locate, place
+from ddakf.frame import Frame
+from ddakf.initialize import cost_in_place, locate, places
 from ddakf.mesh import vertex_normals
 from ddakf.reliability import Health
 from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
@@ -54,11 +55,23 @@ def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degree
 def test_placement_recovers_the_motion(degrees):
     start = SAMPLE.garment_vertices[40].astype(float)
     truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
-    placement, stay = place(start, captured("full", truth, 0)[0])
+    points = captured("full", truth, 0)[0]
+    faces = SHIRT.faces.astype(np.int32)
+    placement = places(start, faces, points)[0]
     assert rms(placement.apply(start) - truth) < 0.03
     np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(placement.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
-    assert placement.cost < stay
+    assert placement.cost < 0.5 * cost_in_place(start, faces, points, None)
+
+
+def test_placements_have_different_headings_and_the_best_comes_first():
+    start = SAMPLE.garment_vertices[40].astype(float)
+    found = places(start, SHIRT.faces.astype(np.int32), captured("full", start @ turn(20).T, 0)[0])
+    assert len(found) > 1
+    assert found[0].cost == min(placement.cost for placement in found)
+    headings = [np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0])) for p in found]
+    apart = np.abs(np.subtract.outer(headings, headings)) % 360
+    assert (np.minimum(apart, 360 - apart)[~np.eye(len(found), dtype=bool)] >= 29.9).all()
 
 
 def prior_at(position):
@@ -67,11 +80,17 @@ def prior_at(position):
 
 MODEL = model.build(TUBE, 0.003)
 UNTURNED = rigidity.identity(TUBE.n_vertices)
+DT = 1 / FPS
+
+
+def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
+    frame = Frame(points, 0.0, None, None)
+    return locate(prior, last, UNTURNED, frame, dt, health, MODEL, config or Start())
 
 
 def test_a_garment_in_place_is_left_alone():
     prior = prior_at(TUBE.vertices)
-    same, anchor, rotation = locate(prior, TUBE.vertices, UNTURNED, scan(TUBE.vertices, TUBE), Health(), MODEL, Start())
+    same, anchor, rotation = located(prior, scan(TUBE.vertices, TUBE), Health())
     assert same is prior
     assert anchor is TUBE.vertices
     assert rotation is UNTURNED
@@ -81,26 +100,51 @@ def test_a_garment_in_place_is_left_alone():
 def test_a_garment_that_is_tracked_is_never_searched(state):
     prior = prior_at(TUBE.vertices)
     far = scan(TUBE.vertices + 0.4, TUBE)
-    same = locate(prior, TUBE.vertices, UNTURNED, far, Health(state=state), MODEL, Start())[0]
-    assert same is prior
-    moved = locate(prior, TUBE.vertices, UNTURNED, far, Health(state="lost"), MODEL, Start())[0]
+    assert located(prior, far, Health(state=state))[0] is prior
+
+
+@pytest.mark.parametrize(
+    "health",
+    [
+        Health(),
+        Health(state="lost"),
+        Health(state="tracking", empty_for=0.1),
+        Health(state="recovering", poor_for=0.1),
+        Health(state="recovering", doubtful=True),
+    ],
+    ids=["start", "lost", "out of sight", "without a fit", "doubtful"],
+)
+def test_a_garment_that_was_not_seen_lately_is_searched(health):
+    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), health)[0]
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
     assert not moved.velocity.any()
 
 
+def test_a_garment_is_searched_after_a_gap():
+    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health(state="tracking"), dt=0.5)[0]
+    assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
+
+
 def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
     torn = prior_at(TUBE.vertices * [1.0, 30.0, 1.0] + 7.0)
-    found, anchor, _ = locate(torn, torn.position, UNTURNED, scan(TUBE.vertices, TUBE), Health(state="lost"), MODEL, Start())
+    found, anchor, _ = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
     assert rms(found.position - TUBE.vertices) < 0.05
     assert anchor is found.position
 
 
 def test_the_search_can_be_switched_off_and_needs_enough_points():
     prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
-    assert locate(prior, TUBE.vertices, UNTURNED, far, Health(), MODEL, Start(search=False))[0] is prior
-    assert locate(prior, TUBE.vertices, UNTURNED, far[:50], Health(), MODEL, Start(least_points=51))[0] is prior
-    assert locate(prior, TUBE.vertices, UNTURNED, far[:0], Health(), MODEL, Start())[0] is prior
+    assert located(prior, far, Health(), config=Start(search=False))[0] is prior
+    assert located(prior, far[:50], Health(), config=Start(least_points=51))[0] is prior
+    assert located(prior, far[:0], Health())[0] is prior
     assert Config.paper().start.search is False
+
+
+def test_a_fruitless_search_is_repeated_ever_more_rarely():
+    due = [k for k in range(100) if Health(state="lost", frames_unplaced=k).search_due]
+    assert due[0] == 0
+    assert len(due) < 8
+    assert (np.diff(due, 2) >= 0).all()
 
 
 def test_a_start_on_the_garment_is_tracked_from_the_first_frame():

@@ -7,10 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf import Config, Tracker
-from ddakf.config import KnnFilter, PaperReliability
-from ddakf.reliability import Health, advance, paper_score, score, vertex_reliability
-from tests.stages.scenes import FPS, blocks, scan, tube
+from ddakf import Config, Mesh, Tracker, model
+from ddakf.config import KnnFilter, PaperReliability, Start
+from ddakf.kernels import reliability as kernels
+from ddakf.mesh import vertex_normals
+from ddakf.reliability import (
+    WEIGHTS,
+    Evidence,
+    Health,
+    advance,
+    paper_score,
+    predicted_error,
+    score,
+    vertex_reliability,
+)
+from tests.stages.scenes import FPS, blocks, rms, scan, tube
 
 CONFIG = Config().reliability
 PAPER = PaperReliability()
@@ -47,20 +58,94 @@ def test_without_measurements_s_k_is_zero():
     assert paper_score(np.zeros((5, 3)), np.tile(np.eye(3), (5, 1, 1)), np.zeros(5, bool)) == 0.0
 
 
-FINITE = st.floats(1e-8, 1.0)
+EVIDENCE = st.tuples(*[st.floats(0, 1.0) for _ in Evidence._fields])
 
 
-@given(variance=FINITE, nis=st.floats(0, 100), found=st.integers(0, 90), more=st.floats(1.0, 50.0))
+@given(values=EVIDENCE, which=st.integers(0, len(Evidence._fields) - 1), more=st.floats(0, 1.0))
 @settings(max_examples=100, deadline=None, derandomize=True)
-def test_score_falls_with_uncertainty_and_residuals_and_rises_with_measurements(variance, nis, found, more):
-    def of(variance, nis, found):
-        return score(np.tile(variance * np.eye(3), (7, 1, 1)), np.full(found, nis), 100, CONFIG)
+def test_score_is_a_share_that_no_evidence_of_error_raises(values, which, more):
+    worse = list(values)
+    worse[which] += more
+    here, there = (score(predicted_error(Evidence(*v)), CONFIG) for v in (values, worse))
+    assert 0.0 <= there <= here <= 1.0
 
-    here = of(variance, nis, found)
-    assert 0.0 <= here <= 1.0
-    assert of(variance * more, nis, found) <= here
-    assert of(variance, nis * more, found) <= here + 1e-12
-    assert of(variance, nis, found + 10) >= here - 1e-12
+
+def test_score_is_a_half_at_the_configured_error():
+    assert score(CONFIG.half_error, CONFIG) == pytest.approx(0.5)
+    assert score(0.0, CONFIG) == 1.0
+
+
+def test_weights_are_no_negative_numbers_and_some_count():
+    assert min(WEIGHTS) >= 0.0
+    assert max(WEIGHTS) > 0.0
+
+
+# Evidence -----------------------------------------------------------------------------------------------------------
+
+
+def misfit_of(points, mesh, patches=40):
+    normal = vertex_normals(mesh.vertices, mesh.faces)
+    patch = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32)
+    return kernels.misfit(points, 1, mesh.vertices, normal, patch, patches, 0.1)
+
+
+def slow_misfit(points, mesh, patches):
+    """The definition, by brute force."""
+    normal = vertex_normals(mesh.vertices, mesh.faces)
+    patch = np.arange(mesh.n_vertices) * patches // mesh.n_vertices
+    away = np.linalg.norm(points[:, None] - mesh.vertices[None], axis=2)
+    nearest, far = away.argmin(axis=1), away.min(axis=1) >= 0.1
+    d = (points - mesh.vertices[nearest])[~far]
+    r, p = np.einsum("na,na->n", d, normal[nearest[~far]]), patch[nearest[~far]]
+    pairs = along = offset = 0.0
+    for c in range(patches):
+        mine = p == c
+        pairs += mine.sum() * (mine.sum() - 1)
+        along += r[mine].sum() ** 2 - (r[mine] ** 2).sum()
+        offset += (d[mine].sum(axis=0) ** 2).sum() - (d[mine] ** 2).sum()
+    return max(along / pairs, 0), max(offset / pairs, 0)
+
+
+@pytest.mark.parametrize("shift", [[0, 0, 0], [0.03, 0, 0.02], [0, 0.3, 0]])
+def test_misfit_is_its_definition(shift):
+    mesh = tube()
+    points = scan(mesh.vertices + shift, mesh, count=500, noise=0.01).astype(float)
+    assert misfit_of(points, mesh, 20) == pytest.approx(slow_misfit(points, mesh, 20), rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.01])
+def test_misfit_tells_a_displaced_surface_from_noise(noise):
+    mesh = tube()
+    in_place = misfit_of(scan(mesh.vertices, mesh, noise=noise), mesh)
+    grown = Mesh(mesh.vertices * [1.1, 1.0, 1.1], mesh.faces)
+    displaced = misfit_of(scan(grown.vertices, grown, noise=noise), mesh)
+    assert displaced[0] > 20 * in_place[0]
+    assert in_place[0] < 0.004**2
+
+
+def test_points_that_no_vertex_is_near_do_not_count():
+    mesh = tube()
+    points = scan(mesh.vertices, mesh).astype(float)
+    assert misfit_of(np.concatenate([points, points[:50] + 3.0]), mesh) == misfit_of(points, mesh)
+    assert misfit_of(points[:0], mesh) == (0.0, 0.0)
+
+
+def test_strain_is_that_of_the_edges():
+    mesh = tube()
+    garment = model.build(mesh, 0.003)
+    of = [kernels.strain(s * mesh.vertices, garment.start, garment.neighbour, garment.rest_edge) for s in (1.0, 1.2)]
+    assert of == pytest.approx([0.0, 0.2], abs=1e-6)
+
+
+def test_score_falls_where_the_surface_leaves_its_cloud():
+    mesh = tube()
+    tracker, scores = Tracker(mesh, config=dataclasses.replace(Config(), start=Start(search=False))), []
+    for k in range(6):
+        shift = 0.0 if k < 3 else 0.25
+        result = tracker.step(scan(mesh.vertices + [shift, 0, 0], mesh, seed=k), timestamp=k * DT)
+        scores.append((result.reliability, rms(result.vertices - mesh.vertices - [shift, 0, 0])))
+    assert scores[3][1] > 5 * scores[2][1]
+    assert scores[3][0] < 0.8 * scores[2][0]
 
 
 @given(sigma=st.floats(0, 10), weight=st.floats(0.01, 1.0), more=st.floats(1.0, 20.0))
@@ -161,6 +246,14 @@ def test_recovery_has_hysteresis_and_stiffens_the_cloth():
     calm = run(recovering, DT, score=CONFIG.recovery_above + 0.01)
     assert calm.state == "tracking"
     assert calm.physics_lambda == 1.0
+
+
+def test_a_doubtful_fit_is_looked_for_but_is_no_loss():
+    """However low the score: half of a garment may be hidden for long, and what is left is tracked."""
+    doubtful = run(TRACKING, 5.0, score=CONFIG.doubt_below - 0.01)
+    assert doubtful.state == "recovering"
+    assert doubtful.unplaced
+    assert not run(doubtful, DT).unplaced
 
 
 @pytest.mark.parametrize("bad", BAD, ids=str)

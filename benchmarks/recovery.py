@@ -1,0 +1,208 @@
+"""How often a garment is found: started at the wrong place and shape, or displaced while it was out of sight.
+
+    python benchmarks/recovery.py [starts] [losses] [--cases 100] [--json benchmarks/results/recovery.json]
+
+**Starts.** The template in its rest shape, laid on the garment of the first frame, moved by 10 cm and turned by 20 degrees
+about the vertical (ddakf.evaluation.trials.astray). Converged: within 15 frames the normal RMSE is at most 1.2 x that of the
+run that was started at the truth on the same clouds, and stays there; where the garment has sleeves or legs, the vertex
+RMSE as well.
+
+**Losses.** A garment is tracked for 10 frames from a random one, disappears for 0.3 to 2.5 seconds (empty clouds, while it
+goes on moving), and reappears displaced by up to 1 m horizontally and turned by up to 45 degrees about the vertical. Found:
+after 15 frames (mean of frames 13 to 17) the state is not lost and the normal RMSE is at most twice that of a run that is
+started at the truth where the garment reappears. The vertex RMSE within twice is counted beside it: a garment that looks
+alike from several sides is found by its shape, but not its heading.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import machine
+import numpy as np
+from inputs import sequences
+from scipy.spatial.transform import Rotation
+
+import ddakf
+from ddakf.evaluation import trials
+from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
+from ddakf.evaluation.sensors import Sensor
+from ddakf.sequence import Sequence
+
+FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: at most, of a garment that reappears
+AWAY = (0.3, 2.5)  # s
+LEAD_IN = 10  # frames tracked before a loss
+FACTOR = 2.0  # times the error of the run from the truth
+WITHIN = 15  # frames that a start may take
+JUDGED = range(12, 17)  # frames after the reappearance whose mean is judged
+WITHOUT_HEADING = ("sim_tank_move", "sim_skirt_dance")  # neither sleeves nor legs
+NOTHING = np.empty((0, 3), np.float32)
+
+
+def turned(vertices: np.ndarray, centre: np.ndarray, angle: float, shift: np.ndarray) -> np.ndarray:
+    """(..., 3) vertices turned by ``angle`` about the vertical through ``centre``, then moved."""
+    rotation = Rotation.from_rotvec([0.0, angle, 0.0]).as_matrix()
+    return ((vertices - centre) @ rotation.T + centre + shift).astype(np.float32)
+
+
+def displaced(sequence: Sequence, frames: range, rng: np.random.Generator) -> Sequence:
+    """The sequence with garment and body of these frames turned and moved as one."""
+    centre = sequence.garment_vertices[frames[0]].mean(axis=0, dtype=np.float64)
+    away, direction, angle = FAR * np.sqrt(rng.random()), rng.uniform(0, 2 * np.pi), rng.uniform(-FAR_TURN, FAR_TURN)
+    shift = away * np.array([np.cos(direction), 0.0, np.sin(direction)])
+
+    def moved(vertices):
+        vertices = vertices.copy()
+        vertices[frames] = turned(vertices[frames], centre, angle, shift)
+        return vertices
+
+    body = None if sequence.body_vertices is None else moved(sequence.body_vertices)
+    return replace(sequence, garment_vertices=moved(sequence.garment_vertices), body_vertices=body)
+
+
+class Track:
+    """A tracker on the frames of one sequence as one sensor sees them, with its errors."""
+
+    def __init__(self, sequence: Sequence, sensor: Sensor, start: np.ndarray, seed: int):
+        self.sequence, self.sensor, self.seed = sequence, sensor, seed
+        self.tracker = ddakf.Tracker(ddakf.Mesh(sequence.template, sequence.garment_faces))
+        self.tracker.reset(start)
+        self.vertex, self.normal, self.states = [], [], []
+
+    def see(self, frame: int, shown: bool = True) -> None:
+        """Steps on one frame; on an empty cloud where nothing is shown."""
+        s = self.sequence
+        cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]))
+        result = self.tracker.step(
+            cloud.points if shown else NOTHING,
+            timestamp=s.timestamp(frame),
+            sensor_origin=cloud.sensor_origin if shown else None,
+        )
+        if shown:
+            truth = s.garment_vertices[frame]
+            self.vertex.append(rmse_mm(result.vertices, truth))
+            self.normal.append(normal_rmse_mm(result.vertices, truth, s.garment_faces))
+            self.states.append(result.state)
+
+    def judged(self) -> tuple[float, float]:
+        """Mean normal and vertex RMSE of the frames that are judged, millimetres."""
+        frames = slice(JUDGED[0], JUDGED[-1] + 1)
+        return float(np.mean(self.normal[frames])), float(np.mean(self.vertex[frames]))
+
+
+def start_case(sequence: Sequence, view: str, seed: int) -> dict:
+    """One wrong start, in the first frame."""
+    trial = trials.Trial(sequence.name, view, seed=seed, start=seed, frames=trials.START_FRAMES)
+    row = trials.run(trial)
+    taken = {what: row[f"frames_until_{name}"] for what, name in (("normal", "normal_rmse_mm"), ("vertex", "rmse_mm"))}
+    return {
+        "sequence": sequence.name, "view": view, "seed": seed, "frames": taken,
+        "normal_found": taken["normal"] is not None and taken["normal"] <= WITHIN,
+        "vertex_found": taken["vertex"] is not None and taken["vertex"] <= WITHIN,
+        "heading": sequence.name not in WITHOUT_HEADING,
+    }  # fmt: skip
+
+
+def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
+    """One garment that reappears elsewhere."""
+    rng = np.random.default_rng([seed, 2])
+    away = round(rng.uniform(*AWAY) * sequence.fps)
+    shown = JUDGED[-1] + 1
+    first = int(rng.integers(len(sequence) - LEAD_IN - away - shown))
+    back = first + LEAD_IN + away
+    frames = range(back, back + shown)
+    sequence = displaced(sequence, frames, rng)
+    lost = Track(sequence, Sensor(view), sequence.garment_vertices[first], seed)
+    for frame in range(first + 1, back):
+        lost.see(frame, shown=frame < first + LEAD_IN)
+    before = len(lost.normal)
+    sure = Track(sequence, Sensor(view), sequence.garment_vertices[back], seed)
+    for frame in frames:
+        lost.see(frame)
+        sure.see(frame)
+    for values in (lost.vertex, lost.normal, lost.states):
+        del values[:before]
+    return compared(sequence.name, view, seed, sure, lost)
+
+
+def compared(name: str, view: str, seed: int, sure: Track, other: Track) -> dict:
+    """Whether the other track is at most twice as wrong as the one that started at the truth."""
+    (normal_0, vertex_0), (normal, vertex) = sure.judged(), other.judged()
+    return {
+        "sequence": name, "view": view, "seed": seed, "state": other.states[JUDGED[-1]],
+        "normal_mm": round(normal, 2), "vertex_mm": round(vertex, 2),
+        "normal_from_truth_mm": round(normal_0, 2), "vertex_from_truth_mm": round(vertex_0, 2),
+        "normal_found": bool(normal <= FACTOR * normal_0 and other.states[JUDGED[-1]] != "lost"),
+        "vertex_found": bool(vertex <= FACTOR * vertex_0 and other.states[JUDGED[-1]] != "lost"),
+        "heading": name not in WITHOUT_HEADING,
+    }  # fmt: skip
+
+
+CASES = {"starts": start_case, "losses": loss_case}
+_SEQUENCES: dict[str, Sequence] = {}
+
+
+def one(job: tuple[str, str, str, int]) -> dict:
+    """A case in a process of its own."""
+    kind, name, view, seed = job
+    if not _SEQUENCES:
+        _SEQUENCES.update({sequence.name: sequence for sequence in sequences()})
+    return CASES[kind](_SEQUENCES[name], view, seed)
+
+
+def wilson(hits: int, total: int) -> tuple[float, float]:
+    """95 % interval of a rate (Wilson 1927)."""
+    z, p = 1.959964, hits / total
+    middle, half = p + z * z / (2 * total), z * np.sqrt(p * (1 - p) / total + z * z / (4 * total**2))
+    return float((middle - half) / (1 + z * z / total)), float((middle + half) / (1 + z * z / total))
+
+
+def rates(cases: list[dict]) -> dict:
+    """Of normal RMSE over all cases, of vertex RMSE over the garments whose heading shows, per view."""
+    out = {}
+    for view in sorted({case["view"] for case in cases}):
+        mine = [case for case in cases if case["view"] == view]
+        for what, chosen in (("normal", mine), ("vertex", [case for case in mine if case["heading"]])):
+            hits = sum(case[f"{what}_found"] for case in chosen)
+            if chosen:
+                out[f"{view}, {what} RMSE"] = {"found": hits, "of": len(chosen), "interval": wilson(hits, len(chosen))}
+    return out
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", metavar="PART", default=list(CASES), help="starts, losses (default both)")
+    parser.add_argument("--cases", type=int, default=100, help="per view (default 100)")
+    parser.add_argument("--views", nargs="+", default=["full", "front"])
+    parser.add_argument("--sequences", nargs="+", help="some of them")
+    parser.add_argument("--procs", type=int, default=1)
+    parser.add_argument("--json", type=Path, help="result file")
+    arguments = parser.parse_args()
+    names = arguments.sequences or [sequence.name for sequence in sequences()]
+    report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
+    with multiprocessing.Pool(arguments.procs) as pool:
+        run: Callable = pool.imap if arguments.procs > 1 else map
+        for part in arguments.parts:
+            jobs = [(part, names[k % len(names)], view, k) for view in arguments.views for k in range(arguments.cases)]
+            cases = []
+            for case in run(one, jobs):
+                cases.append(case)
+                if sys.stderr.isatty() or not (case["normal_found"] and case["vertex_found"]):
+                    print(part, len(cases), case, file=sys.stderr, flush=True)
+            report[part] = {"rates": rates(cases), "cases": cases}
+            for what, rate in report[part]["rates"].items():
+                low, high = rate["interval"]
+                print(f"{part}: {what}: {rate['found']} of {rate['of']} ({100 * low:.0f} to {100 * high:.0f} %)")
+    if arguments.json:
+        arguments.json.write_text(json.dumps(report, indent=1) + "\n")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

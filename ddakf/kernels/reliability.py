@@ -1,0 +1,107 @@
+"""Stage G, reliability (paper, section 2.6)."""
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+CELLS = 128  # at most along each axis of the grid of vertices
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def misfit(points, stride, position, normal, patch, n_patches, reach):
+    """How far points lie from a surface, patch by patch, so that what is no more than noise cancels out.
+
+    Every ``stride``-th point is given to the vertex nearest to it. With d_i the offsets of the n points of a patch,
+    (|sum d|^2 - sum |d|^2) / (n (n - 1)) has the squared mean offset as its expectation, however noisy the points are.
+
+    Args:
+        points: (N, 3) metres.
+        position, normal: (V, 3) the fitted vertices, metres, and their unit normals.
+        patch: (V,) int32 in [0, n_patches).
+        reach: metres: points farther from every vertex do not count.
+
+    Returns:
+        Squared mean offset along the normals and in all directions, square metres, over the patches; zero where no patch has
+        two points.
+    """
+    n = position.shape[0]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for v in range(n):
+        for a in range(3):
+            low[a] = min(low[a], position[v, a])
+            high[a] = max(high[a], position[v, a])
+    cell = 0.5 * reach
+    for a in range(3):
+        cell = max(cell, (high[a] - low[a]) / (CELLS - 1))
+    dims = np.empty(3, np.int64)
+    for a in range(3):
+        dims[a] = int((high[a] - low[a]) / cell) + 1
+    nx, ny, nz = dims[0], dims[1], dims[2]
+    start, own = np.zeros(nx * ny * nz + 1, np.int32), np.empty(n, np.int64)
+    for v in range(n):
+        c = 0
+        for a in range(3):
+            c = c * dims[a] + min(int((position[v, a] - low[a]) / cell), dims[a] - 1)
+        own[v] = c
+        start[c + 1] += 1
+    for c in range(len(start) - 1):
+        start[c + 1] += start[c]
+    order, fill = np.empty(n, np.int32), start[:-1].copy()
+    for v in range(n):
+        order[fill[own[v]]] = v
+        fill[own[v]] += 1
+    count = np.zeros(n_patches)
+    total, along = np.zeros((n_patches, 3)), np.zeros(n_patches)
+    square, along_square = np.zeros(n_patches), np.zeros(n_patches)
+    steps = int(np.ceil(reach / cell))
+    for k in range(0, points.shape[0], stride):
+        px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
+        ix, iy, iz = int(np.floor((px - low[0]) / cell)), int(np.floor((py - low[1]) / cell)), int(np.floor((pz - low[2]) / cell))
+        best, winner = reach * reach, -1
+        for jx in range(max(ix - steps, 0), min(ix + steps + 1, nx)):
+            for jy in range(max(iy - steps, 0), min(iy + steps + 1, ny)):
+                z0, z1 = max(iz - steps, 0), min(iz + steps, nz - 1)
+                if z0 > z1:
+                    continue
+                row = (jx * ny + jy) * nz
+                for m in range(start[row + z0], start[row + z1 + 1]):
+                    v = order[m]
+                    d2 = (position[v, 0] - px) ** 2 + (position[v, 1] - py) ** 2 + (position[v, 2] - pz) ** 2
+                    if d2 < best:
+                        best, winner = d2, v
+        if winner < 0:
+            continue
+        c = patch[winner]
+        dx, dy, dz = px - position[winner, 0], py - position[winner, 1], pz - position[winner, 2]
+        r = dx * normal[winner, 0] + dy * normal[winner, 1] + dz * normal[winner, 2]
+        count[c] += 1.0
+        total[c, 0] += dx
+        total[c, 1] += dy
+        total[c, 2] += dz
+        square[c] += best
+        along[c] += r
+        along_square[c] += r * r
+    pairs = offset = normal_offset = 0.0
+    for c in range(n_patches):
+        pairs += count[c] * (count[c] - 1.0)
+        offset += total[c, 0] ** 2 + total[c, 1] ** 2 + total[c, 2] ** 2 - square[c]
+        normal_offset += along[c] ** 2 - along_square[c]
+    if pairs > 0.0:
+        return max(normal_offset / pairs, 0.0), max(offset / pairs, 0.0)
+    return 0.0, 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def strain(position, start, neighbour, rest):
+    """Root mean square of |x_j - x_i| / |rest edge| - 1 over the (2E, 3) edges of the one-rings."""
+    total = 0.0
+    for i in range(position.shape[0]):
+        for k in range(start[i], start[i + 1]):
+            j = neighbour[k]
+            length = rest_length = 0.0
+            for a in range(3):
+                length += (position[j, a] - position[i, a]) ** 2
+                rest_length += rest[k, a] ** 2
+            total += (sqrt(length / max(rest_length, 1e-30)) - 1.0) ** 2
+    return sqrt(total / max(len(neighbour), 1))
