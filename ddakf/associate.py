@@ -100,7 +100,7 @@ def associate(
             if not cloud.empty:
                 kernels.nearest_planes(
                     position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
-                    gate, config.normal_cosine, cloud.oriented, config.still * cloud.cell,
+                    gate, config.normal_cosine, config.turned, cloud.oriented, config.still * cloud.cell,
                     searched_at, target, plane, distance,
                 )  # fmt: skip
             hem = _hem(position, normal, visible, cloud, model, config)

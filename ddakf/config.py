@@ -101,6 +101,7 @@ class PlaneAssociation(Checked):
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
     still: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
+    turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a vertex with a surface nearer by more in front of it is hidden
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from a boundary of the garment that the cloud's end is sought; 0: nowhere

@@ -70,6 +70,7 @@ REASONS = {
     "PlaneAssociation.hidden_depth": "chosen: more than noise and the thickness of cloth on a body, less than an arm",
     "PlaneAssociation.normal_cosine": "chosen, 60 degrees: front and back never match",
     "PlaneAssociation.facing_cosine": "chosen, 84 degrees: surface seen edge-on is not measured by a depth camera",
+    "PlaneAssociation.turned": "tuned: of the order of an edge",
     "PlaneAssociation.hem_reach": "tuned: farther than cloth slips, nearer than the next hem",
     "PlaneAssociation.hem_sd": "tuned: half the distance between the points of a depth camera at 2 m",
     "PlaneAssociation.tangential_sd": "tuned: of the order of an edge, as a plane says next to nothing along itself",

@@ -63,13 +63,14 @@ def keep_nearest(squared, bits, index, n):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def nearest_planes(
-    position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, oriented, still,
+    position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, turned, oriented, still,
     searched_at, target, plane_normal, distance,
 ):  # fmt: skip
     """For each eligible vertex the surface of the cloud next to it.
 
-    The nearest surfels whose normal agrees with the vertex's are blended by inverse squared distance; a cloud without a
-    known sensor has unsigned normals, and agreement is then up to sign. A vertex that has moved by less than ``still`` since
+    The nearest surfels whose normal agrees with the vertex's are blended by inverse squared distance, |z - p|^2 +
+    turned^2 |m - n|^2 of point and normal: a fold's flank finds its flank. A cloud without a known sensor has unsigned
+    normals, and agreement is then up to sign. A vertex that has moved by less than ``still`` since
     it was last searched for keeps its plane, which is as flat as that.
 
     Args:
@@ -79,17 +80,18 @@ def nearest_planes(
         start, origin, cell, dims: the grid.
         gate: search radius, metres.
         min_cosine: least agreement of the normals.
+        turned: metres, distance that a unit difference of the normals counts as.
         oriented: the surfels' normals point to the sensor.
         still: metres.
         searched_at: (V, 3) in and out, position at the last search, metres; FAR_AWAY before the first.
         target: (V, 3) in and out, blended surface point, metres.
         plane_normal: (V, 3) in and out, unit, on the vertex normal's side.
-        distance: (V,) in and out, metres to the nearest surfel; negative where there is none.
+        distance: (V,) in and out, metres to the nearest surfel; negative where there is none; the turn counts.
     """
     nx, ny, nz = dims[0], dims[1], dims[2]
     inverse = 1.0 / cell
     reach = int(np.ceil(gate * inverse))
-    least = np.float32(min_cosine)
+    least, penalty = np.float32(min_cosine), np.float32(2.0 * turned * turned)
     X, Y, Z = surfels[0], surfels[1], surfels[2]
     NX, NY, NZ = surfels[3], surfels[4], surfels[5]
     squared, index = np.zeros(CANDIDATES, np.float32), np.zeros(CANDIDATES, np.int64)
@@ -136,6 +138,7 @@ def nearest_planes(
                             if not oriented:
                                 agreement = abs(agreement)
                             # written in any case, counted where it fits: no branch to mispredict
+                            d2 += penalty * (np.float32(1.0) - agreement)
                             squared[found] = d2
                             index[found] = k
                             found += int((d2 < limit) & (agreement >= least))
