@@ -211,7 +211,7 @@ class Reliability(Checked):
 
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends
-    recovery_lambda: float = bounded(3.0, 1, 1e6)  # factor on the physics while it lasts
+    recovery_lambda: float = bounded(1.0, 1, 1e6)  # factor on the physics while it lasts
     doubt_below: float = bounded(0.12, 0, 1)  # score below which the garment is looked for elsewhere
     lost_coverage: float = bounded(0.05, 0, 1)  # coverage below it, with points, counts towards a loss
     lost_after: float = bounded(0.5, 0, 100)  # s of that, or of a rejected fit
