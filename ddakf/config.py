@@ -229,10 +229,11 @@ class PaperReliability(Checked):
 
 @dataclass(frozen=True)
 class Uncertainty(Checked):
-    """Two global constants by which the evidence is divided, and the bounds."""
+    """How far a garment may have drifted from the truth, two of the constants calibrated, and the bounds."""
 
-    correlated_measurements: float = bounded(2.0, 1, 1e4)  # neighbouring plane fits that share their error
-    correlated_coupling: float = bounded(60.0, 1, 1e6)  # times that physics and rigidity state the same
+    missed_share: float = bounded(0.4, 0.01, 100)  # of an innovation: what of it stays as error of a patch's place
+    unseen_share: float = bounded(1.4, 0.0, 100)  # of its motion: how far an unseen patch may have moved otherwise
+    strain_reach: float = bounded(0.25, 0, 10)  # m: strain that is there adds up along the cloth over this length
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2

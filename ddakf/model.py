@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
+from scipy.spatial.distance import cdist
 
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
 
-CLUSTERS = 80
+CLUSTERS, PATCHES = 80, 48  # of the solver's coarse level; of the recursion of the error
 VERTICES_PER_CLUSTER = 8  # at least, on average
+LIKENESS_LENGTH = 0.2  # m: parts of a garment this far apart move alike
 
 
 class Model(NamedTuple):
@@ -25,6 +27,8 @@ class Model(NamedTuple):
     edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
     cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, the coarse level of the solver
     n_clusters: int
+    patch: np.ndarray  # (V,) int32 in [0, L): larger ones, whose error is carried from frame to frame
+    likeness: np.ndarray  # (L, L) float32 correlation of how patches move: exp(-1/2 (distance at rest / LIKENESS_LENGTH)^2)
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
@@ -44,7 +48,7 @@ def build(mesh: Mesh, thickness: float) -> Model:
     start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1))
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    cluster = _clusters(edges, mesh)
+    cluster, patch = _clusters(edges, mesh, CLUSTERS), _clusters(edges, mesh, PATCHES)
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
@@ -53,6 +57,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
         edge=(order % len(mesh.edges)).astype(np.uint32),
         cluster=cluster,
         n_clusters=int(cluster.max()) + 1,
+        patch=patch,
+        likeness=_likeness(mesh.vertices, patch),
         rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
         boundary=_boundary(mesh),
         area=float(area),
@@ -65,14 +71,14 @@ def build(mesh: Mesh, thickness: float) -> Model:
     )
 
 
-def _clusters(edges: np.ndarray, mesh: Mesh) -> np.ndarray:
-    """(V,) nearest of K seeds along the surface; each seed is the vertex farthest from those before it."""
+def _clusters(edges: np.ndarray, mesh: Mesh, count: int) -> np.ndarray:
+    """(V,) nearest of so many seeds along the surface; each seed is the vertex farthest from those before it."""
     n = mesh.n_vertices
     ends = mesh.vertices[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     graph = coo_array((length, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
     nearest, owner = np.full(n, np.inf), np.zeros(n, np.int32)
-    for k in range(min(CLUSTERS, max(1, n // VERTICES_PER_CLUSTER))):
+    for k in range(min(count, max(1, n // VERTICES_PER_CLUSTER))):
         distance = dijkstra(graph, indices=int(np.argmax(nearest)))
         closer = distance < nearest
         nearest[closer], owner[closer] = distance[closer], k
@@ -88,3 +94,10 @@ def _boundary(mesh: Mesh) -> np.ndarray:
     after[edges[:, 0]], before[edges[:, 1]] = edges[:, 1], edges[:, 0]
     vertex = np.flatnonzero((after >= 0) & (before >= 0))
     return np.stack([vertex, before[vertex], after[vertex]], axis=1).astype(np.int32)
+
+
+def _likeness(vertices: np.ndarray, patch: np.ndarray) -> np.ndarray:
+    """(L, L) float32."""
+    size = np.bincount(patch)
+    centre = np.column_stack([np.bincount(patch, vertices[:, a]) for a in range(3)]) / size[:, None]
+    return np.exp(-0.5 * cdist(centre, centre, "sqeuclidean") / LIKENESS_LENGTH**2).astype(np.float32)

@@ -16,19 +16,22 @@ from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
 from ddakf.reliability import Health
 from ddakf.types import State, TrackerState
+from ddakf.uncertainty import Drift
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a body take a tenth of it
-VERSION = 1
+VERSION = 2
 
 
 def save(tracker) -> bytes:
     """Configuration, meshes and everything that changes from step to step."""
     arrays = {f"state_{name}": value for name, value in tracker._state._asdict().items()}
-    arrays |= {"rotation": tracker._rotation, "garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
+    arrays |= {"rotation": tracker._rotation, "drift_covariance": tracker._drift.covariance}
+    arrays |= {"garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
     if tracker.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
+    numbers["drift_speed2"] = tracker._drift.speed2
     return pack(numbers, arrays)
 
 
@@ -44,6 +47,7 @@ def load(data: bytes, kind):
             if not (np.diagonal(state[block], axis1=1, axis2=2) > 0).all():
                 raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
         tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
+        tracker._drift = _drift(tracker._drift, arrays, numbers["drift_speed2"])
         tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
             tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
@@ -58,6 +62,15 @@ def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndar
     if array.shape != model.shape or array.dtype != model.dtype or not np.isfinite(array).all():
         raise InvalidSnapshot(f"snapshot.{name}", f"finite {model.dtype} of shape {model.shape}", f"{array.dtype} {array.shape}")
     return array
+
+
+def _drift(model: Drift, arrays: dict[str, np.ndarray], speed2) -> Drift:
+    covariance = like(model.covariance, arrays, "drift_covariance")
+    if not (covariance.diagonal() > 0).all():
+        raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
+    if isinstance(speed2, bool) or not isinstance(speed2, int | float) or not 0 <= speed2 < math.inf:
+        raise InvalidSnapshot("snapshot.drift_speed2", "a finite square", repr(speed2))
+    return Drift(covariance, float(speed2))
 
 
 def _health(values: dict) -> Health:

@@ -89,6 +89,7 @@ class Tracker:
         velocity = np.zeros((n, 3)) if velocities is None else frame.positions("velocities", velocities, n)
         self._state = State.at(position, velocity, start.sd, start.speed_sd, self.config.adapt.initial_sd)
         self._rotation = rigidity.rotations(position, self._model)
+        self._drift = uncertainty.Drift.at(self._model, start.sd)
         self._health = reliability.Health()
         self._time: float | None = None
         if self._contact is not None:
@@ -153,7 +154,10 @@ class Tracker:
             if update.settled:
                 break
         posterior = uncertainty.posterior(update, prior, config)
-        covariance = uncertainty.marginals(update, posterior, garment, config)
+        found = anchor is not last.position  # placed anew: what is known is what a start knows
+        drift = uncertainty.Drift.at(garment, config.start.sd) if found else self._drift
+        still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
+        covariance, drift = uncertainty.marginals(update, posterior, prior, still, drift, dt, garment, config)
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
@@ -166,7 +170,8 @@ class Tracker:
             self._contact.learn(posterior.position, update.weight > 0, dt, config.physics)
 
         # H. Output
-        self._state, self._rotation, self._health, self._time = posterior, update.rest.rotation, verdict.health, now.timestamp
+        self._state, self._rotation, self._drift = posterior, update.rest.rotation, drift
+        self._health, self._time = verdict.health, now.timestamp
         return _result(posterior, covariance, update, verdict, carried, dt, clock.done())
 
     def snapshot(self) -> bytes:

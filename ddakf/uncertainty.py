@@ -1,20 +1,55 @@
 """Posterior of every vertex after the fusion update, the calibrated covariance, and the bounds of both (paper, section 2.7).
 
 The recursion stores, as in the paper, one block per vertex: the covariance of a vertex given its neighbours, A_ii^-1. That is
-overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either. The reported covariance
-adds what the patch around the vertex does not know, the two-level approximation of the inverse: Sigma_i = A_ii^-1 +
-(P' A P)^-1 of the vertex's cluster, P interpolating clusters to vertices.
+overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either, and a garment that has
+slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion, over
+patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift.
 """
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from ddakf.config import Config, Uncertainty
-from ddakf.fuse import Update, condition, inverse_blocks, invert
-from ddakf.kernels import fuse as kernels
+from ddakf.config import Config, NearestPoint, Uncertainty
+from ddakf.fuse import BLAS, Update, condition, inverse_blocks, invert
+from ddakf.kernels import uncertainty as kernels
 from ddakf.model import Model
 from ddakf.types import State
+
+PERSISTENCE = 4.0  # frames over which plane fits repeat their error; those of a patch count as one
+WITHIN = 0.3  # of a patch's variance: how much its vertices differ from it
+GROWTH = 0.0005  # m per frame that nothing can be seen of
+SMALLEST = 100.0  # 1/m^2 added to what holds the patches, so that a patch that nothing holds has a finite variance
+MEMORY = 0.7  # share of the last frames' innovations in the running mean
+LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than that
+SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
+
+
+class Drift(NamedTuple):
+    """The error of the patches' places, carried from frame to frame. L patches."""
+
+    covariance: np.ndarray  # (3L, 3L) float32 m^2
+    speed2: float  # m^2/s^2, running mean of the squared innovation per second
+
+    @classmethod
+    def at(cls, model: Model, sd: float) -> Drift:
+        """A start whose error has this standard deviation, metres in each direction."""
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0)
+
+
+class Evidence(NamedTuple):
+    """What a frame says about the error of each patch. L patches."""
+
+    size: np.ndarray  # (L,) vertices
+    observed: np.ndarray  # (L,) of them measured
+    information: np.ndarray  # (L, 6) 1/m^2 of the measurements, counted as one: xx yy zz xy xz yz
+    bend: np.ndarray  # (L,) 1 - |mean normal|^2 of the measurements
+    motion2: np.ndarray  # (L,) m^2, mean squared motion, the garment's common one taken out
+    innovation2: np.ndarray  # (L,) m^2, mean squared innovation of the measured vertices, the common one taken out
+    strain2: np.ndarray  # (L,) mean squared strain of the edges against rest
+    isotropic: bool  # the measurements are points, as well known across as along
 
 
 def posterior(update: Update, prior: State, config: Config) -> State:
@@ -31,41 +66,142 @@ def posterior(update: Update, prior: State, config: Config) -> State:
     return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
 
 
-def marginals(update: Update, state: State, model: Model, config: Config) -> np.ndarray:
-    """(V, 3, 3) calibrated covariance of each position, square metres; of the paper's preset, the stored blocks.
+def marginals(
+    update: Update, state: State, prior: State, still: np.ndarray, drift: Drift, dt: float, model: Model, config: Config
+) -> tuple[np.ndarray, Drift]:
+    """(V, 3, 3) calibrated covariance of each position, square metres, and the drift after this frame.
 
-    What the MAP problem treats as independent is not: a patch of n vertices shares the error of its prediction, neighbouring
-    plane fits share points, and the cloth's model is wrong in the same way from frame to frame. The prior therefore counts
-    once per patch, and the measurements and the coupling are divided by one global constant each. Contact does not count: a
-    bound says where a vertex is not.
+    Of the paper's preset, the stored blocks.
+
+    Args:
+        update: the finished update.
+        state, prior: posterior and prediction.
+        still: (V, 3) where the vertices would be had the garment moved only as is known of unseen parts as well, metres: not
+            at all, or, with a body to ride on, as it did.
+        drift: after the last frame.
+        dt: seconds since.
+        model, config: of the tracker.
     """
-    if update.state is not None or update.rejected:
-        return state.P_pp
-    limits, system, planes = config.uncertainty, update.system, update.planes
-    size = np.bincount(model.cluster, minlength=model.n_clusters)[model.cluster]
-    kept = 1.0 / limits.correlated_coupling
-    D = kept * (system.D - system.unary) + system.unary - _contact_blocks(update)
-    local = inverse_blocks(D)
-    kernels.discount(
-        D, update.information, 1.0 - 1.0 / size,
-        planes.weight, planes.normal, planes.variance, planes.tangential, 1.0 - 1.0 / limits.correlated_measurements,
+    if update.state is not None:
+        return state.P_pp, drift
+    limits, planes = config.uncertainty, update.planes
+    weight = np.zeros_like(planes.weight) if update.rejected else planes.weight
+    evidence = _evidence(update, weight, state.position, prior.position, still, model, config)
+    drift = advance(drift, evidence, update.system.B, dt, model, limits)
+    n = len(model.likeness)
+    blocks = drift.covariance.reshape(n, 3, n, 3)
+    shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
+    slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
+    shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
+    covariance = np.empty((len(weight), 3, 3))
+    kernels.conditioned(
+        shared, evidence.bend, model.patch, weight, planes.normal, planes.variance, evidence.isotropic, covariance
+    )
+    return _scale(covariance, limits.ceiling_sd) ** 2 * covariance, drift
+
+
+def advance(drift: Drift, evidence: Evidence, B: np.ndarray, dt: float, model: Model, limits: Uncertainty) -> Drift:
+    """The covariance of what the update leaves of the error, and of what it adds.
+
+    The update moves the patches by (C + M)^-1 M times what the measurements see of their error, C what couples the patches and M
+    the measurements' information. So an error e, grown by what the prediction missed, becomes F e with F = I - (C + M)^-1 M, to
+    which the noise of the measurements adds (C + M)^-1 M (C + M)^-1: a covariance analysis of the gain that is used, whether or
+    not it is the best one (Gelb 1974, "Applied optimal estimation", section 7.2). It knows that what is hidden is dragged along,
+    drags along what is seen, and does not come back of its own.
+
+    Args:
+        drift: after the last frame.
+        evidence: of this frame.
+        B: (2E, 12) blocks of the coupling, see :class:`ddakf.fuse.System`.
+        dt: seconds since the last frame.
+        model, limits: the garment, and the two constants.
+    """
+    growth2, speed2 = _growth(drift, evidence, dt, limits)
+    root = np.sqrt(growth2).astype(np.float32)
+    covariance = drift.covariance.copy()
+    added = root[:, None] * model.likeness * root
+    for a in range(3):
+        covariance[a::3, a::3] += added
+    ceiling = np.float32(limits.ceiling_sd / np.sqrt(max(float(covariance.diagonal().max()), 1e-12)))
+    if ceiling < 1.0:
+        covariance *= ceiling**2
+    if evidence.observed.any():
+        covariance = _updated(covariance, evidence, B, model)
+    return Drift(covariance, speed2)
+
+
+def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
+    """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
+    coarse = np.empty(P.shape, np.float32)
+    kernels.couple(B, model.start, model.neighbour, model.patch, coarse)
+    a, b, c, d, e, f = evidence.information.T.astype(np.float32)
+    k = 3 * np.arange(len(model.likeness))
+    for row, column, value in ((0, 0, a), (1, 1, b), (2, 2, c), (0, 1, d), (0, 2, e), (1, 2, f)):
+        coarse[k + row, k + column] += value
+        if row != column:
+            coarse[k + column, k + row] += value
+    coarse[np.arange(len(coarse)), np.arange(len(coarse))] += SMALLEST
+    G = invert(coarse)
+    if not np.isfinite(G).all():
+        return P
+    F = np.empty_like(G)
+    kernels.retain(G, evidence.information.astype(np.float32), F)
+    with BLAS.limit(limits=1, user_api="blas"):
+        updated = F @ (P @ F.T - G) + G
+    return 0.5 * (updated + updated.T)
+
+
+def _growth(drift: Drift, evidence: Evidence, dt: float, limits: Uncertainty) -> tuple[np.ndarray, float]:
+    """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
+
+    Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
+    not seen may have moved unlike what is: by a share of the motion that the body does not explain.
+    """
+    seen = evidence.observed / evidence.size
+    enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
+    if enough:
+        common = float(np.average(evidence.innovation2, weights=evidence.observed))
+        speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
+        missed = common + 0.5 * seen * (evidence.innovation2 - common)
+    else:
+        speed2 = drift.speed2
+        missed = np.full(len(seen), speed2 * dt**2)
+    moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
+    growth2 = (limits.missed_share**2 * missed + limits.unseen_share**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
+    return growth2, speed2
+
+
+def _evidence(
+    update: Update, weight: np.ndarray, position: np.ndarray, prior: np.ndarray, still: np.ndarray, model: Model, config: Config
+) -> Evidence:
+    n, planes = len(model.likeness), update.planes
+    size, observed, strain2, information = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 6))
+    facing, motion, innovation = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 4))
+    isotropic = isinstance(config.associate, NearestPoint)
+    kernels.gather(
+        position, still, prior, model.patch, model.start, model.neighbour, model.rest_edge,
+        weight, planes.normal, planes.variance, isotropic,
+        size, observed, information, facing, motion, innovation, strain2,
     )  # fmt: skip
-    coarse = np.empty((3 * model.n_clusters, 3 * model.n_clusters))
-    kernels.coarsen(D, np.float32(kept) * system.B, model.start, model.neighbour, model.cluster, coarse)
-    patch = invert(coarse).reshape(model.n_clusters, 3, model.n_clusters, 3)
-    patch = patch[np.arange(model.n_clusters), :, np.arange(model.n_clusters)]
-    covariance = local + patch[model.cluster]
-    covariance = _or(covariance, state.P_pp)
-    covariance += limits.floor_sd**2 * np.eye(3)
-    return _scale(covariance, limits.ceiling_sd) ** 2 * covariance
+    measured = np.maximum(observed, 1.0)
+    bend = 1.0 - np.square(facing / measured[:, None]).sum(axis=1)
+    return Evidence(
+        size=size,
+        observed=observed,
+        information=information / (PERSISTENCE * measured)[:, None],
+        bend=np.maximum(bend, LEAST_BEND),
+        motion2=_about_mean(motion, size),
+        innovation2=_about_mean(innovation, observed),
+        strain2=strain2 / size,
+        isotropic=isotropic,
+    )
 
 
-def _contact_blocks(update: Update) -> np.ndarray:
-    """(V, 3, 3) 1/m^2, what the contacts added to the diagonal blocks."""
-    touching, blocks = update.energies.collision, np.zeros_like(update.system.unary)
-    if touching is not None:
-        kernels.add_single(*touching, update.energies.stiffness[-1], blocks, np.zeros((len(blocks), 4)))
-    return blocks
+def _about_mean(sums: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(L,) mean squared distance from the mean vector of all patches, from sums (L, 4) of vectors and squares."""
+    mean = sums[:, :3].sum(axis=0) / max(count.sum(), 1.0)
+    about = sums[:, 3] - 2.0 * sums[:, :3] @ mean + count * (mean @ mean)
+    return np.maximum(about, 0.0) / np.maximum(count, 1.0)
 
 
 def _or(covariance: np.ndarray, fallback: np.ndarray) -> np.ndarray:

@@ -280,21 +280,6 @@ def conjugate_gradients(
     return iterations
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def discount(D, information, prior_share, weight, normal, variance, tangential, measurement_share):
-    """Takes from D (V, 3, 3), in place, the given shares of the prior's and of the measurements' information."""
-    for i in range(D.shape[0]):
-        k = prior_share[i]
-        along = across = 0.0
-        if weight[i] > 0.0:
-            across = measurement_share * weight[i] / tangential[i]
-            along = measurement_share * weight[i] / variance[i] - across
-        for a in range(3):
-            for b in range(3):
-                D[i, a, b] -= k * information[i, a, b] + along * normal[i, a] * normal[i, b]
-            D[i, a, a] -= across
-
-
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def invert3(a, b, c, d, e, f):
     """Inverse of [[a, d, e], [d, b, f], [e, f, c]] as the same six numbers."""

@@ -1,0 +1,132 @@
+"""Stage F, covariance (paper, section 2.7): the evidence of a frame by patches, and the covariance of each vertex from its patch's."""
+
+import numpy as np
+from numba import njit
+
+from ddakf.kernels.fuse import invert3
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def gather(
+    position, last, prior, patch, start, neighbour, rest_edge, weight, normal, variance, isotropic,
+    size, observed, information, facing, motion, innovation, strain,
+):  # fmt: skip
+    """Sums over the vertices of each patch.
+
+    Args:
+        position, last, prior: (V, 3) m; ``last`` is where the vertex would be had it not moved.
+        patch, start, neighbour, rest_edge: of the model.
+        weight, normal, variance, isotropic: of the measurements; isotropic ones are known as well across as along.
+        size, observed: (L,) out, vertices and measured ones.
+        information: (L, 6) out, 1/m^2, xx yy zz xy xz yz.
+        facing: (L, 3) out, normals of the measurements.
+        motion, innovation: (L, 4) out, the vectors and their squares; the innovation of measured vertices alone, m and m^2.
+        strain: (L,) out, squared strain of the edges, mean of each one-ring.
+    """
+    size[:], observed[:], strain[:] = 0.0, 0.0, 0.0
+    information[:], facing[:], motion[:], innovation[:] = 0.0, 0.0, 0.0, 0.0
+    for i in range(position.shape[0]):
+        c = patch[i]
+        size[c] += 1.0
+        for a in range(3):
+            d = position[i, a] - last[i, a]
+            motion[c, a] += d
+            motion[c, 3] += d * d
+        total = 0.0
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            now = rest = 0.0
+            for a in range(3):
+                d, r = position[j, a] - position[i, a], rest_edge[e, a]
+                now += d * d
+                rest += r * r
+            total += (np.sqrt(now / rest) - 1.0) ** 2
+        strain[c] += total / max(start[i + 1] - start[i], 1)
+        w = weight[i]
+        if w <= 0.0:
+            continue
+        observed[c] += 1.0
+        k = w / variance[i]
+        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+        across = k if isotropic else 0.0
+        k -= across
+        information[c, 0] += k * x * x + across
+        information[c, 1] += k * y * y + across
+        information[c, 2] += k * z * z + across
+        information[c, 3] += k * x * y
+        information[c, 4] += k * x * z
+        information[c, 5] += k * y * z
+        for a in range(3):
+            d = position[i, a] - prior[i, a]
+            facing[c, a] += normal[i, a]
+            innovation[c, a] += d
+            innovation[c, 3] += d * d
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def couple(B, start, neighbour, patch, coarse):
+    """coarse (3L, 3L) float32 out: what couples the patches, P' A P without what holds a vertex on its own.
+
+    No energy that couples vertices changes when all move alike: each row of blocks adds up to nothing.
+    """
+    coarse[:] = 0.0
+    for i in range(start.shape[0] - 1):
+        p = 3 * patch[i]
+        for e in range(start[i], start[i + 1]):
+            q = 3 * patch[neighbour[e]]
+            if p == q:
+                continue
+            for a in range(3):
+                for b in range(3):
+                    coarse[p + a, q + b] += B[e, 4 * b + a]
+                    coarse[p + a, p + b] -= B[e, 4 * b + a]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def retain(inverse, information, F):
+    """F (3L, 3L) float32 out: I - inverse blockdiag(information), information (L, 6)."""
+    for k in range(information.shape[0]):
+        p = 3 * k
+        a, b, c = information[k, 0], information[k, 1], information[k, 2]
+        d, e, f = information[k, 3], information[k, 4], information[k, 5]
+        for r in range(F.shape[0]):
+            x, y, z = inverse[r, p], inverse[r, p + 1], inverse[r, p + 2]
+            F[r, p] = -(x * a + y * d + z * e)
+            F[r, p + 1] = -(x * d + y * b + z * f)
+            F[r, p + 2] = -(x * e + y * f + z * c)
+    for r in range(F.shape[0]):
+        F[r, r] += 1.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def conditioned(shared, bend, patch, weight, normal, variance, isotropic, covariance):
+    """covariance (V, 3, 3) out: the patch's (``shared``, (L, 3, 3)), for measured vertices after their own measurement.
+
+    A plane is known along its normal to its variance and to how far the normal turns within the patch (``bend`` (L,), 1 - |mean
+    normal|^2) where the patch may slide: the plane that was found is then a neighbour's.
+    """
+    P = np.empty((3, 3))
+    g = np.empty(3)
+    for i in range(patch.shape[0]):
+        c = patch[i]
+        P[:] = shared[c]
+        w = weight[i]
+        if w > 0.0 and not isotropic:
+            along = 0.0
+            for a in range(3):
+                g[a] = P[a, 0] * normal[i, 0] + P[a, 1] * normal[i, 1] + P[a, 2] * normal[i, 2]
+                along += g[a] * normal[i, a]
+            noise = variance[i] / w + 0.5 * bend[c] * (P[0, 0] + P[1, 1] + P[2, 2] - along)
+            s = 1.0 / (along + noise)
+            for a in range(3):
+                for b in range(3):
+                    P[a, b] -= s * g[a] * g[b]
+        elif w > 0.0:
+            k = w / variance[i]
+            a, b, c0, d, e, f = invert3(P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2])
+            a, b, c0, d, e, f = invert3(a + k, b + k, c0 + k, d, e, f)
+            P[0, 0], P[1, 1], P[2, 2] = a, b, c0
+            P[0, 1] = P[1, 0] = d
+            P[0, 2] = P[2, 0] = e
+            P[1, 2] = P[2, 1] = f
+        covariance[i] = P
