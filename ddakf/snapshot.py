@@ -31,7 +31,7 @@ def save(tracker) -> bytes:
     if tracker.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
-    numbers["drift_speed2"] = tracker._drift.speed2
+    numbers["drift"] = [tracker._drift.speed2, tracker._drift.stored2]
     return pack(numbers, arrays)
 
 
@@ -47,7 +47,7 @@ def load(data: bytes, kind):
             if not (np.diagonal(state[block], axis1=1, axis2=2) > 0).all():
                 raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
         tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
-        tracker._drift = _drift(tracker._drift, arrays, numbers["drift_speed2"])
+        tracker._drift = _drift(tracker._drift, arrays, numbers["drift"])
         tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
             tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
@@ -64,13 +64,14 @@ def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndar
     return array
 
 
-def _drift(model: Drift, arrays: dict[str, np.ndarray], speed2) -> Drift:
+def _drift(model: Drift, arrays: dict[str, np.ndarray], squares: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    if isinstance(speed2, bool) or not isinstance(speed2, int | float) or not 0 <= speed2 < math.inf:
-        raise InvalidSnapshot("snapshot.drift_speed2", "a finite square", repr(speed2))
-    return Drift(covariance, float(speed2))
+    speed2, stored2 = (float(square) for square in squares)
+    if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf):
+        raise InvalidSnapshot("snapshot.drift", "two finite squares", repr(squares))
+    return Drift(covariance, speed2, stored2)
 
 
 def _health(values: dict) -> Health:

@@ -32,11 +32,12 @@ class Drift(NamedTuple):
 
     covariance: np.ndarray  # (3L, 3L) float32 m^2
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
+    stored2: float  # m^2, mean variance of the stored blocks: how it grows says how fast a garment is lost that nothing shows
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:
         """A start whose error has this standard deviation, metres in each direction."""
-        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0)
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2)
 
 
 class Evidence(NamedTuple):
@@ -87,7 +88,7 @@ def marginals(
     limits, planes = config.uncertainty, update.planes
     weight = np.zeros_like(planes.weight) if update.rejected else planes.weight
     evidence = _evidence(update, weight, state.position, prior.position, still, model, config)
-    drift = advance(drift, evidence, update.system.B, dt, model, limits)
+    drift = advance(drift, evidence, _mean_variance(state.P_pp), update.system.B, dt, model, limits)
     n = len(model.likeness)
     blocks = drift.covariance.reshape(n, 3, n, 3)
     shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
@@ -100,7 +101,9 @@ def marginals(
     return _scale(covariance, limits.ceiling_sd) ** 2 * covariance, drift
 
 
-def advance(drift: Drift, evidence: Evidence, B: np.ndarray, dt: float, model: Model, limits: Uncertainty) -> Drift:
+def advance(
+    drift: Drift, evidence: Evidence, stored2: float, B: np.ndarray, dt: float, model: Model, limits: Uncertainty
+) -> Drift:
     """The covariance of what the update leaves of the error, and of what it adds.
 
     The update moves the patches by (C + M)^-1 M times what the measurements see of their error, C what couples the patches and M
@@ -112,11 +115,12 @@ def advance(drift: Drift, evidence: Evidence, B: np.ndarray, dt: float, model: M
     Args:
         drift: after the last frame.
         evidence: of this frame.
+        stored2: mean variance of the stored blocks, m^2.
         B: (2E, 12) blocks of the coupling, see :class:`ddakf.fuse.System`.
         dt: seconds since the last frame.
         model, limits: the garment, and the two constants.
     """
-    growth2, speed2 = _growth(drift, evidence, dt, limits)
+    growth2, speed2 = _growth(drift, evidence, stored2, dt, limits)
     root = np.sqrt(growth2).astype(np.float32)
     covariance = drift.covariance.copy()
     added = root[:, None] * model.likeness * root
@@ -127,7 +131,7 @@ def advance(drift: Drift, evidence: Evidence, B: np.ndarray, dt: float, model: M
         covariance *= ceiling**2
     if evidence.observed.any():
         covariance = _updated(covariance, evidence, B, model)
-    return Drift(covariance, speed2)
+    return Drift(covariance, speed2, stored2)
 
 
 def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
@@ -151,24 +155,27 @@ def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> 
     return 0.5 * (updated + updated.T)
 
 
-def _growth(drift: Drift, evidence: Evidence, dt: float, limits: Uncertainty) -> tuple[np.ndarray, float]:
+def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, limits: Uncertainty) -> tuple[np.ndarray, float]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
 
     Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
-    not seen may have moved unlike what is: by a share of the motion that the body does not explain.
+    not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen, the
+    prediction's own variance grows, and what is reported with it.
     """
     seen = evidence.observed / evidence.size
     enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
-    if enough:
-        common = float(np.average(evidence.innovation2, weights=evidence.observed))
-        speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
-        missed = common + 0.5 * seen * (evidence.innovation2 - common)
-    else:
-        speed2 = drift.speed2
-        missed = np.full(len(seen), speed2 * dt**2)
+    if not enough:
+        return np.full(len(seen), max(stored2 - drift.stored2, 0.0) + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
+    common = float(np.average(evidence.innovation2, weights=evidence.observed))
+    speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
+    missed = common + 0.5 * seen * (evidence.innovation2 - common)
     moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
     growth2 = (limits.missed_share**2 * missed + limits.unseen_share**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
     return growth2, speed2
+
+
+def _mean_variance(covariance: np.ndarray) -> float:
+    return float(np.einsum("vaa->", covariance)) / (3 * len(covariance))
 
 
 def _evidence(

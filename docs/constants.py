@@ -115,7 +115,7 @@ REASONS = {
     "PaperReliability.recovery_lambda": "the paper leaves it open",
     "Uncertainty.missed_share": "fitted on half of the recordings: python benchmarks/calibration.py --fit",
     "Uncertainty.unseen_share": "the other fitted one",
-    "Uncertainty.strain_reach": "chosen: half a sleeve; slid cloth is strained by about its error over that length",
+    "Uncertainty.strain_reach": "chosen: slid cloth is strained by about its error over that length",
     "Uncertainty.floor_sd": "chosen",
     "Uncertainty.ceiling_sd": "chosen: the bound of section 2.7",
     "Uncertainty.ceiling_speed_sd": "chosen: the bound of section 2.7",

@@ -1,4 +1,4 @@
-"""Stage F, covariance (paper, section 2.7): the evidence of a frame by patches, and the covariance of each vertex from its patch's."""
+"""Stage F, covariance (paper, section 2.7): a frame's evidence by patches, and each vertex's covariance."""
 
 import numpy as np
 from numba import njit
