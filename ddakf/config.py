@@ -42,7 +42,7 @@ class Checked:
 class Start(Checked):
     """What is known before the first frame."""
 
-    sd: float = bounded(0.01, 1e-6, 10)  # m, of the start's position
+    sd: float = bounded(0.003, 1e-6, 10)  # m, of the start's position
     speed_sd: float = bounded(0.5, 1e-6, 100)  # m/s, of its velocity
     search: bool = True  # look for the garment when the first cloud, or the first after a loss, is somewhere else
     least_points: int = bounded(100, 1, 1_000_000)  # in a cloud that is searched
@@ -207,7 +207,7 @@ class DecoupledUpdate(Checked):
 class Reliability(Checked):
     """Score, recovery with hysteresis, and loss."""
 
-    half_error: float = bounded(0.04, 1e-4, 10)  # m, predicted error at which the score is 1/2
+    half_error: float = bounded(0.08, 1e-4, 10)  # m, predicted error at which the score is 1/2
 
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends

@@ -98,7 +98,8 @@ def marginals(
     kernels.conditioned(
         shared, evidence.bend, model.patch, weight, planes.normal, planes.variance, evidence.isotropic, covariance
     )
-    return _scale(covariance, limits.ceiling_sd) ** 2 * covariance, drift
+    covariance *= _scale(covariance, limits.ceiling_sd) ** 2
+    return covariance, drift
 
 
 def advance(
@@ -228,9 +229,11 @@ def bound(state: State, limits: Uncertainty) -> State:
     Each block row and column is scaled, a congruence, so that P_i stays positive definite.
     """
     s, t = _scale(state.P_pp, limits.ceiling_sd), _scale(state.P_uu, limits.ceiling_speed_sd)
+    if s.min() == t.min() == 1.0:
+        return state
     return state._replace(P_pp=s * s * state.P_pp, P_pu=s * t * state.P_pu, P_uu=t * t * state.P_uu)
 
 
 def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray:
     """(V, 1, 1) factor on the standard deviations that keeps the trace at 3 ceiling_sd^2 or less."""
-    return np.minimum(1.0, ceiling_sd / np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3))[:, None, None]
+    return np.minimum(1.0, ceiling_sd / np.sqrt(np.einsum("vaa->v", covariance) / 3))[:, None, None]
