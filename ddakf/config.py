@@ -207,7 +207,7 @@ class DecoupledUpdate(Checked):
 class Reliability(Checked):
     """Score, recovery with hysteresis, and loss."""
 
-    half_error: float = bounded(0.08, 1e-4, 10)  # m, predicted error at which the score is 1/2
+    half_error: float = bounded(0.04, 1e-4, 10)  # m, predicted error at which the score is 1/2
 
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends

@@ -105,7 +105,7 @@ REASONS = {
     "Reliability.half_error": "chosen",
     "Reliability.recovery_below": "chosen",
     "Reliability.recovery_above": "chosen, above recovery_below: hysteresis",
-    "Reliability.recovery_lambda": "the paper raises lambda; measured, it drives a garment that stretched off its template (`benchmarks/accuracy.py`, samba_dress: 30 mm at 1, 38 at 3)",
+    "Reliability.recovery_lambda": "the paper raises lambda; measured, it drives a garment that stretched off its template",
     "Reliability.doubt_below": "chosen: a predicted error of more than 10 cm",
     "Reliability.lost_coverage": "chosen: so few measured vertices hold nothing in place",
     "Reliability.lost_after": "chosen: 15 frames at 30 per second",

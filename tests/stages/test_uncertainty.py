@@ -278,7 +278,7 @@ def test_a_plane_tells_more_along_its_normal_than_across():
 def test_strained_cloth_is_less_certain():
     """A garment that slides along itself is stretched in one place and pressed together in another."""
     calm, strained = (solved(MESHES["larger sheet"], "all", scale=scale).report()[0] for scale in (1.0, 1.1))
-    assert traces(strained).mean() > 1.2 * traces(calm).mean()
+    assert traces(strained).mean() > 1.1 * traces(calm).mean()
 
 
 def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothing():
