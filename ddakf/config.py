@@ -61,6 +61,14 @@ class ConstantVelocity(Checked):
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: in a longer gap the garment is not moved any further
 
 
+@dataclass(frozen=True)
+class ConstantAcceleration(ConstantVelocity):
+    """Constant velocity, and beside it an acceleration: the smoothed change of the velocities, which prediction goes on with."""
+
+    share: float = bounded(0.5, 0, 1)  # of the smoothed acceleration, that prediction goes on with
+    memory: float = bounded(0.1, 1e-3, 10)  # s: time constant of the smoothing, and how long an acceleration is gone on with
+
+
 # Preprocessing ------------------------------------------------------------------------------------------------------
 
 
@@ -244,7 +252,7 @@ class Config:
     """All numbers of a tracker. ``Config()`` is the product; ``Config.paper()`` the method as printed."""
 
     start: Start = Start()
-    predict: ConstantVelocity = ConstantVelocity()
+    predict: ConstantVelocity | ConstantAcceleration = ConstantVelocity()
     preprocess: GridFilter | KnnFilter = GridFilter()
     associate: PlaneAssociation | NearestPoint = PlaneAssociation()
     robust: Tukey | NoWeight = Tukey()

@@ -278,6 +278,7 @@ def _decoupled_update(
         P_pu=prior.P_pu - gain_p @ prior.P_pu,
         P_uu=prior.P_uu - gain_u @ prior.P_pu,
         R=update.R,
+        acceleration=prior.acceleration,
     )
     H, h = total_blocks(energies, model), total_gradient(energies, model)
     gain = inverse_blocks(inverse_blocks(state.P_pp) + H)
@@ -300,4 +301,4 @@ def condition(prior: State, position: np.ndarray, P_pp: np.ndarray, R: np.ndarra
     kernels.condition(
         prior.P_pp, prior.P_pu, prior.P_uu, position - prior.position, P_pp, velocity, P_pu, P_uu
     )
-    return State(position, velocity, P_pp, P_pu, P_uu, R)
+    return State(position, velocity, P_pp, P_pu, P_uu, R, prior.acceleration)

@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.config import ConstantVelocity
-from ddakf.physics import proximity
+from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.types import State
 
 
-def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity) -> State:
+def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration) -> State:
     """The prior of the next frame.
 
     x = F x, P = F P F' + Q with F = [[I, dt I], [0, g I]], g = exp(-damping dt), and Q of white acceleration. A gap longer
-    than ``longest_step`` moves the mean no further than that step, while P grows with all of it.
+    than ``longest_step`` moves the mean no further than that step, while P grows with all of it. An acceleration enters as a
+    known input: it moves the mean and leaves P as it is.
 
     Args:
         state: posterior of the last frame.
         dt: seconds since.
         carried: (V, 3) metres, displacement of each vertex with the body; the velocity is then the residual one.
-        config: damping and process noise.
+        config: damping and process noise, and how long an acceleration lasts.
     """
     g = float(np.exp(-config.damping * dt))
     step = min(dt, config.longest_step)
     travel = step if config.damping == 0 else (1.0 - np.exp(-config.damping * step)) / config.damping
-    position = state.position + travel * state.velocity
+    position, velocity, acceleration = state.position + travel * state.velocity, g * state.velocity, state.acceleration
+    if isinstance(config, ConstantAcceleration):
+        lasting = min(travel, config.memory)
+        gain = config.share * lasting * state.acceleration
+        position, velocity = position + (travel - lasting / 2) * gain, velocity + gain
+        acceleration = _smoothed(state.acceleration, (velocity - state.velocity) / dt, dt, config)
     if carried is not None:
         position = position + carried
     q = config.acceleration**2
@@ -35,21 +40,37 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     # white acceleration over dt, saturating at the longest step so that a long gap stays bounded
     return State(
         position=position,
-        velocity=g * state.velocity,
+        velocity=velocity,
         P_pp=P_pp + q * step**3 * max(dt, step) / 4 * eye,
         P_pu=g * cross + q * step**3 / 2 * eye,
         P_uu=g * g * P_uu + q * step**2 * eye,
         R=state.R,
+        acceleration=acceleration,
     )
 
 
-def carry(
-    body: proximity.Body,
-    last: np.ndarray,
-    now: np.ndarray,
-    position: np.ndarray,
-    contact: proximity.Contact,
-    config: ConstantVelocity,
-) -> np.ndarray:
-    """(V, 3) metres: how the body's motion from ``last`` to ``now`` displaces the vertices at ``position``."""
-    return proximity.surface_motion(body, last, now, position, contact, config.carry_reach).position - position
+def learn(
+    posterior: State, prior: State, measured: np.ndarray, dt: float, config: ConstantVelocity | ConstantAcceleration
+) -> State:
+    """The posterior with the acceleration that its velocities show; with constant velocity as it came.
+
+    The prior's acceleration is smoothed with the velocities as they were predicted. Here follows what the frame corrected of
+    them. A frame without measurements shows no acceleration, and what there was fades.
+
+    Args:
+        posterior, prior: of this frame.
+        measured: (V,) bool.
+        dt: seconds since the last frame.
+        config: with the time constant.
+    """
+    if not isinstance(config, ConstantAcceleration):
+        return posterior
+    if not measured.any():
+        return posterior._replace(acceleration=_smoothed(prior.acceleration, 0.0, dt, config))
+    kept = np.exp(-dt / config.memory)
+    return posterior._replace(acceleration=prior.acceleration + (1.0 - kept) * (posterior.velocity - prior.velocity) / dt)
+
+
+def _smoothed(acceleration: np.ndarray, new: np.ndarray | float, dt: float, config: ConstantAcceleration) -> np.ndarray:
+    kept = np.exp(-dt / config.memory)
+    return kept * acceleration + (1.0 - kept) * new

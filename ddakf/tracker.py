@@ -154,6 +154,7 @@ class Tracker:
             if update.settled:
                 break
         posterior = uncertainty.posterior(update, prior, config)
+        posterior = predict.learn(posterior, prior, update.weight > 0, dt, config.predict)
         found = anchor is not last.position  # placed anew: what is known is what a start knows
         drift = uncertainty.Drift.at(garment, config.start.sd) if found else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves

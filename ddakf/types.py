@@ -50,10 +50,11 @@ class State(NamedTuple):
     P_pu: np.ndarray  # (V, 3, 3) m^2/s
     P_uu: np.ndarray  # (V, 3, 3) m^2/s^2
     R: np.ndarray  # (V, 3, 3) measurement covariance, m^2
+    acceleration: np.ndarray  # (V, 3) m/s^2, smoothed; zero with constant velocity
 
     @classmethod
     def at(cls, position: np.ndarray, velocity: np.ndarray, sd: float, speed_sd: float, noise_sd: float) -> State:
-        """A start: mean (V, 3) each, and the same standard deviations, in m, m/s and m, for every vertex."""
-        n = len(position)
-        eye = np.broadcast_to(np.eye(3), (n, 3, 3))
-        return cls(position, velocity, sd**2 * eye, np.zeros((n, 3, 3)), speed_sd**2 * eye, noise_sd**2 * eye)
+        """A start, not accelerated: mean (V, 3) each, and the same standard deviations, in m, m/s and m, for every vertex."""
+        eye = np.broadcast_to(np.eye(3), (len(position), 3, 3))
+        P_pu, acceleration = np.zeros(eye.shape), np.zeros(position.shape)
+        return cls(position, velocity, sd**2 * eye, P_pu, speed_sd**2 * eye, noise_sd**2 * eye, acceleration)

@@ -50,6 +50,12 @@ REASONS = {
     "ConstantVelocity.acceleration": "the paper leaves Q open; tuned",
     "ConstantVelocity.carry_reach": "chosen: loose cloth near the body moves with it; 0 in the paper, which has no body",
     "ConstantVelocity.longest_step": "chosen: after a longer gap nothing is known about the motion",
+    "ConstantAcceleration.damping": "as in ConstantVelocity",
+    "ConstantAcceleration.acceleration": "as in ConstantVelocity",
+    "ConstantAcceleration.carry_reach": "as in ConstantVelocity",
+    "ConstantAcceleration.longest_step": "as in ConstantVelocity",
+    "ConstantAcceleration.share": "tuned: all of it overshoots, as every estimate of it comes late",
+    "ConstantAcceleration.memory": "tuned: three frames",
     "GridFilter.points_per_cell": "tuned: large enough for a plane, small enough to be local",
     "GridFilter.neighbours": "as KnnFilter",
     "GridFilter.ratio": "as KnnFilter",
@@ -352,7 +358,8 @@ def _variants() -> dict[str, tuple[type, ...]]:
 
 
 def _comments(variant: type) -> dict[str, str]:
-    found = re.findall(r"^    (\w+): .*?\)\s+# (.*)$|^    (\w+): \w+ = \S+\s+# (.*)$", inspect.getsource(variant), re.M)
+    inherited = "".join(inspect.getsource(base) for base in variant.__mro__[::-1] if dataclasses.is_dataclass(base))
+    found = re.findall(r"^    (\w+): .*?\)\s+# (.*)$|^    (\w+): \w+ = \S+\s+# (.*)$", inherited, re.M)
     return {a or b: x or y for a, x, b, y in found}
 
 

@@ -44,12 +44,18 @@ def tracked(count, body=None, config=None):
     return tracker
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
+PRESETS = {
+    "default": Config(),
+    "paper": Config.paper(),
+    "accelerated": Config.from_dict({"predict": {"type": "ConstantAcceleration"}}),
+}
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
 @pytest.mark.parametrize("body", [None, BODY], ids=["cloth alone", "body"])
 @pytest.mark.parametrize("after", [0, 1, 5, 7])
 def test_the_next_steps_are_exact_to_the_bit(preset, body, after):
-    config = Config() if preset == "default" else Config.paper()
-    tracker = tracked(after, body, config)
+    tracker = tracked(after, body, PRESETS[preset])
     twin = Tracker.restore(tracker.snapshot())
     for points, how in frames(after, 4 if preset == "default" else 2, body):
         assert_same(twin.step(points, **how), tracker.step(points, **how))

@@ -75,7 +75,8 @@ def random_state(position, rng, sd=0.01, speed_sd=0.3) -> State:
     scale = np.repeat([sd, speed_sd], 3)
     P = blocks(n, 6, rng) * scale[:, None] * scale
     R = blocks(n, 3, rng) * 0.004**2
-    return State(np.array(position), rng.normal(scale=0.2, size=(n, 3)), P[:, :3, :3], P[:, :3, 3:], P[:, 3:, 3:], R)
+    velocity, still = rng.normal(scale=0.2, size=(n, 3)), np.zeros((n, 3))
+    return State(np.array(position), velocity, P[:, :3, :3], P[:, :3, 3:], P[:, 3:, 3:], R, still)
 
 
 def full(state: State) -> np.ndarray:

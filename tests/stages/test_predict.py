@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf.config import ConstantVelocity
-from ddakf.predict import predict
+from ddakf.config import ConstantAcceleration, ConstantVelocity
+from ddakf.fuse import condition
+from ddakf.predict import learn, predict
 from tests.stages.scenes import assert_positive_definite, full, random_state
 
 PLAIN = ConstantVelocity(damping=0.0)
 DAMPED = ConstantVelocity(damping=3.0)
+ACCELERATED = ConstantAcceleration(damping=0.0, share=1.0)
 STEPS = st.floats(1e-3, 0.4)
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -103,6 +105,7 @@ def test_input_is_left_as_it_was():
     state = start()
     copies = [array.copy() for array in state]
     predict(state, 0.1, np.ones((7, 3)), DAMPED)
+    learn(predict(state, 0.1, None, ACCELERATED), state, np.ones(7, bool), 0.1, ACCELERATED)
     for array, copy in zip(state, copies, strict=True):
         np.testing.assert_array_equal(array, copy)
 
@@ -111,3 +114,101 @@ def test_process_noise_grows_with_the_acceleration():
     state = start()
     calm, wild = (predict(state, 0.1, None, dataclasses.replace(PLAIN, acceleration=a)) for a in (1.0, 30.0))
     assert (np.linalg.eigvalsh(full(wild) - full(calm)) > -1e-12).all()
+
+
+# Constant acceleration ----------------------------------------------------------------------------------------------
+
+ALL = np.ones(7, bool)
+NONE = np.zeros(7, bool)
+
+
+def accelerated(seed=0):
+    """A state with accelerations."""
+    return start(seed)._replace(acceleration=np.random.default_rng(seed + 1).normal(scale=9.0, size=(7, 3)))
+
+
+@given(dt=st.floats(1e-3, 0.1), seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_acceleration_enters_the_mean_alone(dt, seed):
+    state = accelerated(seed)
+    prior, plain = predict(state, dt, None, ACCELERATED), predict(state, dt, None, PLAIN)
+    a = state.acceleration
+    np.testing.assert_allclose(prior.position, state.position + dt * state.velocity + dt**2 / 2 * a, atol=1e-12)
+    np.testing.assert_allclose(prior.velocity, state.velocity + dt * a, atol=1e-12)
+    np.testing.assert_allclose(prior.acceleration, a, atol=1e-9)
+    np.testing.assert_array_equal(full(prior), full(plain))
+
+
+@pytest.mark.parametrize("memory", [0.05, 0.5])
+@given(steps=st.lists(st.floats(0.01, 0.05), min_size=150, max_size=150), seed=SEEDS)
+@settings(max_examples=10, deadline=None, derandomize=True)
+def test_constant_acceleration_is_learnt_exactly(memory, steps, seed):
+    """Frames at any distance from each other, positions and velocities known exactly."""
+    config = dataclasses.replace(ACCELERATED, memory=memory)
+    truth = accelerated(seed)
+    state, t = truth._replace(acceleration=np.zeros((7, 3))), 0.0
+    for dt in steps:
+        prior = predict(state, dt, None, config)
+        t += dt
+        p = truth.position + t * truth.velocity + t**2 / 2 * truth.acceleration
+        seen = prior._replace(position=p, velocity=truth.velocity + t * truth.acceleration)
+        state = learn(seen, prior, ALL, dt, config)
+    left = np.exp(-t / memory)
+    np.testing.assert_allclose(state.acceleration, (1 - left) * truth.acceleration, rtol=1e-6, atol=1e-6)
+    exact = predict(state, 0.03, None, config).position
+    t += 0.03
+    away = exact - (truth.position + t * truth.velocity + t**2 / 2 * truth.acceleration)
+    assert np.abs(away).max() < 1e-8 + left * 0.03**2 / 2 * np.abs(truth.acceleration).max() * 1.001
+
+
+def test_positions_alone_teach_the_acceleration():
+    """As in the tracker, where velocities follow from positions through the prior's cross covariance."""
+    a, dt = np.array([0.0, -9.81, 2.0]), 1 / 30
+    state = start(n=7)._replace(velocity=np.zeros((7, 3)))
+    origin, known, errors = state.position, np.broadcast_to(1e-8 * np.eye(3), (7, 3, 3)), []
+    for k in range(1, 31):
+        prior = predict(state, dt, None, ACCELERATED)
+        position = origin + (k * dt) ** 2 / 2 * a
+        errors.append(np.abs(prior.position - position).max())
+        state = learn(condition(prior, position, known, state.R), prior, ALL, dt, ACCELERATED)
+    assert errors[0] > 5e-3  # the first prediction knows of no acceleration
+    assert max(errors[-5:]) < 2e-4
+    np.testing.assert_allclose(state.acceleration, np.tile(a, (7, 1)), atol=0.3)
+
+
+def test_nothing_is_learnt_with_constant_velocity():
+    state = start()
+    prior = predict(state, 0.03, None, DAMPED)
+    seen = prior._replace(velocity=prior.velocity + 1.0)
+    assert learn(seen, prior, ALL, 0.03, DAMPED) is seen
+    np.testing.assert_array_equal(prior.acceleration, 0.0)
+
+
+def test_share_of_nothing_is_constant_velocity():
+    state = accelerated()
+    none = predict(state, 0.03, None, dataclasses.replace(ACCELERATED, share=0.0))
+    plain = predict(state, 0.03, None, PLAIN)
+    np.testing.assert_array_equal(none.position, plain.position)
+    np.testing.assert_array_equal(none.velocity, plain.velocity)
+
+
+@pytest.mark.parametrize("config", [ConstantAcceleration(), ACCELERATED], ids=["default", "undamped, all of it"])
+@pytest.mark.parametrize("gap", [0.3, 2.0, 60.0, 86_400.0])
+def test_in_a_long_gap_the_acceleration_ends(config, gap):
+    state = accelerated()
+    still = predict(state._replace(acceleration=np.zeros((7, 3))), gap, None, config)
+    prior = predict(state, gap, None, config)
+    a = np.abs(state.acceleration)
+    assert (np.abs(prior.velocity - still.velocity) <= config.memory * a * (1 + 1e-9)).all()
+    assert (np.abs(prior.position - still.position) <= config.memory * config.longest_step * a).all()
+
+
+@pytest.mark.parametrize("config", [ConstantAcceleration(), ACCELERATED], ids=["default", "undamped, all of it"])
+def test_without_measurements_the_acceleration_fades(config):
+    state, dt = accelerated()._replace(velocity=np.zeros((7, 3))), 1 / 30
+    a = np.abs(state.acceleration).max()
+    for _ in range(60):
+        prior = predict(state, dt, None, config)
+        state = learn(prior, prior, NONE, dt, config)
+    assert np.abs(state.acceleration).max() < 1e-2 * a
+    assert np.abs(state.velocity).max() < 1.2 * config.memory * a
