@@ -11,7 +11,7 @@ from scipy.stats import rankdata
 
 from ddakf.errors import InvalidArgument
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.physics import bend, proximity
+from ddakf.physics import bend, proximity, self_collision
 
 CHI2_3_90 = 6.2514  # 0.9 quantile of the chi-square distribution with 3 degrees of freedom
 MM = 1e3  # millimetres per metre
@@ -161,6 +161,22 @@ def frames_until_within(error: np.ndarray, reference: np.ndarray, factor: float,
         if within[first : first + hold].all():
             return first + 1
     return None
+
+
+def crossings(estimate: np.ndarray, truth: np.ndarray, mesh: Mesh) -> int:
+    """Vertices that are on another side of the layer next to them than in the truth.
+
+    The layer next to a vertex is the nearest vertex, at most an edge away from it in the truth, of what is not close to it at
+    rest: see :mod:`ddakf.physics.self_collision`. Its side is that of the normal there, in each of the two poses.
+
+    Args:
+        estimate, truth: (V, 3) metres.
+        mesh: the garment, at rest.
+    """
+    estimate, truth = (np.ascontiguousarray(pose, np.float64) for pose in (estimate, truth))
+    layers = self_collision.find(truth, estimate, mesh, np.zeros(len(truth)), 0.0)
+    i, j = layers.stencil.T
+    return int((np.einsum("ca,ca->c", layers.normal, estimate[i] - estimate[j]) < 0.0).sum())
 
 
 class ShapeDifference:

@@ -22,14 +22,19 @@ ACCURACY = (  # heading, key, decimals
     ("first 60", "rmse_mm_first60", 1),
     ("last 10", "rmse_mm_last10", 1),
     ("flicker", "flicker_mm", 1),
-    ("penetration", "penetration_mm", 2),
-    ("of truth", "penetration_truth_mm", 2),
-    ("stretch %", "stretch_pct", 1),
-    ("of truth", "stretch_truth_pct", 1),
-    ("bend deg", "bend_deg", 1),
-    ("of truth", "bend_truth_deg", 1),
     ("ms p50", "cpu_ms_p50", 0),
     ("p99", "cpu_ms_p99", 0),
+)
+SHAPE = (
+    ("penetration mm", "penetration_mm", 2),
+    ("of truth", "penetration_truth_mm", 2),
+    ("crossings", "crossings", 1),
+    ("stretch %", "stretch_pct", 1),
+    ("of truth", "stretch_truth_pct", 1),
+    ("against truth", "stretch_error_pct", 1),
+    ("bend deg", "bend_deg", 1),
+    ("of truth", "bend_truth_deg", 1),
+    ("against truth", "bend_error_deg", 1),
 )
 
 
@@ -49,6 +54,7 @@ def report(rows: list[dict]) -> str:
     grid, starts, disturbed = kinds(rows)
     parts = [
         ("Accuracy", accuracy(grid)),
+        ("Shape and contact", shape(grid)),
         ("Ablation: RMSE / normal RMSE, mm", ablation(grid)),
         ("Calibration", calibration(grid)),
         ("Points of the whole person", unsegmented(grid)),
@@ -80,6 +86,18 @@ def accuracy(rows: list[dict], variant: str = "default") -> str:
         lines.append([sequence, view, str(len(runs)), _spread(runs, "rmse_mm"), *values, _states(runs), both])
     heads = ["sequence", "view", "runs", "RMSE mm", *(head for head, _, _ in ACCURACY), "states", "nicp RMSE / normal"]
     return _markdown(heads, lines)
+
+
+def shape(rows: list[dict]) -> str:
+    """Penetration into the body, crossings of layers, strain and bending, of the estimate beside the truth's own."""
+    cells = _by(rows, lambda row: (row["sequence"], view_of(row), row["variant"].partition("=")[0]))
+    lines = []
+    for place, runs in sorted(cells.items()):
+        values = [mean(runs, key) for _, key, _ in SHAPE]
+        if any(value is not None for value in values):
+            texts = [_number(value, decimals) for value, (_, _, decimals) in zip(values, SHAPE, strict=True)]
+            lines.append([*place, str(len(runs)), *texts])
+    return _markdown(["sequence", "view", "variant", "runs", *(head for head, _, _ in SHAPE)], lines)
 
 
 def ablation(rows: list[dict]) -> str:
@@ -194,7 +212,7 @@ def success(row: dict) -> bool:
 def summary(rows: list[dict]) -> dict:
     """What is worth keeping of a file of rows: means per sequence, view and variant, and the pooled calibration."""
     grid, starts, disturbed = kinds(rows)
-    keys = ("rmse_mm", *(key for _, key, _ in ACCURACY), "spearman_sigma", "stretch_error_pct", "bend_error_deg")
+    keys = ("rmse_mm", *(key for _, key, _ in (*ACCURACY, *SHAPE)), "spearman_sigma")
     runs = []
     for (sequence, view, variant), part in _by(grid, lambda row: (row["sequence"], view_of(row), row["variant"])).items():
         wanted = keys if variant in IN_FULL else ("rmse_mm", "normal_rmse_mm")

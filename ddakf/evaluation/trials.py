@@ -344,6 +344,7 @@ class Record:
             "bend_deg": self._shape.bend(vertices, self._garment.vertices),
             "bend_truth_deg": self._shape.bend(truth, self._garment.vertices),
             "bend_error_deg": self._shape.bend(vertices, truth),
+            "crossings": metrics.crossings(vertices, truth, self._garment),
             "cpu_ms": 1e3 * cpu_seconds,
             "wall_ms": 1e3 * wall_seconds,
         }

@@ -172,6 +172,7 @@ def test_tables_hold_every_run(rows):
     assert " ± " in text
     widths = {line.count("|") for line in tables.accuracy(rows).splitlines()}
     assert len(widths) == 1, "every line has as many cells as the head"
+    assert {line.split("|")[3].strip() for line in tables.shape(rows).splitlines()[2:]} == {"default", "nicp", "no-carrying"}
     assert "no-carrying" in tables.ablation(rows)
     assert "hidden, body given" in tables.calibration(rows)
     assert {run["variant"] for run in tables.summary(rows)["runs"]} == {"default", "nicp", "no-carrying"}

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker, physics
+from ddakf.evaluation import metrics
 from ddakf.physics import collision, self_collision
 from tests.physics.shapes import grid_faces
 
@@ -95,3 +96,17 @@ def test_a_tracked_layer_is_kept_on_its_side(stiffness):
         result = tracker.step(cloud, timestamp=k / 30, sensor_origin=[0.1, 0.1, 2.0])
     through = result.vertices[:N, 2].mean() - result.vertices[N:, 2].mean()
     assert through < -0.002 if stiffness else through > -0.002
+
+
+def test_crossings_are_counted_where_layers_changed_sides():
+    mesh, truth = layers_at(0.01)
+    paired = len(self_collision.find(truth, truth, mesh, np.ones(2 * N), THICKNESS).stencil)
+    assert paired > N
+    assert metrics.crossings(truth, truth, mesh) == 0
+    assert metrics.crossings(layers_at(0.001)[1], truth, mesh) == 0, "closer is not across"
+    assert metrics.crossings(layers_at(-0.001)[1], truth, mesh) == paired
+    pushed = truth.copy()
+    pushed[N + 40, 2] = -0.02  # one vertex of the upper sheet, far from the edges
+    assert 1 <= metrics.crossings(pushed, truth, mesh) <= 8, "it, and what it is next to"
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    assert metrics.crossings(pushed @ turn.T + 1.0, truth, mesh) == metrics.crossings(pushed, truth, mesh)
