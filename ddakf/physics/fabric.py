@@ -6,20 +6,19 @@ and rounded, so that ``NORMALISED`` is the middle of ordinary clothing.
 ======== =========== ========= ============ ==========================================================================
 fabric   stretch N/m shear N/m bend 1e-6 Nm source
 ======== =========== ========= ============ ==========================================================================
-cotton   260         50        8            stretch: plain weave, Penava et al.; shear, bend: no source found
+cotton   260         50        8            no source found
 silk     700         15        3            no source found
 denim    456         53        64           11 oz black denim (99 % cotton), Wang et al.
-wool     97          35        12           stretch: plain weave, Penava et al.; shear, bend: no source found
+wool     97          35        12           no source found
 jersey   24          37        23           gray interlock (T-shirt, 60 % cotton), Wang et al.
 ======== =========== ========= ============ ==========================================================================
 
 Wang, O'Brien, Ramamoorthi 2011, "Data-driven elastic models for cloth: modeling and measurement", ACM Transactions on Graphics
-30(4), 71: the first sample of the material files that the authors publish for ARCSim, stretch as the geometric mean of weft and
-warp (205 and 1014; 16.6 and 34.5 N/m). Penava, Simic Penava, Knezic 2014, "Determination of the elastic constants of plain woven
-fabrics by a tensile test in various directions", Fibres and Textiles in Eastern Europe 22: Young's modulus times thickness,
-0.821 MPa x 0.318 mm and 0.170 MPa x 0.568 mm, as others quote the tables; the article itself was not at hand. Where no source
-was found, the number is the order of magnitude that is usual for light plain weaves and suitings, and no measurement. Two samples
-of one fabric differ by a factor of two and more.
+30(4): the first sample of the material files ``11oz-black-denim.json`` and ``gray-interlock.json`` that come with ARCSim. Of its
+four numbers the first and the third resist stretch along the two axes, the fourth shear, as ARCSim's ``stretching_force`` reads
+them. Stretch is the geometric mean of the two (205 and 1014; 16.6 and 34.5 N/m), bending the first number of its table. Where no
+source was found, the number is the order of magnitude that is usual for light plain weaves and suitings, and no measurement. Two
+samples of one fabric differ by a factor of two and more.
 """
 
 from __future__ import annotations
