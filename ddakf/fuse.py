@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import spotrf, spotri
 from threadpoolctl import ThreadpoolController
 
 from ddakf import rigidity
@@ -137,7 +136,7 @@ def _planes(update: Update, config: Config) -> Planes:
     """The measurements as planes; a point is one that is as well known across as along."""
     measurement, n = update.measurement, len(update.weight)
     if measurement.normal is None:
-        variance = np.maximum(np.trace(update.R, axis1=1, axis2=2) / 3, config.adapt.lowest_sd**2)
+        variance = np.maximum(np.einsum("vaa->v", update.R) / 3, config.adapt.lowest_sd**2)
         return Planes(measurement.target, np.tile([0.0, 1.0, 0.0], (n, 1)), update.weight, variance, variance)
     squared, variance = np.empty(n), np.empty(n)
     robust_kernels.along_normals(
@@ -242,16 +241,12 @@ def invert(matrix: np.ndarray) -> np.ndarray:
 
     Rounding can leave a very stiff one indefinite; it is then inverted with a growing share of its largest entry added.
     """
-    with BLAS.limit(limits=1, user_api="blas"):
-        factor, failed = spotrf(matrix.astype(np.float32), lower=1)
-        share = 1e-7
-        while failed:
-            if share > 1.0 or not np.isfinite(matrix).all():
-                return np.full(matrix.shape, np.nan, np.float32)
-            factor, failed = spotrf((matrix + share * np.abs(matrix).max() * np.eye(len(matrix))).astype(np.float32), lower=1)
-            share *= 10.0
-        inverse = spotri(factor, lower=1)[0].T
-    kernels.mirror(inverse.T)
+    inverse, share, tried = np.empty(matrix.shape, np.float32), 1e-7, matrix
+    while not kernels.invert(tried, inverse):
+        if share > 1.0 or not np.isfinite(matrix).all():
+            return np.full(matrix.shape, np.nan, np.float32)
+        tried = matrix + share * np.abs(matrix).max() * np.eye(len(matrix))
+        share *= 10.0
     return inverse
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.config import ConstantAcceleration, ConstantVelocity
+from ddakf.kernels import predict as kernels
 from ddakf.types import State
 
 
@@ -33,20 +34,11 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     if carried is not None:
         position = position + carried
     q = config.acceleration**2
-    P_uu = state.P_uu
-    cross = state.P_pu + travel * P_uu
-    P_pp = state.P_pp + travel * (state.P_pu + state.P_pu.transpose(0, 2, 1)) + travel**2 * P_uu
-    eye = np.eye(3)
     # white acceleration over dt, saturating at the longest step so that a long gap stays bounded
-    return State(
-        position=position,
-        velocity=velocity,
-        P_pp=P_pp + q * step**3 * max(dt, step) / 4 * eye,
-        P_pu=g * cross + q * step**3 / 2 * eye,
-        P_uu=g * g * P_uu + q * step**2 * eye,
-        R=state.R,
-        acceleration=acceleration,
-    )
+    noise = q * step**3 * max(dt, step) / 4, q * step**3 / 2, q * step**2
+    P_pp, P_pu, P_uu = (np.empty(state.P_pp.shape) for _ in range(3))
+    kernels.propagate(state.P_pp, state.P_pu, state.P_uu, travel, g, noise, P_pp, P_pu, P_uu)
+    return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
 
 
 def learn(

@@ -62,7 +62,7 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     """
     if not found.any():
         return 0.0
-    energy = np.einsum("va,va->v", innovation, innovation) / np.trace(R, axis1=1, axis2=2)
+    energy = np.einsum("va,va->v", innovation, innovation) / np.einsum("vaa->v", R)
     return float(np.exp(-energy[found].sum() / len(found)))
 
 
@@ -182,7 +182,7 @@ def judge(
     moved = advance(
         health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
     )
-    sigma = np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3)
+    sigma = np.sqrt(np.einsum("vaa->v", covariance) / 3)
     return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config), found)
 
 

@@ -218,7 +218,7 @@ def _result(posterior, covariance, update, verdict, carried, dt, timings) -> Fra
         vertices=posterior.position.copy(),
         velocities=posterior.velocity.copy() if carried is None else posterior.velocity + carried / dt,
         covariance=covariance.copy(),
-        sigma=np.sqrt(np.trace(covariance, axis1=1, axis2=2) / 3),
+        sigma=np.sqrt(np.einsum("vaa->v", covariance) / 3),
         vertex_reliability=verdict.vertex_reliability,
         observed=update.weight > 0,
         reliability=verdict.reliability,

@@ -63,7 +63,7 @@ def posterior(update: Update, prior: State, config: Config) -> State:
     if update.rejected or not (update.weight > 0).any():
         return bound(prior._replace(position=update.position), config.uncertainty)
     covariance = inverse_blocks(update.system.D)
-    covariance = _or(covariance, prior.P_pp)
+    kernels.replace_indefinite(covariance, prior.P_pp)  # of a mesh torn beyond what its equations can carry
     return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
 
 
@@ -210,17 +210,6 @@ def _about_mean(sums: np.ndarray, count: np.ndarray) -> np.ndarray:
     mean = sums[:, :3].sum(axis=0) / max(count.sum(), 1.0)
     about = sums[:, 3] - 2.0 * sums[:, :3] @ mean + count * (mean @ mean)
     return np.maximum(about, 0.0) / np.maximum(count, 1.0)
-
-
-def _or(covariance: np.ndarray, fallback: np.ndarray) -> np.ndarray:
-    """(V, 3, 3): where a block is not positive definite, of a mesh torn beyond what its equations can carry, the fallback."""
-    a, b, c = (covariance[:, k, k] for k in range(3))
-    d, e, f = covariance[:, 0, 1], covariance[:, 0, 2], covariance[:, 1, 2]
-    with np.errstate(over="ignore", invalid="ignore"):
-        minor = a * b - d * d
-        determinant = a * (b * c - f * f) - d * (d * c - e * f) + e * (d * f - b * e)
-        good = (a > 0) & (minor > 0) & (determinant > 0) & np.isfinite(covariance).all(axis=(1, 2))
-    return np.where(good[:, None, None], covariance, fallback)
 
 
 def bound(state: State, limits: Uncertainty) -> State:

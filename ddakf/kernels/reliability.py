@@ -5,6 +5,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+RINGS = 4  # of cells that the reach is searched in, nearest first
 CELLS = 128  # at most along each axis of the grid of vertices
 
 
@@ -31,7 +32,7 @@ def misfit(points, stride, position, normal, patch, n_patches, reach):
         for a in range(3):
             low[a] = min(low[a], position[v, a])
             high[a] = max(high[a], position[v, a])
-    cell = 0.5 * reach
+    cell = reach / RINGS
     for a in range(3):
         cell = max(cell, (high[a] - low[a]) / (CELLS - 1))
     dims = np.empty(3, np.int64)
@@ -54,22 +55,27 @@ def misfit(points, stride, position, normal, patch, n_patches, reach):
     count = np.zeros(n_patches)
     total, along = np.zeros((n_patches, 3)), np.zeros(n_patches)
     square, along_square = np.zeros(n_patches), np.zeros(n_patches)
-    steps = int(np.ceil(reach / cell))
+    rings = int(np.ceil(reach / cell))
     for k in range(0, points.shape[0], stride):
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
-        ix, iy, iz = int(np.floor((px - low[0]) / cell)), int(np.floor((py - low[1]) / cell)), int(np.floor((pz - low[2]) / cell))
+        fx, fy, fz = (px - low[0]) / cell, (py - low[1]) / cell, (pz - low[2]) / cell
+        ix, iy, iz = int(np.floor(fx)), int(np.floor(fy)), int(np.floor(fz))
+        margin = cell * min(fx - ix, ix + 1 - fx, fy - iy, iy + 1 - fy, fz - iz, iz + 1 - fz)
         best, winner = reach * reach, -1
-        for jx in range(max(ix - steps, 0), min(ix + steps + 1, nx)):
-            for jy in range(max(iy - steps, 0), min(iy + steps + 1, ny)):
-                z0, z1 = max(iz - steps, 0), min(iz + steps, nz - 1)
-                if z0 > z1:
-                    continue
-                row = (jx * ny + jy) * nz
-                for m in range(start[row + z0], start[row + z1 + 1]):
-                    v = order[m]
-                    d2 = (position[v, 0] - px) ** 2 + (position[v, 1] - py) ** 2 + (position[v, 2] - pz) ** 2
-                    if d2 < best:
-                        best, winner = d2, v
+        for ring in range(1, rings + 1):
+            for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
+                for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
+                    z0, z1 = max(iz - ring, 0), min(iz + ring, nz - 1)
+                    if z0 > z1:
+                        continue
+                    row = (jx * ny + jy) * nz
+                    for m in range(start[row + z0], start[row + z1 + 1]):
+                        v = order[m]
+                        d2 = (position[v, 0] - px) ** 2 + (position[v, 1] - py) ** 2 + (position[v, 2] - pz) ** 2
+                        if d2 < best:
+                            best, winner = d2, v
+            if best <= (ring * cell + margin) ** 2:  # no vertex of the next ring is nearer
+                break
         if winner < 0:
             continue
         c = patch[winner]

@@ -130,3 +130,16 @@ def conditioned(shared, bend, patch, weight, normal, variance, isotropic, covari
             P[0, 2] = P[2, 0] = e
             P[1, 2] = P[2, 1] = f
         covariance[i] = P
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def replace_indefinite(covariance, fallback):
+    """Blocks of (V, 3, 3) covariance that are not finite and positive definite become those of the fallback, in place."""
+    for i in range(covariance.shape[0]):
+        a, b, c = covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2]
+        d, e, f = covariance[i, 0, 1], covariance[i, 0, 2], covariance[i, 1, 2]
+        minor = a * b - d * d
+        determinant = a * (b * c - f * f) - d * (d * c - e * f) + e * (d * f - b * e)
+        finite = abs(a) + abs(b) + abs(c) + abs(d) + abs(e) + abs(f) < np.inf
+        if not (a > 0.0 and minor > 0.0 and determinant > 0.0 and finite):
+            covariance[i] = fallback[i]
