@@ -19,6 +19,7 @@ WEARER = Mesh(SAMPLE.body_vertices[0], SAMPLE.body_faces)
 TUBE = tube()
 BODY = inner_body(TUBE)
 EYE = np.array([0.0, 0.4, 2.0])
+ACCELERATED = Config.from_dict({"predict": {"type": "ConstantAcceleration"}})
 PRESETS = pytest.mark.parametrize("config", [Config(), Config.paper()], ids=["default", "paper"])
 ARRAYS = ("vertices", "velocities", "covariance", "sigma", "vertex_reliability", "observed")
 
@@ -371,8 +372,9 @@ def test_what_is_no_configuration_is_refused(config):
         Tracker(TUBE, config=config)
 
 
-def test_a_reset_starts_again_as_a_new_tracker_does():
-    used, new = tracked(5, body=BODY), Tracker(TUBE, body=BODY)
+@pytest.mark.parametrize("config", [Config(), ACCELERATED], ids=["default", "accelerated"])
+def test_a_reset_starts_again_as_a_new_tracker_does(config):
+    used, new = tracked(5, body=BODY, config=config), Tracker(TUBE, body=BODY, config=config)
     used.step(cloud(5), timestamp=5 / FPS, body_vertices=BODY.vertices + 0.02)
     moved, velocity = TUBE.vertices + 0.01, np.full(TUBE.vertices.shape, 0.1)
     for tracker in (used, new):
@@ -403,9 +405,10 @@ def test_one_empty_cloud_does_not_end_the_track():
     assert tracker.step(cloud(7), timestamp=7 / FPS).state == "tracking"
 
 
+@pytest.mark.parametrize("config", [Config(), ACCELERATED], ids=["default", "accelerated"])
 @pytest.mark.parametrize("gap", [0.3, 3.0, 100.0, 1e6])
-def test_a_gap_without_frames_is_a_long_prediction(gap):
-    tracker, twin = tracked(6), tracked(6)
+def test_a_gap_without_frames_is_a_long_prediction(gap, config):
+    tracker, twin = tracked(6, config=config), tracked(6, config=config)
     after = tracker.step(cloud(6), timestamp=6 / FPS + gap)
     soon = twin.step(cloud(6), timestamp=6 / FPS)
     assert after.state == "tracking"

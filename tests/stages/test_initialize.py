@@ -115,9 +115,11 @@ def test_a_garment_that_is_tracked_is_never_searched(state):
     ids=["start", "lost", "out of sight", "without a fit", "doubtful"],
 )
 def test_a_garment_that_was_not_seen_lately_is_searched(health):
-    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), health)[0]
+    prior = prior_at(TUBE.vertices)._replace(acceleration=np.ones(TUBE.vertices.shape))
+    moved = located(prior, scan(TUBE.vertices + 0.4, TUBE), health)[0]
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
     assert not moved.velocity.any()
+    assert not moved.acceleration.any()
 
 
 def test_a_garment_is_searched_after_a_gap():
