@@ -72,7 +72,7 @@ def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[flo
 
 def associate(
     position: np.ndarray, last: Measurement, cloud: Cloud, body_vertices: np.ndarray | None, model: Model, gate: float,
-    config: PlaneAssociation | NearestPoint,
+    config: PlaneAssociation | NearestPoint, only: np.ndarray | None = None,
 ) -> Measurement:  # fmt: skip
     """Measurements for the vertices at ``position`` (V, 3).
 
@@ -84,6 +84,7 @@ def associate(
         model: the garment.
         gate: search radius, metres.
         config: plane-aligned, or the paper's nearest neighbour.
+        only: (V,) bool, vertices that are measured; None: all. Hems are left out where it is given.
     """
     n = len(position)
     match config:
@@ -97,13 +98,15 @@ def associate(
                 kernels.seen(
                     position, normal, body, cloud.sensor, cell, config.hidden_depth, config.facing_cosine, visible
                 )
+            if only is not None:
+                visible &= only
             if not cloud.empty:
                 kernels.nearest_planes(
                     position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
                     gate, config.normal_cosine, config.turned, cloud.oriented, config.still * cloud.cell,
                     searched_at, target, plane, distance,
                 )  # fmt: skip
-            hem = _hem(position, normal, visible, cloud, model, config)
+            hem = None if only is not None else _hem(position, normal, visible, cloud, model, config)
             return Measurement(target, plane, distance, searched_at, visible, hem)
         case NearestPoint():
             target, distance = np.zeros((n, 3)), np.full(n, -1.0)

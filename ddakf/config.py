@@ -94,6 +94,19 @@ class KnnFilter(Checked):
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells, as above
 
 
+# Coarse level -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Coarse(Checked):
+    """Passes in which clusters of the garment move rigidly, before all vertices do."""
+
+    iterations: int = bounded(2, 0, 50)  # most of them in a frame; 0: none
+    tolerance: float = bounded(0.002, 0, 0.1)  # m, RMS step at which they stop
+    least_innovation: float = bounded(0.008, 0, 10)  # m, RMS along the normals, below which the prediction is good enough
+    prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex
+
+
 # B. Association -----------------------------------------------------------------------------------------------------
 
 
@@ -254,6 +267,7 @@ class Config:
     start: Start = Start()
     predict: ConstantVelocity | ConstantAcceleration = ConstantVelocity()
     preprocess: GridFilter | KnnFilter = GridFilter()
+    coarse: Coarse = Coarse()
     associate: PlaneAssociation | NearestPoint = PlaneAssociation()
     robust: Tukey | NoWeight = Tukey()
     adapt: ResidualNoise | InnovationNoise = ResidualNoise()
@@ -276,6 +290,7 @@ class Config:
             start=Start(search=False),
             predict=ConstantVelocity(damping=0.0, carry_reach=0.0),
             preprocess=KnnFilter(),
+            coarse=Coarse(iterations=0),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
             physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, gap_time=0.0),

@@ -9,6 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
+from ddakf import clusters
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
 
@@ -29,6 +30,7 @@ class Model(NamedTuple):
     n_clusters: int
     patch: np.ndarray  # (V,) int32 in [0, L): larger ones, whose error is carried from frame to frame
     likeness: np.ndarray  # (L, L) float32 correlation of how patches move: exp(-1/2 (distance at rest / LIKENESS_LENGTH)^2)
+    clusters: clusters.Clusters  # the same, for the coarse passes
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
@@ -48,7 +50,9 @@ def build(mesh: Mesh, thickness: float) -> Model:
     start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1))
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    cluster, patch = _clusters(edges, mesh, CLUSTERS), _clusters(edges, mesh, PATCHES)
+    distance = _distances(edges, mesh, CLUSTERS)
+    cluster = distance.argmin(axis=0).astype(np.int32)
+    patch = _distances(edges, mesh, PATCHES).argmin(axis=0).astype(np.int32)
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
@@ -59,6 +63,7 @@ def build(mesh: Mesh, thickness: float) -> Model:
         n_clusters=int(cluster.max()) + 1,
         patch=patch,
         likeness=_likeness(mesh.vertices, patch),
+        clusters=clusters.build(mesh, distance, edges),
         rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
         boundary=_boundary(mesh),
         area=float(area),
@@ -71,18 +76,17 @@ def build(mesh: Mesh, thickness: float) -> Model:
     )
 
 
-def _clusters(edges: np.ndarray, mesh: Mesh, count: int) -> np.ndarray:
-    """(V,) nearest of so many seeds along the surface; each seed is the vertex farthest from those before it."""
+def _distances(edges: np.ndarray, mesh: Mesh, count: int) -> np.ndarray:
+    """(K, V) along the surface from each of K seeds, metres; each seed is the vertex farthest from those before it."""
     n = mesh.n_vertices
     ends = mesh.vertices[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     graph = coo_array((length, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
-    nearest, owner = np.full(n, np.inf), np.zeros(n, np.int32)
-    for k in range(min(count, max(1, n // VERTICES_PER_CLUSTER))):
-        distance = dijkstra(graph, indices=int(np.argmax(nearest)))
-        closer = distance < nearest
-        nearest[closer], owner[closer] = distance[closer], k
-    return owner
+    nearest, distances = np.full(n, np.inf), []
+    for _ in range(min(count, max(1, n // VERTICES_PER_CLUSTER))):
+        distances.append(dijkstra(graph, indices=int(np.argmax(nearest))))
+        np.minimum(nearest, distances[-1], out=nearest)
+    return np.array(distances)
 
 
 def _boundary(mesh: Mesh) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from ddakf import (
     adapt,
     associate,
+    coarse,
     frame,
     fuse,
     initialize,
@@ -22,7 +23,7 @@ from ddakf import (
     uncertainty,
 )
 from ddakf import snapshot as snapshots
-from ddakf.config import Config
+from ddakf.config import Config, MapUpdate
 from ddakf.errors import InvalidConfig, InvalidMesh
 from ddakf.mesh import Mesh
 from ddakf.physics import energies
@@ -127,6 +128,11 @@ class Tracker:
         clock.lap("preprocess")
 
         update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config)
+        if isinstance(config.fuse, MapUpdate):
+            update = coarse.align(
+                update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
+            )
+        clock.lap("coarse")
         for gate in associate.gates(cloud, config.associate):
             # B. Association (2.3)
             measurement = associate.associate(

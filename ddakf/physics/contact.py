@@ -133,6 +133,17 @@ class BodyContact:
         self._asked_at[near] = position[near]
         return self.held
 
+    def planes(self, position: np.ndarray, config: Physics) -> tuple[np.ndarray, np.ndarray] | None:
+        """Point and outward normal, (V, 3) each, of the plane that each vertex at ``position`` is kept outside of; None without
+        a body. A vertex with no body within reach has a plane that it is outside of wherever it is."""
+        if not self.present or config.collision == 0:
+            return None
+        closest = self.nearest(position)
+        least = np.full(len(position), config.thickness) if self.gap is None else self.gap
+        point = closest.point + least[:, None] * closest.normal
+        near = (closest.face >= 0)[:, None]
+        return np.where(near, point, 0.0), np.where(near, closest.normal, 0.0)
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """What changes from frame to frame, for a snapshot."""
         arrays = {"contact_vertices": self.vertices, "contact_present": np.array(self.present)}

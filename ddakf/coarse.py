@@ -1,0 +1,110 @@
+"""Stages B to F at the coarse level: clusters of the garment move rigidly, before the vertices do one by one.
+
+Passes over all vertices converge slowly where large parts turn or travel: rotations are fitted and held, and conjugate gradients
+carry a correction a few edges far. The same problem, restricted to rigid motions of a few dozen clusters, has a few hundred
+unknowns and is solved exactly. It only gives the first estimate of the passes that follow; the prior stays the prediction.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg.lapack import spotrf, spotrs
+
+from ddakf import associate, rigidity, robust
+from ddakf.associate import Measurement
+from ddakf.config import Config
+from ddakf.fuse import BLAS, Update
+from ddakf.kernels import coarse as kernels
+from ddakf.model import Model
+from ddakf.physics.contact import BodyContact
+from ddakf.preprocess import Cloud
+from ddakf.types import State
+
+EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
+CONTACT_SD = 0.004  # m, of the body's surface where a cluster is pushed out
+RIDGE = 1e-6  # of the mean diagonal: a cluster that nothing holds
+
+
+def align(
+    update: Update, prior: State, cloud: Cloud, body_vertices: np.ndarray | None, contact: BodyContact | None,
+    physics_lambda: float, model: Model, config: Config,
+) -> Update:  # fmt: skip
+    """The estimate before the first pass over all vertices: the prediction, or where the clusters went from there.
+
+    Nothing is done while the prediction is good: where the innovations along the normals are below ``least_innovation``.
+
+    Args:
+        update: as it begins.
+        prior: the prediction.
+        cloud: the preprocessed points.
+        body_vertices: (B, 3) metres, what may hide the garment from a sensor, or None.
+        contact: the body, or None.
+        physics_lambda: of stage G.
+        model, config: of the tracker.
+    """
+    coarse, gates = config.coarse, associate.gates(cloud, config.associate)
+    if cloud.empty or coarse.iterations == 0:
+        return update
+    variance = max(float(np.median(np.einsum("vaa->v", prior.R))) / 3, config.adapt.lowest_sd**2)
+    position, floor = prior.position, None
+    sampled = np.zeros(len(position), bool)
+    sampled[model.clusters.sample] = True
+    measurement = Measurement.none(len(position))
+    for number, gate in zip(range(coarse.iterations), gates, strict=False):
+        measurement = associate.associate(
+            position, measurement, cloud, body_vertices, model, gate, config.associate, only=sampled
+        )
+        if number == 0:
+            if not _surprised(measurement, position, coarse.least_innovation):
+                return update
+            floor = None if contact is None else contact.planes(position, config.physics)
+        weight = robust.weigh(measurement, position, prior.P_pp, prior.R, config.robust)
+        motion, center = _solve(
+            update, position, prior.position, measurement, weight, variance, floor, physics_lambda, model, config
+        )
+        if not np.isfinite(motion).all():
+            return update
+        moved = np.empty_like(position)
+        step = kernels.move(position, model.clusters.nearest, model.clusters.share, center, motion, gate, moved)
+        position = moved
+        for term in (update.rest, update.motion):
+            rigidity.turn(term, position, model)
+        if step < coarse.tolerance:
+            break
+    return update._replace(position=position)
+
+
+def _surprised(measurement: Measurement, position: np.ndarray, least: float) -> bool:
+    """Whether the RMS innovation along the normals is above ``least`` metres."""
+    y = measurement.innovation(position)[measurement.found]
+    return len(y) > 0 and float(np.einsum("va,va->", y, y)) > least**2 * len(y)
+
+
+def _solve(update, position, predicted, measurement, weight, variance, floor, physics_lambda, model: Model, config: Config):
+    """(K, 6) rotation vector and translation of each cluster about its centre (K, 3): Gauss-Newton of the MAP problem."""
+    clusters, physics, k = model.clusters, config.physics, model.n_clusters
+    A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))
+    kernels.centers(position, model.cluster, center)
+    stands_for = len(position) / len(clusters.sample)
+    kernels.add_planes(
+        position, predicted, clusters.sample, model.cluster, center, measurement.target, measurement.normal, weight, variance,
+        config.associate.tangential_sd**2, 1.0 / config.coarse.prior_sd**2, stands_for, A, b,
+    )  # fmt: skip
+    if floor is not None:
+        point, normal = floor
+        inside = np.einsum("va,va->v", normal, point - position) > 0
+        kernels.add_planes(
+            position, position, clusters.sample, model.cluster, center, point, normal, inside.astype(float), CONTACT_SD**2,
+            np.inf, 0.0, stands_for, A, b,
+        )  # fmt: skip
+    kernels.add_seams(
+        position, model.cluster, center, clusters.seam, update.rest.source, update.rest.rotation,
+        clusters.weakening * update.rest.weight, update.motion.source, update.motion.rotation,
+        clusters.weakening * update.motion.weight,
+        clusters.weakening * EDGE_STRETCH * physics_lambda * physics.stretch * physics.fabric.stretch, physics.strain_scale, A, b,
+    )  # fmt: skip
+    A[np.diag_indices(6 * k)] += RIDGE * np.trace(A) / (6 * k)
+    with BLAS.limit(limits=1, user_api="blas"):
+        factor, failed = spotrf(A.astype(np.float32), lower=1)
+        motion = np.full(6 * k, np.nan) if failed else spotrs(factor, b.astype(np.float32), lower=1)[0]
+    return motion.astype(np.float64).reshape(k, 6), center
