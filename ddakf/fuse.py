@@ -158,12 +158,9 @@ def accelerated(position: np.ndarray, delta: np.ndarray, before: tuple[np.ndarra
     """
     if before is None:
         return delta
-    turn, move = delta - before[1], position - before[0]
-    length = float(np.vdot(turn, turn))
-    if length == 0.0:
-        return delta
-    share = min(max(float(np.vdot(turn, delta)) / length, -LONGEST_SECANT), LONGEST_SECANT)
-    return delta - share * (move + turn)
+    step = np.empty_like(delta)
+    kernels.secant(position, delta, *before, LONGEST_SECANT, step)
+    return step
 
 
 def normal_equations(

@@ -61,7 +61,7 @@ def add_hinges(positions, stencil, rest_angle, least, weight, stiffness, blocks,
         positions: (V, 3) metres.
         stencil, rest_angle, least, weight: the constants of ``ddakf.physics.bend``.
         stiffness: 1/rad^2.
-        blocks: (V, 3, 3), added to.
+        blocks: (V, 3, 3) symmetric, added to.
         force: (V, 3) or wider, minus the gradient is added.
     """
     for c in range(stencil.shape[0]):
@@ -72,11 +72,13 @@ def add_hinges(positions, stencil, rest_angle, least, weight, stiffness, blocks,
         add_corner(stencil[c, 1], g1, k, residual, blocks, force)
         add_corner(stencil[c, 2], g2, k, residual, blocks, force)
         add_corner(stencil[c, 3], g3, k, residual, blocks, force)
+    for i in range(blocks.shape[0]):
+        blocks[i, 1, 0], blocks[i, 2, 0], blocks[i, 2, 1] = blocks[i, 0, 1], blocks[i, 0, 2], blocks[i, 1, 2]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
 def add_corner(i, gradient, k, residual, blocks, force):
-    """One vertex of a hinge: - k r g and 4 k g g'."""
+    """One vertex of a hinge: - k r g and what 4 k g g' has on and above the diagonal."""
     x, y, z = gradient
     f, m = k * residual, 4.0 * k
     force[i, 0] -= f * x
@@ -86,8 +88,5 @@ def add_corner(i, gradient, k, residual, blocks, force):
     blocks[i, 1, 1] += m * y * y
     blocks[i, 2, 2] += m * z * z
     blocks[i, 0, 1] += m * x * y
-    blocks[i, 1, 0] += m * x * y
     blocks[i, 0, 2] += m * x * z
-    blocks[i, 2, 0] += m * x * z
     blocks[i, 1, 2] += m * y * z
-    blocks[i, 2, 1] += m * y * z

@@ -149,6 +149,21 @@ def limit(step, longest, limited):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def secant(position, delta, last_position, last_delta, longest, step):
+    """step = delta - s (change of position + change of delta), all (V, 3); s takes from delta what its change explains of it."""
+    along = length = 0.0
+    for i in range(delta.shape[0]):
+        for a in range(3):
+            turn = delta[i, a] - last_delta[i, a]
+            length += turn * turn
+            along += turn * delta[i, a]
+    share = min(max(along / length, -longest), longest) if length > 0.0 else 0.0
+    for i in range(delta.shape[0]):
+        for a in range(3):
+            step[i, a] = delta[i, a] - share * (position[i, a] - last_position[i, a] + delta[i, a] - last_delta[i, a])
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def invert(matrix, inverse):
     """Inverse of a symmetric positive definite (n, n) matrix, float32 out. Returns whether all pivots were positive.
 

@@ -4,6 +4,7 @@ from math import sqrt
 
 from numba import njit
 
+NOWHERE = -1e30  # m
 LEAST_POINTS = 4  # in the tube
 BEYOND = 1.0  # mean distances between the tube's points, by which cloth goes on behind the second last
 GOES_ON = 0.6  # share of the reach; a cloud that goes on to there has no end within it
@@ -51,7 +52,7 @@ def ends_of_cloud(
             continue
         cx, cy, cz = cx / length, cy / length, cz / length
         px, py, pz = position[v, 0] - origin[0], position[v, 1] - origin[1], position[v, 2] - origin[2]
-        first = second = -1e30
+        first = second = NOWHERE
         inside = 0
         x0, x1 = max(int((px - radius) * inverse), 0), min(int((px + radius) * inverse), nx - 1)
         y0, y1 = max(int((py - radius) * inverse), 0), min(int((py + radius) * inverse), ny - 1)
@@ -64,16 +65,13 @@ def ends_of_cloud(
                 for k in range(start[row + z0], start[row + z1 + 1]):
                     dx, dy, dz = points[0, k] - px, points[1, k] - py, points[2, k] - pz
                     a = cx * dx + cy * dy + cz * dz
-                    if abs(a) > radius or abs(tx * dx + ty * dy + tz * dz) > width:
-                        continue
-                    if abs(ax * dx + ay * dy + az * dz) > depth + 0.33 * abs(a):
-                        continue
-                    inside += 1
-                    if a > first:
-                        second = first
-                        first = a
-                    elif a > second:
-                        second = a
+                    beside, above = abs(tx * dx + ty * dy + tz * dz), abs(ax * dx + ay * dy + az * dz)
+                    # no branch to mispredict
+                    fits = (abs(a) <= radius) & (beside <= width) & (above <= depth + 0.33 * abs(a))
+                    inside += int(fits)
+                    a = a if fits else NOWHERE
+                    second = max(second, min(first, a))
+                    first = max(first, a)
         if inside < LEAST_POINTS or second > GOES_ON * radius:
             continue
         found[h] = True
