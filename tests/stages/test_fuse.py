@@ -259,3 +259,23 @@ def test_decoupled_update_without_measurements_keeps_the_covariance():
     problem, contact = scene(3, PAPER, seen=0.0, planes=False)
     update = one_pass(begun(problem)[0], problem, contact)
     np.testing.assert_allclose(full(update.state), full(problem.prior), rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1, 7, 8, 24, 93])
+def test_a_symmetric_matrix_is_inverted_whatever_its_size(size):
+    root = np.random.default_rng(size).normal(size=(size, size + 5))
+    matrix = root @ root.T
+    inverse = fuse.invert(matrix)
+    np.testing.assert_array_equal(inverse, inverse.T)
+    np.testing.assert_allclose(inverse @ matrix, np.eye(size), atol=1e-3)
+
+
+def test_a_matrix_that_rounding_made_indefinite_is_inverted_with_a_little_added():
+    matrix = np.diag(np.arange(-1e-4, 9.0))
+    inverse = fuse.invert(matrix)
+    assert np.isfinite(inverse).all()
+    np.testing.assert_allclose(inverse[3, 3], 1.0 / matrix[3, 3], rtol=1e-2)
+
+
+def test_a_matrix_that_is_not_finite_has_no_inverse():
+    assert np.isnan(fuse.invert(np.full((9, 9), np.inf))).all()
