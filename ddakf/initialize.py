@@ -7,12 +7,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ddakf import deform, rigidity
+from ddakf import deform, rigidity, segment
 from ddakf.config import Start
 from ddakf.deform import TRUNCATION, Target
 from ddakf.frame import Frame
 from ddakf.kernels.associate import vertex_normals
 from ddakf.model import Model
+from ddakf.physics.contact import BodyContact
 from ddakf.reliability import LONGEST_BOOKED, Health
 from ddakf.types import State
 
@@ -24,6 +25,7 @@ FIRST_STEPS, LAST_STEPS = 8, 20
 TRIMMED = 0.8  # share of the points that an alignment follows
 NEAR = 0.015  # m: a cost in place below it is that of a garment in its place
 ALIKE = 0.04  # m: a cost above it is that of something else, wherever the garment is laid
+FOREIGN = 0.15  # share of the points beyond TRUNCATION of the garment, above which the cloud is of more than the garment
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
 DISTINCT = np.radians(30.0)  # between headings that are bent apart
 BENT, ROUGH_STEPS = 3, 8  # headings of each shape that are bent, and how long
@@ -151,7 +153,15 @@ def _nearest(shape: Shape, target: Target, rotation: np.ndarray, translation: np
 
 
 def _costs(shape: Shape, target: Target, rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
-    """(K,) metres: mean truncated distance cloud to garment and, of the vertices that face the sensor, garment to cloud."""
+    """(K,) metres: half the sum of :func:`_halves`."""
+    there, back = _halves(shape, target, rotation, translation)
+    return 0.5 * (there + back)
+
+
+def _halves(
+    shape: Shape, target: Target, rotation: np.ndarray, translation: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(K,) metres each: mean truncated distance cloud to garment and, of the vertices that face the sensor, garment to cloud."""
     distance, _, facing = _nearest(shape, target, rotation, translation)
     there = np.where(facing, np.minimum(distance, TRUNCATION), TRUNCATION).mean(axis=1)
     back = np.empty(len(rotation))
@@ -162,7 +172,7 @@ def _costs(shape: Shape, target: Target, rotation: np.ndarray, translation: np.n
             vertices = vertices[np.einsum("va,va->v", shape.normal[::every] @ R.T, target.eye - vertices) > 0]
         away = target.tree.query(vertices, distance_upper_bound=TRUNCATION)[0]
         back[k] = np.minimum(away, TRUNCATION).mean() if len(vertices) else TRUNCATION
-    return 0.5 * (there + back)
+    return there, back
 
 
 def _turns(angle: np.ndarray) -> np.ndarray:
@@ -172,8 +182,9 @@ def _turns(angle: np.ndarray) -> np.ndarray:
 
 
 def locate(
-    prior: State, last: np.ndarray, rotation: np.ndarray, now: Frame, dt: float, health: Health, model: Model, config: Start
-) -> tuple[State, np.ndarray, np.ndarray]:
+    prior: State, last: np.ndarray, rotation: np.ndarray, now: Frame, contact: BodyContact | None, dt: float,
+    health: Health, model: Model, config: Start,
+) -> tuple[State, np.ndarray, np.ndarray]:  # fmt: skip
     """The prior, laid on the cloud where the tracker has no track; otherwise as it came.
 
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
@@ -184,6 +195,7 @@ def locate(
         last: (V, 3) position from which the motion is locally rigid, metres.
         rotation: (V, 3, 3) of the one-rings against the rest shape.
         now: the frame.
+        contact: the body, whose skin may be among the points, or None.
         dt: seconds since the last frame.
         health: state of the tracker.
         model, config: the garment, and when to search.
@@ -198,7 +210,7 @@ def locate(
     sought = [last]
     if (health.unplaced and health.state != "initializing") or dt > LONGEST_BOOKED:
         sought.append(model.mesh.vertices)
-    stay = cost_in_place(prior.position, model.faces, points, sensor_origin)
+    stay = _stay(prior.position, segment.cloth(now, prior.position, contact, model, segment.ON_CLOTH), model)
     if stay < NEAR:
         return prior, last, rotation
     found, cost = _best(sought, points, sensor_origin, model)
@@ -206,6 +218,17 @@ def locate(
         return prior, last, rotation
     start = State.at(found, np.zeros_like(found), config.sd, config.speed_sd, 1.0)
     return start._replace(R=prior.R), found, rigidity.rotations(found, model)
+
+
+def _stay(position: np.ndarray, mine: Frame, model: Model) -> float:
+    """Metres: the cost of leaving the garment where it is; of a cloud of more than the garment, garment to cloud alone."""
+    if len(mine.points) == 0:
+        return TRUNCATION
+    shape = Shape.of(position, _normals(position, model.faces), VERTICES)
+    there, back = _halves(shape, Target.of(mine.points, mine.sensor_origin, POINTS), np.eye(3)[None], np.zeros((1, 3)))
+    if segment.apart(mine.points, position, TRUNCATION).mean() > FOREIGN:
+        return float(back[0])
+    return 0.5 * float(there[0] + back[0])
 
 
 def _best(

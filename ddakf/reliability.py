@@ -16,6 +16,8 @@ from ddakf.types import State, TrackerState
 
 EVIDENCE_POINTS = 800  # of a cloud that are held against the surface
 REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
+FOREIGN = 0.15  # share of points beyond it, above which a cloud is of more than the garment
+NEAR = 0.04  # m: of such a cloud a point farther from every vertex, or beyond a hem, says nothing
 SPEED_MEMORY, MISFIT_MEMORY, UNSEEN_MEMORY = 1.0, 0.5, 0.3  # s
 ONE_SECOND = 1.0  # s: time over which an unseen part's travel adds up
 SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
@@ -104,7 +106,9 @@ def evidence(
         normal = np.empty_like(position)
         vertex_normals(position, model.faces, normal)
         stride = max(1, len(points) // EVIDENCE_POINTS)
-        along, offset = kernels.misfit(points, stride, position, normal, model.cluster, model.n_clusters, REACH)
+        along, offset = kernels.misfit(
+            points, stride, position, normal, model.cluster, model.n_clusters, REACH, model.boundary[:, 0], FOREIGN, NEAR
+        )
         misfit = _follow(misfit, along, dt, MISFIT_MEMORY)
     strain = kernels.strain(position, model.start, model.neighbour, model.rest_edge)
     health = health._replace(

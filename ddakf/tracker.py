@@ -20,6 +20,7 @@ from ddakf import (
     reliability,
     rigidity,
     robust,
+    segment,
     uncertainty,
 )
 from ddakf import snapshot as snapshots
@@ -119,12 +120,13 @@ class Tracker:
         last, carried = self._ride(now.body_vertices, dt)
         prior = predict.predict(last, dt, carried, config.predict)
         prior, anchor, rotation = initialize.locate(
-            prior, last.position, self._rotation, now, dt, health, garment, config.start
+            prior, last.position, self._rotation, now, self._contact, dt, health, garment, config.start
         )
         clock.lap("predict")
 
         # Preprocessing (2.1)
-        cloud = preprocess.preprocess(now.points, now.sensor_origin, prior.position, garment.area, config)
+        mine = segment.cloth(now, prior.position, self._contact, garment, segment.BESIDE)
+        cloud = preprocess.preprocess(mine.points, mine.sensor_origin, prior.position, garment.area, config)
         clock.lap("preprocess")
 
         update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config)
@@ -168,8 +170,9 @@ class Tracker:
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
+        mine = segment.cloth(mine, posterior.position, self._contact, garment, segment.ON_CLOTH)
         verdict = reliability.judge(
-            health, update, posterior, covariance, prior, now.points, dt, garment, config.reliability
+            health, update, posterior, covariance, prior, mine.points, dt, garment, config.reliability
         )
         clock.lap("reliability")
 

@@ -10,7 +10,7 @@ CELLS = 128  # at most along each axis of the grid of vertices
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def misfit(points, stride, position, normal, patch, n_patches, reach):
+def misfit(points, stride, position, normal, patch, n_patches, reach, boundary, foreign, near):
     """How far points lie from a surface, patch by patch, so that what is no more than noise cancels out.
 
     Every ``stride``-th point is given to the vertex nearest to it. With d_i the offsets of the n points of a patch,
@@ -21,6 +21,10 @@ def misfit(points, stride, position, normal, patch, n_patches, reach):
         position, normal: (V, 3) the fitted vertices, metres, and their unit normals.
         patch: (V,) int32 in [0, n_patches).
         reach: metres: points farther from every vertex do not count.
+        boundary: (H,) vertices of open boundaries.
+        foreign: share of the points beyond ``reach`` above which the cloud is of more than the garment: then points
+            do not count that are nearest to a boundary or farther than ``near``.
+        near: metres.
 
     Returns:
         Squared mean offset along the normals and in all directions, square metres, over the patches; zero where no patch has
@@ -52,9 +56,8 @@ def misfit(points, stride, position, normal, patch, n_patches, reach):
     for v in range(n):
         order[fill[own[v]]] = v
         fill[own[v]] += 1
-    count = np.zeros(n_patches)
-    total, along = np.zeros((n_patches, 3)), np.zeros(n_patches)
-    square, along_square = np.zeros(n_patches), np.zeros(n_patches)
+    asked = (points.shape[0] + stride - 1) // stride
+    nearest, beyond = np.empty(asked, np.int32), 0
     rings = int(np.ceil(reach / cell))
     for k in range(0, points.shape[0], stride):
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
@@ -76,16 +79,33 @@ def misfit(points, stride, position, normal, patch, n_patches, reach):
                             best, winner = d2, v
             if best <= (ring * cell + margin) ** 2:  # no vertex of the next ring is nearer
                 break
-        if winner < 0:
+        nearest[k // stride] = winner
+        beyond += winner < 0
+    rim = np.zeros(n, np.bool_)
+    limit = reach
+    if beyond > foreign * asked:
+        limit = near
+        for h in range(len(boundary)):
+            rim[boundary[h]] = True
+    count = np.zeros(n_patches)
+    total, along = np.zeros((n_patches, 3)), np.zeros(n_patches)
+    square, along_square = np.zeros(n_patches), np.zeros(n_patches)
+    for k in range(0, points.shape[0], stride):
+        winner = nearest[k // stride]
+        if winner < 0 or rim[winner]:
             continue
+        px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
         c = patch[winner]
         dx, dy, dz = px - position[winner, 0], py - position[winner, 1], pz - position[winner, 2]
+        d2 = dx * dx + dy * dy + dz * dz
+        if d2 > limit * limit:
+            continue
         r = dx * normal[winner, 0] + dy * normal[winner, 1] + dz * normal[winner, 2]
         count[c] += 1.0
         total[c, 0] += dx
         total[c, 1] += dy
         total[c, 2] += dz
-        square[c] += best
+        square[c] += d2
         along[c] += r
         along_square[c] += r * r
     pairs = offset = normal_offset = 0.0

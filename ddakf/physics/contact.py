@@ -144,6 +144,10 @@ class BodyContact:
         near = (closest.face >= 0)[:, None]
         return np.where(near, point, 0.0), np.where(near, closest.normal, 0.0)
 
+    def within(self, points: np.ndarray, radius: float) -> np.ndarray:
+        """(N,) bool: (N, 3) points that lie within ``radius`` metres of the body's surface, on either side."""
+        return proximity.closest_points(self._body, self._surface, points, radius).face >= 0
+
     def to_arrays(self) -> dict[str, np.ndarray]:
         """What changes from frame to frame, for a snapshot."""
         arrays = {"contact_vertices": self.vertices, "contact_present": np.array(self.present)}

@@ -85,7 +85,7 @@ DT = 1 / FPS
 
 def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
     frame = Frame(points, 0.0, None, None)
-    return locate(prior, last, UNTURNED, frame, dt, health, MODEL, config or Start())
+    return locate(prior, last, UNTURNED, frame, None, dt, health, MODEL, config or Start())
 
 
 def test_a_garment_in_place_is_left_alone():

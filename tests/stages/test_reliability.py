@@ -86,7 +86,7 @@ def test_weights_are_no_negative_numbers_and_some_count():
 def misfit_of(points, mesh, patches=40):
     normal = vertex_normals(mesh.vertices, mesh.faces)
     patch = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32)
-    return kernels.misfit(points, 1, mesh.vertices, normal, patch, patches, 0.1)
+    return kernels.misfit(points, 1, mesh.vertices, normal, patch, patches, 0.1, np.empty(0, np.int32), 1.0, 0.1)
 
 
 def slow_misfit(points, mesh, patches):

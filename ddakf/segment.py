@@ -1,0 +1,61 @@
+"""Segmentation by the body: which points of a whole person are the garment's."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddakf.frame import Frame
+from ddakf.kernels import preprocess as grids
+from ddakf.kernels import segment as kernels
+from ddakf.model import Model
+from ddakf.physics.contact import BodyContact
+
+SKIN = 0.010  # m: a point so near to the body may be its skin, about three standard deviations of a sensor's noise
+ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
+BESIDE = 0.045  # m, and EDGES: as far a cloud may go on beyond a hem, which shows that it has no end there
+EDGES = 0.75
+CELLS = 128  # at most along each axis of the grid of vertices
+
+
+def cloth(now: Frame, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> Frame:
+    """The frame without the points of :func:`skin`; arguments as there."""
+    bare = skin(now.points, position, contact, model, off)
+    if not bare.any():
+        return now
+    origin = now.sensor_origin
+    return now._replace(
+        points=now.points[~bare], sensor_origin=origin[~bare] if origin is not None and origin.ndim == 2 else origin
+    )
+
+
+def skin(points: np.ndarray, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> np.ndarray:
+    """(N,) bool: points that lie on the body and not on the garment.
+
+    A garment lies on the body as well, so that a point is skin only where the garment is not expected.
+
+    Args:
+        points: (N, 3) metres.
+        position: (V, 3) predicted vertices, metres.
+        contact: the body in its pose of this frame; without one no point is skin.
+        model: the garment.
+        off: metres from the garment that a point must be to be skin, :data:`ON_CLOTH` or :data:`BESIDE`.
+    """
+    if contact is None or not contact.present or len(points) == 0:
+        return np.zeros(len(points), bool)
+    bare = apart(points, position, off + EDGES * model.edge_length)
+    bare[bare] = contact.within(points[bare].astype(np.float64), SKIN)
+    return bare
+
+
+def apart(points: np.ndarray, position: np.ndarray, radius: float) -> np.ndarray:
+    """(N,) bool: (N, 3) points farther than ``radius`` from all (V, 3) vertices, metres."""
+    lower = position.min(axis=0)
+    extent = position.max(axis=0) - lower
+    cell = max(radius, float(extent.max()) / CELLS)
+    dims = (extent / cell).astype(np.int64) + 1
+    start = np.empty(int(np.prod(dims)) + 2, np.int32)
+    vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
+    grids.fill_grid(position, np.arange(len(position), dtype=np.int32), lower, cell, dims, start, vertices, index)
+    out = np.empty(len(points), bool)
+    kernels.apart(points, vertices, start, lower, cell, dims, radius, out)
+    return out
