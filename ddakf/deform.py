@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from ddakf.associate import OCCLUDER_CELL
 from ddakf.kernels.associate import seen, vertex_normals
@@ -20,7 +21,7 @@ TRUNCATION = 0.10  # m: points farther from the garment count as this far
 STEPS = 20
 STIFF, SOFT, HALF_SEEN = 5.0, 0.02, 2.0  # weight of an edge against the data of a patch: first, last, last with one sensor
 REACH = 1.5 * TRUNCATION  # m: correspondences farther apart are none
-SAMPLE, DENSE = 600, 2500  # vertices and points that ask, and vertices that answer
+SAMPLE, DENSE = 400, 1000  # vertices and points that ask, and vertices that answer
 HIDDEN_DEPTH, FACING = 0.03, 0.1  # m, cosine: what a sensor sees, as in stage B
 NO_BODY = np.empty((0, 3))
 
@@ -36,7 +37,7 @@ class Target(NamedTuple):
     def of(cls, points: np.ndarray, sensor_origin: np.ndarray | None, count: int) -> Target:
         points = points.astype(np.float64)
         eye = sensor_origin if sensor_origin is not None and sensor_origin.ndim == 1 else None
-        return cls(points[:: max(1, len(points) // count)], cKDTree(points[:: max(1, len(points) // (6 * count))]), eye)
+        return cls(points[:: max(1, len(points) // count)], cKDTree(points[:: max(1, len(points) // (12 * count))]), eye)
 
 
 class Graph(NamedTuple):
@@ -48,28 +49,33 @@ class Graph(NamedTuple):
     middle: np.ndarray  # (K, 3) m, of the patches of the source
 
 
-def graph(position: np.ndarray, model: Model) -> Graph:
-    """The patches of a garment that lies at ``position`` (V, 3)."""
+def graph(position: np.ndarray, model: Model, chosen: np.ndarray) -> Graph:
+    """The patches of a garment that lies at ``position`` (V, 3), with the weights of the ``chosen`` vertices."""
     K = model.n_clusters
     size = np.bincount(model.cluster, minlength=K)
     middle = np.stack([np.bincount(model.cluster, position[:, a], K) for a in range(3)], axis=1) / size[:, None]
-    ring = np.repeat(model.cluster, np.diff(model.start)), model.cluster[model.neighbour]
     touching = np.zeros((K, K), bool)
-    touching[ring] = True
+    touching[np.repeat(model.cluster, np.diff(model.start)), model.cluster[model.neighbour]] = True
     np.fill_diagonal(touching, False)
     ends = np.argwhere(touching)
+    return Graph(model.cluster[chosen], ends, _weights(position, model, chosen, middle, ends), middle)
+
+
+def _weights(position: np.ndarray, model: Model, chosen: np.ndarray, middle: np.ndarray, ends: np.ndarray) -> np.ndarray:
+    """(C, K) share of each patch in the ``chosen`` vertices (C,): of their own and its neighbours."""
     spacing = np.linalg.norm(middle[ends[:, 0]] - middle[ends[:, 1]], axis=1).mean() if len(ends) else 1.0
-    away = ((position[:, None] - middle[None]) ** 2).sum(axis=2) / spacing**2
-    near = touching[model.cluster]
-    near[np.arange(len(position)), model.cluster] = True
-    weight = np.where(near, np.exp(-2.0 * (away - away.min(axis=1, where=near, initial=np.inf)[:, None])), 0.0)
-    return Graph(model.cluster, ends, weight / weight.sum(axis=1, keepdims=True), middle)
+    near = np.eye(len(middle), dtype=bool)
+    near[ends[:, 0], ends[:, 1]] = True
+    near = near[model.cluster[chosen]]
+    away = np.where(near, cdist(position[chosen], middle, "sqeuclidean") / spacing**2, np.inf)
+    weight = np.exp(-2.0 * (away - away.min(axis=1, keepdims=True)))
+    return weight / weight.sum(axis=1, keepdims=True)
 
 
 def moved(position: np.ndarray, patches: Graph, middle: np.ndarray, rotation: np.ndarray) -> np.ndarray:
     """(V, 3) the source's vertices with its patches at ``middle`` (K, 3) and turned by ``rotation`` (K, 3, 3)."""
     shift = middle - np.einsum("kab,kb->ka", rotation, patches.middle)
-    turned = np.einsum("vk,kab->vab", patches.weight, rotation)
+    turned = (patches.weight @ rotation.reshape(-1, 9)).reshape(-1, 3, 3)
     return np.einsum("vab,vb->va", turned, position) + patches.weight @ shift
 
 
@@ -84,9 +90,13 @@ def follow(
         sensor_origin: (3,) metres: what is turned away from it has no points; None or (N, 3): every side has.
         model: the garment.
     """
-    patches, target = graph(position, model), Target.of(points, sensor_origin, SAMPLE)
-    K, normal = model.n_clusters, np.empty_like(position)
-    vertex_normals(position, model.faces, normal)
+    source, K, normal = position, model.n_clusters, np.empty_like(position)
+    vertex_normals(source, model.faces, normal)
+    every = max(1, len(source) // DENSE)
+    chosen = np.arange(0, len(source), every)
+    patches, target = graph(source, model, chosen), Target.of(points, sensor_origin, SAMPLE)
+    position, normal = source[chosen], normal[chosen]
+    cell = OCCLUDER_CELL * model.edge_length * np.sqrt(every)
     middle, rotation = patches.middle.copy(), np.tile(np.eye(3), (K, 1, 1))
     a, b = patches.ends.T
     rest = patches.middle[b] - patches.middle[a]
@@ -95,9 +105,9 @@ def follow(
     np.add.at(laplacian, (a, b), -1.0)
     estimate, soft = position, SOFT if target.eye is None else HALF_SEEN
     for step in range(steps):
-        vertex, goal, trust = _pairs(estimate, _turned(normal, patches, rotation), target, OCCLUDER_CELL * model.edge_length)
+        vertex, goal, trust = _pairs(estimate, _turned(normal, patches, rotation), target, cell)
         if len(vertex) == 0:
-            return position
+            return source
         patch = patches.patch[vertex]
         trust = trust / trust.sum()
         arm = position[vertex] - patches.middle[patch]
@@ -119,7 +129,8 @@ def follow(
             U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
             rotation = U @ Vt
         estimate = moved(position, patches, middle, rotation)
-    return estimate
+    weight = _weights(source, model, np.arange(len(source)), patches.middle, patches.ends)
+    return moved(source, patches._replace(patch=model.cluster, weight=weight), middle, rotation)
 
 
 def _turned(normal: np.ndarray, patches: Graph, rotation: np.ndarray) -> np.ndarray:
@@ -134,7 +145,6 @@ def _pairs(position: np.ndarray, normal: np.ndarray, target: Target, cell: float
     chosen = np.flatnonzero(visible)
     if len(chosen) == 0:
         return chosen, np.empty((0, 3)), np.empty(0)
-    chosen = chosen[:: max(1, len(chosen) // DENSE)]
     there, nearest = cKDTree(position[chosen]).query(target.points, distance_upper_bound=REACH)
     found = np.isfinite(there)
     some = chosen[:: max(1, len(chosen) // SAMPLE)]

@@ -12,24 +12,26 @@ from ddakf.config import Start
 from ddakf.deform import TRUNCATION, Target
 from ddakf.frame import Frame
 from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.reliability import strain
 from ddakf.model import Model
 from ddakf.physics.contact import BodyContact
 from ddakf.reliability import LONGEST_BOOKED, Health
 from ddakf.types import State
 
-HEADINGS = 16
-FEW_POINTS, FEW_VERTICES = 150, 700  # of the cloud and the garment, while all headings are tried
-POINTS, VERTICES = 600, 2500  # for the finalists
-FINALISTS = 6
-FIRST_STEPS, LAST_STEPS = 8, 20
+HEADINGS = 12
+FEW_POINTS, FEW_VERTICES = 100, 600  # of the cloud and the garment, while all headings are tried
+POINTS, VERTICES = 300, 2500  # for the finalists
+FINALISTS = 5
+FIRST_STEPS, LAST_STEPS = 6, 14
 TRIMMED = 0.8  # share of the points that an alignment follows
 NEAR = 0.015  # m: a cost in place below it is that of a garment in its place
 ALIKE = 0.04  # m: a cost above it is that of something else, wherever the garment is laid
 FOREIGN = 0.15  # share of the points beyond TRUNCATION of the garment, above which the cloud is of more than the garment
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
 DISTINCT = np.radians(30.0)  # between headings that are bent apart
-BENT, ROUGH_STEPS = 3, 8  # headings of each shape that are bent, and how long
-BENT_TURN_COST = 0.4  # as TURN_COST, of bent shapes, whose cost tells more
+BENT, ROUGH_STEPS = 3, 6  # headings of each shape that are bent, and how long
+BENT_TURN_COST = 1.0  # by so much more a half turn costs of bent shapes, in its square: within a quarter turn little
+STRAIN_LENGTH = 0.03  # m: what a strain of 1 costs, as the wrong heading fits only a garment that is pulled about
 TEMPLATE_COST = 0.05  # by so much more the template costs than the last shape
 TURN_COST = 0.6  # by so much more a half turn costs than none
 
@@ -77,14 +79,14 @@ def places(
     fine, many = Shape.of(position, normal, VERTICES), Target.of(points, sensor_origin, POINTS)
     rotation, translation = _started(rough, few, 2 * np.pi * np.arange(HEADINGS) / HEADINGS)
     rotation, translation = _aligned(rough, few, rotation, translation, FIRST_STEPS)
-    best = np.argsort(_costs(rough, few, rotation, translation) * preference(rotation, TURN_COST))[:FINALISTS]
+    best = np.argsort(_costs(rough, few, rotation, translation) * (1.0 + TURN_COST * turn(rotation)))[:FINALISTS]
     # and where it is now
     rotation = np.concatenate([rotation[best], np.eye(3)[None]])
     translation = np.concatenate([translation[best], np.zeros((1, 3))])
     rotation, translation = _aligned(fine, many, rotation, translation, LAST_STEPS)
     cost = _costs(fine, many, rotation, translation)
     found: list[Placement] = []
-    for k in np.argsort(cost * preference(rotation, TURN_COST)):
+    for k in np.argsort(cost * (1.0 + TURN_COST * turn(rotation))):
         if all(np.trace(rotation[k].T @ other.rotation) < 1 + 2 * np.cos(DISTINCT) for other in found):
             found.append(Placement(rotation[k], translation[k], float(cost[k])))
     return found
@@ -102,9 +104,9 @@ def _normals(position: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normal
 
 
-def preference(rotation: np.ndarray, turn_cost: float) -> np.ndarray:
-    """(...,) factor on the cost, above 1 for (..., 3, 3) turned away from the present heading: 1 + turn_cost for half a turn."""
-    return 1.0 + turn_cost * np.abs(np.arctan2(rotation[..., 0, 2], rotation[..., 0, 0])) / np.pi
+def turn(rotation: np.ndarray) -> np.ndarray:
+    """(...,) half turns by which (..., 3, 3) is turned away from the present heading, in [0, 1]."""
+    return np.abs(np.arctan2(rotation[..., 0, 2], rotation[..., 0, 0])) / np.pi
 
 
 def _started(shape: Shape, target: Target, heading: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -242,7 +244,9 @@ def _best(
     for k, shape in enumerate(sought):
         for placement in places(shape, model.faces, points, sensor_origin)[:BENT]:
             rough = deform.follow(placement.apply(shape), points, sensor_origin, model, ROUGH_STEPS)
-            cost = cost_in_place(rough, model.faces, points, sensor_origin) * preference(placement.rotation, BENT_TURN_COST)
+            cost = cost_in_place(rough, model.faces, points, sensor_origin)
+            cost += STRAIN_LENGTH * strain(rough, model.start, model.neighbour, model.rest_edge)
+            cost *= 1.0 + BENT_TURN_COST * np.square(turn(placement.rotation))
             trials.append((cost * (1.0 + TEMPLATE_COST * k), len(trials), placement, shape))
     _, _, placement, shape = min(trials)
     found = deform.follow(placement.apply(shape), points, sensor_origin, model)

@@ -12,7 +12,7 @@ from ddakf.physics.contact import BodyContact
 
 SKIN = 0.010  # m: a point so near to the body may be its skin, about three standard deviations of a sensor's noise
 ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
-BESIDE = 0.045  # m, and EDGES: as far a cloud may go on beyond a hem, which shows that it has no end there
+BESIDE = 0.10  # m, and EDGES: skin within it stays in the cloud, which shows that a hem does not end there
 EDGES = 0.75
 CELLS = 128  # at most along each axis of the grid of vertices
 

@@ -49,7 +49,7 @@ def test_without_points_near_nothing_moves():
 
 
 def test_patches_that_move_as_one_move_every_vertex_so():
-    patches = deform.graph(TUBE.vertices, MODEL)
+    patches = deform.graph(TUBE.vertices, MODEL, np.arange(TUBE.n_vertices))
     turn = about([1, 2, 3], 0.7)
     moved = deform.moved(
         TUBE.vertices, patches, patches.middle @ turn.T + 0.3, np.tile(turn, (MODEL.n_clusters, 1, 1))
