@@ -37,8 +37,11 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
     near = np.take_along_axis(distance.T, nearest, axis=1)
     # falls to zero at the first seed that is not followed, so that no vertex jumps where that changes
     reach = np.take_along_axis(distance, order[followed][None], axis=0)[0] if k > followed else 2.0 * near[:, -1]
-    reach = np.where(np.isfinite(reach), reach, 2.0 * near[:, 0]) + 1e-6
-    share = np.square(np.maximum(1.0 - near / reach[:, None], 0.0))
+    reach = np.where(np.isfinite(reach), reach, 2.0 * near[:, 0])
+    # a piece of the garment without a seed is nobody's neighbour: it follows the first cluster, all of it alike
+    lonely = ~np.isfinite(near[:, 0])
+    near[lonely], reach[lonely] = np.inf, 1.0
+    share = np.square(np.maximum(1.0 - near / (reach + 1e-6)[:, None], 0.0))
     share[:, 0] += 1e-6
     cluster = nearest[:, 0]
     across = np.flatnonzero((cluster[ends[:, 0]] != cluster[ends[:, 1]]) & (ends[:, 0] < ends[:, 1]))

@@ -12,7 +12,7 @@ from scipy.linalg.lapack import spotrf, spotrs
 
 from ddakf import associate, rigidity, robust
 from ddakf.associate import Measurement
-from ddakf.config import Config
+from ddakf.config import Config, PlaneAssociation
 from ddakf.fuse import BLAS, Update
 from ddakf.kernels import coarse as kernels
 from ddakf.model import Model
@@ -31,7 +31,8 @@ def align(
 ) -> Update:  # fmt: skip
     """The estimate before the first pass over all vertices: the prediction, or where the clusters went from there.
 
-    Nothing is done while the prediction is good: where the innovations along the normals are below ``least_innovation``.
+    Nothing is done while the prediction is good, the innovations along the normals below ``least_innovation``; and by the paper's
+    association, which has no normals.
 
     Args:
         update: as it begins.
@@ -43,7 +44,7 @@ def align(
         model, config: of the tracker.
     """
     coarse, gates = config.coarse, associate.gates(cloud, config.associate)
-    if cloud.empty or coarse.iterations == 0:
+    if cloud.empty or coarse.iterations == 0 or not isinstance(config.associate, PlaneAssociation):
         return update
     variance = max(float(np.median(np.einsum("vaa->v", prior.R))) / 3, config.adapt.lowest_sd**2)
     position, floor = prior.position, None

@@ -64,6 +64,7 @@ def graph(position: np.ndarray, model: Model, chosen: np.ndarray) -> Graph:
 def _weights(position: np.ndarray, model: Model, chosen: np.ndarray, middle: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """(C, K) share of each patch in the ``chosen`` vertices (C,): of their own and its neighbours."""
     spacing = np.linalg.norm(middle[ends[:, 0]] - middle[ends[:, 1]], axis=1).mean() if len(ends) else 1.0
+    spacing = max(spacing, 1e-9)
     near = np.eye(len(middle), dtype=bool)
     near[ends[:, 0], ends[:, 1]] = True
     near = near[model.cluster[chosen]]

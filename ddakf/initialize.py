@@ -15,7 +15,7 @@ from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.reliability import strain
 from ddakf.model import Model
 from ddakf.physics.contact import BodyContact
-from ddakf.reliability import LONGEST_BOOKED, Health
+from ddakf.reliability import Health
 from ddakf.types import State
 
 HEADINGS = 12
@@ -206,11 +206,11 @@ def locate(
         Prior, last and rotation, of the place that was found or as they came.
     """
     points, sensor_origin = now.points, now.sensor_origin
-    if not config.search or len(points) < config.least_points or not (health.search_due or dt > LONGEST_BOOKED):
+    if not config.search or len(points) < config.least_points or not (health.search_due or health.interrupted(dt)):
         return prior, last, rotation
     # the last shape and not the predicted one: over a gap velocities tear it
     sought = [last]
-    if (health.unplaced and health.state != "initializing") or dt > LONGEST_BOOKED:
+    if (health.unplaced and health.state != "initializing") or health.interrupted(dt):
         sought.append(model.mesh.vertices)
     stay = _stay(prior.position, segment.cloth(now, prior.position, contact, model, segment.ON_CLOTH), model)
     if stay < NEAR:

@@ -21,6 +21,7 @@ NEAR = 0.04  # m: of such a cloud a point farther from every vertex, or beyond a
 SPEED_MEMORY, MISFIT_MEMORY, UNSEEN_MEMORY = 1.0, 0.5, 0.3  # s
 ONE_SECOND = 1.0  # s: time over which an unseen part's travel adds up
 SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
+LONGEST_GAP = 3.0  # times the spacing of the frames before
 LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
 
 
@@ -33,6 +34,7 @@ class Health(NamedTuple):
     empty_for: float = 0.0  # s of empty clouds
     doubtful: bool = False  # there is a fit, but hardly of this garment
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    spacing: float = 0.0  # s between the last two frames
     # what the predicted error remembers
     speed2: float = 0.0  # m^2/s^2, mean squared velocity
     usual_strain: float = 10.0  # least RMS strain so far
@@ -50,6 +52,10 @@ class Health(NamedTuple):
         """Whether it is looked for: a search takes as long as several frames, and a stream of nonsense must not stall."""
         rounds, rest = divmod(self.frames_unplaced, SEARCH_EVERY)
         return self.unplaced and rest == 0 and rounds & (rounds - 1) == 0
+
+    def interrupted(self, dt: float) -> bool:
+        """Whether ``dt`` seconds since the last frame are a gap: long, and longer than frames of this stream are apart."""
+        return dt > max(LONGEST_BOOKED, LONGEST_GAP * self.spacing) and self.spacing > 0.0
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -187,6 +193,7 @@ def judge(
         health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
     )
     sigma = np.sqrt(np.einsum("vaa->v", covariance) / 3)
+    moved = moved._replace(spacing=dt)
     return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config), found)
 
 

@@ -24,7 +24,7 @@ from ddakf import (
     uncertainty,
 )
 from ddakf import snapshot as snapshots
-from ddakf.config import Config, MapUpdate
+from ddakf.config import Config
 from ddakf.errors import InvalidConfig, InvalidMesh
 from ddakf.mesh import Mesh
 from ddakf.physics import energies
@@ -130,10 +130,9 @@ class Tracker:
         clock.lap("preprocess")
 
         update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config)
-        if isinstance(config.fuse, MapUpdate):
-            update = coarse.align(
-                update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
-            )
+        update = coarse.align(
+            update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
+        )
         clock.lap("coarse")
         for gate in associate.gates(cloud, config.associate):
             # B. Association (2.3)
@@ -180,7 +179,8 @@ class Tracker:
             self._contact.learn(posterior.position, update.weight > 0, dt, config.physics)
 
         # H. Output
-        self._state, self._rotation, self._drift = posterior, update.rest.rotation, drift
+        self._state, self._drift = posterior, drift
+        self._rotation = rotation if update.rejected else update.rest.rotation
         self._health, self._time = verdict.health, now.timestamp
         return _result(posterior, covariance, update, verdict, carried, dt, clock.done())
 

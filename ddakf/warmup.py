@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 
 import numpy as np
@@ -15,18 +16,22 @@ def run(progress: Callable[[int, int, str], None]) -> None:
     garment, body = _tube(0.22, 12, 10), _tube(0.2, 10, 8)
     cloud = garment.vertices[garment.faces].mean(axis=1)
     cloud = np.concatenate([cloud, garment.vertices])
+    astray = np.array([[0.0, 0.1, 0.5], [0.3, 0.2, 0.3], [-0.4, 0.3, 0.1]])  # what a filter removes
     eye = np.array([0.0, 0.0, 2.0])
+    layers = dataclasses.replace(Config(), physics=dataclasses.replace(Config().physics, self_collision=1e8))
     steps = [
         ("cloud alone", None, Config(), dict(sensor_origin=None)),
         ("one camera and a body", body, Config(), dict(sensor_origin=eye, body_vertices=body.vertices)),
-        ("several cameras", None, Config(), dict(sensor_origin=np.tile(eye, (len(cloud), 1)))),
+        ("several cameras", None, Config(), dict(sensor_origin=np.tile(eye, (len(cloud) + len(astray), 1)))),
+        ("layers that collide", None, layers, dict(sensor_origin=None)),
         ("the paper's preset", None, Config.paper(), dict(sensor_origin=None)),
     ]
     for done, (name, skeleton, config, how) in enumerate(steps):
         progress(done, len(steps), name)
         tracker = Tracker(garment, body=skeleton, config=config)
-        for k in range(2):
-            tracker.step(cloud, timestamp=k / 30.0, **how)
+        # where it is, 3 cm farther for the coarse level, and elsewhere, which is searched after a gap
+        for shift, timestamp in ((0.0, 0.0), (0.03, 1 / 30), (0.5, 1.5)):
+            tracker.step(np.concatenate([cloud + [shift, 0, 0], astray]), timestamp=timestamp, **how)
     progress(len(steps), len(steps), "done")
 
 

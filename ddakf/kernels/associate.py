@@ -138,7 +138,7 @@ def nearest_planes(
                             if not oriented:
                                 agreement = abs(agreement)
                             # written in any case, counted where it fits: no branch to mispredict
-                            d2 += penalty * (np.float32(1.0) - agreement)
+                            d2 += penalty * max(np.float32(1.0) - agreement, np.float32(0.0))
                             squared[found] = d2
                             index[found] = k
                             found += int((d2 < limit) & (agreement >= least))

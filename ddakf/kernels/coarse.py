@@ -128,7 +128,8 @@ def add_seams(position, cluster, center, seam, rest_source, rest_rotation, rest_
             mx += w * tx
             my += w * ty
             mz += w * tz
-        mx, my, mz = 0.5 * mx / total, 0.5 * my / total, 0.5 * mz / total
+        half = 0.5 / total if total > 0.0 else 0.0
+        mx, my, mz = half * mx, half * my, half * mz
         ix, iy, iz = position[i, 0] - center[p, 0], position[i, 1] - center[p, 1], position[i, 2] - center[p, 2]
         jx, jy, jz = position[j, 0] - center[q, 0], position[j, 1] - center[q, 1], position[j, 2] - center[q, 2]
         # change of the residual: d = dx_j - dx_i - (omega_p + omega_q)/2 x m; J = [[r_i + m]x, -I, [m - r_j]x, I]
@@ -140,7 +141,8 @@ def add_seams(position, cluster, center, seam, rest_source, rest_rotation, rest_
         for a in range(3):
             J[a, 3 + a] = -1.0
             J[a, 9 + a] = 1.0
-        add_block(J, total, fx, fy, fz, 6 * p, 6 * q, A, b)
+        if total > 0.0:
+            add_block(J, total, fx, fy, fz, 6 * p, 6 * q, A, b)
         # length: derivative along the edge of dx_j - dx_i alone
         length = sqrt(ex * ex + ey * ey + ez * ez)
         rest = sqrt(rest_source[e, 0] ** 2 + rest_source[e, 1] ** 2 + rest_source[e, 2] ** 2)

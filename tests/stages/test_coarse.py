@@ -5,7 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ddakf import Config, clusters, coarse, fuse, model
+from ddakf import Config, Mesh, Tracker, clusters, coarse, fuse, model
+from ddakf.config import InnovationNoise, NearestPoint
 from ddakf.kernels import coarse as kernels
 from ddakf.physics.contact import BodyContact
 from ddakf.preprocess import preprocess
@@ -142,3 +143,34 @@ def test_with_a_body_beneath_it_moves_all_the_same():
     contact = BodyContact(body, 0.1)
     contact.move(body.vertices + [0.03, 0.0, 0.0])
     assert rms(aligned(truth, contact=contact, body_vertices=contact.vertices) - truth) < 0.5 * 0.03
+
+
+@pytest.mark.parametrize("kind", ["points", "planes"])
+def test_every_association_survives_a_fast_frame(kind):
+    """Points without normals have no coarse level."""
+    points = dataclasses.replace(CONFIG, associate=NearestPoint(), adapt=InnovationNoise())
+    config = {"points": points, "planes": CONFIG}[kind]
+    tracker = Tracker(MESH, config=config)
+    for k in range(3):
+        result = tracker.step(scan(moved_by(np.eye(3), [0.03 * k, 0, 0]), MESH, 3000, 0.002, seed=k), timestamp=k / 30)
+        assert np.isfinite(result.vertices).all()
+        assert np.isfinite(result.covariance).all()
+
+
+def test_a_garment_of_more_pieces_than_clusters_is_tracked():
+    """A vertex that no seed reaches follows one cluster; after a jump the tracker goes on, and can be saved."""
+    rng = np.random.default_rng(0)
+    corners = rng.normal(scale=0.3, size=(90, 1, 3)) + rng.normal(scale=0.02, size=(90, 3, 3))
+    n = MESH.n_vertices
+    soup = Mesh(
+        np.concatenate([MESH.vertices, corners.reshape(-1, 3)]),
+        np.concatenate([MESH.faces, n + np.arange(270).reshape(-1, 3)]),
+    )
+    shares = model.build(soup, 0.003).clusters.share
+    assert np.isfinite(shares).all()
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    tracker = Tracker(soup, config=dataclasses.replace(CONFIG, start=dataclasses.replace(CONFIG.start, search=False)))
+    for k in range(4):
+        cloud = scan(soup.vertices + [0.05 * (k > 1), 0, 0], soup, 4000, 0.002, seed=k)
+        assert np.isfinite(tracker.step(cloud, timestamp=k / 30).vertices).all()
+    assert Tracker.restore(tracker.snapshot()).step(cloud, timestamp=1.0).vertices.shape == soup.vertices.shape

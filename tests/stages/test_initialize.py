@@ -123,7 +123,7 @@ def test_a_garment_that_was_not_seen_lately_is_searched(health):
 
 
 def test_a_garment_is_searched_after_a_gap():
-    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health(state="tracking"), dt=0.5)[0]
+    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health(state="tracking", spacing=1 / 30), dt=0.5)[0]
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
 
 
@@ -156,3 +156,10 @@ def test_a_start_on_the_garment_is_tracked_from_the_first_frame():
     result = tracker.step(points, timestamp=0.0, sensor_origin=origin)
     assert result.state == "tracking"
     assert rms(result.vertices - SAMPLE.garment_vertices[0]) < 0.012
+
+
+@pytest.mark.parametrize(
+    ("spacing", "dt", "gap"), [(1 / 30, 0.5, True), (0.5, 0.5, False), (1 / 30, 0.2, False), (0.0, 0.5, False)]
+)
+def test_a_slow_stream_is_no_gap(spacing, dt, gap):
+    assert Health(spacing=spacing).interrupted(dt) is gap
