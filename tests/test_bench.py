@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-STAGES = {"predict", "preprocess", "associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability", "total"}
+STAGES = {"predict", "preprocess", "coarse", "associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability"}
+STAGES |= {"total"}
 
 
 @pytest.fixture(scope="module")
