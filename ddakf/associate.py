@@ -26,7 +26,7 @@ class Hem(NamedTuple):
 
     direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
     offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
-    weight: np.ndarray  # (H,) Tukey's, 0 where the cloud does not end
+    weight: np.ndarray  # (H,) bisquare of the offset, 0 where the cloud does not end
 
 
 class Measurement(NamedTuple):

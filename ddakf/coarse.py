@@ -57,7 +57,7 @@ def align(
         )
         if number == 0:
             if not _surprised(measurement, position, coarse.least_innovation):
-                return update
+                return update._replace(measurement=measurement)  # its planes need not be sought again
             floor = None if contact is None else contact.planes(position, config.physics)
         weight = robust.weigh(measurement, position, prior.P_pp, prior.R, config.robust)
         motion, center = _solve(

@@ -33,8 +33,8 @@ class Planes(NamedTuple):
     weight: np.ndarray  # (V,)
     variance: np.ndarray  # (V,) m^2 along the normal
     tangential: np.ndarray  # (V,) m^2 in the plane
-    hem: Hem | None = None
-    hem_variance: float = 1.0
+    hem: Hem | None = None  # ends of the cloud beside open boundaries
+    hem_variance: float = 1.0  # m^2, of each
 
 
 class System(NamedTuple):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import proximity as kernels
+from ddakf.kernels import surface_motion as motion_kernels
 from ddakf.mesh import Mesh
 
 
@@ -140,8 +141,8 @@ def surface_motion(
     near = 0.5 * radius if near is None else near
     position, weight = np.empty_like(points), np.empty(len(points))
     rotation, needed = np.empty((len(last), 4)), np.empty(len(last), np.uint8)
-    kernels.vertex_rotations(last, now, body.faces, contact.face, needed, rotation)
-    kernels.carry(
+    motion_kernels.vertex_rotations(last, now, body.faces, contact.face, needed, rotation)
+    motion_kernels.carry(
         last, now, rotation, body.faces, contact.face, contact.barycentric, points, near, radius, position, weight
     )
     return SurfaceMotion(position, weight)

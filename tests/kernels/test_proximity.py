@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ddakf.kernels import proximity
+from ddakf.kernels import proximity, surface_motion
 
 
 def slow_closest(p, b, c):
@@ -80,7 +80,7 @@ def test_quaternion_of_every_kind_of_rotation():
     frame = Rotation.random(random_state=1).as_matrix()
     for turn in turns:
         moved = turn.as_matrix() @ frame
-        w, x, y, z = proximity.quaternion(*(tuple(column) for column in [*frame.T, *moved.T]))
+        w, x, y, z = surface_motion.quaternion(*(tuple(column) for column in [*frame.T, *moved.T]))
         assert abs(np.dot(turn.as_quat(scalar_first=True), (w, x, y, z))) > 1.0 - 1e-12
 
 
@@ -95,7 +95,7 @@ def test_rotation_of_a_face_is_the_polar_factor():
         deformation = np.column_stack([edges[1], normals[1]]) @ np.linalg.inv(np.column_stack([edges[0], normals[0]]))
         u, _, vt = np.linalg.svd(deformation)
         rotation, needed = np.empty((3, 4)), np.empty(3, np.uint8)
-        proximity.vertex_rotations(last, now, faces, np.array([0], np.int32), needed, rotation)
+        surface_motion.vertex_rotations(last, now, faces, np.array([0], np.int32), needed, rotation)
         for quaternion in rotation:
             np.testing.assert_allclose(Rotation.from_quat(quaternion, scalar_first=True).as_matrix(), u @ vt, atol=1e-9)
 

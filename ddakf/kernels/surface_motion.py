@@ -1,0 +1,122 @@
+"""The motion of a body's surface, and what it does to points beside it."""
+
+from math import sqrt
+
+from numba import njit
+
+from ddakf.kernels.proximity import cross, dot, edges
+
+FACE_AREA = 1e-12  # m^2 of double area against which a degenerate face's rotation counts for nothing
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def triangle_frame(vertices, faces, f):
+    """Tangent along the first edge, normal, in-plane edges (l, 0) and (x, h), double area; zeros without area."""
+    _, b, c = edges(vertices, faces, f)
+    n = cross(b, c)
+    length, area = sqrt(dot(b, b)), sqrt(dot(n, n))
+    if area <= 0.0:
+        return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0
+    tangent = b[0] / length, b[1] / length, b[2] / length
+    return tangent, (n[0] / area, n[1] / area, n[2] / area), length, dot(c, tangent), area / length, area
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def quaternion(t, u, n, t2, u2, n2):
+    """Unit quaternion (w, x, y, z) of the rotation that takes the orthonormal frame (t, u, n) to (t2, u2, n2)."""
+    xx, yy, zz = (
+        t2[0] * t[0] + u2[0] * u[0] + n2[0] * n[0],
+        t2[1] * t[1] + u2[1] * u[1] + n2[1] * n[1],
+        t2[2] * t[2] + u2[2] * u[2] + n2[2] * n[2],
+    )
+    xy, yx = t2[0] * t[1] + u2[0] * u[1] + n2[0] * n[1], t2[1] * t[0] + u2[1] * u[0] + n2[1] * n[0]
+    xz, zx = t2[0] * t[2] + u2[0] * u[2] + n2[0] * n[2], t2[2] * t[0] + u2[2] * u[0] + n2[2] * n[0]
+    yz, zy = t2[1] * t[2] + u2[1] * u[2] + n2[1] * n[2], t2[2] * t[1] + u2[2] * u[1] + n2[2] * n[1]
+    if xx + yy + zz > 0.0:
+        w, x, y, z = 1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy
+    elif xx >= yy and xx >= zz:
+        w, x, y, z = zy - yz, 1.0 + xx - yy - zz, xy + yx, xz + zx
+    elif yy >= zz:
+        w, x, y, z = xz - zx, xy + yx, 1.0 - xx + yy - zz, yz + zy
+    else:
+        w, x, y, z = yx - xy, xz + zx, yz + zy, 1.0 - xx - yy + zz
+    scale = 1.0 / sqrt(w * w + x * x + y * y + z * z)
+    return w * scale, x * scale, y * scale, z * scale
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def vertex_rotations(last, now, faces, face, needed, rotation):
+    """Unit quaternion of every vertex that a contact uses: its faces' rotations, by area, on one hemisphere.
+
+    needed (B,) uint8 is scratch. Half of the faces of a body are near no garment; leaving them out saves half of
+    the time.
+    """
+    needed[:] = 0
+    for i in range(face.shape[0]):
+        if face[i] >= 0:
+            for s in range(3):
+                needed[faces[face[i], s]] = 1
+    rotation[:] = 0.0
+    rotation[:, 0] = FACE_AREA
+    for f in range(faces.shape[0]):
+        if not (needed[faces[f, 0]] or needed[faces[f, 1]] or needed[faces[f, 2]]):
+            continue
+        t1, n1, l1, x1, h1, area1 = triangle_frame(last, faces, f)
+        t2, n2, l2, x2, h2, area2 = triangle_frame(now, faces, f)
+        weight = min(area1, area2)
+        # polar factor of the in-plane deformation [[l2/l1, (x2 - x1 l2/l1) / h1], [0, h2/h1]], multiplied by l1 h1
+        c, s = l2 * h1 + h2 * l1, l2 * x1 - x2 * l1
+        norm = sqrt(c * c + s * s)
+        if weight <= 0.0 or norm <= 0.0:
+            continue
+        c, s = c / norm, s / norm
+        b1, b2 = cross(n1, t1), cross(n2, t2)
+        turned = (c * t2[0] + s * b2[0], c * t2[1] + s * b2[1], c * t2[2] + s * b2[2])
+        w, x, y, z = quaternion(t1, b1, n1, turned, cross(n2, turned), n2)
+        for corner in range(3):
+            v = faces[f, corner]
+            sign = rotation[v, 0] * w + rotation[v, 1] * x + rotation[v, 2] * y + rotation[v, 3] * z
+            share = weight if sign >= 0.0 else -weight
+            rotation[v, 0] += share * w
+            rotation[v, 1] += share * x
+            rotation[v, 2] += share * y
+            rotation[v, 3] += share * z
+    for v in range(rotation.shape[0]):
+        w, x, y, z = rotation[v, 0], rotation[v, 1], rotation[v, 2], rotation[v, 3]
+        scale = 1.0 / max(sqrt(w * w + x * x + y * y + z * z), 1e-300)
+        rotation[v, 0], rotation[v, 1], rotation[v, 2], rotation[v, 3] = w * scale, x * scale, y * scale, z * scale
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def carry(last, now, rotation, faces, face, barycentric, points, near, radius, position, weight):
+    for i in range(points.shape[0]):
+        for a in range(3):
+            position[i, a] = points[i, a]
+        weight[i] = 0.0
+        f = face[i]
+        if f < 0:
+            continue
+        w = x = y = z = 0.0
+        ox = oy = oz = tx = ty = tz = 0.0
+        for s in range(3):
+            v, b = faces[f, s], barycentric[i, s]
+            qw, qx, qy, qz = rotation[v, 0], rotation[v, 1], rotation[v, 2], rotation[v, 3]
+            if w * qw + x * qx + y * qy + z * qz < 0.0:
+                qw, qx, qy, qz = -qw, -qx, -qy, -qz
+            w, x, y, z = w + b * qw, x + b * qx, y + b * qy, z + b * qz
+            ox, oy, oz = ox + b * last[v, 0], oy + b * last[v, 1], oz + b * last[v, 2]
+            tx, ty, tz = tx + b * now[v, 0], ty + b * now[v, 1], tz + b * now[v, 2]
+        ox, oy, oz = points[i, 0] - ox, points[i, 1] - oy, points[i, 2] - oz
+        share = (radius - sqrt(ox * ox + oy * oy + oz * oz)) / (radius - near)
+        share = min(1.0, max(0.0, share))
+        share = share * share * (3.0 - 2.0 * share)
+        weight[i] = share
+        # rotation of the offset o by the quaternion: o + 2 w (q x o) + 2 q x (q x o), over the squared norm
+        scale = 2.0 / max(w * w + x * x + y * y + z * z, 1e-300)
+        cx, cy, cz = y * oz - z * oy, z * ox - x * oz, x * oy - y * ox
+        ox += scale * (w * cx + y * cz - z * cy)
+        oy += scale * (w * cy + z * cx - x * cz)
+        oz += scale * (w * cz + x * cy - y * cx)
+        position[i, 0] += share * (tx + ox - points[i, 0])
+        position[i, 1] += share * (ty + oy - points[i, 1])
+        position[i, 2] += share * (tz + oz - points[i, 2])

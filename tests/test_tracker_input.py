@@ -1,0 +1,203 @@
+"""What a tracker is given: what is refused, and any finite input."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ddakf import Config, Mesh, Tracker
+from ddakf.errors import InvalidArgument, InvalidFrame, InvalidMesh
+from tests.stages.scenes import FPS, inner_body, scan, tube
+from tests.tracker_runs import ACCELERATED, BODY, EYE, TUBE, assert_finite, assert_same, cloud, swaying, tracked
+
+# Bad input ----------------------------------------------------------------------------------------------------------
+
+GOOD = cloud(4)
+NAN = GOOD.copy()
+NAN[17] = np.nan
+REFUSED = {
+    "points that are not finite": dict(points=NAN),
+    "points of another shape": dict(points=GOOD[:, :2]),
+    "points of another type": dict(points=GOOD.astype(complex)),
+    "five million points": dict(points=np.zeros((5_000_000, 3), np.float32)),
+    "time going backwards": dict(timestamp=1 / FPS),
+    "time standing still": dict(timestamp=3 / FPS),
+    "time that is not a number": dict(timestamp=float("nan")),
+    "an origin of another shape": dict(sensor_origin=np.zeros((7, 3))),
+    "a body of another size": dict(body_vertices=BODY.vertices[:-1]),
+    "a body that is not finite": dict(body_vertices=np.full(BODY.vertices.shape, np.inf)),
+}
+
+
+@pytest.mark.parametrize("what", list(REFUSED))
+def test_refused_frames_leave_the_tracker_as_it_was(what):
+    tracker, twin = tracked(4, body=BODY), tracked(4, body=BODY)
+    before = tracker.snapshot()
+    frame = {"points": GOOD, "timestamp": 4 / FPS, "sensor_origin": EYE, "body_vertices": BODY.vertices}
+    with pytest.raises(InvalidFrame) as refusal:
+        tracker.step(**(frame | REFUSED[what]))
+    assert refusal.value.field == next(iter(REFUSED[what]))
+    assert "\n" not in str(refusal.value)
+    assert tracker.snapshot() == before
+    assert_same(tracker.step(**frame), twin.step(**frame))
+
+
+def test_a_body_without_declaration_is_refused():
+    tracker = tracked(2)
+    before = tracker.snapshot()
+    with pytest.raises(InvalidFrame, match="body_vertices: expected none"):
+        tracker.step(GOOD, timestamp=1.0, body_vertices=BODY.vertices)
+    assert tracker.snapshot() == before
+
+
+@pytest.mark.parametrize(
+    "how", [dict(vertices=TUBE.vertices[1:]), dict(vertices=np.full_like(TUBE.vertices, np.nan)), dict(velocities=[[0, 0]])],
+    ids=["another size", "not finite", "velocities of another shape"],
+)  # fmt: skip
+def test_a_refused_reset_changes_nothing(how):
+    tracker = tracked(2)
+    before = tracker.snapshot()
+    with pytest.raises(InvalidFrame) as refusal:
+        tracker.reset(**how)
+    assert refusal.value.field == next(iter(how))
+    assert tracker.snapshot() == before
+
+
+@pytest.mark.parametrize("garment", [None, TUBE.vertices, "mesh"], ids=["none", "vertices", "text"])
+def test_what_is_no_mesh_is_refused(garment):
+    with pytest.raises(InvalidMesh, match="garment: expected a ddakf"):
+        Tracker(garment)
+    if garment is not None:
+        with pytest.raises(InvalidMesh, match="body: expected a ddakf"):
+            Tracker(TUBE, body=garment)
+
+
+@pytest.mark.parametrize("config", [{"predict": {}}, "paper", 3])
+def test_what_is_no_configuration_is_refused(config):
+    with pytest.raises(InvalidArgument):
+        Tracker(TUBE, config=config)
+
+
+@pytest.mark.parametrize("config", [Config(), ACCELERATED], ids=["default", "accelerated"])
+def test_a_reset_starts_again_as_a_new_tracker_does(config):
+    used, new = tracked(5, body=BODY, config=config), Tracker(TUBE, body=BODY, config=config)
+    used.step(cloud(5), timestamp=5 / FPS, body_vertices=BODY.vertices + 0.02)
+    moved, velocity = TUBE.vertices + 0.01, np.full(TUBE.vertices.shape, 0.1)
+    for tracker in (used, new):
+        tracker.reset(moved, velocities=velocity)
+    for k in range(3):
+        how = {"timestamp": k / FPS, "body_vertices": BODY.vertices}
+        assert_same(used.step(cloud(k), **how), new.step(cloud(k), **how))
+
+
+# Any finite input ---------------------------------------------------------------------------------------------------
+
+SMALL = tube(radius=0.1, around=12, along=6)
+KINDS = {
+    "uniform": lambda rng, n: rng.uniform(-0.4, 0.6, (n, 3)),
+    "one point": lambda rng, n: np.tile(rng.uniform(-0.1, 0.1, (1, 3)), (n, 1)),
+    "a line": lambda rng, n: rng.random((n, 1)) * [[0.1, 0.2, 0.1]],
+    "a plane": lambda rng, n: rng.random((n, 3)) * [0.3, 0.3, 0.0],
+    "on the vertices": lambda rng, n: SMALL.vertices[rng.integers(0, SMALL.n_vertices, n)],
+    "huge": lambda rng, n: rng.uniform(-1e4, 1e4, (n, 3)),
+    "tiny": lambda rng, n: 1e-30 * rng.normal(size=(n, 3)),
+    "the garment": lambda rng, n: scan(SMALL.vertices, SMALL, n, 0.002, int(rng.integers(99))),
+    "the garment, folded": lambda rng, n: scan(SMALL.vertices * [1, 1, 0.0], SMALL, n, 0.0, int(rng.integers(99))),
+}
+FRAMES = st.lists(
+    st.tuples(
+        st.sampled_from(list(KINDS)),
+        st.sampled_from([0, 1, 2, 5, 50, 400]),
+        st.sampled_from([1e-6, 1 / 240, 1 / 30, 0.7, 1e5]),
+        st.sampled_from(["none", "one", "inside", "each"]),
+        st.booleans(),
+        st.integers(0, 2**32 - 1),
+    ),
+    min_size=1,
+    max_size=5,
+)
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+@given(frames=FRAMES)
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_finite_input_never_gives_anything_else(preset, frames):
+    config = Config() if preset == "default" else Config.paper()
+    body = inner_body(SMALL, 0.7)
+    tracker, now = Tracker(SMALL, body=body, config=config), 0.0
+    for kind, count, dt, origin, worn, seed in frames:
+        rng, now = np.random.default_rng(seed), now + dt
+        points = KINDS[kind](rng, count)
+        sensor = {"none": None, "one": EYE, "inside": SMALL.vertices[0], "each": rng.normal(size=(count, 3))}[origin]
+        pose = body.vertices + rng.normal(scale=0.02, size=(1, 3)) if worn else None
+        result = tracker.step(points, timestamp=now, sensor_origin=sensor, body_vertices=pose)
+        assert_finite(result)
+        assert (result.sigma > 0).all()
+        assert np.linalg.eigvalsh(result.covariance).min() > 0
+        assert np.abs(result.vertices).max() < 1e5
+
+
+def ends():
+    """(stage, field, value) of every number at either end of its range."""
+    for stage in ("start", "predict", "preprocess", "associate", "robust", "adapt", "physics", "fuse", "uncertainty"):
+        for field in dataclasses.fields(getattr(Config(), stage)):
+            for value in field.metadata.get("range", ()):
+                value = int(value) if isinstance(field.default, int) else value
+                yield pytest.param(stage, field.name, value, id=f"{stage}.{field.name}={value:g}")
+
+
+@pytest.mark.parametrize(("stage", "field", "value"), list(ends()))
+def test_a_configuration_that_is_accepted_is_survived(stage, field, value):
+    changed = dataclasses.replace(getattr(Config(), stage), **{field: value})
+    tracker = Tracker(SMALL, body=inner_body(SMALL), config=dataclasses.replace(Config(), **{stage: changed}))
+    for k in range(4):
+        points = scan(SMALL.vertices, SMALL, 400, 0.002, seed=k)
+        result = tracker.step(points[: 0 if k == 2 else 400], timestamp=k / FPS, body_vertices=inner_body(SMALL).vertices)
+        assert_finite(result)
+        assert np.linalg.eigvalsh(result.covariance).min() > 0
+
+
+@pytest.mark.parametrize("gap", [1.0, 1e6, 1e11])
+def test_any_later_time_gives_a_finite_result(gap):
+    result = tracked(3).step(cloud(3), timestamp=gap)
+    assert_finite(result)
+    assert result.state == "tracking"
+
+
+@pytest.mark.parametrize("dt", [1e-5, 1e-3])
+def test_a_body_that_jumps_between_two_close_frames_gives_finite_results(dt):
+    tracker = Tracker(TUBE, body=BODY)
+    tracker.step(cloud(0), timestamp=0.0, body_vertices=BODY.vertices)
+    assert_finite(tracker.step(cloud(1), timestamp=dt, body_vertices=BODY.vertices + 0.01))
+    assert_finite(tracker.step(cloud(2), timestamp=1 / FPS))
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
+def test_a_garment_of_any_size_gives_finite_results(size):
+    tracker = Tracker(Mesh(TUBE.vertices * size, TUBE.faces))
+    for k in range(2):
+        assert_finite(tracker.step(cloud(k), timestamp=k / FPS))
+
+
+def test_a_step_that_fails_inside_leaves_no_trace(monkeypatch):
+    """Even of the body, which is the first thing that a step moves."""
+    tracker = tracked(3, body=BODY)
+    before = tracker.snapshot()
+    with monkeypatch.context() as broken:
+        broken.setattr("ddakf.tracker.reliability.judge", lambda *args: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            tracker.step(cloud(3), timestamp=1.0, body_vertices=BODY.vertices + 0.01)
+    assert tracker.snapshot() == before
+
+
+def test_a_body_in_the_wrong_place_for_one_frame_does_not_cost_the_track():
+    tracker = tracked(3, body=BODY)
+    tracker.step(cloud(3), timestamp=0.2, body_vertices=BODY.vertices + [3.0, 0.0, 0.0])
+    for k in range(4, 30):
+        result = tracker.step(cloud(k), timestamp=k / FPS + 0.2, body_vertices=BODY.vertices)
+    assert_finite(result)
+    assert result.state in ("tracking", "recovering")
+    # a tube looks alike from every side: only its place can be found again
+    assert np.linalg.norm(result.vertices.mean(axis=0) - swaying(29).mean(axis=0)) < 0.05

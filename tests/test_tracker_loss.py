@@ -1,0 +1,73 @@
+"""Empty clouds, gaps, loss and return."""
+
+import numpy as np
+import pytest
+
+from ddakf import Config
+from tests.stages.scenes import FPS, rms
+from tests.tracker_runs import ACCELERATED, assert_finite, cloud, swaying, tracked
+
+
+@pytest.mark.parametrize("nothing", [[], np.empty((0, 3)), np.full((100, 3), 500.0)], ids=["list", "array", "far away"])
+def test_a_frame_without_the_garment_is_a_prediction(nothing):
+    tracker = tracked(6)
+    last = tracker.step(cloud(6), timestamp=6 / FPS)
+    result = tracker.step(nothing, timestamp=7 / FPS)
+    assert not result.observed.any()
+    assert result.coverage == 0.0
+    assert (result.sigma > last.sigma).all()
+    assert rms(result.vertices - last.vertices - last.velocities / FPS) < 0.004
+    assert_finite(result)
+
+
+def test_one_empty_cloud_does_not_end_the_track():
+    tracker = tracked(6)
+    assert tracker.step([], timestamp=6 / FPS).state == "tracking"
+    assert tracker.step(cloud(7), timestamp=7 / FPS).state == "tracking"
+
+
+@pytest.mark.parametrize("config", [Config(), ACCELERATED], ids=["default", "accelerated"])
+@pytest.mark.parametrize("gap", [0.3, 3.0, 100.0, 1e6])
+def test_a_gap_without_frames_is_a_long_prediction(gap, config):
+    tracker, twin = tracked(6, config=config), tracked(6, config=config)
+    after = tracker.step(cloud(6), timestamp=6 / FPS + gap)
+    soon = twin.step(cloud(6), timestamp=6 / FPS)
+    assert after.state == "tracking"
+    assert_finite(after)
+    assert rms(after.vertices - swaying(6)) < 0.03
+    assert rms(soon.vertices - swaying(6)) < 0.012
+
+
+@pytest.mark.parametrize("elsewhere", ["far away", "around it"])
+def test_nonsense_is_a_loss_after_half_a_second_and_the_garment_comes_back(elsewhere):
+    tracker, rng = tracked(10), np.random.default_rng(0)
+    states = []
+    for k in range(10, 30):
+        size = (200, 3)
+        points = rng.uniform(5, 6, size) if elsewhere == "far away" else rng.uniform(-1, 1.2, size)
+        states.append(tracker.step(points, timestamp=k / FPS).state)
+    assert states[0] == "recovering"
+    assert "lost" not in states[:13]
+    assert states[17] == states[-1] == "lost"
+    for k in range(30, 36):
+        result = tracker.step(cloud(k), timestamp=k / FPS)
+    assert result.state == "tracking"
+    assert rms(result.vertices - swaying(35)) < 0.02
+
+
+def test_a_lost_garment_that_comes_back_elsewhere_is_found():
+    tracker, shift = tracked(10), np.array([0.35, 0.0, -0.2])
+    for k in range(10, 75):
+        result = tracker.step([], timestamp=k / FPS)
+    assert result.state == "lost"
+    for k in range(75, 85):
+        result = tracker.step(cloud(k) + shift.astype(np.float32), timestamp=k / FPS)
+    assert result.state == "tracking"
+    assert rms(result.vertices - swaying(84) - shift) < 0.03
+
+
+def test_empty_clouds_are_a_loss_after_two_seconds():
+    tracker = tracked(10)
+    states = [tracker.step([], timestamp=(10 + k) / FPS).state for k in range(66)]
+    assert "lost" not in states[:57]
+    assert states[62] == states[-1] == "lost"
