@@ -51,7 +51,7 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
         share / share.sum(axis=1, keepdims=True),
         seam,
         _weakening(mesh.vertices, cluster, ends, seam),
-        np.arange(0, n, max(1, n // SAMPLES), dtype=np.int32),
+        np.sort(np.lexsort((near[:, 0], cluster))[:: max(1, n // SAMPLES)]).astype(np.int32),
     )
 
 

@@ -77,13 +77,16 @@ def build(mesh: Mesh, thickness: float) -> Model:
 
 
 def _distances(edges: np.ndarray, mesh: Mesh, count: int) -> np.ndarray:
-    """(K, V) along the surface from each of K seeds, metres; each seed is the vertex farthest from those before it."""
+    """(K, V) along the surface from each of K seeds, metres: the vertex farthest from the middle, then always the one farthest
+    from the seeds before it. How the vertices are numbered does not matter."""
     n = mesh.n_vertices
     ends = mesh.vertices[edges]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     graph = coo_array((length, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
-    nearest, distances = np.full(n, np.inf), []
-    for _ in range(min(count, max(1, n // VERTICES_PER_CLUSTER))):
+    away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
+    nearest, distances = np.full(n, np.inf), [dijkstra(graph, indices=int(np.argmax(away)))]
+    np.minimum(nearest, distances[-1], out=nearest)
+    for _ in range(min(count, max(1, n // VERTICES_PER_CLUSTER)) - 1):
         distances.append(dijkstra(graph, indices=int(np.argmax(nearest))))
         np.minimum(nearest, distances[-1], out=nearest)
     return np.array(distances)
