@@ -101,10 +101,11 @@ def associate(
             if only is not None:
                 visible &= only
             if not cloud.empty:
+                beside = config.beside * float(np.sqrt(model.area / cloud.surfels.shape[1]))
                 kernels.nearest_planes(
                     position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
                     gate, config.normal_cosine, config.turned, cloud.oriented, config.still * cloud.cell,
-                    searched_at, target, plane, distance,
+                    beside, searched_at, target, plane, distance,
                 )  # fmt: skip
             hem = None if only is not None else _hem(position, normal, visible, cloud, model, config)
             return Measurement(target, plane, distance, searched_at, visible, hem)

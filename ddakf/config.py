@@ -121,6 +121,7 @@ class PlaneAssociation(Checked):
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
     still: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
+    beside: float = bounded(1.4, 0.1, 1e3)  # distances of plane fits along the plane: past that the cloud has ended
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
     turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor

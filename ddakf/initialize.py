@@ -25,6 +25,7 @@ FINALISTS = 5
 FIRST_STEPS, LAST_STEPS = 6, 14
 TRIMMED = 0.8  # share of the points that an alignment follows
 NEAR = 0.015  # m: a cost in place below it is that of a garment in its place
+PARTLY = 0.010  # m: a cost of the cloud alone below it is that of a start in its place, of which a part is seen
 ALIKE = 0.04  # m: a cost above it is that of something else, wherever the garment is laid
 FOREIGN = 0.15  # share of the points beyond TRUNCATION of the garment, above which the cloud is of more than the garment
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
@@ -212,7 +213,8 @@ def locate(
     sought = [last]
     if (health.unplaced and health.state != "initializing") or health.interrupted(dt):
         sought.append(model.mesh.vertices)
-    stay = _stay(prior.position, segment.cloth(now, prior.position, contact, model, segment.ON_CLOTH), model)
+    mine = segment.cloth(now, prior.position, contact, model, segment.ON_CLOTH)
+    stay = _stay(prior.position, mine, model, health.state == "initializing")
     if stay < NEAR:
         return prior, last, rotation
     found, cost = _best(sought, points, sensor_origin, model)
@@ -222,14 +224,19 @@ def locate(
     return start._replace(R=prior.R), found, rigidity.rotations(found, model)
 
 
-def _stay(position: np.ndarray, mine: Frame, model: Model) -> float:
-    """Metres: the cost of leaving the garment where it is; of a cloud of more than the garment, garment to cloud alone."""
+def _stay(position: np.ndarray, mine: Frame, model: Model, first: bool) -> float:
+    """Metres: the cost of leaving the garment where it is; of a cloud of more than the garment, garment to cloud alone.
+
+    A start that the ``first`` cloud lies on is right, however little of it is seen.
+    """
     if len(mine.points) == 0:
         return TRUNCATION
     shape = Shape.of(position, _normals(position, model.faces), VERTICES)
     there, back = _halves(shape, Target.of(mine.points, mine.sensor_origin, POINTS), np.eye(3)[None], np.zeros((1, 3)))
     if segment.apart(mine.points, position, TRUNCATION).mean() > FOREIGN:
         return float(back[0])
+    if first and there[0] < PARTLY:
+        return float(there[0])
     return 0.5 * float(there[0] + back[0])
 
 

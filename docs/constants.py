@@ -82,6 +82,7 @@ REASONS = {
     "Coarse.least_innovation": "tuned: above what noise and calm motion leave, about 3 mm",
     "Coarse.prior_sd": "tuned: how far predictions are off when motion is fast",
     "PlaneAssociation.turned": "tuned: of the order of an edge",
+    "PlaneAssociation.beside": "tuned: planes go on for about the distance between them, and beyond no surface is known",
     "PlaneAssociation.hem_reach": "tuned: farther than cloth slips, nearer than the next hem",
     "PlaneAssociation.hem_sd": "tuned: half the distance between the points of a depth camera at 2 m",
     "PlaneAssociation.tangential_sd": "tuned: of the order of an edge, as a plane says next to nothing along itself",

@@ -63,7 +63,7 @@ def keep_nearest(squared, bits, index, n):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def nearest_planes(
-    position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, turned, oriented, still,
+    position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, turned, oriented, still, beside,
     searched_at, target, plane_normal, distance,
 ):  # fmt: skip
     """For each eligible vertex the surface of the cloud next to it.
@@ -83,6 +83,7 @@ def nearest_planes(
         turned: metres, distance that a unit difference of the normals counts as.
         oriented: the surfels' normals point to the sensor.
         still: metres.
+        beside: metres along the plane, beyond which a vertex lies past the end of what was seen and has no measurement.
         searched_at: (V, 3) in and out, position at the last search, metres; FAR_AWAY before the first.
         target: (V, 3) in and out, blended surface point, metres.
         plane_normal: (V, 3) in and out, unit, on the vertex normal's side.
@@ -170,6 +171,10 @@ def nearest_planes(
             mz += signed * NZ[k]
         length = sqrt(mx * mx + my * my + mz * mz)
         if length < 1e-12:
+            continue
+        dx, dy, dz = tx / sw - px, ty / sw - py, tz / sw - pz
+        along = (mx * dx + my * dy + mz * dz) / length
+        if dx * dx + dy * dy + dz * dz - along * along > beside * beside:
             continue
         distance[v] = sqrt(squared[0])
         target[v, 0] = tx / sw + origin[0]
