@@ -1,10 +1,11 @@
-"""How well the reliability score ranks the error, on the fixed list of degraded runs (ddakf.evaluation.degradations).
+"""How well the reliability of frames and vertices ranks the error, on the fixed list of degraded runs
+(ddakf.evaluation.degradations).
 
     python benchmarks/reliability.py [--procs 2] [--json benchmarks/results/reliability.json]
-    python benchmarks/reliability.py --fit        # the weights of the evidence, fitted on one half of the sequences
+    python benchmarks/reliability.py --fit        # the two laws of ddakf/reliability.py, fitted on all recordings
 
-The half that the weights are fitted on and the other half are reported apart. Without DDAKF_DATA there is the bundled
-sample alone.
+"left out" scores every recording by laws that were fitted on the others: what to expect of a new one. Without DDAKF_DATA there
+is the bundled sample alone.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from pathlib import Path
 import machine
 import numpy as np
 from inputs import sequences
-from scipy.optimize import minimize
+from scipy.optimize import nnls
+from scipy.stats import rankdata
 
 import ddakf
 from ddakf import reliability
@@ -28,12 +30,15 @@ from ddakf.evaluation import metrics
 from ddakf.evaluation.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import SequenceSource
+from ddakf.reliability import Evidence, Law, VertexEvidence
 
-FITTED_ON = ("pergamo_005", "sim_tank_move", "samba_dress")
-NORMAL_FACTOR = 2.0  # times the clean run's median error: above it a frame counts as bad
-USABLE = 0.05  # m: of a track with a larger error it is right to be alarmed, however usual the error is
-SMALLEST_SHARE = 1e-3  # of the mean prediction: a contribution with less is dropped
+WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
 WORST = 0.3  # m: an error beyond it is lost, and how far beyond says nothing
+LEAST = 1e-4  # m: so small an error of a vertex is luck
+LEVEL = 1 / 3  # weight of a run's mean error in the fit; deviations within the run count fully
+RIDGE = 0.01
+VERTICES = 100  # of a frame that are kept
+SETTINGS = ddakf.Config().reliability
 
 
 # Runs ---------------------------------------------------------------------------------------------------------------
@@ -55,12 +60,13 @@ def watched(verdicts: list):
         reliability.judge = judge
 
 
-def played(run: DegradedRun, source: SequenceSource, frames: list) -> list[dict]:
-    """Every frame that arrived: its errors and what the tracker said of it."""
+def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, np.ndarray]:
+    """Of every frame that arrived its errors, and what the tracker said of it; T frames."""
     tracker = ddakf.Tracker(source.garment, body=source.body)
     tracker.reset(source.start)
     sequence, rows, verdicts = source.sequence, [], []
     inside = metrics.Penetration(ddakf.Mesh(sequence.body_vertices[0], sequence.body_faces)) if sequence.has_body else None
+    kept = np.random.default_rng(0).permutation(source.garment.n_vertices)[:VERTICES]
     with watched(verdicts):
         for frame, degraded in run.script.apply(frames, run.seed):
             result = tracker.step(
@@ -69,167 +75,286 @@ def played(run: DegradedRun, source: SequenceSource, frames: list) -> list[dict]
                 sensor_origin=frame.sensor_origin,
                 body_vertices=frame.body_vertices,
             )
-            error = np.linalg.norm(result.vertices - frame.truth, axis=1)
+            verdict = verdicts.pop()
             rows.append({
-                "number": frame.number, "degraded": degraded, "state": result.state,
+                "number": frame.number, "degraded": degraded, "lost": result.state == "lost",
                 "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
-                "penetration": None if inside is None else inside(result.vertices, frame.body)[0],
-                "score": result.reliability, "paper": result.paper_score,
-                "vertex": metrics.spearman(result.vertex_reliability, error),
-                "evidence": list(verdicts[-1].evidence),
+                "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
+                "score": result.reliability, "paper": result.paper_score, "coverage": result.coverage,
+                "evidence": verdict.evidence, "vertex_evidence": np.stack([e[kept] for e in verdict.vertex_evidence], axis=1),
+                "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[kept],
+                "vertex_score": result.vertex_reliability[kept],
             })  # fmt: skip
-    return rows
+    return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
 
 
-def group(job: tuple[str, str]) -> list[dict]:
+def group(job: tuple[str, str, bool]) -> list[dict]:
     """All scripts, and none, on one view of one sequence."""
-    name, view = job
+    name, view, give_body = job
     sequence = next(s for s in sequences() if s.name == name)
-    source = SequenceSource(
-        sequence, Sensor(view), range(min(FRAMES + 1, len(sequence))), give_body=sequence.has_body and view == "front"
-    )
-    frames = list(source)
-    runs = [run for run in degraded_runs([(name, sequence.has_body)]) if run.view == view]
-    runs.insert(0, replace_script(runs[0]))
-    out = []
-    for run in runs:
-        rows = played(run, source, frames)
-        out.append({"sequence": name, "view": view, "body": run.give_body, "script": run.script.name, "frames": rows})
-        error = 1e3 * np.array([row["rmse"] for row in rows])
-        ranked = metrics.spearman(np.array([row["score"] for row in rows]), error)
-        print(f"{name} {view} {run.script.name}: RMSE {error.mean():.1f} mm, Spearman {ranked:.2f}", file=sys.stderr, flush=True)
+    source = SequenceSource(sequence, Sensor(view), range(min(FRAMES + 1, len(sequence))), give_body=give_body)
+    frames, out = list(source), []
+    runs = [run for run in degraded_runs([(name, sequence.has_body)]) if (run.view, run.give_body) == (view, give_body)]
+    for run in (runs[0]._replace(script=CLEAN), *runs):
+        out.append({"sequence": name, "view": view, "body": give_body, "script": run.script.name} | played(run, source, frames))
+        error, ranked = 1e3 * out[-1]["rmse"], metrics.spearman(out[-1]["score"], out[-1]["rmse"])
+        title = f"{name} {view}{'+body' if give_body else ''} {run.script.name}"
+        print(f"{title}: RMSE {error.mean():.1f} mm, Spearman {ranked:.2f}", file=sys.stderr, flush=True)
     return out
 
 
-def replace_script(run: DegradedRun) -> DegradedRun:
-    """The same run undegraded."""
-    return run._replace(script=CLEAN)
+def all_runs(names: list[str] | None, views: list[str], procs: int) -> list[dict]:
+    chosen = [s for s in sequences() if names is None or s.name in names]
+    size = {s.name: s.garment_vertices.shape[1] for s in chosen}
+    jobs = list(dict.fromkeys((r.sequence, r.view, r.give_body) for r in degraded_runs([(s.name, s.has_body) for s in chosen])))
+    jobs = sorted((job for job in jobs if job[1] in views), key=lambda job: -size[job[0]])
+    if procs == 1:
+        return [run for job in jobs for run in group(job)]
+    with multiprocessing.get_context("spawn").Pool(procs) as pool:
+        return [run for runs in pool.imap_unordered(group, jobs) for run in runs]
+
+
+def save(path: Path, runs: list[dict]) -> None:
+    np.savez_compressed(path, **{f"{k}.{name}": value for k, run in enumerate(runs) for name, value in run.items()})
+
+
+def load(path: Path) -> list[dict]:
+    runs: dict[int, dict] = {}
+    with np.load(path) as archive:
+        for key in archive.files:
+            k, name = key.split(".")
+            value = archive[key]
+            runs.setdefault(int(k), {})[name] = value.item() if value.ndim == 0 else value
+    return list(runs.values())
 
 
 # Figures ------------------------------------------------------------------------------------------------------------
 
 
-def column(run: dict, name: str) -> np.ndarray:
-    return np.array([row[name] for row in run["frames"]], float)
+def pooled(runs: list[dict], name: str) -> np.ndarray:
+    return np.concatenate([run[name] for run in runs])
 
 
-def bad(run: dict, clean: dict) -> np.ndarray:
-    """Whether each frame's error is above twice the clean run's median."""
-    return column(run, "rmse") > NORMAL_FACTOR * np.median(column(clean, "rmse"))
+def place(run: dict) -> tuple:
+    return run["sequence"], run["view"], run["body"]
 
 
-def figures(runs: list[dict], score: str = "score") -> dict:
-    """What is asked of a score, over degraded runs and the clean ones of the same views."""
-    clean = {(run["sequence"], run["view"]): run for run in runs if run["script"] == CLEAN.name}
-    degraded = [run for run in runs if run["script"] != CLEAN.name]
-
-    def pooled(what, some):
-        return metrics.spearman(*(np.concatenate([column(run, c) for run in some]) for c in (score, what)))
-
-    def within(what, some):
-        return float(np.median([metrics.spearman(column(run, score), column(run, what)) for run in some]))
-
-    with_body = [run for run in degraded if run["frames"][0]["penetration"] is not None]
-    labels = [bad(run, clean[run["sequence"], run["view"]]) for run in degraded]
-    areas = [metrics.roc_auc(-column(run, score), label) for run, label in zip(degraded, labels, strict=True)]
-    quiet = np.concatenate([~bad(run, run) for run in clean.values()])
-    usable = np.concatenate([column(run, "rmse") < USABLE for run in clean.values()])
-    alarm = np.concatenate([[row["state"] in ("recovering", "lost") for row in run["frames"]] for run in clean.values()])
-    return {
-        "runs": len(degraded), "frames": int(sum(len(run["frames"]) for run in degraded)),
-        "degraded": float(np.mean(np.concatenate([column(run, "degraded") for run in degraded]))),
-        "error, pooled": pooled("rmse", degraded), "error, within": within("rmse", degraded),
-        "error, within clean": within("rmse", list(clean.values())),
-        "penetration, pooled": pooled("penetration", with_body) if with_body else None,
-        "penetration, within": within("penetration", with_body) if with_body else None,
-        "ROC area, pooled": metrics.roc_auc(
-            -np.concatenate([column(run, score) for run in degraded]), np.concatenate(labels)
-        ),
-        "ROC area, within": float(np.nanmedian(areas)),
-        "false alarms": float((alarm & quiet).sum() / max(quiet.sum(), 1)),
-        "false alarms below 5 cm": float((alarm & quiet & usable).sum() / max((quiet & usable).sum(), 1)),
-        "vertex, within a frame": float(np.nanmedian(np.concatenate([column(run, "vertex") for run in runs]))),
-    }  # fmt: skip
+def of_clean(run: dict, clean: dict[tuple, dict]) -> np.ndarray:
+    """(T,) m: the clean run's error of the same frames."""
+    reference = clean[place(run)]
+    return reference["rmse"][np.searchsorted(reference["number"], run["number"])]
 
 
-def rescored(runs: list[dict], weights: np.ndarray) -> list[dict]:
-    """The runs with the score of other weights; the states stay what they were."""
-    half = ddakf.Config().reliability.half_error
-    out = []
-    for run in runs:
-        e2 = np.array([row["evidence"] for row in run["frames"]]) @ weights
-        scores = 1.0 / (1.0 + e2 / half**2)
-        out.append(run | {"frames": [row | {"score": s} for row, s in zip(run["frames"], scores, strict=True)]})
+def alarms(run: dict, score: str) -> np.ndarray:
+    """(T,) bool: lost, or below the threshold of recovery until above that at its end."""
+    out, alarmed = np.zeros(len(run["rmse"]), bool), False
+    for k, value in enumerate(run[score]):
+        alarmed = value < (SETTINGS.recovery_above if alarmed else SETTINGS.recovery_below)
+        out[k] = alarmed or run["lost"][k]
     return out
 
 
-def fitted(runs: list[dict]) -> np.ndarray:
-    """Weights, none negative, that predict log(error^2); deviations within a run count fully, a run's own level by a third."""
-    X = [np.array([row["evidence"] for row in run["frames"]]) for run in runs]
-    scale = np.concatenate(X).mean(axis=0) + 1e-15
-    X = [x / scale for x in X]
-    Y = [np.log(np.minimum(column(run, "rmse"), WORST) ** 2) for run in runs]
-
-    def loss(q):
-        weight, total, slope = np.exp(q), 0.0, np.zeros_like(q)
-        for x, y in zip(X, Y, strict=True):
-            p = x @ weight + 1e-9
-            d = np.log(p) - y
-            inner = d - d.mean()
-            total += (inner @ inner + d @ d / 3) / len(d)
-            slope += (2 * (inner + d / 3) / p / len(d)) @ x * weight
-        return total / len(X), slope / len(X)
-
-    start = np.full(len(scale), np.log(1e-3 / len(scale)))
-    found = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=[(-30, 5)] * len(scale), options={"maxiter": 1000})
-    weights = np.exp(found.x) / scale
-    share = weights * scale
-    return np.where(share > SMALLEST_SHARE * share.sum(), weights, 0.0)
+def share(chosen: np.ndarray, of: np.ndarray) -> float | None:
+    return float((chosen & of).sum() / of.sum()) if of.any() else None
 
 
-def halves(runs: list[dict]) -> dict[str, list[dict]]:
-    """All runs, those that the weights were fitted on, and the others; only what is not empty."""
-    fit = [run for run in runs if run["sequence"] in FITTED_ON]
-    rest = [run for run in runs if run["sequence"] not in FITTED_ON]
-    return {name: part for name, part in (("all", runs), ("fitted on", fit), ("held back", rest)) if part}
+def ranking(runs: list[dict], score: str, what: str) -> dict[str, float] | None:
+    """Rank correlation of a score with what it should fall with: of all frames, and the median over the runs."""
+    if not runs:
+        return None
+    within = [metrics.spearman(run[score], run[what]) for run in runs]
+    return {"pooled": metrics.spearman(pooled(runs, score), pooled(runs, what)), "within": float(np.nanmedian(within))}
 
 
-def show(title: str, values: dict) -> None:
-    print(f"{title}:")
-    for name, value in values.items():
-        print(f"  {name:24s} {value:.3f}" if isinstance(value, float) else f"  {name:24s} {value}")
+def figures(runs: list[dict], score: str = "score") -> dict:
+    """What is asked of a score: of the degraded runs, and of the clean ones where it says so."""
+    clean = {place(run): run for run in runs if run["script"] == CLEAN.name}
+    degraded = [run for run in runs if run["script"] != CLEAN.name]
+    bodies = [run for run in degraded if np.isfinite(run["penetration"]).all()]
+    blind, told = [run for run in bodies if not run["body"]], [run for run in bodies if run["body"]]
+    bad = [run["rmse"] > WORSE * of_clean(run, clean) for run in degraded]
+    areas = [metrics.roc_auc(-run[score], label) for run, label in zip(degraded, bad, strict=True)]
+    quiet = list(clean.values())
+    alarm, error = np.concatenate([alarms(run, score) for run in quiet]), pooled(quiet, "rmse")
+    typical = np.concatenate([run["rmse"] <= WORSE * np.median(run["rmse"]) for run in quiet])
+    half, low = SETTINGS.half_error, SETTINGS.half_error * np.sqrt(1 / SETTINGS.recovery_below - 1)
+    any_alarm, any_error = np.concatenate([alarms(run, score) for run in runs]), pooled(runs, "rmse")
+    return {
+        "runs": len(degraded), "frames": int(sum(len(run["rmse"]) for run in degraded)),
+        "share of degraded frames": float(pooled(degraded, "degraded").mean()),
+        "error": ranking(degraded, score, "rmse"),
+        "error, clean runs": ranking(quiet, score, "rmse"),
+        "penetration, no body given": ranking(blind, score, "penetration"),
+        "of the error itself with it": ranking([run | {"minus": -run["rmse"]} for run in blind], "minus", "penetration"),
+        "penetration, body given": ranking(told, score, "penetration"),
+        "ROC area": {
+            "pooled": metrics.roc_auc(-pooled(degraded, score), np.concatenate(bad)), "within": float(np.nanmedian(areas)),
+            "mean": float(np.nanmean(areas)),
+        },
+        "false alarms, clean runs": {
+            f"error below {1e3 * half:.0f} mm": share(alarm, error < half),
+            f"error below {WORSE:g} times the run's median": share(alarm, typical),
+        },
+        "alarms, all runs": {
+            f"error below {1e3 * half:.0f} mm": share(any_alarm, any_error < half),
+            f"error above {1e3 * low:.0f} mm": share(any_alarm, any_error > low),
+        },
+    }  # fmt: skip
+
+
+def vertex_figures(runs: list[dict]) -> dict:
+    """Rank correlation with the error of the vertices within each frame; and what a value means: the error at it."""
+    ranked, views = [], []
+    for run in runs:
+        a, b = (rankdata(values, axis=1) for values in (-run["vertex_score"], run["vertex_error"]))
+        a, b = (ranks - ranks.mean(axis=1, keepdims=True) for ranks in (a, b))
+        ranked.append((a * b).sum(axis=1) / np.sqrt(np.maximum((a**2).sum(axis=1) * (b**2).sum(axis=1), 1e-12)))
+        views.append(run["view"] + ("+body" if run["body"] else ""))
+    correlation = {view: [] for view in sorted(set(views))}
+    for view, values in zip(views, ranked, strict=True):
+        correlation[view].append(values)
+    value = np.concatenate([run["vertex_score"].ravel() for run in runs])
+    error = np.concatenate([run["vertex_error"].ravel() for run in runs])
+    table = []
+    for low, high in ((0.95, 1.01), (0.85, 0.95), (0.7, 0.85), (0.55, 0.7), (0.45, 0.55), (0.3, 0.45), (0.15, 0.3), (0.0, 0.15)):
+        mine = (value >= low) & (value < high)
+        if mine.sum() > 100:
+            said = SETTINGS.half_error * np.sqrt(1 / np.maximum(value[mine], 1e-9) - 1)
+            table.append({
+                "from": low, "to": min(high, 1.0), "share": float(mine.mean()), "said_mm": 1e3 * float(np.median(said)),
+                "median_mm": 1e3 * float(np.median(error[mine])), "rms_mm": 1e3 * float(np.sqrt(np.square(error[mine]).mean())),
+                "below_what_is_said": float((error[mine] < said).mean()),
+            })  # fmt: skip
+    return {
+        "within a frame": {
+            "all": float(np.median(np.concatenate(ranked))),
+            **{view: float(np.median(np.concatenate(values))) for view, values in correlation.items()},
+        },
+        "error by value": table,
+    }
+
+
+# Fit ----------------------------------------------------------------------------------------------------------------
+
+
+def logs(values: np.ndarray, law: Law) -> np.ndarray:
+    return np.log1p(values / np.array(law.scale))
+
+
+def regressed(A: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Powers, none negative; a ridge on what each contributes, so that evidence that says the same shares the weight.
+
+    Args:
+        A, b: rows, weighted so that the sum of their squares is a variance.
+    """
+    spread = np.sqrt(np.square(A).sum(axis=0)) + 1e-9
+    ridge = np.sqrt(RIDGE) * np.eye(len(spread))
+    return nnls(np.concatenate([A / spread, ridge]), np.concatenate([b, np.zeros(len(spread))]))[0] / spread
+
+
+def fitted(runs: list[dict]) -> Law:
+    """The law of the frames: least squares on log errors, every run counting alike."""
+    parts, targets, k = [], [], np.sqrt(1.0 / len(runs))
+    X = [logs(run["evidence"], reliability.ERROR) for run in runs]
+    Y = [np.log(np.minimum(run["rmse"], WORST)) for run in runs]
+    centre, level = np.mean([x.mean(axis=0) for x in X], axis=0), np.mean([y.mean() for y in Y])
+    for x, y in zip(X, Y, strict=True):
+        scale = k / np.sqrt(len(y))
+        parts += [scale * (x - x.mean(axis=0)), scale * np.sqrt(LEVEL) * (x - centre)]
+        targets += [scale * (y - y.mean()), scale * np.sqrt(LEVEL) * (y - level)]
+    power = regressed(np.concatenate(parts), np.concatenate(targets))
+    return Law(float(np.exp(level - centre @ power)), reliability.ERROR.scale, Evidence(*map(float, power)))
+
+
+def fitted_vertices(runs: list[dict]) -> Law:
+    """The law of the vertices: least squares on log errors, each frame's mean taken out."""
+    A, b = [], []
+    for run in runs:
+        x, y = logs(run["vertex_evidence"], reliability.VERTEX_ERROR), np.log(np.maximum(run["vertex_error"], LEAST))
+        scale = 1.0 / np.sqrt(y.size * len(runs))
+        A.append(scale * (x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]))
+        b.append(scale * (y - y.mean(axis=1, keepdims=True)).ravel())
+    power = regressed(np.concatenate(A), np.concatenate(b))
+    return Law(1.0, reliability.VERTEX_ERROR.scale, VertexEvidence(*map(float, power)))
+
+
+def rescored(runs: list[dict], law: Law, vertex_law: Law) -> list[dict]:
+    """The runs as other laws score them. The vertices' spread is that of the ones that were kept."""
+    out = []
+    for run in runs:
+        error = law(run["evidence"].T)
+        vertices = [
+            reliability.vertex_error(e, VertexEvidence(*found.T), vertex_law)
+            for e, found in zip(error, run["vertex_evidence"], strict=True)
+        ]
+        out.append(run | {
+            "score": reliability.score(error, SETTINGS), "vertex_score": reliability.score(np.array(vertices), SETTINGS),
+        })  # fmt: skip
+    return out
+
+
+def left_out(runs: list[dict]) -> list[dict]:
+    """Every recording as laws score it that were fitted on the others."""
+    out = []
+    for name in dict.fromkeys(run["sequence"] for run in runs):
+        others = [run for run in runs if run["sequence"] != name]
+        out += rescored([run for run in runs if run["sequence"] == name], fitted(others), fitted_vertices(others))
+    return out
+
+
+# Output -------------------------------------------------------------------------------------------------------------
+
+
+def text(value) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {text(v)}" for name, v in value.items())
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def show(title: str, report: dict) -> None:
+    print(f"\n{title}:")
+    for name, value in report.items():
+        if isinstance(value, list):
+            for row in value:
+                print(f"  {'':32s} {text(row)}")
+        else:
+            print(f"  {name:32s} {text(value)}")
+
+
+def source_of(law: Law) -> str:
+    values = ", ".join(f"{name}={value:.3g}" for name, value in law.power._asdict().items())
+    return f"    base={law.base:.3g},\n    power={type(law.power).__name__}({values}),"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", action="store_true", help="fit the weights, print them and what they bring")
+    parser.add_argument("--fit", action="store_true", help="fit the laws, print them and what they bring")
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--views", nargs="+", default=["full", "front"])
-    parser.add_argument("--procs", type=int, default=1)
-    parser.add_argument("--frames", type=Path, help="file to keep every frame in, or to read them from where it exists")
+    parser.add_argument("--procs", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
+    parser.add_argument("--frames", type=Path, help=".npz file to keep every frame in, or to read them from where it exists")
     parser.add_argument("--json", type=Path, help="result file")
     arguments = parser.parse_args()
     if arguments.frames and arguments.frames.exists():
-        runs = json.loads(arguments.frames.read_text())
+        runs = load(arguments.frames)
     else:
-        names = arguments.sequences or [s.name for s in sequences()]
-        jobs = [(name, view) for name in names for view in arguments.views]
-        with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
-            mapped = pool.imap if arguments.procs > 1 else map
-            runs = [run for some in mapped(group, jobs) for run in some]
+        runs = all_runs(arguments.sequences, arguments.views, arguments.procs)
         if arguments.frames:
-            arguments.frames.write_text(json.dumps(runs))
-    report = {"commit": machine.commit(), "machine": machine.describe(), "fitted_on": FITTED_ON}
-    for name, some in halves(runs).items():
-        report[name] = {"product": figures(some), "paper": figures(some, "paper")}
-        show(f"{name}, product's score", report[name]["product"])
-        show(f"{name}, s_k", report[name]["paper"])
+            save(arguments.frames, runs)
+    names = list(dict.fromkeys(run["sequence"] for run in runs))
+    report = {"commit": machine.commit(), "machine": machine.describe(), "recordings": names}
+    report |= {"product": figures(runs), "vertices": vertex_figures(runs), "paper": figures(runs, "paper")}
+    if len(names) > 1:
+        others = left_out(runs)
+        report |= {"left out": figures(others), "vertices, left out": vertex_figures(others)}
     if arguments.fit:
-        weights = fitted([run for run in runs if run["sequence"] in FITTED_ON] or runs)
-        for name, weight in zip(reliability.Evidence._fields, weights, strict=True):
-            print(f"    {name}={weight:.4g},")
-        for name, some in halves(rescored(runs, weights)).items():
-            show(f"{name}, with the fitted weights", figures(some))
+        laws = fitted(runs), fitted_vertices(runs)
+        again = rescored(runs, *laws)
+        report |= {"fitted": figures(again), "vertices, fitted": vertex_figures(again)}
+        print("ERROR:", source_of(laws[0]), "VERTEX_ERROR:", source_of(laws[1]), sep="\n")
+    for name, value in report.items():
+        if isinstance(value, dict) and name != "machine":
+            show(name, value)
     if arguments.json:
         arguments.json.write_text(json.dumps(report, indent=1) + "\n")
     return 0

@@ -16,10 +16,12 @@ from ddakf.types import State, TrackerState
 
 EVIDENCE_POINTS = 800  # of a cloud that are held against the surface
 REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
-FOREIGN = 0.15  # share of points beyond it, above which a cloud is of more than the garment
-NEAR = 0.04  # m: of such a cloud a point farther from every vertex, or beyond a hem, says nothing
-SPEED_MEMORY, MISFIT_MEMORY, UNSEEN_MEMORY = 1.0, 0.5, 0.3  # s
+FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
+NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
+CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
+MEMORY, UNSEEN_MEMORY, SPEED_MEMORY = 0.5, 0.3, 1.0  # s
 ONE_SECOND = 1.0  # s: time over which an unseen part's travel adds up
+FREE = 0.05  # m: a vertex as far from the body is held by nothing
 SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
 LONGEST_GAP = 3.0  # times the spacing of the frames before
 LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
@@ -37,9 +39,10 @@ class Health(NamedTuple):
     spacing: float = 0.0  # s between the last two frames
     # what the predicted error remembers
     speed2: float = 0.0  # m^2/s^2, mean squared velocity
-    usual_strain: float = 10.0  # least RMS strain so far
-    misfit: float = 0.0  # m^2
-    offset: float = 0.0  # m^2, of the last cloud
+    least_strain: float = 10.0  # RMS, so far
+    offset: float = 0.0  # m^2
+    unexplained: float = 0.0  # share of the points
+    least_unexplained: float = 1.0  # so far
     unseen: float = 0.0  # m^2
 
     @property
@@ -75,85 +78,142 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
 
 
 class Evidence(NamedTuple):
-    """What a frame says about its own error: contributions to its mean square, square metres but for their weights."""
+    """What a frame says about its own error, 0 where nothing speaks of any."""
 
-    misfit: float  # of the cloud from the surface along its normals, over the last half second
-    offset: float  # the same in all directions, this frame: a sleeve that lies elsewhere
-    strain: float  # squared RMS strain beyond the least so far, times the edge length squared: a wrong fit is crumpled
-    correction: float  # mean squared correction of the prediction in the patch where it is largest
-    unseen: float  # share of the garment without measurements times its squared travel, remembered for UNSEEN_MEMORY
-    unmatched: float  # share of the vertices that a sensor may see without a measurement, times REACH^2
+    offset: float  # m^2, of the cloud from the surface, patch by patch, over the last half second
+    unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
+    unexplained: float  # share of the points, in clumps, that no vertex is near; over the last half second
+    uncertainty: float  # m^2, mean calibrated variance along the normals
+    unseen: float  # m^2, share of the garment without measurements times its squared travel, remembered for UNSEEN_MEMORY
+    strain: float  # squared: RMS strain beyond the least so far; a wrong fit is crumpled
+    hem: float  # m^2, mean squared distance of hems from where the cloud ends
 
 
-# fitted: benchmarks/reliability.py --fit prints them
-WEIGHTS = Evidence(misfit=9.8, offset=18.0, strain=2100.0, correction=0.18, unseen=0.035, unmatched=0.079)
+class VertexEvidence(NamedTuple):
+    """What a frame says about the error of each vertex, (V,) each."""
+
+    variance: np.ndarray  # m^2, trace of the calibrated covariance
+    unmeasured: np.ndarray  # in [0, 1]: 1 - mean weight of the measurements of the vertex's cluster
+    strain: np.ndarray  # mean squared strain of the edges at the vertex
+    clearance: np.ndarray  # m, from the body, at most FREE; FREE where there is none
+
+
+class Law(NamedTuple):
+    """A predicted error: ``base`` times prod (1 + evidence / scale)^power, no power negative."""
+
+    base: float  # m
+    scale: tuple  # in the units of the evidence: below it, it says nothing
+    power: tuple
+
+    def __call__(self, found: Evidence | VertexEvidence):
+        """Metres; an array where the evidence consists of arrays."""
+        terms = zip(found, self.scale, self.power, strict=True)
+        return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
+
+
+# the scales are chosen, the rest is fitted: benchmarks/reliability.py --fit prints it
+ERROR = Law(
+    base=0.00275,
+    scale=Evidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, unseen=3e-4, strain=1e-5, hem=1e-6),
+    power=Evidence(offset=0.103, unmatched=0.174, unexplained=0.265, uncertainty=0.141, unseen=0.0593, strain=0.0716, hem=0.0723),
+)
+# of a vertex, relative to the others of its frame
+VERTEX_ERROR = Law(
+    base=1.0,
+    scale=VertexEvidence(variance=7e-5, unmeasured=0.05, strain=1e-5, clearance=0.005),
+    power=VertexEvidence(variance=0.379, unmeasured=0.169, strain=0.0344, clearance=0.282),
+)
 
 
 def evidence(
-    health: Health, update: Update, position: np.ndarray, velocity: np.ndarray, prior: np.ndarray, points: np.ndarray,
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, points: np.ndarray, clearance: np.ndarray | None,
     dt: float, model: Model,
-) -> tuple[Evidence, Health]:  # fmt: skip
-    """What speaks for and against a frame, and the memory of it.
+) -> tuple[Evidence, VertexEvidence, Health]:  # fmt: skip
+    """What speaks for and against a frame and its vertices, and the memory of it.
 
     Args:
         health: after the last frame.
         update: the finished update.
-        position, velocity: (V, 3) of the posterior, metres and metres per second, relative to the body where it carries.
-        prior: (V, 3) predicted position, metres.
+        posterior: its velocity relative to the body where that carries.
+        covariance: (V, 3, 3) calibrated, square metres.
         points: (N, 3) the cloud as it came, metres.
+        clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds since the last frame.
         model: the garment.
     """
-    used = update.weight > 0
-    speed2 = _follow(health.speed2, float(np.einsum("va,va->", velocity, velocity)) / len(velocity), dt, SPEED_MEMORY)
+    position, n, used = posterior.position, len(posterior.position), update.weight > 0
+    speed2 = _follow(health.speed2, float(np.square(posterior.velocity).sum()) / n, dt, SPEED_MEMORY)
     travel2 = (1.0 - float(used.mean())) * speed2 * min(dt, LONGEST_BOOKED) * ONE_SECOND
-    misfit, offset = health.misfit, health.offset
-    if len(points):
-        normal = np.empty_like(position)
-        vertex_normals(position, model.faces, normal)
-        stride = max(1, len(points) // EVIDENCE_POINTS)
-        along, offset = kernels.misfit(
-            points, stride, position, normal, model.cluster, model.n_clusters, REACH, model.boundary[:, 0], FOREIGN, NEAR
-        )
-        misfit = _follow(misfit, along, dt, MISFIT_MEMORY)
-    strain = kernels.strain(position, model.start, model.neighbour, model.rest_edge)
+    squared = np.empty(n)
+    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_edge, squared))
     health = health._replace(
         speed2=speed2,
-        usual_strain=min(health.usual_strain, strain),
-        misfit=misfit,
-        offset=offset,
+        least_strain=min(health.least_strain, strain),
         unseen=health.unseen * math.exp(-dt / UNSEEN_MEMORY) + travel2,
     )
-    move2 = np.einsum("va,va->v", position - prior, position - prior)
-    patch_move2 = np.bincount(model.cluster, move2, model.n_clusters) / np.bincount(model.cluster, minlength=model.n_clusters)
-    return Evidence(
-        misfit=misfit,
-        offset=offset,
-        strain=(model.edge_length * (strain - health.usual_strain)) ** 2,
-        correction=float(patch_move2.max()),
+    if len(points):
+        health = _held_against_cloud(health, points, position, dt, model)
+    normal = np.empty_like(position)
+    vertex_normals(position, model.faces, normal)
+    hem = update.measurement.hem
+    frame = Evidence(
+        offset=health.offset,
+        unmatched=float((update.measurement.visible & ~used).mean()),
+        unexplained=health.unexplained,
+        uncertainty=float(np.einsum("va,vab,vb->", normal, covariance, normal)) / n,
         unseen=health.unseen,
-        unmatched=REACH**2 * float((update.measurement.visible & ~used).mean()),
-    ), health
+        strain=(strain - health.least_strain) ** 2,
+        hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
+    )
+    measured = np.bincount(model.cluster, update.weight, model.n_clusters) / np.bincount(model.cluster)
+    vertices = VertexEvidence(
+        variance=np.einsum("vaa->v", covariance),
+        unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
+        strain=squared,
+        clearance=np.full(n, FREE) if clearance is None else np.clip(clearance, 0.0, FREE),
+    )
+    return frame, vertices, health
+
+
+def _held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
+    """Every so many points against the nearest vertex. A cloud of a whole person always has points that no garment explains."""
+    stride = max(1, len(points) // EVIDENCE_POINTS)
+    asked, near = points[::stride], max(NEAR, NEAR_EDGES * model.edge_length)
+    away = np.empty(len(asked))
+    offset = kernels.misfit(
+        points, stride, position, model.cluster, model.n_clusters, REACH, model.boundary[:, 0], FOREIGN, near, away
+    )
+    share = clumped(asked[away > near] - position.mean(axis=0)) / len(asked)
+    least = min(health.least_unexplained, share)
+    return health._replace(
+        offset=_follow(health.offset, offset, dt, MEMORY),
+        unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, MEMORY),
+        least_unexplained=least,
+    )
+
+
+def clumped(points: np.ndarray) -> int:
+    """How many of (N, 3) points have :data:`CLUMP` or more, themselves among them, in their cell of CLUMP_SIZE metres."""
+    if len(points) < CLUMP:
+        return 0
+    cell = np.floor(np.clip(points / CLUMP_SIZE, -FARTHEST_CELL, FARTHEST_CELL)).astype(np.int64)
+    _, count = np.unique(cell @ [4 * FARTHEST_CELL**2, 2 * FARTHEST_CELL, 1], return_counts=True)
+    return int(count[count >= CLUMP].sum())
 
 
 def _follow(old: float, new: float, dt: float, memory: float) -> float:
     return old + (1.0 - math.exp(-dt / memory)) * (new - old)
 
 
-def predicted_error(found: Evidence, weights: Evidence = WEIGHTS) -> float:
-    """Metres: the RMSE that the evidence predicts."""
-    return math.sqrt(sum(weight * value for weight, value in zip(weights, found, strict=True)))
+def score(error, config: Reliability | PaperReliability):
+    """1 / (1 + (e / e_half)^2), in [0, 1], of a predicted error e, or an array of them, in metres."""
+    return 1.0 / (1.0 + np.square(error / config.half_error))
 
 
-def score(error: float, config: Reliability | PaperReliability) -> float:
-    """The product's score in [0, 1]: 1 / (1 + (e / e_half)^2) of the predicted error, metres."""
-    return 1.0 / (1.0 + (error / config.half_error) ** 2)
-
-
-def vertex_reliability(sigma: np.ndarray, weight: np.ndarray, config: Reliability | PaperReliability) -> np.ndarray:
-    """(V,) in [0, 1]: 1 / (1 + 3 sigma^2 / e_half^2); a measurement that was weighted down counts as much less."""
-    trust = np.where(weight > 0, 0.5 + 0.5 * weight, 1.0)
-    return trust / (1.0 + 3.0 * np.square(sigma / config.half_error))
+def vertex_error(error: float, found: VertexEvidence, law: Law = VERTEX_ERROR) -> np.ndarray:
+    """(V,) metres: predicted errors, of the RMS ``error`` of the frame and as different from each other as the law says."""
+    relative = law(found)
+    return error * relative / math.sqrt(float(relative @ relative) / len(relative))
 
 
 class Verdict(NamedTuple):
@@ -165,11 +225,12 @@ class Verdict(NamedTuple):
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
     evidence: Evidence
+    vertex_evidence: VertexEvidence
 
 
 def judge(
-    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, points: np.ndarray, dt: float,
-    model: Model, config: Reliability | PaperReliability,
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, points: np.ndarray,
+    clearance: np.ndarray | None, dt: float, model: Model, config: Reliability | PaperReliability,
 ) -> Verdict:  # fmt: skip
     """Scores a frame and moves the tracker's state on.
 
@@ -179,22 +240,21 @@ def judge(
         posterior, prior: states of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
         points: (N, 3) the cloud as it came, metres.
+        clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds of sensor time since the last frame.
         model: the garment.
         config: ``Reliability`` or ``PaperReliability``.
     """
     coverage = float((update.weight > 0).mean())
     s_k = paper_score(update.measurement.innovation(prior.position), update.R, update.measurement.found)
-    found, health = evidence(
-        health, update, posterior.position, posterior.velocity, prior.position, points, dt, model
-    )
-    reliability = score(predicted_error(found), config)
+    frame, vertices, health = evidence(health, update, posterior, covariance, points, clearance, dt, model)
+    error = float(ERROR(frame))
+    reliability = float(score(error, config))
     moved = advance(
         health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
     )
-    sigma = np.sqrt(np.einsum("vaa->v", covariance) / 3)
     moved = moved._replace(spacing=dt)
-    return Verdict(moved, reliability, s_k, coverage, vertex_reliability(sigma, update.weight, config), found)
+    return Verdict(moved, reliability, s_k, coverage, score(vertex_error(error, vertices), config), frame, vertices)
 
 
 def advance(

@@ -171,7 +171,7 @@ class Tracker:
         # G. Reliability (2.6)
         mine = segment.cloth(mine, posterior.position, self._contact, garment, segment.ON_CLOTH)
         verdict = reliability.judge(
-            health, update, posterior, covariance, prior, mine.points, dt, garment, config.reliability
+            health, update, posterior, covariance, prior, mine.points, self._clearance(), dt, garment, config.reliability
         )
         clock.lap("reliability")
 
@@ -196,6 +196,10 @@ class Tracker:
             InvalidSnapshot: not a snapshot, of another version, or damaged.
         """
         return snapshots.load(data, Tracker)
+
+    def _clearance(self) -> np.ndarray | None:
+        """(V,) m, signed distance of each vertex from the body when last asked for."""
+        return None if self._contact is None or self._contact.held is None else self._contact.held.distance
 
     def _ride(self, body_vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
         """The last state, relative to the body, and the body's displacement of each vertex (V, 3), or None."""

@@ -260,15 +260,14 @@ class DegradedRun(NamedTuple):
 
 
 def degraded_runs(sequences: Iterable[tuple[str, bool]]) -> list[DegradedRun]:
-    """The fixed list: every script on every sequence all around, and from the front with the body where there is one.
+    """The fixed list: every script on every sequence all around, from the front, and from there with the body where there is one.
 
     Args:
         sequences: name of each, and whether it has a body.
     """
     runs = []
     for name, has_body in sequences:
-        for view in ("full", "front"):
-            give_body = has_body and view == "front"
+        for view, give_body in (("full", False), ("front", False), ("front", True))[: 3 if has_body else 2]:
             for k, script in enumerate(SCRIPTS):
                 runs.append(DegradedRun(name, view, give_body, script, seed=11 + k))
     return runs

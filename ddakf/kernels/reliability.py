@@ -10,7 +10,7 @@ CELLS = 128  # at most along each axis of the grid of vertices
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def misfit(points, stride, position, normal, patch, n_patches, reach, boundary, foreign, near):
+def misfit(points, stride, position, patch, n_patches, reach, boundary, foreign, near, away):
     """How far points lie from a surface, patch by patch, so that what is no more than noise cancels out.
 
     Every ``stride``-th point is given to the vertex nearest to it. With d_i the offsets of the n points of a patch,
@@ -18,17 +18,17 @@ def misfit(points, stride, position, normal, patch, n_patches, reach, boundary, 
 
     Args:
         points: (N, 3) metres.
-        position, normal: (V, 3) the fitted vertices, metres, and their unit normals.
+        position: (V, 3) the fitted vertices, metres.
         patch: (V,) int32 in [0, n_patches).
         reach: metres: points farther from every vertex do not count.
         boundary: (H,) vertices of open boundaries.
         foreign: share of the points beyond ``reach`` above which the cloud is of more than the garment: then points
             do not count that are nearest to a boundary or farther than ``near``.
         near: metres.
+        away: (ceil(N / stride),) out, distance of every asked point to its vertex, metres; infinite beyond the reach.
 
     Returns:
-        Squared mean offset along the normals and in all directions, square metres, over the patches; zero where no patch has
-        two points.
+        Squared mean offset over the patches, square metres; zero where no patch has two points.
     """
     n = position.shape[0]
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -80,6 +80,7 @@ def misfit(points, stride, position, normal, patch, n_patches, reach, boundary, 
             if best <= (ring * cell + margin) ** 2:  # no vertex of the next ring is nearer
                 break
         nearest[k // stride] = winner
+        away[k // stride] = np.inf if winner < 0 else sqrt(best)
         beyond += winner < 0
     rim = np.zeros(n, np.bool_)
     limit = reach
@@ -87,47 +88,42 @@ def misfit(points, stride, position, normal, patch, n_patches, reach, boundary, 
         limit = near
         for h in range(len(boundary)):
             rim[boundary[h]] = True
-    count = np.zeros(n_patches)
-    total, along = np.zeros((n_patches, 3)), np.zeros(n_patches)
-    square, along_square = np.zeros(n_patches), np.zeros(n_patches)
-    for k in range(0, points.shape[0], stride):
-        winner = nearest[k // stride]
-        if winner < 0 or rim[winner]:
+    count, square, total = np.zeros(n_patches), np.zeros(n_patches), np.zeros((n_patches, 3))
+    for k in range(asked):
+        winner = nearest[k]
+        if winner < 0 or rim[winner] or away[k] > limit:
             continue
-        px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
         c = patch[winner]
-        dx, dy, dz = px - position[winner, 0], py - position[winner, 1], pz - position[winner, 2]
-        d2 = dx * dx + dy * dy + dz * dz
-        if d2 > limit * limit:
-            continue
-        r = dx * normal[winner, 0] + dy * normal[winner, 1] + dz * normal[winner, 2]
         count[c] += 1.0
-        total[c, 0] += dx
-        total[c, 1] += dy
-        total[c, 2] += dz
-        square[c] += d2
-        along[c] += r
-        along_square[c] += r * r
-    pairs = offset = normal_offset = 0.0
+        square[c] += away[k] ** 2
+        for a in range(3):
+            total[c, a] += points[k * stride, a] - position[winner, a]
+    pairs = offset = 0.0
     for c in range(n_patches):
         pairs += count[c] * (count[c] - 1.0)
         offset += total[c, 0] ** 2 + total[c, 1] ** 2 + total[c, 2] ** 2 - square[c]
-        normal_offset += along[c] ** 2 - along_square[c]
-    if pairs > 0.0:
-        return max(normal_offset / pairs, 0.0), max(offset / pairs, 0.0)
-    return 0.0, 0.0
+    return max(offset / pairs, 0.0) if pairs > 0.0 else 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def strain(position, start, neighbour, rest):
-    """Root mean square of |x_j - x_i| / |rest edge| - 1 over the (2E, 3) edges of the one-rings."""
+def strains(position, start, neighbour, rest, squared):
+    """Mean of (|x_j - x_i| / |rest edge| - 1)^2 over the (2E, 3) edges of the one-rings; ``squared`` (V,) out, of each ring."""
     total = 0.0
     for i in range(position.shape[0]):
+        ring = 0.0
         for k in range(start[i], start[i + 1]):
             j = neighbour[k]
             length = rest_length = 0.0
             for a in range(3):
                 length += (position[j, a] - position[i, a]) ** 2
                 rest_length += rest[k, a] ** 2
-            total += (sqrt(length / max(rest_length, 1e-30)) - 1.0) ** 2
-    return sqrt(total / max(len(neighbour), 1))
+            ring += (sqrt(length / max(rest_length, 1e-30)) - 1.0) ** 2
+        total += ring
+        squared[i] = ring / max(start[i + 1] - start[i], 1)
+    return total / max(len(neighbour), 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def strain(position, start, neighbour, rest):
+    """Root mean square of |x_j - x_i| / |rest edge| - 1 over the (2E, 3) edges of the one-rings."""
+    return sqrt(strains(position, start, neighbour, rest, np.empty(position.shape[0])))
