@@ -251,10 +251,10 @@ class PaperReliability(Checked):
 
 @dataclass(frozen=True)
 class Uncertainty(Checked):
-    """How far a garment may have drifted from the truth, two of the constants calibrated, and the bounds."""
+    """How far a garment may have drifted from the truth, the two calibrated factors, and the bounds."""
 
-    missed_share: float = bounded(0.3, 0.01, 100)  # of an innovation: what of it stays as error of a patch's place
-    unseen_share: float = bounded(2.0, 0.0, 100)  # of its motion: how far an unseen patch may have moved otherwise
+    observed_scale: float = bounded(0.95, 0.01, 100)  # on the standard deviations of measured vertices
+    unseen_scale: float = bounded(0.94, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m: strain that is there adds up along the cloth over this length
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2

@@ -31,7 +31,7 @@ def save(tracker) -> bytes:
     if tracker.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
-    numbers["drift"] = [tracker._drift.speed2, tracker._drift.stored2]
+    numbers["drift"] = list(tracker._drift[1:])
     return pack(numbers, arrays)
 
 
@@ -64,14 +64,14 @@ def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndar
     return array
 
 
-def _drift(model: Drift, arrays: dict[str, np.ndarray], squares: list) -> Drift:
+def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    speed2, stored2 = (float(square) for square in squares)
-    if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf):
-        raise InvalidSnapshot("snapshot.drift", "two finite squares", repr(squares))
-    return Drift(covariance, speed2, stored2)
+    speed2, stored2, level = (float(value) for value in values)
+    if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf and 0 < level < math.inf):
+        raise InvalidSnapshot("snapshot.drift", "two finite squares and a positive factor", repr(values))
+    return Drift(covariance, speed2, stored2, level)
 
 
 def _health(values: dict) -> Health:

@@ -165,7 +165,9 @@ class Tracker:
         found = anchor is not last.position  # placed anew: what is known is what a start knows
         drift = uncertainty.Drift.at(garment, config.start.sd) if found else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
-        covariance, drift = uncertainty.marginals(update, posterior, prior, still, drift, dt, garment, config)
+        covariance, drift = uncertainty.marginals(
+            update, posterior, prior, still, self._clearance(), health.misfit, drift, dt, garment, config
+        )
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)

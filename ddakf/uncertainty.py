@@ -3,7 +3,9 @@
 The recursion stores, as in the paper, one block per vertex: the covariance of a vertex given its neighbours, A_ii^-1. That is
 overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either, and a garment that has
 slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion, over
-patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift.
+patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. How large it is in
+all is also told by the cloud, which lies off a surface that is wrong; how it is spread over unseen vertices, by how much room each
+has.
 """
 
 from __future__ import annotations
@@ -18,11 +20,18 @@ from ddakf.kernels import uncertainty as kernels
 from ddakf.model import Model
 from ddakf.types import State
 
+MISSED = 0.2  # of an innovation: what of it stays as error of a patch's place
+UNSEEN = 2.0  # of its motion: how far an unseen patch may have moved otherwise
 PERSISTENCE = 4.0  # frames over which plane fits repeat their error; those of a patch count as one
 WITHIN = 0.3  # of a patch's variance: how much its vertices differ from it
 GROWTH = 0.0005  # m per frame that nothing can be seen of
 SMALLEST = 100.0  # 1/m^2 added to what holds the patches, so that a patch that nothing holds has a finite variance
 MEMORY = 0.7  # share of the last frames' innovations in the running mean
+PER_OFFSET = 9.0  # error over the offset of the cloud from the surface, both RMS
+SMALLEST_OFFSET = 0.0002  # m
+TRUST = 0.3  # in the cloud's word about the size of the error, against the recursion's
+ROOM_TO_BODY, MOST_TO_BODY = 0.03, 0.10  # m: distance from the body that doubles a variance; a longer one gives no more room
+ROOM_TO_SEEN, MOST_TO_SEEN = 0.2, 0.6  # m: the same of the distance along the cloth from what is seen, where no body is known
 LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than that
 SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
 
@@ -33,11 +42,12 @@ class Drift(NamedTuple):
     covariance: np.ndarray  # (3L, 3L) float32 m^2
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: how it grows says how fast a garment is lost that nothing shows
+    level: float  # factor on the variances that the last cloud called for
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:
         """A start whose error has this standard deviation, metres in each direction."""
-        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2)
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2, 1.0)
 
 
 class Evidence(NamedTuple):
@@ -68,8 +78,9 @@ def posterior(update: Update, prior: State, config: Config) -> State:
 
 
 def marginals(
-    update: Update, state: State, prior: State, still: np.ndarray, drift: Drift, dt: float, model: Model, config: Config
-) -> tuple[np.ndarray, Drift]:
+    update: Update, state: State, prior: State, still: np.ndarray, clearance: np.ndarray | None, offset2: float, drift: Drift,
+    dt: float, model: Model, config: Config,
+) -> tuple[np.ndarray, Drift]:  # fmt: skip
     """(V, 3, 3) calibrated covariance of each position, square metres, and the drift after this frame.
 
     Of the paper's preset, the stored blocks.
@@ -79,6 +90,8 @@ def marginals(
         state, prior: posterior and prediction.
         still: (V, 3) where the vertices would be had the garment moved only as is known of unseen parts as well, metres: not
             at all, or, with a body to ride on, as it did.
+        clearance: (V,) distance from the body, metres; None without one.
+        offset2: squared offset of the last clouds from the surface beyond their noise, square metres.
         drift: after the last frame.
         dt: seconds since.
         model, config: of the tracker.
@@ -88,22 +101,48 @@ def marginals(
     limits, planes = config.uncertainty, update.planes
     weight = np.zeros_like(planes.weight) if update.rejected else planes.weight
     evidence = _evidence(update, weight, state.position, prior.position, still, model, config)
-    drift = advance(drift, evidence, _mean_variance(state.P_pp), update.system.B, dt, model, limits)
+    drift = advance(drift, evidence, _mean_variance(state.P_pp), update.system.B, dt, clearance is not None, model, limits)
     n = len(model.likeness)
     blocks = drift.covariance.reshape(n, 3, n, 3)
     shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
     slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
-    covariance = np.empty((len(weight), 3, 3))
+    if evidence.observed.any():
+        drift = drift._replace(level=_level(np.average(np.einsum("kaa->k", shared) / 3, weights=evidence.size), offset2))
+    covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), limits.observed_scale**2)
+    unseen = weight <= 0.0
+    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, model)[unseen]
     kernels.conditioned(
-        shared, evidence.bend, model.patch, weight, planes.normal, planes.variance, evidence.isotropic, covariance
-    )
+        drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
+        evidence.isotropic, scale2, covariance,
+    )  # fmt: skip
     covariance *= _scale(covariance, limits.ceiling_sd) ** 2
     return covariance, drift
 
 
+def _level(variance: float, offset2: float) -> float:
+    """Factor on the variances, of mean ``variance``, that lies between what the recursion and what the cloud say.
+
+    The recursion knows of no wrong fit. The offset of the cloud, its noise averaged away, does: the error is some multiple of it.
+    Each predicts the size of the error within a factor; the product of powers, a mean of the logarithms, is better than both.
+    """
+    return float((PER_OFFSET**2 * (offset2 + SMALLEST_OFFSET**2) / variance) ** TRUST)
+
+
+def _room(seen: np.ndarray, clearance: np.ndarray | None, model: Model) -> np.ndarray:
+    """(V,) factor on the variance of unseen vertices: cloth may be elsewhere the more, the farther it is from what holds it.
+
+    That is the body where one is known, and elsewhere what is seen, along the cloth.
+    """
+    if clearance is not None:
+        return 1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY
+    distance = np.empty(len(seen))
+    kernels.along_cloth(seen, model.start, model.neighbour, model.rest_edge, MOST_TO_SEEN, distance)
+    return 1.0 + distance / ROOM_TO_SEEN
+
+
 def advance(
-    drift: Drift, evidence: Evidence, stored2: float, B: np.ndarray, dt: float, model: Model, limits: Uncertainty
+    drift: Drift, evidence: Evidence, stored2: float, B: np.ndarray, dt: float, worn: bool, model: Model, limits: Uncertainty
 ) -> Drift:
     """The covariance of what the update leaves of the error, and of what it adds.
 
@@ -119,9 +158,10 @@ def advance(
         stored2: mean variance of the stored blocks, m^2.
         B: (2E, 12) blocks of the coupling, see :class:`ddakf.fuse.System`.
         dt: seconds since the last frame.
-        model, limits: the garment, and the two constants.
+        worn: a body is known that the garment is on.
+        model, limits: the garment, and the ceiling.
     """
-    growth2, speed2 = _growth(drift, evidence, stored2, dt, limits)
+    growth2, speed2 = _growth(drift, evidence, stored2, dt, worn)
     root = np.sqrt(growth2).astype(np.float32)
     covariance = drift.covariance.copy()
     added = root[:, None] * model.likeness * root
@@ -132,7 +172,7 @@ def advance(
         covariance *= ceiling**2
     if evidence.observed.any():
         covariance = _updated(covariance, evidence, B, model)
-    return Drift(covariance, speed2, stored2)
+    return Drift(covariance, speed2, stored2, drift.level)
 
 
 def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
@@ -156,22 +196,23 @@ def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> 
     return 0.5 * (updated + updated.T)
 
 
-def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, limits: Uncertainty) -> tuple[np.ndarray, float]:
+def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: bool) -> tuple[np.ndarray, float]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
 
     Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
-    not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen, the
-    prediction's own variance grows, and what is reported with it.
+    not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen,
+    predictions go on missing as much, and a garment without a body goes where the prediction's own variance says.
     """
     seen = evidence.observed / evidence.size
     enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
     if not enough:
-        return np.full(len(seen), max(stored2 - drift.stored2, 0.0) + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
+        lost2 = 0.0 if worn else max(stored2 - drift.stored2, 0.0)
+        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
     common = float(np.average(evidence.innovation2, weights=evidence.observed))
     speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
     missed = common + 0.5 * seen * (evidence.innovation2 - common)
     moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
-    growth2 = (limits.missed_share**2 * missed + limits.unseen_share**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
+    growth2 = (MISSED**2 * missed + UNSEEN**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
     return growth2, speed2
 
 

@@ -99,11 +99,12 @@ def retain(inverse, information, F):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def conditioned(shared, bend, patch, weight, normal, variance, isotropic, covariance):
+def conditioned(shared, bend, patch, weight, normal, variance, isotropic, scale2, covariance):
     """covariance (V, 3, 3) out: the patch's (``shared``, (L, 3, 3)), for measured vertices after their own measurement.
 
-    A plane is known along its normal to its variance and to how far the normal turns within the patch (``bend`` (L,), 1 - |mean
-    normal|^2) where the patch may slide: the plane that was found is then a neighbour's.
+    A plane is known along its normal to its variance and to how far the normal turns within the patch (``bend`` (L,), mean
+    squared difference of two normals) where the patch may slide: the plane that was found is then a neighbour's.
+    ``scale2`` (V,) multiplies the result.
     """
     P = np.empty((3, 3))
     g = np.empty(3)
@@ -116,7 +117,7 @@ def conditioned(shared, bend, patch, weight, normal, variance, isotropic, covari
             for a in range(3):
                 g[a] = P[a, 0] * normal[i, 0] + P[a, 1] * normal[i, 1] + P[a, 2] * normal[i, 2]
                 along += g[a] * normal[i, a]
-            noise = variance[i] / w + 0.5 * bend[c] * (P[0, 0] + P[1, 1] + P[2, 2] - along)
+            noise = variance[i] / w + bend[c] * (P[0, 0] + P[1, 1] + P[2, 2] - along)
             s = 1.0 / (along + noise)
             for a in range(3):
                 for b in range(3):
@@ -129,7 +130,39 @@ def conditioned(shared, bend, patch, weight, normal, variance, isotropic, covari
             P[0, 1] = P[1, 0] = d
             P[0, 2] = P[2, 0] = e
             P[1, 2] = P[2, 1] = f
-        covariance[i] = P
+        covariance[i] = scale2[i] * P
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def along_cloth(seen, start, neighbour, rest_edge, most, distance):
+    """distance (V,) out: length of the shortest path along edges at rest to a vertex that is ``seen`` (V,), m, at most ``most``.
+
+    A queue of the vertices whose distance has changed, each in it at most once (Moore 1959).
+    """
+    n = seen.shape[0]
+    queue, waiting = np.empty(n, np.uint32), np.zeros(n, np.bool_)
+    count = first = 0
+    for i in range(n):
+        distance[i] = 0.0 if seen[i] else most
+        if seen[i]:
+            queue[count] = i
+            waiting[i] = True
+            count += 1
+    while count > 0:
+        i = queue[first]
+        first = first + 1 if first + 1 < n else 0
+        count -= 1
+        waiting[i] = False
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            x, y, z = rest_edge[e, 0], rest_edge[e, 1], rest_edge[e, 2]
+            d = distance[i] + np.sqrt(x * x + y * y + z * z)
+            if d < distance[j]:
+                distance[j] = d
+                if not waiting[j]:
+                    waiting[j] = True
+                    queue[(first + count) % n] = j
+                    count += 1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

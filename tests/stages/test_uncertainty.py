@@ -142,11 +142,13 @@ class Solved(NamedTuple):
         chosen = {name: J for name, J in self.jacobian.items() if not terms or name.startswith(terms)}
         return dense.gauss_newton(chosen, majorised=False)
 
-    def report(self, config=LIMP, sd=0.005, still=None):
+    def report(self, config=LIMP, sd=0.005, still=None, clearance=None, offset2=0.0005**2):
         """The reported covariance and the drift, started with ``sd``."""
         still = self.state.position if still is None else still
         drift = Drift.at(self.garment, sd)
-        return marginals(self.update, self.state, self.prior, still, drift, 1 / 30, self.garment, config)
+        return marginals(
+            self.update, self.state, self.prior, still, clearance, offset2, drift, 1 / 30, self.garment, config
+        )
 
 
 def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
