@@ -2,10 +2,10 @@
 
 The recursion stores, as in the paper, one block per vertex: the covariance of a vertex given its neighbours, A_ii^-1. That is
 overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either, and a garment that has
-slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion, over
-patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. How large it is in
-all is also told by the cloud, which lies off a surface that is wrong; how it is spread over unseen vertices, by how much room each
-has.
+slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion,
+over patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. How large
+it is in all is also told by the cloud, which lies off a surface that is wrong; how it is spread over unseen vertices, by how
+much room each has.
 """
 
 from __future__ import annotations

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import dijkstra
 
 from ddakf import Config, Mesh, Tracker, fuse, model, rigidity, snapshot, uncertainty
+from ddakf.kernels import uncertainty as kernels
 from ddakf.types import State
 from ddakf.uncertainty import Drift, bound, marginals, posterior
 from tests.physics.shapes import sheet
@@ -292,6 +295,82 @@ def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothi
     )
     assert (traces(moved)[hidden] > traces(rest)[hidden]).all()
     np.testing.assert_allclose(carried, rest, rtol=1e-3)
+
+
+def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
+    run = solved(MESHES["tube"], "half")
+    unseen = run.update.weight == 0
+    n = run.garment.mesh.n_vertices
+    near, far, beyond = (run.report(clearance=np.full(n, distance))[0] for distance in (0.0, 0.05, np.inf))
+    assert (traces(near) < traces(far))[unseen].all()
+    assert (traces(far) < traces(beyond))[unseen].all()
+    assert np.isfinite(beyond).all()
+    np.testing.assert_array_equal(near[~unseen], far[~unseen])
+
+
+def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
+    garment = model.build(MESHES["larger sheet"], 0.003)
+    seen = garment.mesh.vertices[:, 0] < 0.03
+    room = uncertainty._room(seen, None, garment)
+    order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
+    assert np.corrcoef(np.arange(len(order)), room[~seen][order])[0, 1] > 0.9
+    assert (room[seen] == 1.0).all()
+    nothing = uncertainty._room(np.zeros_like(seen), None, garment)
+    assert (nothing == nothing.max()).all()
+    assert nothing.max() >= room.max()
+
+
+@given(seed=st.integers(0, 2**32 - 1), most=st.sampled_from([0.02, 0.05, 10.0]))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_distances_along_the_cloth_are_those_of_shortest_paths(seed, most):
+    rng = np.random.default_rng(seed)
+    garment = model.build(MESHES["tube"], 0.003)
+    n = garment.mesh.n_vertices
+    seen = rng.random(n) < rng.choice([0.0, 0.02, 0.5])
+    distance = np.empty(n)
+    kernels.along_cloth(seen, garment.start, garment.neighbour, garment.rest_edge, most, distance)
+    row = np.repeat(np.arange(n), np.diff(garment.start.astype(int)))
+    graph = csr_array((np.linalg.norm(garment.rest_edge, axis=1), (row, garment.neighbour.astype(int))), (n, n))
+    expected = dijkstra(graph, indices=np.flatnonzero(seen), min_only=True) if seen.any() else np.full(n, np.inf)
+    np.testing.assert_allclose(distance, np.minimum(expected, most), rtol=1e-5, atol=1e-7)
+
+
+def test_a_cloud_that_lies_off_the_surface_makes_all_less_certain():
+    run = solved(MESHES["tube"], "half")
+    sizes = [traces(run.report(offset2=offset**2)[0]) for offset in (0.0, 0.001, 0.01)]
+    assert (sizes[0] < sizes[1]).all()
+    assert (sizes[1] < sizes[2]).all()
+
+
+def test_a_frame_without_measurements_keeps_the_level_that_the_last_cloud_called_for():
+    run = solved(MESHES["tube"], "half")
+    nothing = run._replace(update=run.update._replace(rejected=True))
+    drift = Drift.at(run.garment, 0.005)._replace(level=2.5)
+    _, after = marginals(nothing.update, run.state, run.prior, run.state.position, None, 1e-4, drift, 1 / 30, run.garment, LIMP)
+    assert after.level == 2.5
+
+
+@pytest.mark.parametrize("seen", list(SEEN))
+def test_the_two_fitted_constants_scale_the_standard_deviations_of_their_group(seen):
+    run = solved(MESHES["tube"], seen)
+    limits = LIMP.uncertainty
+    doubled = dataclasses.replace(limits, observed_scale=2 * limits.observed_scale, unseen_scale=3 * limits.unseen_scale)
+    one, other = run.report()[0], run.report(dataclasses.replace(LIMP, uncertainty=doubled))[0]
+    factor = np.where(run.update.weight > 0, 4.0, 9.0)[:, None, None]
+    np.testing.assert_allclose(other, factor * one, rtol=1e-9)
+
+
+def test_what_nothing_shows_stays_on_a_body_and_is_lost_without():
+    """In half a second without points."""
+    body = inner_body(GARMENT)
+    sizes = []
+    for worn in (True, False):
+        tracker = Tracker(GARMENT, body=body if worn else None)
+        for k in range(1, 26):
+            cloud = CLOUDS[k % 6] if k <= 10 else CLOUDS[0][:0]
+            result = tracker.step(cloud, timestamp=k / 30, body_vertices=body.vertices if worn else None)
+        sizes.append(np.median(result.sigma))
+    assert sizes[0] < 0.3 * sizes[1]
 
 
 def test_a_rejected_frame_measures_nothing():
