@@ -166,7 +166,7 @@ class Tracker:
         drift = uncertainty.Drift.at(garment, config.start.sd) if found else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
         covariance, drift = uncertainty.marginals(
-            update, posterior, prior, still, self._clearance(), health.misfit, drift, dt, garment, config
+            update, posterior, prior, still, self._clearance(), health.offset, drift, dt, garment, config
         )
         clock.lap("uncertainty")
 
