@@ -18,6 +18,7 @@ class Clusters(NamedTuple):
     nearest: np.ndarray  # (V, N) int32 clusters that a vertex follows
     share: np.ndarray  # (V, N) by how much, rows sum to one
     seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
+    ends: np.ndarray  # (G, 2) int32 clusters that touch, both ways
     weakening: float  # of the seams' stiffness: share of the energy of a uniform strain that they overstate
     sample: np.ndarray  # (S,) int32 vertices that are measured
 
@@ -50,6 +51,7 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
         nearest.astype(np.int32),
         share / share.sum(axis=1, keepdims=True),
         seam,
+        np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32),
         _weakening(mesh.vertices, cluster, ends, seam),
         np.sort(np.lexsort((near[:, 0], cluster))[:: max(1, n // SAMPLES)]).astype(np.int32),
     )

@@ -34,6 +34,7 @@ class Model(NamedTuple):
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
+    vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
     edge_length: float  # m, mean
     stretch: stretch.StretchConstants
     shear: shear.ShearConstants
@@ -49,7 +50,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
     edges = ends[order]
     start = np.searchsorted(edges[:, 0], np.arange(mesh.n_vertices + 1))
     corners = mesh.vertices[mesh.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    vertex_area = np.bincount(mesh.faces.ravel(), np.repeat(area, 3), mesh.n_vertices)
     distance = _distances(edges, mesh, CLUSTERS)
     cluster = distance.argmin(axis=0).astype(np.int32)
     patch = _distances(edges, mesh, PATCHES).argmin(axis=0).astype(np.int32)
@@ -66,7 +68,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
         clusters=clusters.build(mesh, distance, edges),
         rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
         boundary=_boundary(mesh),
-        area=float(area),
+        area=float(area.sum()),
+        vertex_share=(vertex_area / vertex_area.mean()).astype(np.float32),
         edge_length=mesh.edge_length,
         stretch=stretch.build(mesh),
         shear=shear.build(mesh),

@@ -73,7 +73,7 @@ def preprocess(
         if sensor_origin.ndim == 1:
             sensor = per_point = sensor_origin[None, :]
         else:
-            sensor, per_point = _distinct(sensor_origin), sensor_origin[index[::stride]]
+            sensor, per_point = distinct(sensor_origin), sensor_origin[index[::stride]]
         kernels.orient_normals(surfels, per_point - origin)
     surfel_start = (start + (stride - 1)) // stride
     return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor)
@@ -147,7 +147,7 @@ def _without(grid, removed: np.ndarray):
     return np.ascontiguousarray(new_points[:, :n]), new_index[:n], new_start, origin, cell, dims
 
 
-def _distinct(origins: np.ndarray) -> np.ndarray:
+def distinct(origins: np.ndarray) -> np.ndarray:
     """The distinct rows of (N, 3), without sorting floats where there is one row or a few runs of them."""
     changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
     return np.unique(origins[np.concatenate([[0], changes])], axis=0)

@@ -36,6 +36,7 @@ class Health(NamedTuple):
     empty_for: float = 0.0  # s of empty clouds
     doubtful: bool = False  # there is a fit, but hardly of this garment
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    settling: int = 0  # frames in which a garment that was found is bent further
     spacing: float = 0.0  # s between the last two frames
     # what the predicted error remembers
     speed2: float = 0.0  # m^2/s^2, mean squared velocity
@@ -44,6 +45,10 @@ class Health(NamedTuple):
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far
     unseen: float = 0.0  # m^2
+
+    def placed(self) -> Health:
+        """Where a search found the garment: what is remembered of the old track says nothing about the new one."""
+        return self._replace(speed2=0.0, offset=0.0, unexplained=0.0, unseen=0.0)
 
     @property
     def unplaced(self) -> bool:

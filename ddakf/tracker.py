@@ -119,9 +119,10 @@ class Tracker:
         # A. Prediction (2.2), riding on the body
         last, carried = self._ride(now.body_vertices, dt)
         prior = predict.predict(last, dt, carried, config.predict)
-        prior, anchor, rotation = initialize.locate(
+        prior, anchor, rotation, placed, settling = initialize.locate(
             prior, last.position, self._rotation, now, self._contact, dt, health, garment, config.start
         )
+        health = (health.placed() if placed else health)._replace(settling=settling)
         clock.lap("predict")
 
         # Preprocessing (2.1)
@@ -162,8 +163,7 @@ class Tracker:
                 break
         posterior = uncertainty.posterior(update, prior, config)
         posterior = predict.learn(posterior, prior, update.weight > 0, dt, config.predict)
-        found = anchor is not last.position  # placed anew: what is known is what a start knows
-        drift = uncertainty.Drift.at(garment, config.start.sd) if found else self._drift
+        drift = uncertainty.Drift.at(garment, initialize.FOUND_SD) if placed else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
         covariance, drift = uncertainty.marginals(
             update, posterior, prior, still, self._clearance(), health.offset, drift, dt, garment, config

@@ -6,6 +6,7 @@ import pytest
 from ddakf import Config, Mesh, Tracker, model, rigidity
 from ddakf.config import Start
 from ddakf.data import sample
+from ddakf.deform import Target
 from ddakf.evaluation.sensors import Sensor, sample_surface
 from ddakf.frame import Frame
 from ddakf.initialize import cost_in_place, locate, places
@@ -15,6 +16,7 @@ from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
 SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
+SHIRT_MODEL = model.build(SHIRT, 0.003)
 TUBE = tube()
 
 
@@ -56,22 +58,59 @@ def test_placement_recovers_the_motion(degrees):
     start = SAMPLE.garment_vertices[40].astype(float)
     truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
     points = captured("full", truth, 0)[0]
-    faces = SHIRT.faces.astype(np.int32)
-    placement = places(start, faces, points)[0]
+    target = Target.of(points, None)
+    placement = places(start, SHIRT_MODEL, target)[0]
     assert rms(placement.apply(start) - truth) < 0.03
     np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(placement.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
-    assert placement.cost < 0.5 * cost_in_place(start, faces, points, None)
+    assert placement.cost < 0.5 * cost_in_place(start, SHIRT_MODEL, target)
 
 
-def test_placements_have_different_headings_and_the_best_comes_first():
-    start = SAMPLE.garment_vertices[40].astype(float)
-    found = places(start, SHIRT.faces.astype(np.int32), captured("full", start @ turn(20).T, 0)[0])
-    assert len(found) > 1
-    assert found[0].cost == min(placement.cost for placement in found)
-    headings = [np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0])) for p in found]
-    apart = np.abs(np.subtract.outer(headings, headings)) % 360
+def flat_tube(depth):
+    """A tapering tube about the vertical, ``depth`` times as deep as it is wide."""
+    angle = np.arange(24) * 2 * np.pi / 24
+    ring = 0.2 * np.stack([np.cos(angle), np.zeros(24), depth * np.sin(angle)], axis=1)
+    return Mesh(np.concatenate([ring * (1 - 0.03 * k) + [0, 0.04 * k, 0] for k in range(12)]), TUBE.faces[: 48 * 11])
+
+
+def headings(found):
+    return [float(np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0]))) for p in found]
+
+
+def test_placements_have_different_headings_and_the_nearest_of_equals_comes_first():
+    flat = flat_tube(0.6)
+    target = Target.of(scan(flat.vertices @ turn(20).T + [0.5, 0.0, 0.2], flat), None)
+    found = headings(places(flat.vertices, model.build(flat, 0.003), target, turn_sd=5.0))
+    assert found[0] == pytest.approx(20, abs=8)
+    assert any(abs(heading + 160) < 8 for heading in found[1:])
+    apart = np.abs(np.subtract.outer(found, found)) % 360
     assert (np.minimum(apart, 360 - apart)[~np.eye(len(found), dtype=bool)] >= 29.9).all()
+
+
+def test_a_round_garment_keeps_its_heading():
+    round_one = flat_tube(1.0)
+    target = Target.of(scan(round_one.vertices @ turn(20).T + [0.5, 0.0, 0.2], round_one), None)
+    assert abs(headings(places(round_one.vertices, model.build(round_one, 0.003), target))[0]) < 25
+
+
+def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
+    first = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health())
+    assert first.placed
+    health = Health(state="tracking", settling=first.settling)
+    moved = TUBE.vertices * [1.1, 1.0, 0.9] + 0.4
+    normal = vertex_normals(moved, TUBE.faces)
+
+    def off(position):
+        return np.sqrt(np.square(np.einsum("va,va->v", position - moved, normal)).mean())
+
+    for seed in range(first.settling):
+        last = located(first.prior._replace(position=TUBE.vertices + 0.4), scan(moved, TUBE, seed=seed), health)
+        assert not last.placed
+        assert off(last.prior.position) < 0.5 * off(TUBE.vertices + 0.4)
+        assert last.last is last.prior.position
+        health = health._replace(settling=last.settling)
+    assert health.settling == 0
+    assert located(first.prior, scan(moved, TUBE), health).prior is first.prior
 
 
 def prior_at(position):
@@ -90,10 +129,11 @@ def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
 
 def test_a_garment_in_place_is_left_alone():
     prior = prior_at(TUBE.vertices)
-    same, anchor, rotation = located(prior, scan(TUBE.vertices, TUBE), Health())
+    same, anchor, rotation, placed, _ = located(prior, scan(TUBE.vertices, TUBE), Health())
     assert same is prior
     assert anchor is TUBE.vertices
     assert rotation is UNTURNED
+    assert not placed
 
 
 @pytest.mark.parametrize("state", ["tracking", "recovering"])
@@ -116,7 +156,7 @@ def test_a_garment_that_is_tracked_is_never_searched(state):
 )
 def test_a_garment_that_was_not_seen_lately_is_searched(health):
     prior = prior_at(TUBE.vertices)._replace(acceleration=np.ones(TUBE.vertices.shape))
-    moved = located(prior, scan(TUBE.vertices + 0.4, TUBE), health)[0]
+    moved = located(prior, scan(TUBE.vertices + 0.4, TUBE), health).prior
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
     assert not moved.velocity.any()
     assert not moved.acceleration.any()
@@ -129,7 +169,7 @@ def test_a_garment_is_searched_after_a_gap():
 
 def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
     torn = prior_at(TUBE.vertices * [1.0, 30.0, 1.0] + 7.0)
-    found, anchor, _ = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
+    found, anchor, *_ = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
     assert rms(found.position - TUBE.vertices) < 0.05
     assert anchor is found.position
 
