@@ -124,7 +124,7 @@ class PlaneAssociation(Checked):
     beside: float = bounded(1.4, 0.1, 1e3)  # distances of plane fits along the plane: past that the cloud has ended
     normal_cosine: float = bounded(0.5, -1, 1)  # least agreement of vertex and cloud normals
     turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
-    facing_cosine: float = bounded(0.1, -1, 1)  # least turn of a vertex toward the sensor
+    facing_cosine: float = bounded(0.2, -1, 1)  # least turn of a vertex toward the sensor
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a vertex with a surface nearer by more in front of it is hidden
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from a boundary of the garment that the cloud's end is sought; 0: nowhere
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end

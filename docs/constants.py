@@ -76,7 +76,7 @@ REASONS = {
     "PlaneAssociation.still": "saves searches that would find the same plane",
     "PlaneAssociation.hidden_depth": "chosen: more than noise and the thickness of cloth on a body, less than an arm",
     "PlaneAssociation.normal_cosine": "chosen, 60 degrees: front and back never match",
-    "PlaneAssociation.facing_cosine": "chosen, 84 degrees: surface seen edge-on is not measured by a depth camera",
+    "PlaneAssociation.facing_cosine": "tuned, 78 degrees: planes of surface seen edge-on are poor, and pull it along itself",
     "Coarse.iterations": "tuned: the second still gains, a third does not",
     "Coarse.tolerance": "tuned",
     "Coarse.least_innovation": "tuned: above what noise and calm motion leave, about 3 mm",
