@@ -193,6 +193,8 @@ class Physics(Checked):
     stretch: float = bounded(1.0e6, 0, 1e12)  # 1/m^2 per unit strain^2
     shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
     strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: beyond it a strain counts as an error of the model
+    strain_sd: float = bounded(0.03, 1e-4, 1e3)  # strain of a typical face, above which stretch and shear soften
+    strain_memory: float = bounded(0.08, 1e-3, 1e3)  # s: time constant with which the garment's own strain is learned
     bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
     collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, kept from the body
@@ -200,6 +202,8 @@ class Physics(Checked):
     self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
+    uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity once stretch has gone soft
+    strain_followed: float = bounded(0.95, 0, 0.99)  # of a one-ring's strain that its rest shape follows then
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)
 
 
@@ -294,7 +298,7 @@ class Config:
             coarse=Coarse(iterations=0),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
-            physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, gap_time=0.0),
+            physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0),
             fuse=DecoupledUpdate(),
             reliability=PaperReliability(),
         )

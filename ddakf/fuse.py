@@ -81,7 +81,9 @@ def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: 
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
     return Update(
         position=prior.position,
-        rest=rigidity.to_rest(model, physics_lambda * config.physics.rest_rigidity, rotation),
+        rest=rigidity.to_rest(
+            model, physics_lambda * config.physics.rest_rigidity, rotation, config.physics.strain_followed
+        ),
         motion=rigidity.since(last, model, config.physics.motion_rigidity),
         information=inverse_blocks(prior.P_pp, floor),
         measurement=Measurement.none(n),

@@ -22,18 +22,27 @@ class LocalRigidity(NamedTuple):
     source: np.ndarray  # (2E, 3) float32 m
     weight: float  # 1/m^2
     rotation: np.ndarray  # (V, 3, 3)
-    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times the rotations by columns padded to four: what neighbours read
+    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times T_i by columns padded to four: what neighbours read
+    follow: np.ndarray  # (V, 8) float32, how T_i stretches with its ring; (0, 8): T_i is the rotation
 
 
-def to_rest(model: Model, weight: float, rotation: np.ndarray) -> LocalRigidity:
-    """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed."""
-    return LocalRigidity(model.rest_edge, weight, rotation.copy(), np.empty((len(rotation), 12), np.float32))
+def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0) -> LocalRigidity:
+    """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed.
+
+    ``share`` in [0, 1): how much of its own strain a one-ring follows. Where T_i = R_i the term resists strain; where T_i is the
+    ring's affine fit, only what differs from ring to ring: bending, folds, and uneven strain.
+    """
+    n = len(rotation)
+    follow = np.empty((n if share > 0 else 0, 8), np.float32)
+    if share > 0:
+        kernels.followers(model.start, model.rest_edge, share, follow)
+    return LocalRigidity(model.rest_edge, weight, rotation.copy(), np.empty((n, 12), np.float32), follow)
 
 
 def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
     """The term that makes the change since ``position`` (V, 3) locally rigid."""
     n = len(position)
-    return LocalRigidity(edges(position, model), weight, identity(n), np.empty((n, 12), np.float32))
+    return LocalRigidity(edges(position, model), weight, identity(n), np.empty((n, 12), np.float32), np.empty((0, 8), np.float32))
 
 
 def edges(position: np.ndarray, model: Model) -> np.ndarray:
@@ -51,7 +60,7 @@ def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = R
 def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
     """As :func:`turn`, of (V, 4) :func:`padded` positions."""
     kernels.fit_rotations(
-        position, model.start, model.neighbour, term.source, steps, 0.5 * term.weight, term.rotation, term.shared
+        position, model.start, model.neighbour, term.source, term.follow, steps, 0.5 * term.weight, term.rotation, term.shared
     )
 
 

@@ -12,6 +12,7 @@ from typing import get_args
 import numpy as np
 
 from ddakf.config import Config
+from ddakf.elasticity import Elasticity
 from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
 from ddakf.reliability import Health
@@ -20,7 +21,7 @@ from ddakf.uncertainty import Drift
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a body take a tenth of it
-VERSION = 3
+VERSION = 4
 
 
 def save(tracker) -> bytes:
@@ -32,6 +33,7 @@ def save(tracker) -> bytes:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
     numbers["drift"] = list(tracker._drift[1:])
+    numbers["elasticity"] = tracker._elasticity.variance
     return pack(numbers, arrays)
 
 
@@ -48,6 +50,7 @@ def load(data: bytes, kind):
                 raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
         tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
         tracker._drift = _drift(tracker._drift, arrays, numbers["drift"])
+        tracker._elasticity = _elasticity(numbers["elasticity"])
         tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
             tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
@@ -72,6 +75,12 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf and 0 < level < math.inf):
         raise InvalidSnapshot("snapshot.drift", "two finite squares and a positive factor", repr(values))
     return Drift(covariance, speed2, stored2, level)
+
+
+def _elasticity(variance) -> Elasticity:
+    if isinstance(variance, bool) or not isinstance(variance, int | float) or not 0 <= variance < math.inf:
+        raise InvalidSnapshot("snapshot.elasticity", "a finite square", repr(variance))
+    return Elasticity(float(variance))
 
 
 def _health(values: dict) -> Health:

@@ -11,6 +11,7 @@ from ddakf import (
     adapt,
     associate,
     coarse,
+    elasticity,
     frame,
     fuse,
     initialize,
@@ -92,6 +93,7 @@ class Tracker:
         self._state = State.at(position, velocity, start.sd, start.speed_sd, self.config.adapt.initial_sd)
         self._rotation = rigidity.rotations(position, self._model)
         self._drift = uncertainty.Drift.at(self._model, start.sd)
+        self._elasticity = elasticity.Elasticity.at(self.config.physics)
         self._health = reliability.Health()
         self._time: float | None = None
         if self._contact is not None:
@@ -114,7 +116,8 @@ class Tracker:
         """
         now = frame.checked(points, timestamp, sensor_origin, body_vertices, self._time, self.body)
         dt = FIRST_STEP if self._time is None else now.timestamp - self._time
-        config, garment, health, clock = self.config, self._model, self._health, Clock()
+        garment, health, clock = self._model, self._health, Clock()
+        config = self._elasticity.adapted(self.config)
 
         # A. Prediction (2.2), riding on the body
         last, carried = self._ride(now.body_vertices, dt)
@@ -182,6 +185,7 @@ class Tracker:
 
         # H. Output
         self._state, self._drift = posterior, drift
+        self._elasticity = self._elasticity.learned(posterior.position, update.weight > 0, dt, garment, config.physics)
         self._rotation = rotation if update.rejected else update.rest.rotation
         self._health, self._time = verdict.health, now.timestamp
         return _result(posterior, covariance, update, verdict, carried, dt, clock.done())

@@ -208,6 +208,7 @@ UNCHECKED = {
     "a body's pose of another size": put("contact_vertices", np.zeros((5, 3))),
     "an unknown state": number("health", {"state": "happy", "physics_lambda": 1.0, "poor_for": 0.0, "empty_for": 0.0}),
     "a time that is text": number("time", "now"),
+    "a strain that is no square": number("elasticity", -1.0),
 }
 
 

@@ -95,7 +95,7 @@ Method = Callable[[Frame], Estimate]
 
 
 def ablations() -> dict[str, Config]:
-    """The default without each of its five changes to the paper's method, one at a time."""
+    """The default without each of its five changes to the paper's method, and without learned softness, one at a time."""
     default = Config()
     association = default.associate
     blind = replace(association, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
@@ -103,7 +103,10 @@ def ablations() -> dict[str, Config]:
         "no-planes": replace(default, associate=replace(association, tangential_sd=default.adapt.initial_sd)),
         "one-association": replace(default, associate=replace(association, iterations=1, least_iterations=1)),
         "no-visibility": replace(default, associate=blind),
-        "no-correlation": replace(default, physics=replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0)),
+        "no-correlation": replace(
+            default, physics=replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
+        ),
+        "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
         "no-carrying": replace(default, predict=replace(default.predict, carry_reach=0.0)),
     }
 

@@ -14,7 +14,7 @@ LANES = 32  # vertices whose rotations are fitted side by side
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def fit_rotations(position, start, neighbour, source, iterations, share, rotation, shared):
+def fit_rotations(position, start, neighbour, source, follow, iterations, share, rotation, shared):
     """Rotation of each one-ring from its source edges to the present ones, in place, warm-started.
 
     Maximises sum_j (x_j - x_i) . R_i s_ij by the iteration of Mueller, Bender, Chentanez and Macklin, "A robust method to
@@ -24,10 +24,11 @@ def fit_rotations(position, start, neighbour, source, iterations, share, rotatio
         position: (V, 4) metres, padded.
         start, neighbour: one-rings in compressed rows.
         source: (2E, 3) float32 source edge vectors s_ij = s_j - s_i per row entry, metres.
+        follow: (V, 8) float32 of :func:`followers`, or (0, 8): the rings do not stretch.
         iterations: fixed number of steps.
         share: what ``shared`` is multiplied by.
         rotation: (V, 3, 3) in: the start; out: the fit.
-        shared: (V, 12) float32 out, share R by columns, padded.
+        shared: (V, 12) float32 out, share T by columns, padded: T is R, or the stretched rotation of ``follow``.
     """
     n = position.shape[0]
     covariance = np.empty((LANES, 12), np.float32)
@@ -50,6 +51,54 @@ def fit_rotations(position, start, neighbour, source, iterations, share, rotatio
                     rotation[i, a, b] = lanes[9 + 3 * b + a, k]
                     shared[i, 4 * b + a] = np.float32(share) * lanes[9 + 3 * b + a, k]
                 shared[i, 4 * b + 3] = 0.0
+            if follow.shape[0] > 0:
+                stretched(covariance[k], follow[i], np.float32(share), shared[i])
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def stretched(covariance, follow, share, shared):
+    """share (C + m R) (S + m I)^-1 in place of share R, (12,) by columns, padded; C is the ring's covariance."""
+    xx, yy, zz, xy, xz, yz, m = follow[0], follow[1], follow[2], follow[3], follow[4], follow[5], follow[6]
+    for a in range(3):
+        x = share * covariance[a] + m * shared[a]
+        y = share * covariance[4 + a] + m * shared[4 + a]
+        z = share * covariance[8 + a] + m * shared[8 + a]
+        shared[a] = x * xx + y * xy + z * xz
+        shared[4 + a] = x * xy + y * yy + z * yz
+        shared[8 + a] = x * xz + y * yz + z * zz
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def followers(start, source, share, follow):
+    """What a ring needs to follow ``share`` in (0, 1) of its own strain in its plane.
+
+    T = (C + m R) (S + m I)^-1 minimises sum_j |x_j - x_i - T s_ij|^2 + m |T - R|^2, with S = sum_j s_ij s_ij' and C the same
+    with the present edges. S of a flat even ring is tr S / 2 in its plane, where T is then share of the way from R to the
+    affine fit for m = (1 / share - 1) tr S / 2; across the plane, where S says nothing, T is R.
+
+    Args:
+        start: one-rings in compressed rows.
+        source: (2E, 3) float32 s_ij, metres.
+        share: how far T follows.
+        follow: (V, 8) float32 out: (S + m I)^-1 as xx, yy, zz, xy, xz, yz in 1/m^2, m in m^2, and nothing.
+    """
+    for i in range(start.shape[0] - 1):
+        a = b = c = d = e = f = 0.0
+        for k in range(start[i], start[i + 1]):
+            x, y, z = np.float64(source[k, 0]), np.float64(source[k, 1]), np.float64(source[k, 2])
+            a += x * x
+            b += y * y
+            c += z * z
+            d += x * y
+            e += x * z
+            f += y * z
+        m = (1.0 / share - 1.0) * 0.5 * (a + b + c)
+        a, b, c = a + m, b + m, c + m
+        A, B, C = b * c - f * f, e * f - d * c, d * f - b * e
+        r = 1.0 / (a * A + d * B + e * C)
+        follow[i, 0], follow[i, 1], follow[i, 2] = A * r, (a * c - e * e) * r, (a * b - d * d) * r
+        follow[i, 3], follow[i, 4], follow[i, 5] = B * r, C * r, (e * d - a * f) * r
+        follow[i, 6], follow[i, 7] = m, 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")

@@ -79,3 +79,31 @@ def add_strain(position, corner, edge, warp, weft, area, stretch, shear, softnes
             blocks[e, 6] += np.float32(yx * wz + zx * tz)
             blocks[e, 7] += np.float32(yy * wz + zy * tz)
             blocks[e, 8] += np.float32(yz * wz + zz * tz)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def squared_strains(position, measured, corner, warp, weft, squared):
+    """(|w| - 1)^2 + (|t| - 1)^2 + (w . t)^2 / 2 of every face with three measured corners, the squared norm of its strain.
+
+    Args:
+        position: (V, 3) metres.
+        measured: (V,) bool.
+        corner, warp, weft: the constants of ``ddakf.physics.strain``.
+        squared: (F,) out, as many entries as the result says.
+    """
+    n = 0
+    for f in range(corner.shape[0]):
+        i, j, k = corner[f, 0], corner[f, 1], corner[f, 2]
+        if not (measured[i] and measured[j] and measured[k]):
+            continue
+        ww = tt = wt = 0.0
+        for a in range(3):
+            x, y = position[j, a] - position[i, a], position[k, a] - position[i, a]
+            w, t = warp[f, 1] * x + warp[f, 2] * y, weft[f, 1] * x + weft[f, 2] * y
+            ww += w * w
+            tt += t * t
+            wt += w * t
+        along, across = sqrt(ww) - 1.0, sqrt(tt) - 1.0
+        squared[n] = along * along + across * across + 0.5 * wt * wt
+        n += 1
+    return n

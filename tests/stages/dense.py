@@ -92,13 +92,20 @@ def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.nda
     return parts
 
 
+def transforms(term) -> np.ndarray:
+    """(V, 3, 3) T_i of a locally rigid term as last fitted: its rotations, or stretched with the rings."""
+    if len(term.follow) == 0 or term.weight == 0:
+        return term.rotation
+    return term.shared.reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1).astype(float) * 2 / term.weight
+
+
 def residuals(x: np.ndarray, held: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
     """All terms of the MAP problem, linearised at ``held``; without softening the energy is half their sum of squares.
 
     Args:
         x, held: (V, 3) estimates, metres.
         problem: the frame.
-        rigid: (source positions, weight, rotations) of each locally rigid term.
+        rigid: (source positions, weight, transforms T) of each locally rigid term, as :func:`transforms` reads them.
     """
     config, mesh = problem.config, problem.mesh
     covariance = problem.prior.P_pp + config.fuse.prior_sd**2 * np.eye(3)

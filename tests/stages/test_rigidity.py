@@ -11,6 +11,7 @@ from ddakf import Config, fuse, model, rigidity
 from ddakf.config import MapUpdate
 from ddakf.types import State
 from tests.physics.shapes import sheet
+from tests.stages import dense
 from tests.stages.scenes import about, linearized, measured, rms, tube
 
 GARMENTS = {"sheet": model.build(sheet(), 0.003), "tube": model.build(tube(along=5), 0.003)}
@@ -40,7 +41,7 @@ def rigid_alone(garment, position, last, config=RIGID):
     return update, matrix @ (update.position - position)
 
 
-def energy(position, source, weight, rotation, garment):
+def energy(position, source, weight, rotation, garment):  # rotation: T_i
     """1/2 sum over the edges, each once, of w |x_j - x_i - (R_i + R_j)/2 s_ij|^2."""
     i, j = garment.mesh.edges.T
     goal = np.einsum("eab,eb->ea", 0.5 * (rotation[i] + rotation[j]), source[j] - source[i])
@@ -115,8 +116,8 @@ def test_force_is_minus_the_gradient_with_the_rotations_held(seed):
     numbers, direction, step = RIGID.physics, rng.normal(size=x.shape), 1e-5
 
     def total(at):
-        rest = energy(at, SHEET.mesh.vertices, numbers.rest_rigidity, update.rest.rotation, SHEET)
-        return rest + energy(at, last, numbers.motion_rigidity, update.motion.rotation, SHEET)
+        rest = energy(at, SHEET.mesh.vertices, numbers.rest_rigidity, dense.transforms(update.rest), SHEET)
+        return rest + energy(at, last, numbers.motion_rigidity, dense.transforms(update.motion), SHEET)
 
     numeric = (total(x + step * direction) - total(x - step * direction)) / (2 * step)
     scale = np.linalg.norm(force) * np.linalg.norm(direction)
@@ -128,3 +129,58 @@ def test_the_start_of_the_rotations_is_left_as_it_was():
     term = rigidity.to_rest(TUBE, 1.0, start)
     rigidity.turn(term, TUBE.mesh.vertices @ about([0, 1, 0], 0.5).T, TUBE)
     np.testing.assert_array_equal(start, rigidity.identity(120))
+
+
+def fitted(garment, position, share):
+    """(V, 3, 3) T_i of the rest term at a position, its rotations exact."""
+    term = rigidity.to_rest(garment, 1.0, rigidity.rotations(position, garment), share)
+    rigidity.turn(term, position, garment)
+    return term, dense.transforms(term)
+
+
+def resistance(garment, position, share) -> float:
+    """Largest force (1/m^2 times m) of the rest term alone."""
+    term, _ = fitted(garment, position, share)
+    force = np.zeros((len(position), 4))
+    rigidity.add_force((term,), rigidity.padded(position), garment, force)
+    return float(np.abs(force).max())
+
+
+@given(axis=AXES, angle=st.floats(0, 3), share=st.floats(0.05, 0.99))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_rings_that_follow_their_strain_follow_no_turn(axis, angle, share):
+    """A rigid motion is none of their strain: T is the rotation, and there is no force."""
+    R = about(axis, angle)
+    moved = TUBE.mesh.vertices @ R.T + [1.0, 2.0, -0.5]
+    np.testing.assert_allclose(fitted(TUBE, moved, share)[1], np.tile(R, (120, 1, 1)), atol=1e-4)
+    assert resistance(TUBE, moved, share) < 1e-4 * TUBE.edge_length
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0.05, 0.99))
+@settings(max_examples=15, deadline=None, derandomize=True)
+def test_a_followed_transform_is_the_best_between_ring_and_rotation(seed, share):
+    """No other T makes sum |x_j - x_i - T s_ij|^2 + m |T - R|^2 smaller, m = (1 / share - 1) tr S / 2."""
+    rng = np.random.default_rng(seed)
+    x = TUBE.mesh.vertices * [1.1, 0.9, 1.05] + rng.normal(scale=0.002, size=(120, 3))
+    term, T = fitted(TUBE, x, share)
+    for i in rng.integers(0, 120, 10):
+        ring = slice(TUBE.start[i], TUBE.start[i + 1])
+        edge, s = x[TUBE.neighbour[ring]] - x[i], TUBE.rest_edge[ring].astype(float)
+        m = (1 / share - 1) * np.sum(s**2) / 2
+
+        def cost(M, edge=edge, s=s, m=m, i=i):
+            return np.sum((edge - s @ M.T) ** 2) + m * np.sum((M - term.rotation[i]) ** 2)
+
+        assert all(cost(T[i]) <= cost(T[i] + rng.normal(scale=0.02, size=(3, 3))) for _ in range(20))
+
+
+def test_the_more_is_followed_the_less_an_even_strain_costs_and_an_uneven_one_still_does():
+    """Twelve per cent along the sheet, everywhere alike or in half of it: the step between the halves is resisted."""
+    garment = model.build(sheet(9), 0.003)
+    vertices = garment.mesh.vertices
+    even = vertices * [1.12, 1.0, 1.0]
+    middle = np.median(vertices[:, 0])
+    uneven = vertices + np.maximum(vertices - middle, 0.0) * [0.12, 0.0, 0.0]
+    forces = {share: [resistance(garment, x, share) for x in (even, uneven)] for share in (0.0, 0.5, 0.99)}
+    assert forces[0.99][0] < 0.1 * forces[0.5][0] < 0.07 * forces[0.0][0]
+    assert forces[0.99][1] > 3 * forces[0.99][0]

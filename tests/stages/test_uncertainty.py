@@ -170,8 +170,8 @@ def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     parts = linearized(prior.position, garment, None, 1.0, config.physics)
     update = fuse.fuse(update, prior, measurement, problem.weight, problem.R, parts, 1.0, garment, config)
     rigid = (
-        (mesh.vertices, config.physics.rest_rigidity, update.rest.rotation),
-        (mesh.vertices, config.physics.motion_rigidity, update.motion.rotation),
+        (mesh.vertices, config.physics.rest_rigidity, dense.transforms(update.rest)),
+        (mesh.vertices, config.physics.motion_rigidity, dense.transforms(update.motion)),
     )
     _, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), prior.position)
     return Solved(update, prior, posterior(update, prior, config), garment, jacobian)
