@@ -59,12 +59,15 @@ class Measurement(NamedTuple):
         return np.einsum("va,va->v", self.normal, y)[:, None] * self.normal
 
 
-def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[float]:
-    """Search radius of each pass inside the frame, metres: wide first, then narrowing. The paper makes one pass."""
+def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint, done: int = 0) -> Iterator[float]:
+    """Search radius of each pass inside the frame, metres: wide first, then narrowing. The paper makes one pass.
+
+    Of ``done`` passes that were made already, the rest, and at least one.
+    """
     match config:
         case PlaneAssociation():
             passes = 1 if cloud.empty else config.iterations
-            for k in range(passes):
+            for k in range(min(done, passes - 1), passes):
                 yield max(config.narrow_gate, config.wide_gate * config.narrowing**k)
         case NearestPoint():
             yield config.gate
@@ -72,7 +75,7 @@ def gates(cloud: Cloud, config: PlaneAssociation | NearestPoint) -> Iterator[flo
 
 def associate(
     position: np.ndarray, last: Measurement, cloud: Cloud, body_vertices: np.ndarray | None, model: Model, gate: float,
-    config: PlaneAssociation | NearestPoint, only: np.ndarray | None = None,
+    config: PlaneAssociation | NearestPoint, only: np.ndarray | None = None, visible: np.ndarray | None = None,
 ) -> Measurement:  # fmt: skip
     """Measurements for the vertices at ``position`` (V, 3).
 
@@ -85,21 +88,18 @@ def associate(
         gate: search radius, metres.
         config: plane-aligned, or the paper's nearest neighbour.
         only: (V,) bool, vertices that are measured; None: all. Hems are left out where it is given.
+        visible: (V,) bool, vertices that a sensor may see, where that is known already.
     """
     n = len(position)
     match config:
         case PlaneAssociation():
-            normal, visible = np.empty((n, 3)), np.ones(n, bool)
+            normal = np.empty((n, 3))
             target, plane, distance, searched_at = (a.copy() for a in last[:4])
             kernels.vertex_normals(position, model.faces, normal)
-            if cloud.oriented:
-                body = np.empty((0, 3)) if body_vertices is None else body_vertices
-                cell = OCCLUDER_CELL * model.edge_length
-                kernels.seen(
-                    position, normal, body, cloud.sensor, cell, config.hidden_depth, config.facing_cosine, visible
-                )
+            if visible is None:
+                visible = _visible(position, normal, cloud, body_vertices, model, config)
             if only is not None:
-                visible &= only
+                visible = visible & only
             if not cloud.empty:
                 beside = config.beside * float(np.sqrt(model.area / cloud.surfels.shape[1]))
                 kernels.nearest_planes(
@@ -116,6 +116,24 @@ def associate(
                     position, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims, gate, target, distance
                 )
             return Measurement(target, None, distance, position, np.ones(n, bool))
+
+
+def visible(
+    position: np.ndarray, cloud: Cloud, body_vertices: np.ndarray | None, model: Model, config: PlaneAssociation
+) -> np.ndarray:
+    """(V,) bool: vertices at ``position`` (V, 3) that a sensor may see; arguments as of :func:`associate`."""
+    normal = np.empty_like(position)
+    kernels.vertex_normals(position, model.faces, normal)
+    return _visible(position, normal, cloud, body_vertices, model, config)
+
+
+def _visible(position, normal, cloud: Cloud, body_vertices, model: Model, config: PlaneAssociation) -> np.ndarray:
+    found = np.ones(len(position), bool)
+    if cloud.oriented:
+        body = np.empty((0, 3)) if body_vertices is None else body_vertices
+        cell = OCCLUDER_CELL * model.edge_length
+        kernels.seen(position, normal, body, cloud.sensor, cell, config.hidden_depth, config.facing_cosine, found)
+    return found
 
 
 def _hem(

@@ -107,6 +107,20 @@ class Coarse(Checked):
     prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex
 
 
+# Pyramid ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Pyramid(Checked):
+    """Passes on coarser versions of the garment, with its physics times these factors."""
+
+    iterations: int = bounded(5, 0, 50)  # most of them on each version; 0: none
+    tolerance: float = bounded(0.001, 0, 0.1)  # m, RMS correction at which they stop
+    strain: float = bounded(0.5, 0, 1e3)  # of stretch and shear
+    rest: float = bounded(1.5, 0, 1e3)  # of the rigidity to the rest shape
+    motion: float = bounded(4.0, 0, 1e3)  # of the rigidity since the last frame
+
+
 # B. Association -----------------------------------------------------------------------------------------------------
 
 
@@ -114,9 +128,9 @@ class Coarse(Checked):
 class PlaneAssociation(Checked):
     """Plane-aligned measurements with visibility, repeated inside the frame."""
 
-    iterations: int = bounded(8, 1, 50)  # most re-associations in a frame
+    iterations: int = bounded(8, 1, 50)  # most re-associations in a frame, those of coarser versions among them
     least_iterations: int = bounded(2, 1, 50)
-    tolerance: float = bounded(0.0005, 0, 0.1)  # m, RMS correction at which re-association stops
+    tolerance: float = bounded(0.0007, 0, 0.1)  # m, RMS correction at which re-association stops
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
@@ -214,8 +228,8 @@ class Physics(Checked):
 class MapUpdate(Checked):
     """Gauss-Newton on the MAP problem over all vertices."""
 
-    solver_iterations: int = bounded(10, 1, 1000)
-    solver_tolerance: float = bounded(0.1, 0, 1)
+    solver_iterations: int = bounded(20, 1, 1000)
+    solver_tolerance: float = bounded(0.03, 0, 1)
     prior_sd: float = bounded(0.15, 1e-4, 10)  # m, the prior of a vertex on its own is never tighter than this
 
 
@@ -273,6 +287,7 @@ class Config:
     predict: ConstantVelocity | ConstantAcceleration = ConstantVelocity()
     preprocess: GridFilter | KnnFilter = GridFilter()
     coarse: Coarse = Coarse()
+    pyramid: Pyramid = Pyramid()
     associate: PlaneAssociation | NearestPoint = PlaneAssociation()
     robust: Tukey | NoWeight = Tukey()
     adapt: ResidualNoise | InnovationNoise = ResidualNoise()
@@ -296,6 +311,7 @@ class Config:
             predict=ConstantVelocity(damping=0.0, carry_reach=0.0),
             preprocess=KnnFilter(),
             coarse=Coarse(iterations=0),
+            pyramid=Pyramid(iterations=0),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
             physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0),

@@ -22,7 +22,6 @@ from ddakf.types import State
 
 BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
 LONGEST_SECANT = 3.0  # passes that the secant may leap over
-COARSE_PASSES = 1  # passes of a frame that form the coarse level anew
 
 
 class Planes(NamedTuple):
@@ -62,7 +61,7 @@ class Update(NamedTuple):
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
     coarse: np.ndarray | None = None  # (3K, 3K) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
-    passes: int = 0
+    passes: int = 0  # of this frame, those on coarser versions of the garment among them
     settled: bool = False
     rejected: bool = False
 
@@ -120,8 +119,8 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     for term in (update.rest, update.motion):
         rigidity.fit(term, rows, model)
     system = normal_equations(rows, prior.position, update.information, planes, energies, (update.rest, update.motion), model)
-    # the coarse level of the first passes preconditions the later ones as well
-    coarse = coarse_inverse(system, model) if update.passes <= COARSE_PASSES else update.coarse
+    # the coarse level of the first pass preconditions the later ones as well
+    coarse = coarse_inverse(system, model) if update.coarse is None else update.coarse
     step, delta = solve(system, coarse, model, config.fuse), np.empty_like(update.position)
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
+from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
-from ddakf import clusters
+from ddakf import clusters, thinning
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
 
@@ -41,6 +41,16 @@ class Model(NamedTuple):
     strain: strain.StrainConstants  # both at once
     bend: bend.BendConstants
     collision: collision.CollisionConstants
+    coarser: Coarser | None  # a version with fewer vertices, and so on; None: it has few already
+
+
+class Coarser(NamedTuple):
+    """A coarser version of a garment: W of its V vertices."""
+
+    model: Model
+    vertex: np.ndarray  # (W,) in [0, V)
+    corner: np.ndarray  # (V, 3) int32 in [0, W): the face on which each finer vertex lies at rest
+    share: np.ndarray  # (V, 3) its barycentric coordinates there
 
 
 def build(mesh: Mesh, thickness: float) -> Model:
@@ -52,9 +62,11 @@ def build(mesh: Mesh, thickness: float) -> Model:
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     vertex_area = np.bincount(mesh.faces.ravel(), np.repeat(area, 3), mesh.n_vertices)
-    distance = _distances(edges, mesh, CLUSTERS)
+    graph = _graph(edges, mesh)
+    distance = _distances(graph, mesh, CLUSTERS)
     cluster = distance.argmin(axis=0).astype(np.int32)
-    patch = _distances(edges, mesh, PATCHES).argmin(axis=0).astype(np.int32)
+    patch = _distances(graph, mesh, PATCHES).argmin(axis=0).astype(np.int32)
+    thinned = thinning.thin(mesh, graph, distance[0])
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
@@ -76,16 +88,21 @@ def build(mesh: Mesh, thickness: float) -> Model:
         strain=strain.build(mesh),
         bend=bend.build(mesh),
         collision=collision.build(mesh, thickness),
+        coarser=None if thinned is None else Coarser(build(thinned.mesh, thickness), *thinned[1:]),
     )
 
 
-def _distances(edges: np.ndarray, mesh: Mesh, count: int) -> np.ndarray:
+def _graph(edges: np.ndarray, mesh: Mesh) -> csr_array:
+    """(V, V) lengths of the edges, metres."""
+    ends = mesh.vertices[edges]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return coo_array((length, (edges[:, 0], edges[:, 1])), (mesh.n_vertices, mesh.n_vertices)).tocsr()
+
+
+def _distances(graph: csr_array, mesh: Mesh, count: int) -> np.ndarray:
     """(K, V) along the surface from each of K seeds, metres: the vertex farthest from the middle, then always the one farthest
     from the seeds before it. How the vertices are numbered does not matter."""
     n = mesh.n_vertices
-    ends = mesh.vertices[edges]
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    graph = coo_array((length, (edges[:, 0], edges[:, 1])), (n, n)).tocsr()
     away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
     nearest, distances = np.full(n, np.inf), [dijkstra(graph, indices=int(np.argmax(away)))]
     np.minimum(nearest, distances[-1], out=nearest)

@@ -18,6 +18,7 @@ from ddakf import (
     model,
     predict,
     preprocess,
+    pyramid,
     reliability,
     rigidity,
     robust,
@@ -138,7 +139,11 @@ class Tracker:
             update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
         )
         clock.lap("coarse")
-        for gate in associate.gates(cloud, config.associate):
+        update = pyramid.descend(
+            update, prior, anchor, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
+        )
+        clock.lap("pyramid")
+        for gate in associate.gates(cloud, config.associate, update.passes):
             # B. Association (2.3)
             measurement = associate.associate(
                 update.position, update.measurement, cloud, now.body_vertices, garment, gate, config.associate

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-STAGES = {"predict", "preprocess", "coarse", "associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability"}
-STAGES |= {"total"}
+STAGES = {"predict", "preprocess", "coarse", "pyramid", "associate", "robust", "adapt", "physics", "fuse"}
+STAGES |= {"uncertainty", "reliability", "total"}
 
 
 @pytest.fixture(scope="module")

@@ -103,8 +103,7 @@ class BodyContact:
     def move(self, vertices: np.ndarray | None) -> None:
         """The body's pose in this frame; None: it is not known, and nothing collides."""
         self.present = vertices is not None
-        if vertices is None:
-            self.held = None
+        self.held = None
         if vertices is not None:
             self.vertices = vertices
             self._surface = proximity.refresh(self._body, vertices, self._surface)
@@ -115,6 +114,10 @@ class BodyContact:
         self._hint = self.held.face
         self._asked_at = position.copy()
         return self.held
+
+    def closest(self, position: np.ndarray, thickness: float) -> proximity.Contact:
+        """Of all vertices in this pose the first time, then of those that may be closer than ``thickness`` metres."""
+        return self.nearest(position) if self.held is None else self.touching(position, thickness)
 
     def touching(self, position: np.ndarray, thickness: float) -> proximity.Contact:
         """As :meth:`nearest` for all vertices that may be closer than ``thickness`` metres; the others keep their points.

@@ -60,7 +60,7 @@ def linearize(
         layers = self_collision.find(before, position, model.mesh, share, thickness) if last is None else last.layers
         folded = self_collision.linearize(position, layers)
     if contact is not None and contact.present and config.collision > 0:
-        closest = contact.nearest(position) if last is None else contact.touching(position, model.collision.thickness)
+        closest = contact.closest(position, model.collision.thickness)
         touching = collision.linearize(position, model.collision, closest, contact.gap)
     fabric = config.fabric
     stiffness = (
