@@ -15,7 +15,7 @@ import json
 import multiprocessing
 import os
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import machine
@@ -80,10 +80,9 @@ def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, 
                 "number": frame.number, "degraded": degraded, "lost": result.state == "lost",
                 "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
                 "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
-                "score": result.reliability, "paper": result.paper_score, "coverage": result.coverage,
+                "score": result.reliability, "paper": result.paper_score,
                 "evidence": verdict.evidence, "vertex_evidence": np.stack([e[kept] for e in verdict.vertex_evidence], axis=1),
                 "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[kept],
-                "vertex_score": result.vertex_reliability[kept],
             })  # fmt: skip
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
 
@@ -98,20 +97,25 @@ def group(job: tuple[str, str, bool]) -> list[dict]:
     for run in (runs[0]._replace(script=CLEAN), *runs):
         out.append({"sequence": name, "view": view, "body": give_body, "script": run.script.name} | played(run, source, frames))
         error, ranked = 1e3 * out[-1]["rmse"], metrics.spearman(out[-1]["score"], out[-1]["rmse"])
-        title = f"{name} {view}{'+body' if give_body else ''} {run.script.name}"
+        title = f"{name} {view_of(out[-1])} {run.script.name}"
         print(f"{title}: RMSE {error.mean():.1f} mm, Spearman {ranked:.2f}", file=sys.stderr, flush=True)
     return out
 
 
-def all_runs(names: list[str] | None, views: list[str], procs: int) -> list[dict]:
+def all_runs(names: list[str] | None, views: list[str], procs: int, kept: Path | None) -> list[dict]:
+    """All that is asked for; what the file ``kept`` holds already is not run again."""
+    runs = load(kept) if kept and kept.exists() else []
+    done = {place(run) for run in runs}
     chosen = [s for s in sequences() if names is None or s.name in names]
     size = {s.name: s.garment_vertices.shape[1] for s in chosen}
-    jobs = list(dict.fromkeys((r.sequence, r.view, r.give_body) for r in degraded_runs([(s.name, s.has_body) for s in chosen])))
-    jobs = sorted((job for job in jobs if job[1] in views), key=lambda job: -size[job[0]])
-    if procs == 1:
-        return [run for job in jobs for run in group(job)]
-    with multiprocessing.get_context("spawn").Pool(procs) as pool:
-        return [run for runs in pool.imap_unordered(group, jobs) for run in runs]
+    jobs = dict.fromkeys((r.sequence, r.view, r.give_body) for r in degraded_runs([(s.name, s.has_body) for s in chosen]))
+    jobs = sorted((job for job in jobs if job[1] in views and job not in done), key=lambda job: size[job[0]])
+    with multiprocessing.get_context("spawn").Pool(procs) if procs > 1 and jobs else nullcontext() as pool:
+        for more in pool.imap_unordered(group, jobs) if pool else map(group, jobs):
+            runs += more
+            if kept:
+                save(kept, runs)
+    return runs
 
 
 def save(path: Path, runs: list[dict]) -> None:
@@ -137,6 +141,10 @@ def pooled(runs: list[dict], name: str) -> np.ndarray:
 
 def place(run: dict) -> tuple:
     return run["sequence"], run["view"], run["body"]
+
+
+def view_of(run: dict) -> str:
+    return run["view"] + ("+body" if run["body"] else "")
 
 
 def of_clean(run: dict, clean: dict[tuple, dict]) -> np.ndarray:
@@ -209,7 +217,7 @@ def vertex_figures(runs: list[dict]) -> dict:
         a, b = (rankdata(values, axis=1) for values in (-run["vertex_score"], run["vertex_error"]))
         a, b = (ranks - ranks.mean(axis=1, keepdims=True) for ranks in (a, b))
         ranked.append((a * b).sum(axis=1) / np.sqrt(np.maximum((a**2).sum(axis=1) * (b**2).sum(axis=1), 1e-12)))
-        views.append(run["view"] + ("+body" if run["body"] else ""))
+        views.append(view_of(run))
     correlation = {view: [] for view in sorted(set(views))}
     for view, values in zip(views, ranked, strict=True):
         correlation[view].append(values)
@@ -279,7 +287,7 @@ def fitted_vertices(runs: list[dict]) -> Law:
 
 
 def rescored(runs: list[dict], law: Law, vertex_law: Law) -> list[dict]:
-    """The runs as other laws score them. The vertices' spread is that of the ones that were kept."""
+    """The runs as these laws score them. The vertices' spread is that of the ones that were kept."""
     out = []
     for run in runs:
         error = law(run["evidence"].T)
@@ -332,18 +340,15 @@ def main() -> int:
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--procs", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
-    parser.add_argument("--frames", type=Path, help=".npz file to keep every frame in, or to read them from where it exists")
+    parser.add_argument("--frames", type=Path, help=".npz file for every frame; runs that it holds are not run again")
     parser.add_argument("--json", type=Path, help="result file")
     arguments = parser.parse_args()
-    if arguments.frames and arguments.frames.exists():
-        runs = load(arguments.frames)
-    else:
-        runs = all_runs(arguments.sequences, arguments.views, arguments.procs)
-        if arguments.frames:
-            save(arguments.frames, runs)
-    names = list(dict.fromkeys(run["sequence"] for run in runs))
-    report = {"commit": machine.commit(), "machine": machine.describe(), "recordings": names}
-    report |= {"product": figures(runs), "vertices": vertex_figures(runs), "paper": figures(runs, "paper")}
+    report = {"commit": machine.commit(), "machine": machine.describe()}
+    runs = all_runs(arguments.sequences, arguments.views, arguments.procs, arguments.frames)
+    names = sorted({run["sequence"] for run in runs})
+    report |= {"recordings": names, "views": sorted({view_of(run) for run in runs})}
+    present = rescored(runs, reliability.ERROR, reliability.VERTEX_ERROR)
+    report |= {"product": figures(present), "vertices": vertex_figures(present), "paper": figures(runs, "paper")}
     if len(names) > 1:
         others = left_out(runs)
         report |= {"left out": figures(others), "vertices, left out": vertex_figures(others)}
