@@ -330,7 +330,7 @@ def show(title: str, report: dict) -> None:
 
 
 def source_of(law: Law) -> str:
-    values = ", ".join(f"{name}={value:.3g}" for name, value in law.power._asdict().items())
+    values = ", ".join(f"{name}={value:.2g}" for name, value in law.power._asdict().items())
     return f"    base={law.base:.3g},\n    power={type(law.power).__name__}({values}),"
 
 
