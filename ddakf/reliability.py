@@ -19,8 +19,7 @@ REACH = 0.10  # m: a point farther from every vertex says nothing about the surf
 FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
 NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
 CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
-MEMORY, UNSEEN_MEMORY, SPEED_MEMORY = 0.5, 0.3, 1.0  # s
-ONE_SECOND = 1.0  # s: time over which an unseen part's travel adds up
+MEMORY = 0.5  # s
 FREE = 0.05  # m: a vertex as far from the body is held by nothing
 SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
 LONGEST_GAP = 3.0  # times the spacing of the frames before
@@ -39,16 +38,14 @@ class Health(NamedTuple):
     settling: int = 0  # frames in which a garment that was found is bent further
     spacing: float = 0.0  # s between the last two frames
     # what the predicted error remembers
-    speed2: float = 0.0  # m^2/s^2, mean squared velocity
     least_strain: float = 10.0  # RMS, so far
     offset: float = 0.0  # m^2
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far
-    unseen: float = 0.0  # m^2
 
     def placed(self) -> Health:
         """Where a search found the garment: what is remembered of the old track says nothing about the new one."""
-        return self._replace(speed2=0.0, offset=0.0, unexplained=0.0, unseen=0.0)
+        return self._replace(offset=0.0, unexplained=0.0)
 
     @property
     def unplaced(self) -> bool:
@@ -89,7 +86,6 @@ class Evidence(NamedTuple):
     unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
     unexplained: float  # share of the points, in clumps, that no vertex is near; over the last half second
     uncertainty: float  # m^2, mean calibrated variance along the normals
-    unseen: float  # m^2, share of the garment without measurements times its squared travel, remembered for UNSEEN_MEMORY
     strain: float  # squared: RMS strain beyond the least so far; a wrong fit is crumpled
     hem: float  # m^2, mean squared distance of hems from where the cloud ends
 
@@ -118,15 +114,15 @@ class Law(NamedTuple):
 
 # the scales are chosen, the rest is fitted: benchmarks/reliability.py --fit prints it
 ERROR = Law(
-    base=0.00219,
-    scale=Evidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, unseen=3e-4, strain=1e-5, hem=1e-6),
-    power=Evidence(offset=0.047, unmatched=0.18, unexplained=0.28, uncertainty=0.19, unseen=0.063, strain=0.075, hem=0.092),
+    base=0.00284,
+    scale=Evidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, strain=1e-5, hem=1e-6),
+    power=Evidence(offset=0.032, unmatched=0.17, unexplained=0.2, uncertainty=0.22, strain=0.079, hem=0.039),
 )
 # of a vertex, relative to the others of its frame
 VERTEX_ERROR = Law(
     base=1.0,
     scale=VertexEvidence(variance=7e-5, unmeasured=0.05, strain=1e-5, clearance=0.005),
-    power=VertexEvidence(variance=0.32, unmeasured=0.15, strain=0.049, clearance=0.21),
+    power=VertexEvidence(variance=0.29, unmeasured=0.12, strain=0.047, clearance=0.28),
 )
 
 
@@ -139,7 +135,7 @@ def evidence(
     Args:
         health: after the last frame.
         update: the finished update.
-        posterior: its velocity relative to the body where that carries.
+        posterior: of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
         points: (N, 3) the cloud as it came, metres.
         clearance: (V,) signed distance from the body, metres; None without one.
@@ -147,15 +143,9 @@ def evidence(
         model: the garment.
     """
     position, n, used = posterior.position, len(posterior.position), update.weight > 0
-    speed2 = _follow(health.speed2, float(np.square(posterior.velocity).sum()) / n, dt, SPEED_MEMORY)
-    travel2 = (1.0 - float(used.mean())) * speed2 * min(dt, LONGEST_BOOKED) * ONE_SECOND
     squared = np.empty(n)
     strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_edge, squared))
-    health = health._replace(
-        speed2=speed2,
-        least_strain=min(health.least_strain, strain),
-        unseen=health.unseen * math.exp(-dt / UNSEEN_MEMORY) + travel2,
-    )
+    health = health._replace(least_strain=min(health.least_strain, strain))
     if len(points):
         health = _held_against_cloud(health, points, position, dt, model)
     normal = np.empty_like(position)
@@ -166,7 +156,6 @@ def evidence(
         unmatched=float((update.measurement.visible & ~used).mean()),
         unexplained=health.unexplained,
         uncertainty=float(np.einsum("va,vab,vb->", normal, covariance, normal)) / n,
-        unseen=health.unseen,
         strain=(strain - health.least_strain) ** 2,
         hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
     )
