@@ -28,7 +28,7 @@ from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, RESULT = ROOT / "out/accuracy.jsonl", ROOT / "benchmarks/results/accuracy.json"
-VARIANTS = ("default", *BASELINES, "paper", *trials.ablations())
+VARIANTS = ("default", *BASELINES, "paper", *trials.ablations(), *trials.refinements())
 
 
 def main(argv: list[str] | None = None) -> int:

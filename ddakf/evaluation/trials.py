@@ -95,25 +95,40 @@ Method = Callable[[Frame], Estimate]
 
 
 def ablations() -> dict[str, Config]:
-    """The default without each of its five changes to the paper's method, and without learned softness, one at a time."""
+    """The default without each of its five changes to the paper's method, one at a time."""
     default = Config()
     association = default.associate
     blind = replace(association, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
+    once = replace(association, iterations=1, least_iterations=1)
+    alone = replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
     return {
         "no-planes": replace(default, associate=replace(association, tangential_sd=default.adapt.initial_sd)),
-        "one-association": replace(default, associate=replace(association, iterations=1, least_iterations=1)),
+        "one-association": replace(without_levels(), associate=once),
         "no-visibility": replace(default, associate=blind),
-        "no-correlation": replace(
-            default, physics=replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
-        ),
-        "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
+        "no-correlation": replace(default, physics=alone),
         "no-carrying": replace(default, predict=replace(default.predict, carry_reach=0.0)),
     }
 
 
+def refinements() -> dict[str, Config]:
+    """The default without each of what was added beyond the five changes, one at a time."""
+    default = Config()
+    return {
+        "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
+        "no-levels": without_levels(),
+        "no-hems": replace(default, associate=replace(default.associate, hem_reach=0.0)),
+    }
+
+
+def without_levels() -> Config:
+    """The default with passes over all vertices only: neither rigid clusters nor coarser versions of the garment before."""
+    default = Config()
+    return replace(default, coarse=replace(default.coarse, iterations=0), pyramid=replace(default.pyramid, iterations=0))
+
+
 def configuration(variant: str) -> Config:
-    """The configuration of a variant: ``default``, ``paper``, one of :func:`ablations`, or ``NAME={...}``, JSON of
-    :meth:`ddakf.Config.from_dict` with a name for the tables.
+    """The configuration of a variant: ``default``, ``paper``, one of :func:`ablations` or :func:`refinements`, or
+    ``NAME={...}``, JSON of :meth:`ddakf.Config.from_dict` with a name for the tables.
 
     Raises:
         InvalidArgument: none of these.
@@ -124,7 +139,7 @@ def configuration(variant: str) -> Config:
             return Config.from_dict(json.loads(values))
         except json.JSONDecodeError as error:
             raise InvalidArgument("variant", "NAME={JSON}", f"{values!r} ({error})") from error
-    known = {"default": Config(), "paper": Config.paper()} | ablations()
+    known = {"default": Config(), "paper": Config.paper()} | ablations() | refinements()
     if name not in known:
         raise InvalidArgument("variant", f"one of {', '.join([*known, *BASELINES])}, or NAME={{JSON}}", repr(variant))
     return known[name]
