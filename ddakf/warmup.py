@@ -13,17 +13,17 @@ def run(progress: Callable[[int, int, str], None]) -> None:
     from ddakf.config import Config
     from ddakf.tracker import Tracker
 
-    garment, body = _tube(0.22, 12, 10), _tube(0.2, 10, 8)
+    garment, body = _tube(0.22, 36, 32), _tube(0.2, 10, 8)  # large enough to have a coarser version
     cloud = garment.vertices[garment.faces].mean(axis=1)
     cloud = np.concatenate([cloud, garment.vertices])
     astray = np.array([[0.0, 0.1, 0.5], [0.3, 0.2, 0.3], [-0.4, 0.3, 0.1]])  # what a filter removes
     eye = np.array([0.0, 0.0, 2.0])
-    layers = dataclasses.replace(Config(), physics=dataclasses.replace(Config().physics, self_collision=1e8))
+    layers = dataclasses.replace(Config(), physics=dataclasses.replace(Config().physics, self_collision=1e8, strain_sd=1e-4))
     steps = [
         ("cloud alone", None, Config(), dict(sensor_origin=None)),
         ("one camera and a body", body, Config(), dict(sensor_origin=eye, body_vertices=body.vertices)),
         ("several cameras", None, Config(), dict(sensor_origin=np.tile(eye, (len(cloud) + len(astray), 1)))),
-        ("layers that collide", None, layers, dict(sensor_origin=None)),
+        ("soft layers that collide", None, layers, dict(sensor_origin=None)),
         ("the paper's preset", None, Config.paper(), dict(sensor_origin=None)),
     ]
     for done, (name, skeleton, config, how) in enumerate(steps):
