@@ -85,9 +85,16 @@ def _elasticity(variance) -> Elasticity:
 
 def _health(values: dict) -> Health:
     health = Health(**values)
-    if health.state not in get_args(TrackerState) or not np.isfinite(np.array(health[1:], np.float64)).all():
-        raise InvalidSnapshot("snapshot.health", "a state and three numbers", str(values))
+    pairs = zip(health[1:], Health()[1:], strict=True)
+    if health.state not in get_args(TrackerState) or not all(_like_number(*pair) for pair in pairs) or health.physics_lambda < 1:
+        raise InvalidSnapshot("snapshot.health", "a state, and numbers that are finite and not negative", str(values))
     return health
+
+
+def _like_number(value, model: bool | int | float) -> bool:
+    """Whether a value is a flag, a count or a finite number that is not negative, as ``model`` is."""
+    kinds = int | float if isinstance(model, float) else int
+    return isinstance(value, bool) == isinstance(model, bool) and isinstance(value, kinds) and 0 <= value < math.inf
 
 
 def _time(value) -> float | None:

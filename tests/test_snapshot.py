@@ -191,6 +191,10 @@ def number(name, value):
     return lambda numbers, arrays: numbers.__setitem__(name, value)
 
 
+def health(name, value):
+    return lambda numbers, arrays: numbers["health"].__setitem__(name, value)
+
+
 FOREIGN = {
     "no configuration": number("config", None),
     "an unknown configuration": number("config", {"nonsense": {}}),
@@ -207,6 +211,12 @@ UNCHECKED = {
     "rotations of another garment": put("rotation", np.zeros((5, 3, 3))),
     "a body's pose of another size": put("contact_vertices", np.zeros((5, 3))),
     "an unknown state": number("health", {"state": "happy", "physics_lambda": 1.0, "poor_for": 0.0, "empty_for": 0.0}),
+    "settled for fewer than no frames": health("settling", -1),
+    "a search in half a frame": health("frames_unplaced", 2.5),
+    "an offset that is text": health("offset", "0.0"),
+    "a doubt that is a number": health("doubtful", 1),
+    "a factor that softens": health("physics_lambda", 0.0),
+    "a share that is no number": health("unexplained", float("nan")),
     "a time that is text": number("time", "now"),
     "a strain that is no square": number("elasticity", -1.0),
 }
