@@ -37,7 +37,8 @@ FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
 
 
 def whole(step):
-    """A step that raises has not happened: the body, which moves before the garment does, goes back to where it was."""
+    """A step that raises has not happened: the body, which moves before the garment does, goes back to where it was. All else
+    changes at once, when nothing can fail any more."""
 
     @functools.wraps(step)
     def guarded(self, *args, **kwargs):
@@ -170,7 +171,8 @@ class Tracker:
             if update.settled:
                 break
         posterior = uncertainty.posterior(update, prior, config)
-        posterior = predict.learn(posterior, prior, update.weight > 0, dt, config.predict)
+        measured = np.logical_and(update.weight > 0, not update.rejected)  # what a fit that is thrown away says is not learned
+        posterior = predict.learn(posterior, prior, measured, dt, config.predict)
         drift = uncertainty.Drift.at(garment, initialize.FOUND_SD) if placed else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
         covariance, drift = uncertainty.marginals(
@@ -186,14 +188,15 @@ class Tracker:
         clock.lap("reliability")
 
         if self._contact is not None:
-            self._contact.learn(posterior.position, update.weight > 0, dt, config.physics)
+            self._contact.learn(posterior.position, measured, dt, config.physics)
 
         # H. Output
-        self._state, self._drift = posterior, drift
-        self._elasticity = self._elasticity.learned(posterior.position, update.weight > 0, dt, garment, config.physics)
+        learned = self._elasticity.learned(posterior.position, measured, dt, garment, config.physics)
+        result = _result(posterior, covariance, update, verdict, carried, dt, clock.done())
+        self._state, self._drift, self._elasticity = posterior, drift, learned
         self._rotation = rotation if update.rejected else update.rest.rotation
         self._health, self._time = verdict.health, now.timestamp
-        return _result(posterior, covariance, update, verdict, carried, dt, clock.done())
+        return result
 
     def snapshot(self) -> bytes:
         """The whole tracker; the next step of :meth:`restore` 's tracker is exact to the bit."""

@@ -44,6 +44,19 @@ def test_refused_frames_leave_the_tracker_as_it_was(what):
     assert_same(tracker.step(**frame), twin.step(**frame))
 
 
+@pytest.mark.parametrize("last", ["reliability.judge", "_result"])
+def test_a_step_that_fails_at_its_end_leaves_the_tracker_as_it_was(monkeypatch, last):
+    tracker, twin = tracked(4, body=BODY), tracked(4, body=BODY)
+    before = tracker.snapshot()
+    frame = {"points": GOOD, "timestamp": 4 / FPS, "sensor_origin": EYE, "body_vertices": BODY.vertices + 0.01}
+    with monkeypatch.context() as broken:
+        broken.setattr(f"ddakf.tracker.{last}", lambda *_: {}["memory"])
+        with pytest.raises(KeyError):
+            tracker.step(**frame)
+    assert tracker.snapshot() == before
+    assert_same(tracker.step(**frame), twin.step(**frame))
+
+
 def test_a_body_without_declaration_is_refused():
     tracker = tracked(2)
     before = tracker.snapshot()

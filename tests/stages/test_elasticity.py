@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf import Config, Mesh, Tracker, model
+from ddakf import Config, Mesh, Tracker, fuse, model
 from ddakf.elasticity import LEAST_FACES, SOFTEST, Elasticity
 from tests.physics.shapes import sheet
 from tests.stages.scenes import FPS, about, scan, tube
@@ -113,3 +113,16 @@ def test_a_garment_that_stretches_is_learned_and_followed_better_and_a_reset_for
     assert again._elasticity == tracker._elasticity
     tracker.reset()
     assert tracker._elasticity == Elasticity.at(NUMBERS)
+
+
+def test_a_frame_whose_fit_is_thrown_away_teaches_nothing(monkeypatch):
+    tracker, wide = Tracker(Mesh(TUBE.vertices, TUBE.faces)), TUBE.vertices * [1.1, 1.0, 1.1]
+    for k in range(2):
+        tracker.step(scan(wide, TUBE, 3000, 0.002, seed=k), timestamp=k / FPS)
+    before = tracker._elasticity
+    with monkeypatch.context() as broken:
+        broken.setattr(fuse, "solve", lambda system, *_: np.full((len(system.D), 4), np.nan, np.float32))
+        tracker.step(scan(wide, TUBE, 3000, 0.002, seed=2), timestamp=2 / FPS)
+    assert tracker._elasticity == before
+    tracker.step(scan(wide, TUBE, 3000, 0.002, seed=3), timestamp=3 / FPS)
+    assert tracker._elasticity != before
