@@ -39,7 +39,6 @@ class Planes(NamedTuple):
 class System(NamedTuple):
     """The normal equations A delta = force at an estimate."""
 
-    unary: np.ndarray  # (V, 3, 3) part of D that each vertex has on its own: prior, measurement, contact, 1/m^2
     D: np.ndarray  # (V, 3, 3) diagonal blocks of A, 1/m^2
     B: np.ndarray  # (2E, 12) float32, its other blocks, in rows of the adjacency, by columns padded to four
     force: np.ndarray  # (V, 4) 1/m, minus the gradient, padded
@@ -204,7 +203,7 @@ def normal_equations(
     D, B = energies.bending.blocks.copy(), np.empty((len(model.neighbour), 12), np.float32)
     weight = sum(term.weight for term in rigid)
     kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, unary, D, B)
-    return System(unary, D, B, force)
+    return System(D, B, force)
 
 
 def coarse_inverse(system: System, model: Model) -> np.ndarray:

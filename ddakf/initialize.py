@@ -16,7 +16,7 @@ from ddakf.kernels.initialize import correspond, mean_distance
 from ddakf.kernels.reliability import strains
 from ddakf.model import Model
 from ddakf.physics.contact import BodyContact
-from ddakf.reliability import Health
+from ddakf.reliability import FOREIGN, Health
 from ddakf.types import State
 
 HEADINGS = 8
@@ -33,7 +33,6 @@ TRUNCATION = 0.10  # m: points farther from the garment count as this far
 NEAR = 0.015  # m: a cost in place below it is that of a garment in its place
 PARTLY = 0.010  # m: a cost of the cloud alone below it is that of a start in its place, of which a part is seen
 ALIKE = 0.04  # m: a cost above it is that of something else, wherever the garment is laid
-FOREIGN = 0.15  # share of the points beyond TRUNCATION of the garment, above which the cloud is of more than the garment
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
 FOUND_SD = 0.03  # m, of the vertices of a garment that was found
 SETTLING = 4  # frames after a search

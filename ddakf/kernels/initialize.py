@@ -1,4 +1,4 @@
-"""Initialisation: clouds thinned out, soft correspondences between a garment and a cloud, and how far one is from the other."""
+"""Initialisation: normals of clouds, soft correspondences between a garment and a cloud, and how far one is from the other."""
 
 from math import sqrt
 

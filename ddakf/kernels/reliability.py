@@ -121,9 +121,3 @@ def strains(position, start, neighbour, rest, squared):
         total += ring
         squared[i] = ring / max(start[i + 1] - start[i], 1)
     return total / max(len(neighbour), 1)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def strain(position, start, neighbour, rest):
-    """Root mean square of |x_j - x_i| / |rest edge| - 1 over the (2E, 3) edges of the one-rings."""
-    return sqrt(strains(position, start, neighbour, rest, np.empty(position.shape[0])))
