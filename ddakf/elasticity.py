@@ -20,6 +20,7 @@ from ddakf.model import Model
 
 SOFTEST = 0.02  # least share of the stiffness that is left
 LEAST_FACES = 30  # measured ones, of which a median says anything
+LONGEST = 0.1  # s that a frame counts for: the first fit after a gap is the least to be trusted
 
 
 class Elasticity(NamedTuple):
@@ -66,5 +67,5 @@ class Elasticity(NamedTuple):
         n = kernels.squared_strains(position, measured, model.strain.corner, model.strain.warp, model.strain.weft, squared)
         if n < LEAST_FACES:
             return self
-        kept = exp(-dt / config.strain_memory)
+        kept = exp(-min(dt, LONGEST) / config.strain_memory)
         return Elasticity(kept * self.variance + (1.0 - kept) * float(np.median(squared[:n])))

@@ -101,7 +101,7 @@ def _graph(edges: np.ndarray, mesh: Mesh) -> csr_array:
 
 def _distances(graph: csr_array, mesh: Mesh, count: int) -> np.ndarray:
     """(K, V) along the surface from each of K seeds, metres: the vertex farthest from the middle, then always the one farthest
-    from the seeds before it. How the vertices are numbered does not matter."""
+    from the seeds before it. In a garment of one piece their numbering does not matter."""
     n = mesh.n_vertices
     away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
     nearest, distances = np.full(n, np.inf), [dijkstra(graph, indices=int(np.argmax(away)))]

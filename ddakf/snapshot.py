@@ -21,7 +21,7 @@ from ddakf.uncertainty import Drift
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a body take a tenth of it
-VERSION = 4
+VERSION = 5
 
 
 def save(tracker) -> bytes:

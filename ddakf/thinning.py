@@ -28,8 +28,8 @@ class Thinned(NamedTuple):
 def thin(mesh: Mesh, graph: csr_array, away: np.ndarray) -> Thinned | None:
     """About a quarter of the vertices, joined where their geodesic Voronoi regions meet; None where those are too few.
 
-    The vertices are an independent set, chosen along the boundaries first, so that these stay where they are. How they are
-    numbered does not matter.
+    The vertices are an independent set, chosen along the boundaries first, so that these stay where they are. In a
+    garment of one piece their numbering does not matter.
 
     Args:
         mesh: of V vertices.
