@@ -14,6 +14,7 @@ SKIN = 0.010  # m: a point so near to the body may be its skin, about three stan
 ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
 BESIDE = 0.10  # m, and EDGES: skin within it stays in the cloud, which shows that a hem does not end there
 EDGES = 0.75
+PERSON = 0.15  # share of skin, above which a cloud is of a whole person
 CELLS = 128  # at most along each axis of the grid of vertices
 
 
@@ -26,6 +27,11 @@ def cloth(now: Frame, position: np.ndarray, contact: BodyContact | None, model: 
     return now._replace(
         points=now.points[~bare], sensor_origin=origin[~bare] if origin is not None and origin.ndim == 2 else origin
     )
+
+
+def of_person(now: Frame, mine: Frame) -> bool:
+    """Whether more than :data:`PERSON` of a frame's points were skin: ``mine`` is what :func:`cloth` left of ``now``."""
+    return len(now.points) - len(mine.points) > PERSON * len(now.points)
 
 
 def skin(points: np.ndarray, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> np.ndarray:

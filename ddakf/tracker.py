@@ -140,9 +140,10 @@ class Tracker:
             update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
         )
         clock.lap("coarse")
-        update = pyramid.descend(
-            update, prior, anchor, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
-        )
+        if not segment.of_person(now, mine):  # the edges of coarser versions are too long to tell cloth from the skin beside it
+            update = pyramid.descend(
+                update, prior, anchor, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
+            )
         clock.lap("pyramid")
         for gate in associate.gates(cloud, config.associate, update.passes):
             # B. Association (2.3)

@@ -55,6 +55,13 @@ def test_points_take_their_sensors_with_them():
     assert (kept.sensor_origin == origin[~bare]).all()
 
 
+def test_a_cloud_is_of_a_whole_person_where_much_of_it_is_skin():
+    contact, garment = BodyContact(BODY, 0.1), GARMENT.vertices.astype(np.float32)
+    for points, person in ((garment, False), (np.concatenate([garment, BODY.vertices.astype(np.float32)]), True)):
+        now = Frame(points, 0.0, None, BODY.vertices)
+        assert segment.of_person(now, segment.cloth(now, GARMENT.vertices, contact, MODEL, segment.ON_CLOTH)) == person
+
+
 def test_apart_is_the_distance_to_the_nearest_vertex():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.4, 0.4, (3000, 3))
