@@ -21,14 +21,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ddakf import kernels
-from ddakf.evaluation import figures, tables, trials
+from ddakf.evaluation import figures, methods, tables, trials
 from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.degradations import DISTURBANCES
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, RESULT = ROOT / "out/accuracy.jsonl", ROOT / "benchmarks/results/accuracy.json"
-VARIANTS = ("default", *BASELINES, "paper", *trials.ablations(), *trials.refinements())
+VARIANTS = ("default", *BASELINES, "paper", *methods.ablations(), *methods.refinements())
 
 
 def main(argv: list[str] | None = None) -> int:

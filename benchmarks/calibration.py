@@ -21,7 +21,8 @@ from scipy.stats import chi2
 
 from ddakf.config import Uncertainty
 from ddakf.evaluation import figures, tables, trials
-from ddakf.evaluation.trials import NOMINAL, Trial
+from ddakf.evaluation.records import NOMINAL
+from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, DIAGRAM = ROOT / "out/calibration.jsonl", ROOT / "out/calibration.png"

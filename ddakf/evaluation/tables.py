@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from ddakf.evaluation import metrics
 from ddakf.evaluation.baselines import BASELINES
-from ddakf.evaluation.trials import NOMINAL
+from ddakf.evaluation.records import NOMINAL
 
 GROUPS = ("observed", "hidden, body given", "hidden, no body")
 WITHIN = 15  # frames in which a run from a random start shall converge

@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
+from ddakf.kernels.preprocess import smallest_eigenvector
 
 TINY = np.float32(1e-3)  # of a row or column of correspondences: one that has none stays without
 LEAST_NEIGHBOURS = 5  # that a normal needs
@@ -18,7 +19,6 @@ def normals(points, dense, radius, normal):
     """normal (3, N) float32 out: least axis of the ``dense`` (3, D) points within ``radius`` of ``points`` (3, N), metres;
     zero where they are few."""
     limit = radius * radius
-    covariance = np.empty((3, 3))
     for k in range(points.shape[1]):
         n = 0
         sx = sy = sz = xx = xy = xz = yy = yz = zz = 0.0
@@ -38,42 +38,9 @@ def normals(points, dense, radius, normal):
         normal[:, k] = 0.0
         if n < LEAST_NEIGHBOURS:
             continue
-        covariance[0, 0], covariance[1, 1], covariance[2, 2] = xx - sx * sx / n, yy - sy * sy / n, zz - sz * sz / n
-        covariance[0, 1] = covariance[1, 0] = xy - sx * sy / n
-        covariance[0, 2] = covariance[2, 0] = xz - sx * sz / n
-        covariance[1, 2] = covariance[2, 1] = yz - sy * sz / n
-        least_axis(covariance, normal[:, k])
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def least_axis(covariance, axis):
-    """axis (3,) out: unit eigenvector of the least eigenvalue of a symmetric (3, 3), by powers of its adjugate."""
-    c = covariance
-    a = np.empty((3, 3))
-    shift = 1e-9 * (c[0, 0] + c[1, 1] + c[2, 2]) + 1e-30
-    p, q, r = c[0, 0] + shift, c[1, 1] + shift, c[2, 2] + shift
-    a[0, 0], a[1, 1], a[2, 2] = q * r - c[1, 2] ** 2, p * r - c[0, 2] ** 2, p * q - c[0, 1] ** 2
-    a[0, 1] = a[1, 0] = c[0, 2] * c[1, 2] - c[0, 1] * r
-    a[0, 2] = a[2, 0] = c[0, 1] * c[1, 2] - c[0, 2] * q
-    a[1, 2] = a[2, 1] = c[0, 1] * c[0, 2] - c[1, 2] * p
-    scale = a[0, 0] + a[1, 1] + a[2, 2]
-    b = np.empty((3, 3))
-    for _ in range(5):
-        for i in range(3):
-            for j in range(3):
-                a[i, j] /= scale
-        for i in range(3):
-            for j in range(3):
-                b[i, j] = a[i, 0] * a[0, j] + a[i, 1] * a[1, j] + a[i, 2] * a[2, j]
-        a[:] = b
-        scale = a[0, 0] + a[1, 1] + a[2, 2]
-    best = 0
-    for i in range(1, 3):
-        if a[i, i] > a[best, best]:
-            best = i
-    length = sqrt(a[best, 0] ** 2 + a[best, 1] ** 2 + a[best, 2] ** 2)
-    for i in range(3):
-        axis[i] = a[best, i] / length
+        _, _, normal[0, k], normal[1, k], normal[2, k] = smallest_eigenvector(
+            xx - sx * sx / n, yy - sy * sy / n, zz - sz * sz / n, xy - sx * sy / n, xz - sx * sz / n, yz - sy * sz / n
+        )
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ import pytest
 
 from ddakf import Config
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation import metrics, tables, trials
+from ddakf.evaluation import methods, metrics, records, tables, trials
 from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.baselines.nicp import NonRigidIcp
 from ddakf.evaluation.degradations import DISTURBANCES
@@ -42,7 +42,7 @@ def test_a_row_holds_the_trial_and_its_numbers(rows):
         assert len(row["per_frame"][name]) == 4
     for group in ("observed", "hidden"):
         assert np.all(np.diff(row[group]["inside"]) >= 0)
-        assert row[group]["inside"][trials.NOMINAL.index(0.9)] == pytest.approx(row[group]["coverage90"], abs=1e-3)
+        assert row[group]["inside"][records.NOMINAL.index(0.9)] == pytest.approx(row[group]["coverage90"], abs=1e-3)
 
 
 def test_a_baseline_has_errors_but_no_uncertainty(rows):
@@ -69,17 +69,17 @@ def test_every_ablation_differs_from_the_default_where_its_name_says():
         "no-correlation": {"physics"}, "no-carrying": {"predict"},
         "no-softening": {"physics"}, "no-levels": levels, "no-hems": {"associate"},
     }  # fmt: skip
-    variants = trials.ablations() | trials.refinements()
+    variants = methods.ablations() | methods.refinements()
     assert {name: {s for s in default if c.to_dict()[s] != default[s]} for name, c in variants.items()} == stages
 
 
 def test_variants_by_name_and_by_json():
-    assert trials.configuration("default") == Config()
-    assert trials.configuration("paper") == Config.paper()
-    assert trials.configuration('eager={"associate": {"iterations": 3}}').associate.iterations == 3
+    assert methods.configuration("default") == Config()
+    assert methods.configuration("paper") == Config.paper()
+    assert methods.configuration('eager={"associate": {"iterations": 3}}').associate.iterations == 3
     for wrong in ("magic", "x={", 'x={"associate": {"pace": 3}}'):
         with pytest.raises(InvalidArgument):
-            trials.configuration(wrong)
+            methods.configuration(wrong)
 
 
 def test_what_there_is_not_is_named_and_no_row():
@@ -156,7 +156,7 @@ def test_unsegmented_points_are_compared_with_the_garments_own(rows):
 
 def test_pooling_two_runs_is_as_if_they_were_one():
     rng = np.random.default_rng(0)
-    whole, parts = trials.Calibration(), [trials.Calibration(), trials.Calibration()]
+    whole, parts = records.Calibration(), [records.Calibration(), records.Calibration()]
     for part, n in zip(parts, (10, 30), strict=True):
         error, nll = rng.normal(size=(n, 3)) * 0.01, rng.normal(size=n)
         m = (error**2).sum(axis=1) / 1e-4
@@ -176,7 +176,7 @@ def test_a_rescaled_pool_is_that_of_other_claims(scale):
     error, claims = rng.normal(size=(20_000, 3)) * 0.012, []
     for sd in (0.01, 0.01 * scale):
         m = (error**2).sum(axis=1) / sd**2
-        claims.append(trials.Calibration())
+        claims.append(records.Calibration())
         claims[-1].add(error, 0 * error, m, 0.5 * m + 3 * np.log(sd))
     pool, expected = (tables.pooled([{"body": True, "observed": None, "hidden": part.summary()}]) for part in claims)
     got, expected = tables.rescaled(pool["hidden, body given"], scale), expected["hidden, body given"]
