@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PARTS = ("frame", "changes", "open3d", "scaling", "outliers", "memory", "cold", "growth", "codecs", "service")
+PARTS = ("frame", "changes", "open3d", "icp", "scaling", "outliers", "memory", "cold", "growth", "codecs", "service")
 ALL_CORES = ("service",)  # parts that are about several processes
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -32,6 +32,8 @@ class Settings:
     scaling_frames: int = 20
     open3d_sizes: tuple[tuple[int, int], ...] = ((5_000, 20_000), (2_500, 10_000))
     open3d_frames: int = 20
+    icp_size: tuple[int, int] = (2_500, 10_000)
+    icp_frames: int = 30
     outlier_frames: int = 10
     memory_frames: int = 20
     cold_starts: int = 5
@@ -60,6 +62,8 @@ QUICK = Settings(
     scaling_frames=2,
     open3d_sizes=((800, 2_000),),
     open3d_frames=2,
+    icp_size=(800, 2_000),
+    icp_frames=2,
     outlier_frames=1,
     memory_frames=3,
     cold_starts=1,
@@ -109,6 +113,7 @@ def _measures() -> dict:
         "frame": library.frames,
         "changes": library.changes,
         "open3d": preprocessing.against_open3d,
+        "icp": library.against_icp,
         "scaling": library.scaling,
         "outliers": preprocessing.outliers,
         "memory": library.memory,

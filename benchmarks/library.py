@@ -7,6 +7,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 import tracemalloc
 from collections import defaultdict
 from pathlib import Path
@@ -14,9 +15,11 @@ from pathlib import Path
 import inputs
 import numpy as np
 
-from ddakf import Config, data
+from ddakf import Config, Mesh, data
 from ddakf.evaluation import metrics
-from ddakf.evaluation.methods import ablations
+from ddakf.evaluation.baselines import BASELINES
+from ddakf.evaluation.methods import ablations, named
+from ddakf.evaluation.source import Frame
 
 CHANGES = ("without planes", "one association per frame", "without visibility", "without correlated noise",
            "without the body's motion")  # fmt: skip
@@ -83,6 +86,32 @@ def changes(settings) -> list[dict]:
     return rows
 
 
+def against_icp(settings) -> list[dict]:
+    """The tracker and the non-rigid ICP, frame by frame in turn on the same clouds: time and error of each."""
+    vertices, points = settings.icp_size
+    sequence = inputs.resampled(inputs.shortened(data.sample(), settings.icp_frames), vertices)
+    run = inputs.run_of(sequence, settings.icp_frames, "full", points)
+    garment = Mesh(sequence.template, sequence.garment_faces)
+    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", *BASELINES)}
+    times, errors = defaultdict(list), defaultdict(list)
+    for number, cloud, how in run.frames():
+        frame = Frame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, sequence.garment_vertices[number])
+        for name, step in methods.items():
+            begun = time.perf_counter()
+            estimate = step(frame)
+            if number > min(WARM, len(run.clouds) - 1):
+                times[name].append(1e3 * (time.perf_counter() - begun))
+            errors[name].append(metrics.rmse_mm(estimate.vertices, frame.truth))
+    return [
+        {
+            "method": name, "vertices": vertices, "points": points, "frames": len(run.clouds), "ms": percentiles(times[name]),
+            "over_default": round(float(np.median(times[name]) / np.median(times["default"])), 2),
+            "rmse_mm": round(float(np.mean(errors[name])), 3),
+        }
+        for name in methods
+    ]  # fmt: skip
+
+
 def scaling(settings) -> dict:
     """Time per frame of the sample's garment at other sizes, four or five points per vertex, and the exponent fitted to it."""
     rows = []
@@ -93,8 +122,7 @@ def scaling(settings) -> dict:
         rows[-1]["ms_p50"] = row["ms"]["total"]["p50"]
         rows[-1]["stages_ms_p50"] = {stage: times["p50"] for stage, times in row["ms"].items()}
     size = np.log([row["vertices"] for row in rows])
-    time = np.log([row["ms_p50"] for row in rows])
-    exponent = float(np.polyfit(size, time, 1)[0])
+    exponent = float(np.polyfit(size, np.log([row["ms_p50"] for row in rows]), 1)[0])
     steps = [
         {
             "from": before["vertices"],

@@ -71,6 +71,14 @@ def _open3d(console: Console, part: dict) -> None:
     console.print(table)
 
 
+def _icp(console: Console, rows: list[dict]) -> None:
+    table = Table("method", "V", "N", "ms p50 (p99)", "times ddakf's", "RMSE mm", box=None, header_style="bold")
+    for row in rows:
+        sizes = str(row["vertices"]), str(row["points"])
+        table.add_row(row["method"], *sizes, _time(row["ms"], tail=True), f"{row['over_default']:.1f}", f"{row['rmse_mm']:.1f}")
+    console.print(table)
+
+
 def _scaling(console: Console, part: dict) -> None:
     table = Table("V", "N", "ms p50", "RMSE mm", "normal", "per doubling", box=None, header_style="bold")
     for row, step in zip(part["rows"], [None, *part["steps"]], strict=True):
@@ -134,6 +142,7 @@ PRINTERS = {
     "frame": _frame,
     "changes": _changes,
     "open3d": _open3d,
+    "icp": _icp,
     "scaling": _scaling,
     "outliers": _outliers,
     "memory": _memory,

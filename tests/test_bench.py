@@ -55,6 +55,16 @@ def test_open3d_is_compared_or_a_sentence_says_why_not(report):
     assert "skipped" in part or all(part["rows"][0][key] > 0 for key in ("open3d_over_ddakf", "rmse_mm", "normal_rmse_mm"))
 
 
+def test_the_non_rigid_icp_runs_beside_the_tracker(report):
+    first, *others = report["icp"]
+    assert (first["method"], first["over_default"]) == ("default", 1.0)
+    assert len(others) > 0
+    for row in report["icp"]:
+        assert row["ms"]["p50"] > 0
+        assert row["over_default"] == pytest.approx(row["ms"]["p50"] / first["ms"]["p50"], rel=0.05, abs=0.01)
+        assert 0 < row["rmse_mm"] < 100
+
+
 def test_scaling_has_an_exponent_and_garments_of_the_sizes_asked_for(report):
     part = report["scaling"]
     assert isinstance(part["exponent"], float)
