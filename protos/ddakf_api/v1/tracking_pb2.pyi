@@ -84,6 +84,7 @@ class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     NOTICE_KIND_DRAINING: _ClassVar[NoticeKind]
     NOTICE_KIND_SLOW_DOWN: _ClassVar[NoticeKind]
     NOTICE_KIND_RECONNECT: _ClassVar[NoticeKind]
+    NOTICE_KIND_RESUMED: _ClassVar[NoticeKind]
 ARRAY_ENCODING_UNSPECIFIED: ArrayEncoding
 ARRAY_ENCODING_FLOAT32: ArrayEncoding
 ARRAY_ENCODING_FLOAT64: ArrayEncoding
@@ -130,6 +131,7 @@ NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
 NOTICE_KIND_RECONNECT: NoticeKind
+NOTICE_KIND_RESUMED: NoticeKind
 
 class Vector3(_message.Message):
     __slots__ = ("x", "y", "z")
@@ -168,7 +170,7 @@ class Mesh(_message.Message):
     def __init__(self, vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., faces: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("name", "labels", "state", "create_time", "config_json", "fabric", "limits", "statistics", "etag", "garment", "body", "garment_vertex_count", "garment_face_count", "body_vertex_count", "vertex_map")
+    __slots__ = ("name", "labels", "state", "create_time", "config_json", "fabric", "limits", "statistics", "etag", "expire_time", "checkpoint_time", "garment", "body", "garment_vertex_count", "garment_face_count", "body_vertex_count", "vertex_map")
     class LabelsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -185,6 +187,8 @@ class Session(_message.Message):
     LIMITS_FIELD_NUMBER: _ClassVar[int]
     STATISTICS_FIELD_NUMBER: _ClassVar[int]
     ETAG_FIELD_NUMBER: _ClassVar[int]
+    EXPIRE_TIME_FIELD_NUMBER: _ClassVar[int]
+    CHECKPOINT_TIME_FIELD_NUMBER: _ClassVar[int]
     GARMENT_FIELD_NUMBER: _ClassVar[int]
     BODY_FIELD_NUMBER: _ClassVar[int]
     GARMENT_VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
@@ -200,30 +204,34 @@ class Session(_message.Message):
     limits: SessionLimits
     statistics: SessionStatistics
     etag: str
+    expire_time: _timestamp_pb2.Timestamp
+    checkpoint_time: _timestamp_pb2.Timestamp
     garment: Mesh
     body: Mesh
     garment_vertex_count: int
     garment_face_count: int
     body_vertex_count: int
     vertex_map: PackedArray
-    def __init__(self, name: _Optional[str] = ..., labels: _Optional[_Mapping[str, str]] = ..., state: _Optional[_Union[SessionState, str]] = ..., create_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., config_json: _Optional[str] = ..., fabric: _Optional[str] = ..., limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., statistics: _Optional[_Union[SessionStatistics, _Mapping]] = ..., etag: _Optional[str] = ..., garment: _Optional[_Union[Mesh, _Mapping]] = ..., body: _Optional[_Union[Mesh, _Mapping]] = ..., garment_vertex_count: _Optional[int] = ..., garment_face_count: _Optional[int] = ..., body_vertex_count: _Optional[int] = ..., vertex_map: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., labels: _Optional[_Mapping[str, str]] = ..., state: _Optional[_Union[SessionState, str]] = ..., create_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., config_json: _Optional[str] = ..., fabric: _Optional[str] = ..., limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., statistics: _Optional[_Union[SessionStatistics, _Mapping]] = ..., etag: _Optional[str] = ..., expire_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., checkpoint_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., garment: _Optional[_Union[Mesh, _Mapping]] = ..., body: _Optional[_Union[Mesh, _Mapping]] = ..., garment_vertex_count: _Optional[int] = ..., garment_face_count: _Optional[int] = ..., body_vertex_count: _Optional[int] = ..., vertex_map: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
 
 class SessionLimits(_message.Message):
-    __slots__ = ("max_points", "max_frame_rate", "idle_timeout", "max_lifetime", "max_frames_in_flight")
+    __slots__ = ("max_points", "max_frame_rate", "idle_timeout", "max_lifetime", "max_frames_in_flight", "departure_timeout")
     MAX_POINTS_FIELD_NUMBER: _ClassVar[int]
     MAX_FRAME_RATE_FIELD_NUMBER: _ClassVar[int]
     IDLE_TIMEOUT_FIELD_NUMBER: _ClassVar[int]
     MAX_LIFETIME_FIELD_NUMBER: _ClassVar[int]
     MAX_FRAMES_IN_FLIGHT_FIELD_NUMBER: _ClassVar[int]
+    DEPARTURE_TIMEOUT_FIELD_NUMBER: _ClassVar[int]
     max_points: int
     max_frame_rate: float
     idle_timeout: float
     max_lifetime: float
     max_frames_in_flight: int
-    def __init__(self, max_points: _Optional[int] = ..., max_frame_rate: _Optional[float] = ..., idle_timeout: _Optional[float] = ..., max_lifetime: _Optional[float] = ..., max_frames_in_flight: _Optional[int] = ...) -> None: ...
+    departure_timeout: float
+    def __init__(self, max_points: _Optional[int] = ..., max_frame_rate: _Optional[float] = ..., idle_timeout: _Optional[float] = ..., max_lifetime: _Optional[float] = ..., max_frames_in_flight: _Optional[int] = ..., departure_timeout: _Optional[float] = ...) -> None: ...
 
 class SessionStatistics(_message.Message):
-    __slots__ = ("frames_applied", "frames_dropped", "frames_rejected", "frame_rate", "reliability", "paper_score", "coverage", "last_sequence_number", "last_capture_time", "last_frame_time", "last_latency")
+    __slots__ = ("frames_applied", "frames_dropped", "frames_rejected", "frame_rate", "reliability", "paper_score", "coverage", "last_sequence_number", "last_capture_time", "last_frame_time", "last_latency", "frames_late", "recoveries", "frames_lost", "memory_bytes")
     FRAMES_APPLIED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_DROPPED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_REJECTED_FIELD_NUMBER: _ClassVar[int]
@@ -235,6 +243,10 @@ class SessionStatistics(_message.Message):
     LAST_CAPTURE_TIME_FIELD_NUMBER: _ClassVar[int]
     LAST_FRAME_TIME_FIELD_NUMBER: _ClassVar[int]
     LAST_LATENCY_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_LATE_FIELD_NUMBER: _ClassVar[int]
+    RECOVERIES_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_LOST_FIELD_NUMBER: _ClassVar[int]
+    MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
     frames_applied: int
     frames_dropped: int
     frames_rejected: int
@@ -246,7 +258,11 @@ class SessionStatistics(_message.Message):
     last_capture_time: float
     last_frame_time: _timestamp_pb2.Timestamp
     last_latency: float
-    def __init__(self, frames_applied: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frame_rate: _Optional[float] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., last_frame_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last_latency: _Optional[float] = ...) -> None: ...
+    frames_late: int
+    recoveries: int
+    frames_lost: int
+    memory_bytes: int
+    def __init__(self, frames_applied: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frame_rate: _Optional[float] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., last_frame_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last_latency: _Optional[float] = ..., frames_late: _Optional[int] = ..., recoveries: _Optional[int] = ..., frames_lost: _Optional[int] = ..., memory_bytes: _Optional[int] = ...) -> None: ...
 
 class GetServerInfoRequest(_message.Message):
     __slots__ = ("api_version",)
@@ -255,7 +271,7 @@ class GetServerInfoRequest(_message.Message):
     def __init__(self, api_version: _Optional[str] = ...) -> None: ...
 
 class ServerInfo(_message.Message):
-    __slots__ = ("api_version", "server_version", "point_codecs", "depth_compressions", "result_encodings", "fabrics", "max_message_bytes", "max_limits", "max_vertices", "draining")
+    __slots__ = ("api_version", "server_version", "point_codecs", "depth_compressions", "result_encodings", "fabrics", "max_message_bytes", "max_limits", "max_vertices", "draining", "build")
     API_VERSION_FIELD_NUMBER: _ClassVar[int]
     SERVER_VERSION_FIELD_NUMBER: _ClassVar[int]
     POINT_CODECS_FIELD_NUMBER: _ClassVar[int]
@@ -266,6 +282,7 @@ class ServerInfo(_message.Message):
     MAX_LIMITS_FIELD_NUMBER: _ClassVar[int]
     MAX_VERTICES_FIELD_NUMBER: _ClassVar[int]
     DRAINING_FIELD_NUMBER: _ClassVar[int]
+    BUILD_FIELD_NUMBER: _ClassVar[int]
     api_version: str
     server_version: str
     point_codecs: _containers.RepeatedScalarFieldContainer[PointCodec]
@@ -276,7 +293,8 @@ class ServerInfo(_message.Message):
     max_limits: SessionLimits
     max_vertices: int
     draining: bool
-    def __init__(self, api_version: _Optional[str] = ..., server_version: _Optional[str] = ..., point_codecs: _Optional[_Iterable[_Union[PointCodec, str]]] = ..., depth_compressions: _Optional[_Iterable[_Union[DepthCompression, str]]] = ..., result_encodings: _Optional[_Iterable[_Union[ArrayEncoding, str]]] = ..., fabrics: _Optional[_Iterable[str]] = ..., max_message_bytes: _Optional[int] = ..., max_limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., max_vertices: _Optional[int] = ..., draining: bool = ...) -> None: ...
+    build: str
+    def __init__(self, api_version: _Optional[str] = ..., server_version: _Optional[str] = ..., point_codecs: _Optional[_Iterable[_Union[PointCodec, str]]] = ..., depth_compressions: _Optional[_Iterable[_Union[DepthCompression, str]]] = ..., result_encodings: _Optional[_Iterable[_Union[ArrayEncoding, str]]] = ..., fabrics: _Optional[_Iterable[str]] = ..., max_message_bytes: _Optional[int] = ..., max_limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., max_vertices: _Optional[int] = ..., draining: bool = ..., build: _Optional[str] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("api_version", "session", "session_id", "request_id", "clean")
@@ -379,6 +397,76 @@ class RestoreSessionRequest(_message.Message):
     data: bytes
     def __init__(self, api_version: _Optional[str] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., session_id: _Optional[str] = ..., request_id: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
+class WatchSessionRequest(_message.Message):
+    __slots__ = ("name", "api_version", "every_nth")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    API_VERSION_FIELD_NUMBER: _ClassVar[int]
+    EVERY_NTH_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    api_version: str
+    every_nth: int
+    def __init__(self, name: _Optional[str] = ..., api_version: _Optional[str] = ..., every_nth: _Optional[int] = ...) -> None: ...
+
+class GetSessionHistoryRequest(_message.Message):
+    __slots__ = ("name", "start_time", "end_time", "resolution", "max_samples")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    START_TIME_FIELD_NUMBER: _ClassVar[int]
+    END_TIME_FIELD_NUMBER: _ClassVar[int]
+    RESOLUTION_FIELD_NUMBER: _ClassVar[int]
+    MAX_SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    start_time: _timestamp_pb2.Timestamp
+    end_time: _timestamp_pb2.Timestamp
+    resolution: float
+    max_samples: int
+    def __init__(self, name: _Optional[str] = ..., start_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., end_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., resolution: _Optional[float] = ..., max_samples: _Optional[int] = ...) -> None: ...
+
+class HistorySample(_message.Message):
+    __slots__ = ("start_time", "frames_applied", "frames_dropped", "frames_late", "frames_rejected", "reliability", "least_reliability", "paper_score", "coverage", "latency", "greatest_latency")
+    START_TIME_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_APPLIED_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_DROPPED_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_LATE_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_REJECTED_FIELD_NUMBER: _ClassVar[int]
+    RELIABILITY_FIELD_NUMBER: _ClassVar[int]
+    LEAST_RELIABILITY_FIELD_NUMBER: _ClassVar[int]
+    PAPER_SCORE_FIELD_NUMBER: _ClassVar[int]
+    COVERAGE_FIELD_NUMBER: _ClassVar[int]
+    LATENCY_FIELD_NUMBER: _ClassVar[int]
+    GREATEST_LATENCY_FIELD_NUMBER: _ClassVar[int]
+    start_time: _timestamp_pb2.Timestamp
+    frames_applied: int
+    frames_dropped: int
+    frames_late: int
+    frames_rejected: int
+    reliability: float
+    least_reliability: float
+    paper_score: float
+    coverage: float
+    latency: float
+    greatest_latency: float
+    def __init__(self, start_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., frames_applied: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_late: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., reliability: _Optional[float] = ..., least_reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., latency: _Optional[float] = ..., greatest_latency: _Optional[float] = ...) -> None: ...
+
+class StateChange(_message.Message):
+    __slots__ = ("time", "state")
+    TIME_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
+    time: _timestamp_pb2.Timestamp
+    state: SessionState
+    def __init__(self, time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., state: _Optional[_Union[SessionState, str]] = ...) -> None: ...
+
+class SessionHistory(_message.Message):
+    __slots__ = ("name", "resolution", "samples", "state_changes")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    RESOLUTION_FIELD_NUMBER: _ClassVar[int]
+    SAMPLES_FIELD_NUMBER: _ClassVar[int]
+    STATE_CHANGES_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    resolution: float
+    samples: _containers.RepeatedCompositeFieldContainer[HistorySample]
+    state_changes: _containers.RepeatedCompositeFieldContainer[StateChange]
+    def __init__(self, name: _Optional[str] = ..., resolution: _Optional[float] = ..., samples: _Optional[_Iterable[_Union[HistorySample, _Mapping]]] = ..., state_changes: _Optional[_Iterable[_Union[StateChange, _Mapping]]] = ...) -> None: ...
+
 class TrackRequest(_message.Message):
     __slots__ = ("start", "frame", "ping")
     START_FIELD_NUMBER: _ClassVar[int]
@@ -434,20 +522,24 @@ class Pong(_message.Message):
     def __init__(self, token: _Optional[int] = ..., server_time: _Optional[float] = ...) -> None: ...
 
 class Frame(_message.Message):
-    __slots__ = ("sequence_number", "capture_time", "sensors", "body_vertices", "point_cloud", "depth_image")
+    __slots__ = ("sequence_number", "capture_time", "sensors", "body_vertices", "deadline", "display_time", "point_cloud", "depth_image")
     SEQUENCE_NUMBER_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_TIME_FIELD_NUMBER: _ClassVar[int]
     SENSORS_FIELD_NUMBER: _ClassVar[int]
     BODY_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    DEADLINE_FIELD_NUMBER: _ClassVar[int]
+    DISPLAY_TIME_FIELD_NUMBER: _ClassVar[int]
     POINT_CLOUD_FIELD_NUMBER: _ClassVar[int]
     DEPTH_IMAGE_FIELD_NUMBER: _ClassVar[int]
     sequence_number: int
     capture_time: float
     sensors: _containers.RepeatedCompositeFieldContainer[Sensor]
     body_vertices: bytes
+    deadline: float
+    display_time: float
     point_cloud: PointCloud
     depth_image: DepthImage
-    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., sensors: _Optional[_Iterable[_Union[Sensor, _Mapping]]] = ..., body_vertices: _Optional[bytes] = ..., point_cloud: _Optional[_Union[PointCloud, _Mapping]] = ..., depth_image: _Optional[_Union[DepthImage, _Mapping]] = ...) -> None: ...
+    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., sensors: _Optional[_Iterable[_Union[Sensor, _Mapping]]] = ..., body_vertices: _Optional[bytes] = ..., deadline: _Optional[float] = ..., display_time: _Optional[float] = ..., point_cloud: _Optional[_Union[PointCloud, _Mapping]] = ..., depth_image: _Optional[_Union[DepthImage, _Mapping]] = ...) -> None: ...
 
 class Sensor(_message.Message):
     __slots__ = ("origin", "pose", "point_count")
@@ -546,7 +638,7 @@ class Started(_message.Message):
     def __init__(self, name: _Optional[str] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., flow_mode: _Optional[_Union[FlowMode, str]] = ..., max_frames_in_flight: _Optional[int] = ...) -> None: ...
 
 class Result(_message.Message):
-    __slots__ = ("sequence_number", "capture_time", "state", "reliability", "paper_score", "coverage", "frames_dropped", "frames_rejected", "frames_applied", "timings", "vertices", "sigma", "vertex_reliability", "observed", "velocities", "covariance")
+    __slots__ = ("sequence_number", "capture_time", "state", "reliability", "paper_score", "coverage", "frames_dropped", "frames_rejected", "frames_applied", "timings", "frames_late", "display_time", "vertices", "sigma", "vertex_reliability", "observed", "velocities", "covariance")
     class TimingsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -564,6 +656,8 @@ class Result(_message.Message):
     FRAMES_REJECTED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_APPLIED_FIELD_NUMBER: _ClassVar[int]
     TIMINGS_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_LATE_FIELD_NUMBER: _ClassVar[int]
+    DISPLAY_TIME_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     SIGMA_FIELD_NUMBER: _ClassVar[int]
     VERTEX_RELIABILITY_FIELD_NUMBER: _ClassVar[int]
@@ -580,13 +674,15 @@ class Result(_message.Message):
     frames_rejected: int
     frames_applied: int
     timings: _containers.ScalarMap[str, float]
+    frames_late: int
+    display_time: float
     vertices: PackedArray
     sigma: PackedArray
     vertex_reliability: PackedArray
     observed: PackedArray
     velocities: PackedArray
     covariance: PackedArray
-    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., state: _Optional[_Union[TrackerState, str]] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frames_applied: _Optional[int] = ..., timings: _Optional[_Mapping[str, float]] = ..., vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., sigma: _Optional[_Union[PackedArray, _Mapping]] = ..., vertex_reliability: _Optional[_Union[PackedArray, _Mapping]] = ..., observed: _Optional[_Union[PackedArray, _Mapping]] = ..., velocities: _Optional[_Union[PackedArray, _Mapping]] = ..., covariance: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
+    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., state: _Optional[_Union[TrackerState, str]] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frames_applied: _Optional[int] = ..., timings: _Optional[_Mapping[str, float]] = ..., frames_late: _Optional[int] = ..., display_time: _Optional[float] = ..., vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., sigma: _Optional[_Union[PackedArray, _Mapping]] = ..., vertex_reliability: _Optional[_Union[PackedArray, _Mapping]] = ..., observed: _Optional[_Union[PackedArray, _Mapping]] = ..., velocities: _Optional[_Union[PackedArray, _Mapping]] = ..., covariance: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
 
 class ErrorDetail(_message.Message):
     __slots__ = ("name", "field", "expected", "got", "message", "retry_after")
@@ -605,16 +701,20 @@ class ErrorDetail(_message.Message):
     def __init__(self, name: _Optional[str] = ..., field: _Optional[str] = ..., expected: _Optional[str] = ..., got: _Optional[str] = ..., message: _Optional[str] = ..., retry_after: _Optional[float] = ...) -> None: ...
 
 class FrameError(_message.Message):
-    __slots__ = ("sequence_number", "capture_time", "error", "frames_rejected")
+    __slots__ = ("sequence_number", "capture_time", "error", "frames_rejected", "frames_dropped", "frames_late")
     SEQUENCE_NUMBER_FIELD_NUMBER: _ClassVar[int]
     CAPTURE_TIME_FIELD_NUMBER: _ClassVar[int]
     ERROR_FIELD_NUMBER: _ClassVar[int]
     FRAMES_REJECTED_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_DROPPED_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_LATE_FIELD_NUMBER: _ClassVar[int]
     sequence_number: int
     capture_time: float
     error: ErrorDetail
     frames_rejected: int
-    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., error: _Optional[_Union[ErrorDetail, _Mapping]] = ..., frames_rejected: _Optional[int] = ...) -> None: ...
+    frames_dropped: int
+    frames_late: int
+    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., error: _Optional[_Union[ErrorDetail, _Mapping]] = ..., frames_rejected: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_late: _Optional[int] = ...) -> None: ...
 
 class Notice(_message.Message):
     __slots__ = ("kind", "message", "value", "target")

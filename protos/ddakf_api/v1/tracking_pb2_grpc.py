@@ -86,6 +86,16 @@ class TrackingServiceStub(object):
                 request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackRequest.SerializeToString,
                 response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.FromString,
                 _registered_method=True)
+        self.WatchSession = channel.unary_stream(
+                '/ddakf_api.v1.TrackingService/WatchSession',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.WatchSessionRequest.SerializeToString,
+                response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.FromString,
+                _registered_method=True)
+        self.GetSessionHistory = channel.unary_unary(
+                '/ddakf_api.v1.TrackingService/GetSessionHistory',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.SerializeToString,
+                response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.FromString,
+                _registered_method=True)
 
 
 class TrackingServiceServicer(object):
@@ -159,6 +169,20 @@ class TrackingServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def WatchSession(self, request, context):
+        """The answers of a session's stream, for any number of readers who cannot slow it: one who is too slow misses some.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetSessionHistory(self, request, context):
+        """Reliability, coverage, latency and state over time, of live and past sessions.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_TrackingServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -211,6 +235,16 @@ def add_TrackingServiceServicer_to_server(servicer, server):
                     servicer.Track,
                     request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackRequest.FromString,
                     response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.SerializeToString,
+            ),
+            'WatchSession': grpc.unary_stream_rpc_method_handler(
+                    servicer.WatchSession,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.WatchSessionRequest.FromString,
+                    response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.SerializeToString,
+            ),
+            'GetSessionHistory': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetSessionHistory,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.FromString,
+                    response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -484,6 +518,60 @@ class TrackingService(object):
             '/ddakf_api.v1.TrackingService/Track',
             ddakf__api_dot_v1_dot_tracking__pb2.TrackRequest.SerializeToString,
             ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def WatchSession(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_stream(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/WatchSession',
+            ddakf__api_dot_v1_dot_tracking__pb2.WatchSessionRequest.SerializeToString,
+            ddakf__api_dot_v1_dot_tracking__pb2.TrackResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetSessionHistory(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/GetSessionHistory',
+            ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.SerializeToString,
+            ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.FromString,
             options,
             channel_credentials,
             insecure,
