@@ -109,6 +109,15 @@ class TrackingService(rpc.TrackingServiceServicer):
             reader.cancel()
             await self._sessions.close_stream(stream)
 
+    @_answering_errors
+    async def WatchSession(self, request, context):
+        watcher = self._sessions.watch(request)
+        try:
+            async for response in watcher.responses():
+                await context.write(response)
+        finally:
+            watcher.leave()
+
 
 async def _read(context: grpc.aio.ServicerContext, stream: Stream) -> None:
     """Always reads: an unread stream would buffer frames in the transport, where none can be dropped."""

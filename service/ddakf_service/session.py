@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING
 
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .watch import Watchers
+
 if TYPE_CHECKING:
     from .stream import Stream
 
@@ -28,6 +30,7 @@ class Session:
         meshes: garment and body, apart because only the full view shows them.
         labels, limits: as the client set them, within the server's bounds.
         lock: held by whoever has a call of this session in the worker.
+        watchers: who reads the answers beside the session's client.
     """
 
     id: str
@@ -37,6 +40,7 @@ class Session:
     labels: dict[str, str] = field(default_factory=dict)
     lock: asyncio.Lock = field(default_factory=asyncio.Lock)
     stream: Stream | None = None
+    watchers: Watchers = field(default_factory=Watchers)
     statistics: pb.SessionStatistics = field(default_factory=pb.SessionStatistics)
     revision: int = 1
     created: float = field(default_factory=time.time)

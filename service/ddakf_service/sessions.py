@@ -31,6 +31,7 @@ from .session import Session
 from .settings import Settings
 from .stream import Stream
 from .telemetry import Metrics
+from .watch import Watcher
 from .workers import WorkerPool, worker_lost
 
 log = logging.getLogger(__name__)
@@ -147,6 +148,12 @@ class Sessions:
         stream.gone.set()
         self._count()
 
+    def watch(self, request: pb.WatchSessionRequest) -> Watcher:
+        """A reader of the session's answers, with or without a stream; the caller has it ``leave``."""
+        require_compatible(request.api_version, peer="client")
+        session = self._find(request.name)
+        return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
+
     def lose(self, session_ids: Sequence[str]) -> None:
         """Ends the sessions whose worker is gone."""
         for session in self._existing(session_ids):
@@ -180,6 +187,8 @@ class Sessions:
         for session in self._sessions.values():
             if session.stream:
                 session.stream.notify(notice)
+            else:
+                session.watchers.publish(pb.TrackResponse(notice=notice))
         deadline = asyncio.get_running_loop().time() + grace
         while any(s.stream for s in self._sessions.values()) and asyncio.get_running_loop().time() < deadline:
             await asyncio.sleep(0.02)
@@ -285,6 +294,7 @@ class Sessions:
         self._remember(self._ended, session.id, reason)
         if session.stream:
             session.stream.end(reason)
+        session.watchers.close(reason)
         self._count()
 
     async def _forget(self, session: Session) -> None:

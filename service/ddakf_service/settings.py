@@ -50,6 +50,7 @@ class Settings(BaseSettings):
         "realtime", description="flow of sessions that do not ask: realtime drops old frames, lossless keeps all"
     )
     lossless_queue: int = Field(8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops")
+    max_watchers: int = Field(16, ge=0, le=1024, description="readers of one session beside its client")
     idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
     frame_timeout: float = Field(30.0, gt=0, description="seconds that one frame may take before its worker is replaced")
     warm_timeout: float = Field(900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame")

@@ -6,7 +6,7 @@ import asyncio
 import logging
 import time
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from time import monotonic
 
 from ddakf_api.errors import Internal, InvalidFrame, ServiceError, WorkerLost, to_detail
@@ -26,9 +26,10 @@ _BYTES_PER_POINT, _HEADER_BYTES = 12, 1 << 16
 
 
 class Outbox:
-    """Answers on their way to the client."""
+    """Answers on their way to the client; ``publish`` is told each of them too, without waiting."""
 
-    def __init__(self):
+    def __init__(self, publish: Callable[[pb.TrackResponse], None]):
+        self._publish = publish
         self._responses: deque[pb.TrackResponse] = deque()
         self._changed = asyncio.Event()
         self._room = asyncio.Event()
@@ -36,14 +37,19 @@ class Outbox:
         self._error: Exception | None = None
 
     async def put(self, response: pb.TrackResponse) -> None:
-        """Leaves an answer, once there is room for it."""
+        """Leaves an answer, once there is room for it; watchers get it at once."""
+        self._publish(response)
         while len(self._responses) > _OUTBOX_CAPACITY and not self._closed:
             self._room.clear()
             await self._room.wait()
-        self.push(response)
+        self._append(response)
 
     def push(self, response: pb.TrackResponse) -> None:
         """Leaves an answer without waiting; for the few that must not be held up."""
+        self._publish(response)
+        self._append(response)
+
+    def _append(self, response: pb.TrackResponse) -> None:
         if not self._closed:
             self._responses.append(response)
             self._changed.set()
@@ -86,7 +92,7 @@ class Stream:
         self._every_nth = max(start.result_options.every_nth, 1)
         self._mode = mode
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
-        self._outbox = Outbox()
+        self._outbox = Outbox(session.watchers.publish)
         self.ending, self.gone = asyncio.Event(), asyncio.Event()
         self._pump = asyncio.create_task(self._run())
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterable, AsyncIterator, Coroutine, Generator, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -17,8 +17,9 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ddakf_client import calls
 from ddakf_client.aio_stream import track
-from ddakf_client.exchange import Plan
-from ddakf_client.results import FrameError, Result, ServerInfo, SessionInfo, session_info_from, vertex_map_from
+from ddakf_client.exchange import Plan, log_notice
+from ddakf_client.results import FrameError, Notice, Result, ServerInfo, SessionInfo, session_info_from, vertex_map_from
+from ddakf_client.watch import awatch, watch_request
 
 T = TypeVar("T", bound="AsyncClient | AsyncSession")
 
@@ -157,6 +158,9 @@ class AsyncClient:
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
         return self._stub.Track(requests, metadata=self._metadata)
 
+    def open_watch(self, request: pb.WatchSessionRequest) -> grpc.aio.UnaryStreamCall:
+        return self._stub.WatchSession(request, metadata=self._metadata)
+
 
 class AsyncSession:
     """As :class:`ddakf_client.Session`, made by :meth:`AsyncClient.create_session`."""
@@ -189,6 +193,12 @@ class AsyncSession:
         plan = replace(self._plan, **options)
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client.open_track, frames, plan, self._client.target)
+
+    def watch(
+        self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
+    ) -> AsyncIterator[Result | FrameError]:
+        """As :meth:`ddakf_client.Session.watch`."""
+        return awatch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     async def info(self) -> SessionInfo:
         """State and statistics as of the last frame."""

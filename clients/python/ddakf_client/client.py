@@ -28,6 +28,7 @@ from ddakf_client.results import (
     vertex_map_from,
 )
 from ddakf_client.stream import track
+from ddakf_client.watch import watch, watch_request
 
 
 def connect(
@@ -200,6 +201,9 @@ class Client:
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
         return self._stub.Track(requests, metadata=self._metadata)
 
+    def open_watch(self, request: pb.WatchSessionRequest) -> grpc.Call:
+        return self._stub.WatchSession(request, metadata=self._metadata)
+
 
 class Session:
     """A garment on the server, made by :meth:`Client.create_session`.
@@ -278,6 +282,24 @@ class Session:
         )
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client.open_track, frames, plan, self._client.target)
+
+    def watch(
+        self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
+    ) -> Iterator[Result | FrameError]:
+        """Yields what the session's stream is answered, from now on, without being able to slow it.
+
+        Who reads too slowly misses results. ``latency`` of a result is nan: the frame was somebody else's. Sessions
+        without a stream are waited for; a watcher does not keep a session from expiring.
+
+        Args:
+            every_nth: arrays only in every n-th result; those of the others are empty.
+            on_notice: called with what the server says in between; by default it is logged.
+
+        Raises:
+            SessionNotFound, SessionExpired, WorkerLost, Draining, Unavailable: why it ended, for it has no other end.
+            ResourceExhausted: the session has as many watchers as it may have.
+        """
+        return watch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     def info(self) -> SessionInfo:
         """State and statistics as of the last frame."""

@@ -1,0 +1,60 @@
+"""What a session's stream is answered, for readers beside its client."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import AsyncIterator, Callable, Iterator
+
+import grpc
+from ddakf_api import API_VERSION
+from ddakf_api.errors import InvalidArgument
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from ddakf_client.calls import failure
+from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
+
+
+def watch_request(name: str, every_nth: int) -> pb.WatchSessionRequest:
+    """The request of ``Session.watch``.
+
+    Raises:
+        InvalidArgument: `every_nth` is no whole number from 1 on.
+    """
+    if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
+        raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(every_nth)[:80])
+    return pb.WatchSessionRequest(name=name, api_version=API_VERSION, every_nth=every_nth)
+
+
+def watch(call: grpc.Call, on_notice: Callable[[Notice], None], target: str) -> Iterator[Result | FrameError]:
+    """Yields answers until the session ends, and then raises why it did."""
+    try:
+        for response in call:
+            yield from _answers(response, on_notice)
+    except grpc.RpcError as error:
+        raise failure(error, target, math.inf) from None
+    finally:
+        call.cancel()
+
+
+async def awatch(
+    call: grpc.aio.UnaryStreamCall, on_notice: Callable[[Notice], None], target: str
+) -> AsyncIterator[Result | FrameError]:
+    """As :func:`watch`."""
+    try:
+        async for response in call:
+            for answer in _answers(response, on_notice):
+                yield answer
+    except grpc.RpcError as error:
+        raise failure(error, target, math.inf) from None
+    finally:
+        call.cancel()
+
+
+def _answers(response: pb.TrackResponse, on_notice: Callable[[Notice], None]) -> Iterator[Result | FrameError]:
+    kind = response.WhichOneof("message")
+    if kind == "notice":
+        on_notice(notice_from(response.notice))
+    elif kind == "result":
+        yield result_from(response.result, dropped_before_sending=0, latency=math.nan)
+    elif kind == "frame_error":
+        yield frame_error_from(response.frame_error)
