@@ -19,7 +19,7 @@ from ddakf.kernels import strain as kernels
 from ddakf.model import Model
 
 SOFTEST = 0.02  # least share of the stiffness that is left
-LEAST_FACES = 30  # measured ones, of which a median says anything
+LEAST_SHARE = 0.5  # of the faces measured, of which a median says anything about the garment
 LONGEST = 0.1  # s that a frame counts for: the first fit after a gap is the least to be trusted
 
 
@@ -54,7 +54,9 @@ class Elasticity(NamedTuple):
     def learned(self, position: np.ndarray, measured: np.ndarray, dt: float, model: Model, config: Physics) -> Elasticity:
         """After a frame: the variance follows the median over the faces whose corners were measured.
 
-        The median, since edges of the cloud and tangles strain some faces beyond anything that the cloth does.
+        The median, since edges of the cloud and tangles strain some faces beyond anything that the cloth does. Where less than
+        :data:`LEAST_SHARE` of the faces is measured nothing is learned: a surface seen from one side has free edges all around,
+        and the softer it is the more a fast motion strains it.
 
         Args:
             position: (V, 3) the posterior, metres.
@@ -65,7 +67,7 @@ class Elasticity(NamedTuple):
         """
         squared = np.empty(len(model.strain.area))
         n = kernels.squared_strains(position, measured, model.strain.corner, model.strain.warp, model.strain.weft, squared)
-        if n < LEAST_FACES:
+        if n < LEAST_SHARE * len(squared):
             return self
         kept = exp(-min(dt, LONGEST) / config.strain_memory)
         return Elasticity(kept * self.variance + (1.0 - kept) * float(np.median(squared[:n])))
