@@ -295,11 +295,19 @@ def fabrics_table() -> str:
     return "\n".join(lines)
 
 
+# Settings whose default depends on the machine.
+_MADE_DEFAULTS = {
+    "workers": "cores, at most 4",
+    "data_dir": "`$XDG_STATE_HOME/ddakf` or `~/.local/state/ddakf`",
+    "server_id": "host name",
+}
+
+
 def settings_table() -> str:
     """Settings of the service."""
     lines = ["| environment | flag | default | meaning |", "|---|---|---|---|"]
     for name, field in Settings.model_fields.items():
-        default = "cores, at most 4" if field.default_factory else field.default
+        default = _MADE_DEFAULTS[name] if field.default_factory else field.default
         flag = f"--{name.replace('_', '-')}"
         lines.append(f"| `{ENV_PREFIX}{name.upper()}` | `{flag}` | {default} | {field.description} |")
     return "\n".join(lines)

@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,7 +24,8 @@ class ServiceProcess:
     """A service of one's own.
 
     Args:
-        arguments: of ``ddakf serve``, beyond the ports.
+        arguments: of ``ddakf serve``, beyond the ports. Without ``--data-dir`` it has a folder that goes with it, or, where
+            it is kept, none.
         log: file for its log.
         keep: it shall outlive this process.
 
@@ -34,6 +36,10 @@ class ServiceProcess:
     def __init__(self, arguments: Sequence[str] = (), *, log: Path, keep: bool = False):
         self._log, self._keep = log, keep
         self.grpc = self.http = ""
+        self._folder: tempfile.TemporaryDirectory | None = None
+        if "--data-dir" not in arguments:
+            self._folder = None if keep else tempfile.TemporaryDirectory(prefix="ddakf-")
+            arguments = [*arguments, "--data-dir", self._folder.name if self._folder else "none"]
         command = [sys.executable, "-m", "ddakf_service", "--json", "--grpc-port", "0", "--http-port", "0", *arguments]
         with log.open("wb") as log_file:
             self._process = subprocess.Popen(
@@ -81,6 +87,8 @@ class ServiceProcess:
         finally:
             if self._process.stdin:
                 self._process.stdin.close()
+            if self._folder:
+                self._folder.cleanup()
 
     def _last_words(self) -> str:
         lines = self._log.read_text(errors="replace").strip().splitlines()

@@ -25,9 +25,10 @@ import ddakf
 from ddakf import errors as library
 
 from .info import server_info
-from .rest_models import CreateSession, ErrorOut, Info, SessionList, SessionOut, states_from
+from .rest_models import CreateSession, ErrorOut, Info, Readiness, SessionList, SessionOut, states_from
 from .sessions import Sessions
 from .settings import Settings
+from .store import Store
 from .telemetry import Metrics
 from .validation import invalid_argument
 
@@ -44,7 +45,9 @@ _SESSION_BODY = {
 }
 
 
-def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_ready: Callable[[], str]) -> FastAPI:
+def create_app(
+    sessions: Sessions, settings: Settings, metrics: Metrics, not_ready: Callable[[], str], store: Store
+) -> FastAPI:
     """The application.
 
     Args:
@@ -63,11 +66,14 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
         return {"status": "ok"}
 
     @app.get("/readyz", tags=["health"], responses={503: {"model": ErrorOut}})
-    async def readyz() -> dict[str, str]:
-        """Sessions are taken: every worker has compiled its kernels and tracked a frame, and no stop has begun."""
+    async def readyz() -> Readiness:
+        """Sessions are taken: every worker has compiled its kernels and tracked a frame, and no stop has begun.
+
+        A database or a disk that does not work makes the server "degraded", not unready: it tracks."""
         if reason := not_ready():
             raise Unavailable(reason)
-        return {"status": "ready"}
+        problems = store.problems()
+        return Readiness(status="degraded" if problems else "ready", problems=problems)
 
     @app.get("/metrics", tags=["health"], response_class=Response)
     async def metrics_page() -> Response:

@@ -198,6 +198,13 @@ class ErrorOut(BaseModel):
         return cls(error=ErrorBody(**{name: getattr(detail, name) for name in ErrorBody.model_fields}))
 
 
+class Readiness(BaseModel):
+    """Whether sessions are taken, and what else does not work."""
+
+    status: Literal["ready", "degraded"]
+    problems: list[str] = Field(description="one sentence for each part that does not work; tracking goes on")
+
+
 class Info(BaseModel):
     """Versions and limits of the server."""
 

@@ -18,7 +18,7 @@ import ddakf
 from ddakf.errors import InvalidConfig
 
 from .server import Addresses, Server
-from .settings import ENV_PREFIX, Origin, Settings, load
+from .settings import ENV_PREFIX, Origin, Settings, load, shown
 from .telemetry import configure_logging
 from .workers.local import WorkerStartFailed
 
@@ -133,10 +133,16 @@ def compile_bar(console: Console) -> Progress:
 
 def _print_settings(settings: Settings, origins: Mapping[str, Origin], as_json: bool) -> None:
     if as_json:
-        rows = {name: {"value": getattr(settings, name), "from": str(origin)} for name, origin in origins.items()}
+        rows = {name: {"value": _shown(settings, name), "from": str(origin)} for name, origin in origins.items()}
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
         return
     table = Table("setting", "value", "from", "meaning", box=None, header_style="bold")
     for name, origin in origins.items():
-        table.add_row(name, str(getattr(settings, name)), str(origin), Settings.model_fields[name].description)
+        table.add_row(name, str(_shown(settings, name)), str(origin), Settings.model_fields[name].description)
     Console().print(table)
+
+
+def _shown(settings: Settings, name: str):
+    """A value as it may be seen by anybody."""
+    value = getattr(settings, name)
+    return shown(name, value) if isinstance(value, str) else value

@@ -13,6 +13,7 @@ from .grpc_service import GrpcServer
 from .http import HttpServer, create_app
 from .sessions import Sessions
 from .settings import Settings
+from .store import Store
 from .telemetry import Metrics
 from .workers.local import LocalPool
 from .workers.pool import Limits, Progress
@@ -45,6 +46,7 @@ class Server:
     def __init__(self, settings: Settings):
         self._settings = settings
         self._metrics = Metrics()
+        self._store = Store(settings, self._metrics)
         self._pool = LocalPool(
             settings.workers,
             Limits(settings.max_points, settings.max_vertices, settings.max_faces, settings.max_body_vertices),
@@ -55,7 +57,8 @@ class Server:
         )
         self._sessions = Sessions(self._pool, settings, self._metrics)
         self._grpc = GrpcServer(self._sessions, settings)
-        self._http = HttpServer(create_app(self._sessions, settings, self._metrics, self._not_ready), settings)
+        app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
+        self._http = HttpServer(app, settings)
         self._warm = False
         self._restarts_seen = 0
         self._stopping = asyncio.Event()
@@ -114,6 +117,7 @@ class Server:
         await self._grpc.stop(_LAST_WORDS)
         await self._http.stop()
         await self._pool.stop()
+        await asyncio.to_thread(self._store.close)
         log.info("stopped")
 
     def _on_signal(self) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import socket
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +24,10 @@ DEFAULT_MAX_WORKERS = 4
 
 def _default_workers() -> int:
     return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, DEFAULT_MAX_WORKERS)
+
+
+def _default_data_dir() -> str:
+    return str(Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "ddakf")
 
 
 class Settings(BaseSettings):
@@ -55,6 +61,27 @@ class Settings(BaseSettings):
     frame_timeout: float = Field(30.0, gt=0, description="seconds that one frame may take before its worker is replaced")
     warm_timeout: float = Field(900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame")
     drain_grace: float = Field(5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown")
+
+    data_dir: str = Field(
+        default_factory=_default_data_dir,
+        min_length=1,
+        description="folder of what outlives the process, one server's own; none: nothing does",
+    )
+    database_url: str = Field(
+        "",
+        description="registry, history and keys: sqlite:///FILE, postgresql+psycopg://USER:PASSWORD@HOST/DATABASE; "
+        "empty: SQLite in data_dir",
+    )
+    checkpoint_url: str = Field("", description="checkpoints: an fsspec URL, file:///... or s3://...; empty: in data_dir")
+    checkpoint_every: int = Field(30, ge=1, description="frames between two checkpoints of a session")
+    checkpoint_keep: int = Field(2, ge=1, le=100, description="checkpoints that are kept of each session")
+    history_days: float = Field(30.0, gt=0, description="days for which history and ended sessions are kept")
+    server_id: str = Field(
+        default_factory=socket.gethostname,
+        min_length=1,
+        max_length=255,
+        description="name of this server among those of one database: it restores the sessions of its name alone",
+    )
 
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
     log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
@@ -106,6 +133,13 @@ def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None 
         raise _as_invalid_config(error, origins) from None
 
 
+def shown(name: str, value: Any) -> str:
+    """A value as text, without the password that a URL may hold."""
+    if not name.endswith("_url"):
+        return str(value)
+    return re.sub(r"(://[^:@/]*:).*@|(\bpassword=)[^&]*", lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", str(value))
+
+
 def flag_of(name: str) -> str:
     """The command-line flag of a field."""
     return "--" + name.replace("_", "-")
@@ -136,4 +170,4 @@ def _as_invalid_config(error: ValidationError, origins: Mapping[str, Origin]) ->
             name, f"one of the settings {', '.join(Settings.model_fields)}", f"an unknown name from {origins[name]}"
         )
     expected = first["msg"].removeprefix("Input should be ").split(", unable to")[0]
-    return InvalidConfig(name, expected, f"{first['input']!r} from {origins[name]}")
+    return InvalidConfig(name, expected, f"{shown(name, first['input'])!r} from {origins[name]}")

@@ -26,7 +26,8 @@ def configure_logging(level: str, format: str) -> None:
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
     # The service says itself when it starts and stops.
-    logging.getLogger("uvicorn").setLevel(max(logging.WARNING, root.level))
+    for chatty in ("uvicorn", "alembic"):
+        logging.getLogger(chatty).setLevel(max(logging.WARNING, root.level))
 
 
 def _add_session(record: logging.LogRecord) -> bool:
@@ -97,6 +98,15 @@ class Metrics:
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
         self.workers_ready = Gauge("ddakf_workers_ready", "Workers that take frames", **add)
         self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were replaced", **add)
+        self.store_up = Gauge("ddakf_store_up", "Whether a part of the store works: 1 or 0", ["part"], **add)
+        self.store_errors = Counter("ddakf_store_errors_total", "Failed attempts to reach or write the store", ["part"], **add)
+        self.store_dropped = Counter(
+            "ddakf_store_dropped_total", "Rows of history that found no room while the database did not work", **add
+        )
+        self.checkpoint_seconds = Histogram(
+            "ddakf_checkpoint_seconds", "Time to write a checkpoint", buckets=_LATENCY_BUCKETS, **add
+        )
+        self.checkpoint_bytes = Counter("ddakf_checkpoint_bytes_total", "Bytes of checkpoints that were written", **add)
         ProcessCollector(registry=self.registry)
         for outcome in ("applied", "dropped", "rejected", "failed"):
             self.frames.labels(outcome)

@@ -19,6 +19,8 @@ from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
 from ddakf_service.child import ServiceProcess
 
+from .postgres import Postgres
+
 TIMEOUT = 30.0  # seconds, of every call
 
 
@@ -123,6 +125,17 @@ def service(tmp_path_factory):
     finally:
         status = process.stop()
     assert status == 0
+
+
+@pytest.fixture(scope="session")
+def postgres():
+    """A running PostgreSQL; who stops it starts it again."""
+    cluster = Postgres()
+    try:
+        cluster.start()
+        yield cluster
+    finally:
+        cluster.remove()
 
 
 @pytest.fixture

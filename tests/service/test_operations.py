@@ -38,7 +38,7 @@ def test_reflection_lists_the_service(api):
 
 def test_health_and_readiness_over_rest(http):
     assert http.get("/healthz").json() == {"status": "ok"}
-    assert http.get("/readyz").json() == {"status": "ready"}
+    assert http.get("/readyz").json() == {"status": "ready", "problems": []}
 
 
 def test_both_sides_tell_the_same_about_the_server(api, http):

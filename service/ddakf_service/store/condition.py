@@ -1,0 +1,46 @@
+"""Whether a part of the store works: told to metrics at every failure, to the log once per change."""
+
+from __future__ import annotations
+
+import logging
+
+from sqlalchemy.exc import DBAPIError
+
+from ..telemetry import Metrics
+
+log = logging.getLogger(__name__)
+
+_LONGEST = 300  # characters of an error that are shown
+
+
+class Condition:
+    """The condition of one part ("database", "checkpoints"). May be told from any thread.
+
+    Attributes:
+        problem: one sentence while the part does not work; empty while it does.
+    """
+
+    def __init__(self, part: str, metrics: Metrics):
+        self.part = part
+        self.problem = ""
+        self._up, self._errors = metrics.store_up.labels(part), metrics.store_errors.labels(part)
+        self._up.set(1)
+
+    def works(self) -> None:
+        if self.problem:
+            self.problem = ""
+            self._up.set(1)
+            log.info("the %s can be written again", self.part, extra={"part": self.part})
+
+    def fails(self, error: Exception) -> None:
+        self._errors.inc()
+        before, self.problem = self.problem, f"the {self.part} cannot be reached or written: {sentence_of(error)}"
+        self._up.set(0)
+        if not before:
+            log.error("%s; tracking goes on, and this is tried again", self.problem, extra={"part": self.part})
+
+
+def sentence_of(error: Exception) -> str:
+    """What is wrong, on one line; without SQL and without values."""
+    cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
+    return (" ".join(str(cause).split()) or type(cause).__name__)[:_LONGEST]

@@ -1,0 +1,336 @@
+"""The database: an engine, migrations, one thread that writes, and queues of rows in front of it.
+
+Nobody waits for the database but who reads from it: writers leave rows in a :class:`Queue`. While the database cannot be
+reached the rows wait there, up to the queue's capacity, and are written when it comes back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from pathlib import Path
+from time import monotonic
+from typing import Generic, TypeVar
+
+import alembic.command
+import alembic.config
+import sqlalchemy as sa
+from alembic.util.exc import CommandError
+from ddakf_api.errors import Unavailable
+from sqlalchemy.dialects import postgresql, sqlite
+from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
+from sqlalchemy.exc import TimeoutError as PoolTimeout
+
+from ddakf.errors import InvalidConfig
+
+from ..telemetry import Metrics
+from .condition import Condition
+
+log = logging.getLogger(__name__)
+
+T = TypeVar("T")
+Row = TypeVar("Row")
+
+IN_MEMORY = "sqlite://"
+
+_GATHER = 0.25  # seconds for which rows are gathered before they are written together
+_BATCH = 1000  # rows per transaction
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database does not work
+_CHORE_INTERVAL = 3600.0  # seconds between runs of the chores, such as retention
+_READ_PATIENCE = 5.0  # seconds that a reader waits for a connection, and a connection attempt may take
+_RETRY_AFTER = 5.0  # seconds, told to who wanted to read
+_MIGRATION_LOCK = 0x6464616B66  # of PostgreSQL's advisory locks; "ddakf"
+
+_INSERTS = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
+_POSTGRES_ARGUMENTS = {
+    "connect_timeout": int(_READ_PATIENCE),
+    "tcp_user_timeout": 10_000,  # ms; a vanished host is noticed after this long rather than after a quarter of an hour
+    "options": "-c statement_timeout=20000 -c lock_timeout=10000",
+}
+
+
+class Queue(Generic[Row]):
+    """Rows on their way to the database, oldest first; made by :meth:`Database.queue`. Any thread may call."""
+
+    def __init__(self, changed: threading.Condition, capacity: int, write, on_dropped, on_written):
+        self._changed, self._capacity, self._write = changed, capacity, write
+        self._on_dropped, self._on_written = on_dropped, on_written
+        self._rows: OrderedDict[Hashable, Row] = OrderedDict()
+        self._flying: OrderedDict[Hashable, Row] = OrderedDict()
+
+    def put(self, key: Hashable, row: Row) -> None:
+        """Leaves a row, in place of the one that waits under the same key; the oldest one goes when there is no room."""
+        with self._changed:
+            self._rows[key] = row
+            self._shorten()
+            self._changed.notify_all()
+
+    def discard(self, key: Hashable) -> None:
+        """Takes a row back, unless it is being written."""
+        with self._changed:
+            self._rows.pop(key, None)
+
+    def pending(self) -> dict[Hashable, Row]:
+        """What is not known to be written, oldest first. A reader asks this first and the database afterwards."""
+        with self._changed:
+            return {**self._flying, **self._rows}
+
+    def __len__(self) -> int:
+        return len(self._rows) + len(self._flying)
+
+    def _flush(self, engine: sa.Engine) -> None:
+        """Writes everything that waits, in the calling thread."""
+        while self._take():
+            try:
+                with engine.begin() as connection:
+                    self._write(connection, list(self._flying.values()))
+            except (DataError, IntegrityError):
+                self._flush_singly(engine)
+            except BaseException:
+                self._put_back()
+                raise
+            self._on_written()
+            with self._changed:
+                self._flying.clear()
+                self._changed.notify_all()
+
+    def _flush_singly(self, engine: sa.Engine) -> None:
+        """Writes the rows one by one: what the database refuses shall not keep the others."""
+        while self._flying:
+            key, row = next(iter(self._flying.items()))
+            try:
+                with engine.begin() as connection:
+                    self._write(connection, [row])
+            except (DataError, IntegrityError):
+                log.exception("the database refused a row, which is left out", extra={"key": key})
+                self._on_dropped(1)
+            except BaseException:
+                self._put_back()
+                raise
+            with self._changed:
+                del self._flying[key]
+
+    def _take(self) -> bool:
+        with self._changed:
+            while self._rows and len(self._flying) < _BATCH:
+                key, row = self._rows.popitem(last=False)
+                self._flying[key] = row
+            return bool(self._flying)
+
+    def _put_back(self) -> None:
+        with self._changed:
+            self._rows = OrderedDict({**self._flying, **self._rows})
+            self._flying.clear()
+            self._shorten()
+
+    def _shorten(self) -> None:
+        while len(self._rows) > self._capacity:
+            self._rows.popitem(last=False)
+            self._on_dropped(1)
+
+
+class Database:
+    """SQLite (write-ahead log) or PostgreSQL behind one writing thread.
+
+    Args:
+        url: of SQLAlchemy, ``sqlite:///FILE``, ``postgresql+psycopg://...`` or :data:`IN_MEMORY`.
+        metrics: where failures and dropped rows are counted.
+
+    Raises:
+        InvalidConfig: naming ``database_url``: no URL, another kind of database, or its driver is missing.
+    """
+
+    def __init__(self, url: str, metrics: Metrics):
+        self._engine = _engine(url)
+        self.in_memory = url == IN_MEMORY
+        self.condition = Condition("database", metrics)
+        self._dropped = metrics.store_dropped
+        self._queues: list[Queue] = []
+        self._chores: list[Callable[[sa.Connection], None]] = []
+        self._changed = threading.Condition()
+        self._hurry, self._closing = threading.Event(), threading.Event()
+        self._migrated = False
+        self._chores_due = 0.0
+        self._thread = threading.Thread(target=self._run, name="database", daemon=True)
+
+    def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> Queue:
+        """A queue whose rows ``write`` brings into the database.
+
+        Queues are emptied in the order in which they were made. ``write`` runs in the writing thread and may be called
+        again with rows that it has written already, so it has to be an :meth:`upsert`.
+
+        Args:
+            capacity: rows; the oldest is dropped, and counted, when one more comes.
+        """
+        queue = Queue(self._changed, capacity, write, self._dropped.inc, self.condition.works)
+        self._queues.append(queue)
+        return queue
+
+    def chore(self, run: Callable[[sa.Connection], None]) -> None:
+        """Something to do in the writing thread at the start and every hour, each in a transaction of its own."""
+        self._chores.append(run)
+
+    def upsert(self, table: sa.Table) -> sa.Insert:
+        """An INSERT that replaces the row of the same primary key."""
+        insert = _INSERTS[self._engine.dialect.name](table)
+        others = {column.name: insert.excluded[column.name] for column in table.columns if not column.primary_key}
+        return insert.on_conflict_do_update(index_elements=list(table.primary_key.columns), set_=others)
+
+    def open(self) -> None:
+        """Migrates the tables and begins to write; blocks. A database that cannot be reached now is tried later.
+
+        Raises:
+            InvalidConfig: the tables are of a newer version of this program.
+        """
+        try:
+            self._migrate()
+        except CommandError as error:
+            self._engine.dispose()
+            shown = self._engine.url.render_as_string(hide_password=True)
+            raise InvalidConfig("database_url", "tables of this version or an older one", f"{shown}: {error}") from None
+        except (DBAPIError, OSError) as error:
+            self.condition.fails(error)
+        self._thread.start()
+
+    async def read(self, query: Callable[[sa.Connection], T]) -> T:
+        """What ``query`` makes of a connection, in another thread.
+
+        Raises:
+            Unavailable: the database cannot be reached.
+        """
+        return await asyncio.to_thread(self.read_now, query)
+
+    def read_now(self, query: Callable[[sa.Connection], T]) -> T:
+        """As :meth:`read`, in the calling thread."""
+        try:
+            if not self._migrated:
+                raise Unavailable("the database has not been reached yet; try again later", retry_after=_RETRY_AFTER)
+            with self._engine.begin() as connection:
+                return query(connection)
+        except (DBAPIError, PoolTimeout, OSError) as error:
+            self.condition.fails(error)
+            self._wake()
+            raise Unavailable(f"{self.condition.problem}; try again later", retry_after=_RETRY_AFTER) from None
+
+    def flush(self, timeout: float) -> bool:
+        """Waits until everything left so far is written; False where it was not within ``timeout`` seconds."""
+        self._hurry.set()
+        try:
+            with self._changed:
+                self._changed.notify_all()
+                return self._changed.wait_for(lambda: not self.waiting(), timeout)
+        finally:
+            self._hurry.clear()
+
+    def waiting(self) -> int:
+        """Rows that are not known to be written."""
+        return sum(len(queue) for queue in self._queues)
+
+    def close(self, timeout: float = 10.0) -> None:
+        """Writes what waits, once, and ends the thread; blocks at most ``timeout`` seconds."""
+        self._closing.set()
+        self._wake()
+        if self._thread.ident is not None:
+            self._thread.join(timeout)
+        if left := self.waiting():
+            log.error("%d rows could not be written to the database before the end", left)
+            self._dropped.inc(left)
+        self._engine.dispose()
+
+    def _wake(self) -> None:
+        with self._changed:
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        pause = _FIRST_PAUSE
+        last = False
+        while not last:
+            last = self._closing.is_set()
+            try:
+                self._turn()
+            except Exception as error:
+                if not isinstance(error, (DBAPIError, OSError)):
+                    log.exception("writing to the database failed")
+                self.condition.fails(error)
+                self._closing.wait(pause)
+                pause = min(2 * pause, _LONGEST_PAUSE)
+            else:
+                self.condition.works()
+                pause = _FIRST_PAUSE
+                self._wait_for_rows()
+
+    def _turn(self) -> None:
+        if not self._migrated:
+            self._migrate()
+        elif self.condition.problem:
+            with self._engine.begin() as connection:  # without a row to write, a reader's failure is looked into
+                connection.execute(sa.select(1))
+        for queue in self._queues:
+            queue._flush(self._engine)
+        if monotonic() >= self._chores_due:
+            for run in self._chores:
+                with self._engine.begin() as connection:
+                    run(connection)
+            self._chores_due = monotonic() + _CHORE_INTERVAL
+
+    def _wait_for_rows(self) -> None:
+        with self._changed:
+            self._changed.wait_for(
+                lambda: self.waiting() or self._closing.is_set() or self.condition.problem,
+                max(self._chores_due - monotonic(), 0),
+            )
+        if not self._closing.is_set():
+            self._hurry.wait(_GATHER)
+
+    def _migrate(self) -> None:
+        config = alembic.config.Config()
+        config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
+        with self._engine.connect().execution_options(ddakf_begin="IMMEDIATE") as connection, connection.begin():
+            if connection.dialect.name == "postgresql":  # SQLite's transaction is exclusive already
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATION_LOCK)))
+            config.attributes["connection"] = connection
+            alembic.command.upgrade(config, "head")
+        self._migrated = True
+
+
+def _engine(url: str) -> sa.Engine:
+    expected = "sqlite:///FILE or postgresql+psycopg://USER:PASSWORD@HOST/DATABASE"
+    try:
+        parsed = sa.make_url(url)
+    except ArgumentError:
+        raise InvalidConfig("database_url", expected, "text that is no URL") from None  # it may hold a password
+    shown = parsed.render_as_string(hide_password=True)
+    if parsed.get_backend_name() not in _INSERTS:
+        raise InvalidConfig("database_url", expected, shown)
+    try:
+        if parsed.get_backend_name() == "postgresql":
+            return sa.create_engine(
+                parsed, hide_parameters=True, pool_pre_ping=True, pool_timeout=_READ_PATIENCE, connect_args=_POSTGRES_ARGUMENTS
+            )
+        # One connection in memory, which all share in turn; of a file as many as wanted: readers never wait in WAL.
+        pool = {"poolclass": sa.QueuePool, "pool_size": 1, "max_overflow": 0} if not parsed.database else {}
+        engine = sa.create_engine(
+            parsed,
+            hide_parameters=True,
+            pool_timeout=_READ_PATIENCE,
+            connect_args={"check_same_thread": False, "timeout": _READ_PATIENCE},
+            **pool,
+        )
+    except (NoSuchModuleError, ModuleNotFoundError) as error:
+        raise InvalidConfig("database_url", "a URL whose driver is installed", f"{shown}: {error}") from None
+    sa.event.listen(engine, "connect", _prepare_sqlite)
+    sa.event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+def _prepare_sqlite(connection, _) -> None:
+    connection.isolation_level = None  # transactions begin where SQLAlchemy says so, DDL included
+    connection.execute("PRAGMA journal_mode = WAL")
+    connection.execute("PRAGMA synchronous = NORMAL")  # with WAL: no damage, at most the last commits at a loss of power
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    connection.exec_driver_sql("BEGIN " + connection.get_execution_options().get("ddakf_begin", "DEFERRED"))

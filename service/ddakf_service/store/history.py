@@ -1,0 +1,262 @@
+"""What happened in a session over time: one row per second with frames, and the changes of its state."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
+
+import sqlalchemy as sa
+from ddakf_api.errors import InvalidArgument, SessionNotFound
+from ddakf_api.v1 import tracking_pb2 as pb
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from .database import Database
+from .registry import Registry
+from .tables import history, state_changes
+
+_CAPACITY = 50_000  # rows that wait for a database that cannot be reached; about half a kilobyte each
+_MAX_CHANGES = 10_000  # changes of state in one answer
+_SAMPLES, _MAX_SAMPLES = 500, 10_000
+
+
+@dataclass(slots=True)
+class Aggregate:
+    """A session's frames of some seconds, from ``second`` on. Sums are over the applied frames."""
+
+    uid: int
+    second: int
+    applied: int = 0
+    dropped: int = 0
+    late: int = 0
+    rejected: int = 0
+    reliability_sum: float = 0.0
+    least_reliability: float = 1.0
+    paper_score_sum: float = 0.0
+    coverage_sum: float = 0.0
+    latency_sum: float = 0.0
+    greatest_latency: float = 0.0
+
+    def add(self, other: Aggregate) -> None:
+        """Makes the frames of another one part of this one."""
+        for name in _SUMMED:
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.least_reliability = min(self.least_reliability, other.least_reliability)
+        self.greatest_latency = max(self.greatest_latency, other.greatest_latency)
+
+    def sample(self) -> pb.HistorySample:
+        count = max(self.applied, 1)
+        return pb.HistorySample(
+            start_time=Timestamp(seconds=self.second),
+            frames_applied=self.applied,
+            frames_dropped=self.dropped,
+            frames_late=self.late,
+            frames_rejected=self.rejected,
+            reliability=self.reliability_sum / count,
+            least_reliability=self.least_reliability if self.applied else 0.0,
+            paper_score=self.paper_score_sum / count,
+            coverage=self.coverage_sum / count,
+            latency=self.latency_sum / count,
+            greatest_latency=self.greatest_latency,
+        )
+
+
+_NAMES = [field.name for field in fields(Aggregate)]
+_COUNTS = ("applied", "dropped", "late", "rejected")
+_SUMMED = [name for name in _NAMES if name in _COUNTS or name.endswith("_sum")]
+
+
+class Change(NamedTuple):
+    """A session's state from ``time`` on, seconds since 1970."""
+
+    uid: int
+    time: float
+    state: int
+
+
+class _Live:
+    """What is in memory of a session: the second that is not over yet, and its state."""
+
+    def __init__(self, uid: int):
+        self.uid = uid
+        self.second: Aggregate | None = None
+        self.state = pb.SESSION_STATE_UNSPECIFIED
+        self.changed = 0.0
+
+
+class History:
+    """Frames and states of all sessions. Recording costs some microseconds and never waits.
+
+    Args:
+        registry: where the ids of sessions are looked up.
+        keep: seconds for which rows are kept.
+        clock: seconds since 1970.
+    """
+
+    def __init__(self, database: Database, registry: Registry, keep: float, clock=time.time):
+        self._database, self._registry, self._keep, self._clock = database, registry, keep, clock
+        self._rows = database.queue(_CAPACITY, self._write_rows)
+        self._changes = database.queue(_CAPACITY, self._write_changes)
+        self._live: dict[int, _Live] = {}
+        self._lock = threading.Lock()
+        database.chore(self._forget_old)
+
+    def applied(self, uid: int, result: pb.Result, latency: float) -> None:
+        """A frame was tracked; ``latency`` is the time from its arrival to its result, seconds."""
+        with self._lock:
+            row = self._second(uid)
+            row.applied += 1
+            row.reliability_sum += result.reliability
+            row.least_reliability = min(row.least_reliability, result.reliability)
+            row.paper_score_sum += result.paper_score
+            row.coverage_sum += result.coverage
+            row.latency_sum += latency
+            row.greatest_latency = max(row.greatest_latency, latency)
+
+    def count(self, uid: int, outcome: str, frames: int = 1) -> None:
+        """Frames that were not tracked; ``outcome`` is "dropped", "late" or "rejected"."""
+        with self._lock:
+            row = self._second(uid)
+            setattr(row, outcome, getattr(row, outcome) + frames)
+
+    def state(self, uid: int, state: pb.SessionState) -> None:
+        """The state of a session as of now; the same as before is not recorded again."""
+        with self._lock:
+            live = self._live.setdefault(uid, _Live(uid))
+            if state != live.state:
+                live.state, live.changed = state, max(self._clock(), live.changed + 1e-6)
+                change = Change(uid, live.changed, state)
+                self._changes.put((uid, live.changed), change)
+
+    def close(self, uid: int, state: pb.SessionState) -> None:
+        """The last state of a session (expired or closed): nothing more will be recorded of it."""
+        self.state(uid, state)
+        with self._lock:
+            live = self._live.pop(uid)
+            if live.second is not None:
+                self._put(live.second)
+
+    def close_all(self) -> None:
+        """Leaves what is in memory to the database: the server stops, the sessions live on."""
+        with self._lock:
+            for live in self._live.values():
+                if live.second is not None:
+                    self._put(live.second)
+
+    async def query(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
+        """The history of the last session of a name, live or past, up to the last frame.
+
+        Raises:
+            InvalidArgument: a time or number that makes no sense.
+            SessionNotFound: no session of this name is remembered.
+            Unavailable: the database cannot be reached.
+        """
+        record = await self._registry.newest(request.name.removeprefix("sessions/"))
+        if record is None:
+            raise SessionNotFound(f"no session {request.name[:80]!r} is remembered")
+        now = self._clock()
+        start = _seconds(request, "start_time", record.create_time)
+        end = _seconds(request, "end_time", min(now, record.end_time or now) + 1)
+        if end < start:
+            raise InvalidArgument(field="end_time", expected="a time after start_time", got=f"{start - end:g} s before it")
+        step = _resolution(request, start, end)
+        rows, changes = self._in_memory(record.uid)
+        samples = await self._samples(record.uid, int(start), end, step, rows)
+        answer = pb.SessionHistory(name=f"sessions/{record.id}", resolution=step, samples=samples)
+        for change in await self._state_changes(record.uid, start, end, changes):
+            answer.state_changes.add(state=change.state).time.FromNanoseconds(int(change.time * 1e9))
+        return answer
+
+    def _second(self, uid: int) -> Aggregate:
+        """The row of the present second; the one before is left to the database."""
+        live = self._live.setdefault(uid, _Live(uid))
+        second = int(self._clock())
+        if live.second is None or second > live.second.second:  # a clock that is set back makes a longer second
+            if live.second is not None:
+                self._put(live.second)
+            live.second = Aggregate(uid, second)
+        return live.second
+
+    def _put(self, row: Aggregate) -> None:
+        self._rows.put((row.uid, row.second), replace(row))
+
+    def _in_memory(self, uid: int) -> tuple[list[Aggregate], list[Change]]:
+        """What is perhaps not in the database yet, in order of time."""
+        with self._lock:
+            rows = {row.second: row for (owner, _), row in self._rows.pending().items() if owner == uid}
+            live = self._live.get(uid)
+            if live is not None and live.second is not None:
+                rows[live.second.second] = replace(live.second)
+            changes = [change for (owner, _), change in self._changes.pending().items() if owner == uid]
+        return sorted(rows.values(), key=lambda row: row.second), changes
+
+    async def _samples(self, uid: int, start: int, end: float, step: int, rows: list[Aggregate]) -> list[pb.HistorySample]:
+        """The stored seconds before the first one in memory, added up in the database, and those in memory."""
+        stored_until = min(end, rows[0].second) if rows else end
+        bucket = (history.c.second // step * step).label("second")
+        sums = [sa.func.sum(history.c[name]).label(name) for name in _SUMMED]
+        extremes = [
+            sa.func.min(history.c.least_reliability).label("least_reliability"),
+            sa.func.max(history.c.greatest_latency).label("greatest_latency"),
+        ]
+        query = (
+            sa.select(bucket, *sums, *extremes)
+            .where(history.c.uid == uid, history.c.second >= start, history.c.second < stored_until)
+            .group_by(bucket)
+        )
+        stored = await self._database.read(lambda c: [Aggregate(uid=uid, **row) for row in c.execute(query).mappings()])
+        buckets = {row.second: row for row in stored}
+        for row in rows:
+            if start <= row.second < end:
+                begin = row.second // step * step
+                buckets.setdefault(begin, Aggregate(uid, begin)).add(row)
+        return [buckets[second].sample() for second in sorted(buckets)]
+
+    async def _state_changes(self, uid: int, start: float, end: float, waiting: list[Change]) -> Iterable[Change]:
+        """The newest ones; before them the one that was in force at ``start``."""
+        columns = state_changes.c
+        query = sa.select(state_changes).where(columns.uid == uid, columns.time < end)
+        query = query.order_by(columns.time.desc()).limit(_MAX_CHANGES)
+        stored = await self._database.read(lambda c: [Change(*row) for row in c.execute(query)])
+        changes = sorted({change.time: change for change in [*stored, *waiting] if change.time < end}.values(), key=_time)
+        before = [change for change in changes if change.time < start]
+        return [*before[-1:], *changes[len(before) :]][-_MAX_CHANGES:]
+
+    def _write_rows(self, connection: sa.Connection, rows: list[Aggregate]) -> None:
+        values = [{name: getattr(row, name) for name in _NAMES} for row in rows]
+        connection.execute(self._database.upsert(history), values)
+
+    def _write_changes(self, connection: sa.Connection, changes: list[Change]) -> None:
+        connection.execute(self._database.upsert(state_changes), [change._asdict() for change in changes])
+
+    def _forget_old(self, connection: sa.Connection) -> None:
+        before = self._clock() - self._keep
+        connection.execute(sa.delete(history).where(history.c.second < before))
+        connection.execute(sa.delete(state_changes).where(state_changes.c.time < before))
+
+
+def _time(change: Change) -> float:
+    return change.time
+
+
+def _seconds(request: pb.GetSessionHistoryRequest, field: str, default: float) -> float:
+    if not request.HasField(field):
+        return default
+    stamp: Timestamp = getattr(request, field)
+    if not (0 <= stamp.seconds < 1 << 40 and 0 <= stamp.nanos < 1_000_000_000):
+        raise InvalidArgument(field=field, expected="a time after 1970", got=f"{stamp.seconds} s, {stamp.nanos} ns")
+    return stamp.seconds + stamp.nanos / 1e9
+
+
+def _resolution(request: pb.GetSessionHistoryRequest, start: float, end: float) -> int:
+    """Whole seconds per sample: as asked for, or more where more than ``max_samples`` would come of it."""
+    if not 0 <= request.resolution < 1 << 32:
+        raise InvalidArgument(field="resolution", expected="a positive number of seconds", got=f"{request.resolution:g}")
+    most = min(request.max_samples or _SAMPLES, _MAX_SAMPLES)
+    step = max(int(request.resolution), 1)
+    first, last = int(start), max(int(end), int(start))
+    while last // step - first // step >= most:  # samples begin at multiples of the step, which may cost one more
+        step = max(step + 1, -(-(last - first) // most))
+    return step

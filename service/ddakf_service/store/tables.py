@@ -1,0 +1,79 @@
+"""Tables of the database. Times are seconds since 1970 (UTC); a session's ``uid`` is never used again, unlike its id."""
+
+from __future__ import annotations
+
+from sqlalchemy import JSON, BigInteger, Column, Double, Index, Integer, LargeBinary, MetaData, String, Table
+
+metadata = MetaData()
+
+# Live and past sessions. `message` is the ddakf_api.v1.Session without meshes, `reason` the ErrorDetail of its end; the
+# other columns repeat what one searches for.
+sessions = Table(
+    "sessions",
+    metadata,
+    Column("uid", BigInteger, primary_key=True, autoincrement=False),
+    Column("id", String(63), nullable=False),
+    Column("server_id", String(255), nullable=False),
+    Column("request_id", String(256), nullable=False),
+    Column("state", Integer, nullable=False),
+    Column("labels", JSON, nullable=False),
+    Column("create_time", Double, nullable=False),
+    Column("expire_time", Double),
+    Column("end_time", Double),
+    Column("message", LargeBinary, nullable=False),
+    Column("reason", LargeBinary),
+    Index("sessions_by_id", "id", "create_time"),
+    Index("sessions_of_server", "server_id", "end_time"),
+)
+
+# What live sessions were created from, meshes included; apart, because it is large and never changes.
+requests = Table(
+    "requests",
+    metadata,
+    Column("uid", BigInteger, primary_key=True, autoincrement=False),
+    Column("request", LargeBinary, nullable=False),
+)
+
+# One row per session and second with frames. Sums over the applied frames, so that rows can be added up.
+history = Table(
+    "history",
+    metadata,
+    Column("uid", BigInteger, primary_key=True, autoincrement=False),
+    Column("second", BigInteger, primary_key=True, autoincrement=False),
+    Column("applied", Integer, nullable=False),
+    Column("dropped", Integer, nullable=False),
+    Column("late", Integer, nullable=False),
+    Column("rejected", Integer, nullable=False),
+    Column("reliability_sum", Double, nullable=False),
+    Column("least_reliability", Double, nullable=False),
+    Column("paper_score_sum", Double, nullable=False),
+    Column("coverage_sum", Double, nullable=False),
+    Column("latency_sum", Double, nullable=False),
+    Column("greatest_latency", Double, nullable=False),
+    Index("history_by_second", "second"),
+    sqlite_with_rowid=False,
+)
+
+state_changes = Table(
+    "state_changes",
+    metadata,
+    Column("uid", BigInteger, primary_key=True, autoincrement=False),
+    Column("time", Double, primary_key=True, autoincrement=False),
+    Column("state", Integer, nullable=False),
+    Index("state_changes_by_time", "time"),
+    sqlite_with_rowid=False,
+)
+
+# Keys of clients: never the key itself, only its SHA-256 and the first characters, by which a person knows it again.
+api_keys = Table(
+    "api_keys",
+    metadata,
+    Column("hash", LargeBinary, primary_key=True),
+    Column("prefix", String(32), nullable=False),
+    Column("name", String(256), nullable=False),
+    Column("scopes", String(256), nullable=False),  # of stream, read, admin; separated by spaces
+    Column("create_time", Double, nullable=False),
+    Column("revoke_time", Double),
+    Column("last_used_time", Double),
+    Index("api_keys_by_prefix", "prefix"),
+)

@@ -1,0 +1,53 @@
+"""The same tests on SQLite and on PostgreSQL."""
+
+from __future__ import annotations
+
+import itertools
+import uuid
+
+import pytest
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.store import Database, SessionRecord
+from ddakf_service.telemetry import Metrics
+
+from ..postgres import new_database
+
+PATIENCE = 20.0  # seconds
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def url(request, tmp_path):
+    """An empty database."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path}/test.sqlite"
+    return new_database(request.getfixturevalue("postgres"), f"test-{uuid.uuid4()}")
+
+
+@pytest.fixture
+def metrics():
+    return Metrics()
+
+
+@pytest.fixture
+def opened(metrics):
+    """Opens databases that are closed at the end."""
+    databases = []
+
+    def open_(url: str, *, attach=lambda database: None) -> Database:
+        databases.append(Database(url, metrics))
+        attach(databases[-1])
+        databases[-1].open()
+        return databases[-1]
+
+    yield open_
+    for database in databases:
+        database.close()
+
+
+_times = itertools.count(1_700_000_000)
+
+
+def record(session_id: str = "some-session", server_id: str = "here", **session) -> SessionRecord:
+    message = pb.Session(name=f"sessions/{session_id}", state=pb.SESSION_STATE_IDLE, **session)
+    message.create_time.FromSeconds(next(_times))
+    return SessionRecord(server_id, message)

@@ -1,0 +1,205 @@
+"""The newest whole checkpoint counts; damaged ones are passed over, a full disk costs nothing but the file."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.store.checkpoints import Checkpoints, DamagedCheckpoint, pack, unpack
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ddakf.errors import InvalidConfig
+
+from .conftest import PATIENCE
+
+
+def snapshot(number: int, size: int = 1000) -> pb.SessionSnapshot:
+    session = pb.Session(name="sessions/s", statistics=pb.SessionStatistics(frames_applied=number))
+    return pb.SessionSnapshot(session=session, data=number.to_bytes(4, "little") * (size // 4))
+
+
+@pytest.fixture(params=["file", "memory"])
+def where(request, tmp_path):
+    return tmp_path.as_uri() if request.param == "file" else f"memory://{tmp_path.name}"
+
+
+@pytest.fixture
+def opened(metrics):
+    """Opens checkpoints that are closed at the end."""
+    made = []
+
+    def open_(url: str, *, keep: int = 2, server_id: str = "here") -> Checkpoints:
+        made.append(Checkpoints(url, server_id, keep, metrics))
+        made[-1].open()
+        return made[-1]
+
+    yield open_
+    for checkpoints in made:
+        checkpoints.close()
+
+
+def files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+async def test_the_newest_comes_back_after_a_restart(opened, where):
+    checkpoints = opened(where)
+    for number in range(1, 5):
+        checkpoints.save(7, snapshot(number))
+        assert checkpoints.flush(PATIENCE)
+    checkpoints.save(8, snapshot(9))
+    checkpoints.close()
+    again = opened(where)
+    assert await again.newest(7) == snapshot(4)
+    assert await again.newest(8) == snapshot(9)
+    assert await again.newest(9) is None
+    again.save(7, snapshot(5))
+    again.flush(PATIENCE)
+    assert await again.newest(7) == snapshot(5)
+
+
+async def test_what_waits_is_the_newest_already(opened, where, metrics):
+    checkpoints = Checkpoints(where, "here", 2, metrics)  # nothing is written before it is opened
+    checkpoints.save(7, snapshot(1))
+    checkpoints.save(7, snapshot(2))
+    assert await checkpoints.newest(7) == snapshot(2)
+    checkpoints.open()
+    checkpoints.close()
+    assert await opened(where).newest(7) == snapshot(2)
+
+
+def test_only_so_many_generations_are_kept(opened, tmp_path):
+    checkpoints = opened(str(tmp_path), keep=3)
+    for number in range(6):
+        checkpoints.save(7, snapshot(number))
+        checkpoints.flush(PATIENCE)
+    assert len(files(tmp_path)) == 3
+
+
+async def test_ended_sessions_leave_nothing(opened, tmp_path):
+    checkpoints, other = opened(str(tmp_path)), opened(str(tmp_path), server_id="there")
+    for uid in (1, 2, 3):
+        checkpoints.save(uid, snapshot(uid))
+    other.save(4, snapshot(4))
+    assert checkpoints.flush(PATIENCE)
+    assert other.flush(PATIENCE)
+    checkpoints.delete(1)
+    await checkpoints.keep_only([2])
+    assert checkpoints.flush(PATIENCE)
+    assert [await checkpoints.newest(uid) for uid in (1, 2, 3)] == [None, snapshot(2), None]
+    assert await other.newest(4) == snapshot(4)
+    assert len(files(tmp_path)) == 2
+
+
+def spoil(data: bytes) -> dict[str, bytes]:
+    return {
+        "cut short": data[: len(data) // 2],
+        "empty": b"",
+        "a bit flipped": data[:-9] + bytes([data[-9] ^ 1]) + data[-8:],
+        "longer": data + b"\0",
+        "another version": data[:8] + (99).to_bytes(4, "little") + data[12:],
+        "something else": b"x" * len(data),
+    }
+
+
+@pytest.mark.parametrize("how", spoil(bytes(100)))
+async def test_damaged_ones_are_passed_over(opened, tmp_path, how, caplog):
+    checkpoints = opened(str(tmp_path))
+    for number in (1, 2):
+        checkpoints.save(7, snapshot(number))
+        assert checkpoints.flush(PATIENCE)
+    before, newest = files(tmp_path)
+    newest.write_bytes(spoil(newest.read_bytes())[how])
+    assert await checkpoints.newest(7) == snapshot(1)
+    assert newest.name in str([vars(line).get("file") for line in caplog.records])
+    before.write_bytes(b"")
+    assert await checkpoints.newest(7) is None
+
+
+async def test_a_write_that_was_cut_off_counts_for_nothing(opened, tmp_path):
+    checkpoints = opened(str(tmp_path))
+    checkpoints.save(7, snapshot(1))
+    checkpoints.flush(PATIENCE)
+    (whole,) = files(tmp_path)
+    whole.with_name("000000000002.checkpoint.unfinished").write_bytes(whole.read_bytes())
+    assert await checkpoints.newest(7) == snapshot(1)
+    checkpoints.save(7, snapshot(2))
+    checkpoints.flush(PATIENCE)
+    assert await checkpoints.newest(7) == snapshot(2)
+
+
+@given(st.binary(max_size=200))
+@settings(max_examples=200, deadline=None)
+def test_any_bytes_are_refused_or_whole(data):
+    with pytest.raises(DamagedCheckpoint):
+        unpack(data)
+    assert unpack(pack(pb.SessionSnapshot(data=data))).data == data
+
+
+def test_unknown_urls_are_refused(metrics):
+    with pytest.raises(InvalidConfig, match="checkpoint_url"):
+        Checkpoints("nothing://there", "here", 2, metrics)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 1 MiB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    if os.geteuid() or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True).returncode:
+        pytest.skip("only root can make a small file system here")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+async def test_a_full_disk_keeps_the_last_snapshot_in_memory(opened, small_disk, metrics):
+    def up():
+        return metrics.registry.get_sample_value("ddakf_store_up", {"part": "checkpoints"})
+
+    checkpoints = opened(str(small_disk))
+    checkpoints.save(7, snapshot(1, size=300_000))
+    assert checkpoints.flush(PATIENCE)
+    ballast = small_disk / "ballast"
+    subprocess.run(["dd", "if=/dev/zero", f"of={ballast}", "bs=4096"], capture_output=True)
+    assert os.statvfs(small_disk).f_bavail == 0
+    checkpoints.save(7, snapshot(2, size=300_000))
+    while not checkpoints.condition.problem:
+        assert not checkpoints.flush(0.05)
+    assert up() == 0
+    assert "No space" in checkpoints.condition.problem
+    assert await checkpoints.newest(7) == snapshot(2, size=300_000)
+    assert len(files(small_disk)) == 2  # the first checkpoint is whole, and nothing unfinished is left
+    ballast.unlink()
+    assert checkpoints.flush(PATIENCE)
+    assert up() == 1
+    assert checkpoints.condition.problem == ""
+    assert await checkpoints.newest(7) == snapshot(2, size=300_000)
+
+
+def test_a_process_killed_while_it_writes_leaves_a_whole_checkpoint(tmp_path):
+    """Over and over, at whatever moment the kill comes."""
+    program = f"""
+import itertools
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.store.checkpoints import Checkpoints
+from ddakf_service.telemetry import Metrics
+checkpoints = Checkpoints({str(tmp_path)!r}, "here", 2, Metrics())
+checkpoints.open()
+for number in itertools.count():
+    checkpoints.save(7, pb.SessionSnapshot(data=number.to_bytes(4, "little") * 500_000))
+    checkpoints.flush(60)
+    print(number, flush=True)
+"""
+    from ddakf_service.telemetry import Metrics
+
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        for _ in range(5):
+            last = int(process.stdout.readline())
+        process.kill()
+    found = Checkpoints(str(tmp_path), "here", 2, Metrics())._read_newest(7)
+    assert int.from_bytes(found.data[:4], "little") >= last
