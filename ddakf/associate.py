@@ -36,15 +36,13 @@ class Measurement(NamedTuple):
     normal: np.ndarray | None  # (V, 3) unit normal of the cloud's surface at z; None: measured in all directions alike
     distance: np.ndarray  # (V,) m to the nearest point; negative where nothing was found
     searched_at: np.ndarray  # (V, 3) m, where the vertex was when its plane was looked for
-    visible: np.ndarray  # (V,) bool, vertices that a sensor may see
+    visible: np.ndarray | None  # (V,) bool, vertices that a sensor may see; None: not asked yet
     hem: Hem | None = None  # None: no boundary, or no cloud
 
     @classmethod
     def none(cls, n: int) -> Measurement:
         """Before the first pass: nothing looked for, nothing found."""
-        return cls(
-            np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, -1.0), np.full((n, 3), kernels.FAR_AWAY), np.ones(n, bool)
-        )
+        return cls(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, -1.0), np.full((n, 3), kernels.FAR_AWAY), None)
 
     @property
     def found(self) -> np.ndarray:
@@ -98,12 +96,11 @@ def associate(
             kernels.vertex_normals(position, model.faces, normal)
             if visible is None:
                 visible = _visible(position, normal, cloud, body_vertices, model, config)
-            if only is not None:
-                visible = visible & only
+            eligible = visible if only is None else visible & only
             if not cloud.empty:
                 beside = config.beside * float(np.sqrt(model.area / cloud.surfels.shape[1]))
                 kernels.nearest_planes(
-                    position, normal, visible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
+                    position, normal, eligible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
                     gate, config.normal_cosine, config.turned, cloud.oriented, config.still * cloud.cell,
                     beside, searched_at, target, plane, distance,
                 )  # fmt: skip

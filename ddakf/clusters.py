@@ -10,6 +10,7 @@ from ddakf.mesh import Mesh
 
 FOLLOWED = 4  # clusters that a vertex follows
 SAMPLES = 1200  # vertices that are measured at the coarse level
+PROBED = 4  # of so many of them one tells whether coarse passes are made
 
 
 class Clusters(NamedTuple):
@@ -21,6 +22,7 @@ class Clusters(NamedTuple):
     ends: np.ndarray  # (G, 2) int32 clusters that touch, both ways
     weakening: float  # of the seams' stiffness: share of the energy of a uniform strain that they overstate
     sample: np.ndarray  # (S,) int32 vertices that are measured
+    probe: np.ndarray  # (S / PROBED,) int32 of them, those that are measured first
 
 
 def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
@@ -47,13 +49,15 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
     cluster = nearest[:, 0]
     across = np.flatnonzero((cluster[ends[:, 0]] != cluster[ends[:, 1]]) & (ends[:, 0] < ends[:, 1]))
     seam = np.column_stack([ends[across], across]).astype(np.int32)
+    sample = np.lexsort((near[:, 0], cluster))[:: max(1, n // SAMPLES)].astype(np.int32)
     return Clusters(
         nearest.astype(np.int32),
         share / share.sum(axis=1, keepdims=True),
         seam,
         np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32),
         _weakening(mesh.vertices, cluster, ends, seam),
-        np.sort(np.lexsort((near[:, 0], cluster))[:: max(1, n // SAMPLES)]).astype(np.int32),
+        np.sort(sample),
+        np.sort(sample[::PROBED]),
     )
 
 

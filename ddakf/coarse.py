@@ -7,6 +7,8 @@ unknowns and is solved exactly. It only gives the first estimate of the passes t
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 from scipy.linalg.lapack import spotrf, spotrs
 
@@ -43,22 +45,18 @@ def align(
         physics_lambda: of stage G.
         model, config: of the tracker.
     """
-    coarse, gates = config.coarse, associate.gates(cloud, config.associate)
+    coarse, sample, probe = config.coarse, model.clusters.sample, model.clusters.probe
     if cloud.empty or coarse.iterations == 0 or not isinstance(config.associate, PlaneAssociation):
         return update
+    gates = list(islice(associate.gates(cloud, config.associate), coarse.iterations))
+    position, measurement = prior.position, update.measurement
+    measurement = _measured(probe, position, measurement, cloud, body_vertices, gates[0], model, config)
+    if not _surprised(measurement, position, probe, coarse.least_innovation):
+        return update._replace(measurement=measurement)  # its planes need not be sought again
     variance = max(float(np.median(np.einsum("vaa->v", prior.R))) / 3, config.adapt.lowest_sd**2)
-    position, floor = prior.position, None
-    sampled = np.zeros(len(position), bool)
-    sampled[model.clusters.sample] = True
-    measurement = Measurement.none(len(position))
-    for number, gate in zip(range(coarse.iterations), gates, strict=False):
-        measurement = associate.associate(
-            position, measurement, cloud, body_vertices, model, gate, config.associate, only=sampled
-        )
-        if number == 0:
-            if not _surprised(measurement, position, coarse.least_innovation):
-                return update._replace(measurement=measurement)  # its planes need not be sought again
-            floor = None if contact is None else contact.planes(position, config.physics)
+    floor = None if contact is None else contact.planes(position, config.physics)
+    for gate in gates:
+        measurement = _measured(sample, position, measurement, cloud, body_vertices, gate, model, config)
         weight = robust.weigh(measurement, position, prior.P_pp, prior.R, config.robust)
         motion, center = _solve(
             update, position, prior.position, measurement, weight, variance, floor, physics_lambda, model, config
@@ -75,10 +73,18 @@ def align(
     return update._replace(position=position)
 
 
-def _surprised(measurement: Measurement, position: np.ndarray, least: float) -> bool:
-    """Whether the RMS innovation along the normals is above ``least`` metres."""
-    y = measurement.innovation(position)[measurement.found]
-    return len(y) > 0 and float(np.einsum("va,va->", y, y)) > least**2 * len(y)
+def _measured(vertex: np.ndarray, position, last: Measurement, cloud: Cloud, body_vertices, gate, model: Model, config: Config):
+    """The measurements of some vertices."""
+    only = np.zeros(len(position), bool)
+    only[vertex] = True
+    return associate.associate(position, last, cloud, body_vertices, model, gate, config.associate, only=only)
+
+
+def _surprised(measurement: Measurement, position: np.ndarray, vertex: np.ndarray, least: float) -> bool:
+    """Whether the RMS innovation of some vertices along the normals is above ``least`` metres."""
+    found = vertex[measurement.found[vertex]]
+    y = np.einsum("va,va->v", measurement.normal[found], measurement.target[found] - position[found])
+    return len(y) > 0 and float(y @ y) > least**2 * len(y)
 
 
 def _solve(update, position, predicted, measurement, weight, variance, floor, physics_lambda, model: Model, config: Config):

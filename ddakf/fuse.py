@@ -58,7 +58,7 @@ class Update(NamedTuple):
     planes: Planes | None = None
     system: System | None = None
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
-    coarse: np.ndarray | None = None  # (3K, 3K) float32 m^2, coarse level of the preconditioner
+    coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
     passes: int = 0  # of this frame, those on coarser versions of the garment among them
     settled: bool = False
@@ -115,8 +115,9 @@ def fuse(
 def _map_update(update: Update, prior: State, energies: Energies, gate: float, model: Model, config: Config) -> Update:
     planes = _planes(update, config)
     rows = rigidity.padded(update.position)
+    steps = rigidity.FIRST_STEPS if update.before is None else rigidity.ROTATION_STEPS
     for term in (update.rest, update.motion):
-        rigidity.fit(term, rows, model)
+        rigidity.fit(term, rows, model, steps)
     system = normal_equations(rows, prior.position, update.information, planes, energies, (update.rest, update.motion), model)
     # the coarse level of the first pass preconditions the later ones as well
     coarse = coarse_inverse(system, model) if update.coarse is None else update.coarse
@@ -207,9 +208,9 @@ def normal_equations(
 
 
 def coarse_inverse(system: System, model: Model) -> np.ndarray:
-    """(3K, 3K) float32, inverse of P' A P on the clusters: the coarse level of the preconditioner."""
-    coarse = np.empty((3 * model.n_clusters, 3 * model.n_clusters))
-    kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.cluster, coarse)
+    """(3A, 3A) float32, inverse of P' A P on the aggregates: the coarse level of the preconditioner."""
+    coarse = np.empty((3 * model.n_aggregates, 3 * model.n_aggregates))
+    kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.aggregate, coarse)
     return invert(coarse)
 
 
@@ -220,7 +221,7 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapU
     D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
     kernels.pack(system.D, D, inverse)
     kernels.conjugate_gradients(
-        D, system.B, model.start, model.neighbour, inverse, model.cluster, coarse_inverse, system.force,
+        D, system.B, model.start, model.neighbour, inverse, model.aggregate, coarse_inverse, system.force,
         config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta

@@ -13,8 +13,9 @@ from ddakf import clusters, thinning
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
 
-CLUSTERS, PATCHES = 80, 48  # of the solver's coarse level; of the recursion of the error
+CLUSTERS, PATCHES, AGGREGATES = 80, 48, 40  # of the coarse passes; of the recursion of the error; of the solver's coarse level
 VERTICES_PER_CLUSTER = 8  # at least, on average
+VERTICES_PER_AGGREGATE = 32
 LIKENESS_LENGTH = 0.2  # m: parts of a garment this far apart move alike
 
 
@@ -26,8 +27,10 @@ class Model(NamedTuple):
     start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
     neighbour: np.ndarray  # (2E,) uint32, ascending in each row
     edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
-    cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, the coarse level of the solver
+    cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, which move rigidly in the coarse passes
     n_clusters: int
+    aggregate: np.ndarray  # (V,) int32 in [0, A): larger ones, the coarse level of the solver
+    n_aggregates: int
     patch: np.ndarray  # (V,) int32 in [0, L): larger ones, whose error is carried from frame to frame
     likeness: np.ndarray  # (L, L) float32 correlation of how patches move: exp(-1/2 (distance at rest / LIKENESS_LENGTH)^2)
     clusters: clusters.Clusters  # the same, for the coarse passes
@@ -65,7 +68,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
     graph = _graph(edges, mesh)
     distance = _distances(graph, mesh, CLUSTERS)
     cluster = distance.argmin(axis=0).astype(np.int32)
-    patch = _distances(graph, mesh, PATCHES).argmin(axis=0).astype(np.int32)
+    patch = distance[:PATCHES].argmin(axis=0).astype(np.int32)
+    aggregate = distance[: min(AGGREGATES, max(1, mesh.n_vertices // VERTICES_PER_AGGREGATE))].argmin(axis=0).astype(np.int32)
     thinned = thinning.thin(mesh, graph, distance[0])
     return Model(
         mesh=mesh,
@@ -75,6 +79,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
         edge=(order % len(mesh.edges)).astype(np.uint32),
         cluster=cluster,
         n_clusters=int(cluster.max()) + 1,
+        aggregate=aggregate,
+        n_aggregates=int(aggregate.max()) + 1,
         patch=patch,
         likeness=_likeness(mesh.vertices, patch),
         clusters=clusters.build(mesh, distance, edges),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf import associate, fuse, rigidity, robust
+from ddakf import associate, fuse, robust
 from ddakf.associate import Measurement
 from ddakf.config import Config, PlaneAssociation, Pyramid
 from ddakf.fuse import Update
@@ -70,12 +70,12 @@ def descend(
     if cloud.empty or not planar or rule.iterations == 0 or model.coarser is None:
         return update
     floor = None if contact is None else contact.planes(update.position, config.physics)
-    visible = associate.visible(update.position, cloud, body_vertices, model, config.associate)
+    visible = update.measurement.visible
+    if visible is None:
+        visible = associate.visible(update.position, cloud, body_vertices, model, config.associate)
     whole = Level(update.position, last, update.rest.rotation, prior, visible, floor)
     frame = Frame(cloud, physics_lambda, _coarsened(config, rule))
     position, passes = _from_below(whole, model.coarser, 1.0, frame)
-    for term in (update.rest, update.motion):
-        rigidity.turn(term, position, model)
     return update._replace(position=position, passes=passes)
 
 

@@ -14,6 +14,7 @@ from ddakf.kernels import rigidity as kernels
 from ddakf.model import Model
 
 ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
+FIRST_STEPS = 4  # in the first pass, before which the prediction and coarser versions have moved the garment
 
 
 class LocalRigidity(NamedTuple):

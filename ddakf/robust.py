@@ -48,16 +48,9 @@ def weigh(
         return weight
     squared, variance = np.empty(len(found)), np.empty(len(found))
     kernels.along_normals(position, measurement.target, measurement.normal, R, squared, variance)
-    scale2 = max(1.4826**2 * median(squared[found]), median(variance[found]))
-    kernels.bisquare(found, squared, variance, scale2, config.cutoff, gate_threshold(config.gate_probability, 1), weight)
+    least = kernels.scale(found, squared, variance)
+    kernels.bisquare(found, squared, variance, least, config.cutoff, gate_threshold(config.gate_probability, 1), weight)
     return weight
-
-
-def median(values: np.ndarray) -> float:
-    """Of (K,) finite values, which are reordered."""
-    half = len(values) // 2
-    values.partition(half)
-    return float(values[half] if len(values) % 2 else 0.5 * (values[:half].max() + values[half]))
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:

@@ -9,7 +9,10 @@ from ddakf.kernels import FAST
 
 BLEND = 4  # surfels that a measurement is averaged over
 CANDIDATES = 256  # surfels that are looked at together, a power of two
+LANES = 8  # surfels that are looked at side by side
+I, II, III, IV, V, VI, VII = (np.uint64(i) for i in range(1, LANES))  # unsigned: an index that needs no check of its sign
 NONE = np.int32(2**31 - 1)
+TOO_FAR = np.float32(1e30)  # m^2
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: no search has been made there
 
@@ -34,31 +37,90 @@ def vertex_normals(position, faces, normal):
             normal[v, a] *= scale
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def keep_nearest(squared, bits, index, n):
-    """Moves the BLEND nearest of n candidates to the front, in order. Returns how many there are.
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def eight(row, k):
+    """The LANES numbers from k on."""
+    return row[k], row[k + I], row[k + II], row[k + III], row[k + IV], row[k + V], row[k + VI], row[k + VII]
 
-    Positive floats are ordered as their bits are: with the candidate's number in the lowest ones, a distance and its owner are
-    sorted as one integer, without a branch. Distances that agree to 2^-15 count as equal.
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def apart(x, y, z, nx, ny, nz, vertex, signed, least, penalty):
+    """Squared distance of a surfel from a vertex, both of point and normal; TOO_FAR where the normals do not agree."""
+    px, py, pz, ax, ay, az = vertex
+    dx, dy, dz = x - px, y - py, z - pz
+    agreement = nx * ax + ny * ay + nz * az
+    agreement = max(agreement, signed * agreement)
+    squared = dx * dx + dy * dy + dz * dz + penalty * max(np.float32(1.0) - agreement, np.float32(0.0))
+    return squared if agreement >= least else TOO_FAR
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def look_at(surfels, k, vertex, signed, least, penalty, squared, index, n):
+    """Writes the LANES surfels from k on behind the first n candidates. All are read before any is written: a vector each."""
+    x, y, z = eight(surfels[0], k), eight(surfels[1], k), eight(surfels[2], k)
+    u, v, w = eight(surfels[3], k), eight(surfels[4], k), eight(surfels[5], k)
+    a = apart(x[0], y[0], z[0], u[0], v[0], w[0], vertex, signed, least, penalty)
+    b = apart(x[1], y[1], z[1], u[1], v[1], w[1], vertex, signed, least, penalty)
+    c = apart(x[2], y[2], z[2], u[2], v[2], w[2], vertex, signed, least, penalty)
+    d = apart(x[3], y[3], z[3], u[3], v[3], w[3], vertex, signed, least, penalty)
+    e = apart(x[4], y[4], z[4], u[4], v[4], w[4], vertex, signed, least, penalty)
+    f = apart(x[5], y[5], z[5], u[5], v[5], w[5], vertex, signed, least, penalty)
+    g = apart(x[6], y[6], z[6], u[6], v[6], w[6], vertex, signed, least, penalty)
+    h = apart(x[7], y[7], z[7], u[7], v[7], w[7], vertex, signed, least, penalty)
+    squared[n], squared[n + I], squared[n + II], squared[n + III] = a, b, c, d
+    squared[n + IV], squared[n + V], squared[n + VI], squared[n + VII] = e, f, g, h
+    index[n], index[n + I], index[n + II], index[n + III] = k, k + I, k + II, k + III
+    index[n + IV], index[n + V], index[n + VI], index[n + VII] = k + IV, k + V, k + VI, k + VII
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def look_at_last(surfels, k, end, vertex, signed, least, penalty, squared, index, n):
+    """As :func:`look_at` for those from k up to ``end``, behind which there are not LANES any more."""
+    X, Y, Z, NX, NY, NZ = surfels[0], surfels[1], surfels[2], surfels[3], surfels[4], surfels[5]
+    for m in range(end - k):
+        j = k + m
+        squared[n + m] = apart(X[j], Y[j], Z[j], NX[j], NY[j], NZ[j], vertex, signed, least, penalty)
+        index[n + m] = j
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def keep_nearest(squared, bits, index, n, gate2):
+    """Moves the BLEND nearest of n candidates to the front, in order. Returns how many of them are nearer than the gate.
+
+    Positive floats are ordered as their bits are: with the candidate's number in the lowest ones, the least integer is the
+    nearest and its owner. Distances that agree to 2^-15 count as equal.
 
     Args:
-        squared: (CANDIDATES,) float32 square metres, in and out.
+        squared: (CANDIDATES,) float32 square metres, in and out; ordered rounded down to 2^-15.
         bits: the same memory as int32.
         index: (CANDIDATES,) in and out, numbers of the surfels.
         n: candidates.
+        gate2: square metres.
     """
     number, coarse = np.int32(CANDIDATES - 1), np.int32(~(CANDIDATES - 1))
-    a = b = c = d = NONE
+    padded = (n + np.uint64(LANES - 1)) & ~np.uint64(LANES - 1)
+    for m in range(n, padded):
+        squared[m] = TOO_FAR
+    for m in range(padded):
+        bits[m] = (bits[m] & coarse) | np.int32(m)
+    a = least_of(bits, padded, number)
+    b = least_of(bits, padded, number)
+    c = least_of(bits, padded, number)
+    d = least_of(bits, padded, number)
+    e, f, g, h = index[a & number], index[b & number], index[c & number], index[d & number]
+    index[0], index[1], index[2], index[3] = e, f, g, h
+    bits[0], bits[1], bits[2], bits[3] = a & coarse, b & coarse, c & coarse, d & coarse
+    return int(squared[0] < gate2) + int(squared[1] < gate2) + int(squared[2] < gate2) + int(squared[3] < gate2)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def least_of(bits, n, number):
+    """Takes the least of n integers out and returns it; in its low bits it has its place."""
+    least = NONE
     for m in range(n):
-        key = (bits[m] & coarse) | np.int32(m)
-        key, a = max(a, key), min(a, key)
-        key, b = max(b, key), min(b, key)
-        key, c = max(c, key), min(c, key)
-        d = min(d, key)
-    a, b, c, d = a & number, b & number, c & number, d & number
-    squared[0], squared[1], squared[2], squared[3] = squared[a], squared[b], squared[c], squared[d]
-    index[0], index[1], index[2], index[3] = index[a], index[b], index[c], index[d]
-    return min(n, BLEND)
+        least = min(least, bits[m])
+    bits[least & number] = NONE
+    return least
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
@@ -93,9 +155,11 @@ def nearest_planes(
     inverse = 1.0 / cell
     reach = int(np.ceil(gate * inverse))
     least, penalty = np.float32(min_cosine), np.float32(2.0 * turned * turned)
+    gate2, signed = np.float32(gate * gate), np.float32(1.0 if oriented else -1.0)
     X, Y, Z = surfels[0], surfels[1], surfels[2]
     NX, NY, NZ = surfels[3], surfels[4], surfels[5]
-    squared, index = np.zeros(CANDIDATES, np.float32), np.zeros(CANDIDATES, np.int64)
+    size = np.uint64(surfels.shape[1])
+    squared, index = np.zeros(CANDIDATES, np.float32), np.zeros(CANDIDATES, np.int32)
     bits = squared.view(np.int32)
     for v in range(position.shape[0]):
         if not eligible[v]:
@@ -118,8 +182,8 @@ def nearest_planes(
         margin = min(
             px - ix * cell, (ix + 1) * cell - px, py - iy * cell, (iy + 1) * cell - py, pz - iz * cell, (iz + 1) * cell - pz
         )
-        limit = np.float32(gate * gate)
-        found = 0
+        vertex = px, py, pz, ax, ay, az
+        found, n = 0, np.uint64(0)
         for ring in range(1, reach + 1):
             for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
                 for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
@@ -132,24 +196,20 @@ def nearest_planes(
                             z0 = z1 = iz - ring if part == 0 else iz + ring
                         if z0 > z1 or z0 < 0 or z1 >= nz:
                             continue
-                        for k in range(start[row + z0], start[row + z1 + 1]):
-                            dx, dy, dz = X[k] - px, Y[k] - py, Z[k] - pz
-                            d2 = dx * dx + dy * dy + dz * dz
-                            agreement = NX[k] * ax + NY[k] * ay + NZ[k] * az
-                            if not oriented:
-                                agreement = abs(agreement)
-                            # written in any case, counted where it fits: no branch to mispredict
-                            d2 += penalty * max(np.float32(1.0) - agreement, np.float32(0.0))
-                            squared[found] = d2
-                            index[found] = k
-                            found += int((d2 < limit) & (agreement >= least))
-                            if found == CANDIDATES:
-                                found = keep_nearest(squared, bits, index, found)
-            found = keep_nearest(squared, bits, index, found)
-            if found == BLEND:
-                limit = squared[BLEND - 1]
+                        k, end = np.uint64(start[row + z0]), np.uint64(start[row + z1 + 1])
+                        while k < end:  # what is read past the end is overwritten by the next ones
+                            if k + np.uint64(LANES) <= size:
+                                look_at(surfels, k, vertex, signed, least, penalty, squared, index, n)
+                            else:
+                                look_at_last(surfels, k, end, vertex, signed, least, penalty, squared, index, n)
+                            n += min(end - k, np.uint64(LANES))
+                            k += np.uint64(LANES)
+                            if n > np.uint64(CANDIDATES - LANES):
+                                n = np.uint64(keep_nearest(squared, bits, index, n, gate2))
+            found = keep_nearest(squared, bits, index, n, gate2)
+            n = np.uint64(found)
             searched = ring * cell + margin
-            if found == BLEND and limit <= searched * searched:
+            if found == BLEND and squared[BLEND - 1] <= searched * searched:
                 break
             # one compatible surfel well inside the searched ball is enough: the others only smooth
             if found > 0 and squared[0] <= 0.25 * searched * searched:
@@ -161,14 +221,14 @@ def nearest_planes(
         for m in range(found):
             k = index[m]
             w = 1.0 / (squared[m] + soft)
-            signed = -w if NX[k] * ax + NY[k] * ay + NZ[k] * az < 0.0 else w
+            side = -w if NX[k] * ax + NY[k] * ay + NZ[k] * az < 0.0 else w
             sw += w
             tx += w * X[k]
             ty += w * Y[k]
             tz += w * Z[k]
-            mx += signed * NX[k]
-            my += signed * NY[k]
-            mz += signed * NZ[k]
+            mx += side * NX[k]
+            my += side * NY[k]
+            mz += side * NZ[k]
         length = sqrt(mx * mx + my * my + mz * mz)
         if length < 1e-12:
             continue

@@ -286,24 +286,31 @@ def coarsen(D, B, start, neighbour, cluster, coarse):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def multiply(D, B, start, neighbour, v, out):
-    """out = A v, both (V, 4) padded; returns v . A v."""
+    """out = A v, both (V, 4) padded; returns v . A v. Three sums, of a column each, do not wait for one another."""
     total = 0.0
     for i in range(v.shape[0]):
-        x, y, z = v[i, 0], v[i, 1], v[i, 2]
-        ox = D[i, 0] * x + D[i, 4] * y + D[i, 8] * z
-        oy = D[i, 1] * x + D[i, 5] * y + D[i, 9] * z
-        oz = D[i, 2] * x + D[i, 6] * y + D[i, 10] * z
-        ow = D[i, 3] * x + D[i, 7] * y + D[i, 11] * z
+        px, py, pz = v[i, 0], v[i, 1], v[i, 2]
+        ax, ay, az, aw = D[i, 0] * px, D[i, 1] * px, D[i, 2] * px, D[i, 3] * px
+        bx, by, bz, bw = D[i, 4] * py, D[i, 5] * py, D[i, 6] * py, D[i, 7] * py
+        cx, cy, cz, cw = D[i, 8] * pz, D[i, 9] * pz, D[i, 10] * pz, D[i, 11] * pz
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
             x, y, z = v[j, 0], v[j, 1], v[j, 2]
-            ox += B[e, 0] * x + B[e, 4] * y + B[e, 8] * z
-            oy += B[e, 1] * x + B[e, 5] * y + B[e, 9] * z
-            oz += B[e, 2] * x + B[e, 6] * y + B[e, 10] * z
-            ow += B[e, 3] * x + B[e, 7] * y + B[e, 11] * z
-        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ox, oy, oz, ow
-    for i in range(v.shape[0]):
-        total += v[i, 0] * out[i, 0] + v[i, 1] * out[i, 1] + v[i, 2] * out[i, 2]
+            ax += B[e, 0] * x
+            ay += B[e, 1] * x
+            az += B[e, 2] * x
+            aw += B[e, 3] * x
+            bx += B[e, 4] * y
+            by += B[e, 5] * y
+            bz += B[e, 6] * y
+            bw += B[e, 7] * y
+            cx += B[e, 8] * z
+            cy += B[e, 9] * z
+            cz += B[e, 10] * z
+            cw += B[e, 11] * z
+        ax, ay, az, aw = ax + bx + cx, ay + by + cy, az + bz + cz, aw + bw + cw
+        out[i, 0], out[i, 1], out[i, 2], out[i, 3] = ax, ay, az, aw
+        total += px * ax + py * ay + pz * az
     return total
 
 

@@ -1,6 +1,9 @@
 """Stage C, robustness (paper, section 2.5)."""
 
+import numpy as np
 from numba import njit
+
+NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -14,6 +17,29 @@ def along_normals(position, target, normal, R, squared, variance):
             R[i, 0, 0] * x * x + R[i, 1, 1] * y * y + R[i, 2, 2] * z * z
             + 2.0 * (R[i, 0, 1] * x * y + R[i, 0, 2] * x * z + R[i, 1, 2] * y * z)
         )  # fmt: skip
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def scale(found, squared, variance):
+    """Robust variance of the (V,) ``squared`` residuals that were found, or the median of their ``variance`` if that is more."""
+    n = 0
+    mine = np.empty(squared.shape[0])
+    for i in range(squared.shape[0]):
+        if found[i]:
+            mine[n] = squared[i]
+            n += 1
+    scale2 = NORMAL_MAD**2 * np.median(mine[:n])
+    more = 0
+    for i in range(squared.shape[0]):
+        more += int(found[i] and variance[i] > scale2)
+    if 2 * more < n:
+        return scale2
+    n = 0
+    for i in range(squared.shape[0]):
+        if found[i]:
+            mine[n] = variance[i]
+            n += 1
+    return max(scale2, np.median(mine[:n]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
