@@ -24,8 +24,18 @@ MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a
 VERSION = 5
 
 
-def save(tracker) -> bytes:
-    """Configuration, meshes and everything that changes from step to step."""
+def save(tracker, level: int) -> bytes:
+    """The bytes of a tracker, compressed at a level of zlib, 0 to 9; 0 does not compress and is ten times as fast as 1."""
+    return pack(*parts(tracker), level)
+
+
+def load(data: bytes, kind):
+    """The tracker of class ``kind`` that :func:`save` wrote."""
+    return build(*unpack(data), kind)
+
+
+def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
+    """Configuration, meshes and everything that changes from step to step: numbers, and arrays by name."""
     arrays = {f"state_{name}": value for name, value in tracker._state._asdict().items()}
     arrays |= {"rotation": tracker._rotation, "drift_covariance": tracker._drift.covariance}
     arrays |= {"garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
@@ -34,12 +44,15 @@ def save(tracker) -> bytes:
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
     numbers["drift"] = list(tracker._drift[1:])
     numbers["elasticity"] = tracker._elasticity.variance
-    return pack(numbers, arrays)
+    return numbers, arrays
 
 
-def load(data: bytes, kind):
-    """The tracker of class ``kind`` that :func:`save` wrote."""
-    numbers, arrays = unpack(data)
+def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
+    """The inverse of :func:`parts`; the tracker keeps the arrays.
+
+    Raises:
+        InvalidSnapshot: parts that do not fit together.
+    """
     try:
         body = Mesh(arrays["body_V"], arrays["body_F"]) if "body_V" in arrays else None
         config = Config.from_dict(numbers["config"])
@@ -103,12 +116,12 @@ def _time(value) -> float | None:
     return value
 
 
-def pack(numbers: dict, arrays: dict[str, np.ndarray]) -> bytes:
+def pack(numbers: dict, arrays: dict[str, np.ndarray], level: int = 1) -> bytes:
     """Bytes: magic, version, CRC-32 of what follows, then a compressed archive of the arrays and the JSON of the numbers."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(numbers).encode(), np.uint8)
     np.savez(stream, numbers=text, **arrays)
-    body = zlib.compress(stream.getvalue(), 1)
+    body = zlib.compress(stream.getvalue(), level)
     return MAGIC + VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body
 
 

@@ -62,6 +62,39 @@ def test_the_next_steps_are_exact_to_the_bit(preset, body, after):
     assert twin.snapshot() == tracker.snapshot()
 
 
+@pytest.mark.parametrize("body", [None, BODY], ids=["cloth alone", "body"])
+def test_a_tracker_of_the_same_configuration_goes_on_exactly(body):
+    tracker = tracked(5, body)
+    before, twin = tracker.snapshot(), tracker.configured(tracker.config)
+    for points, how in frames(5, 3, body):
+        assert_same(twin.step(points, **how), Tracker.restore(before).step(points, **how))
+        tracker.step(points, **how)
+        before = tracker.snapshot()
+
+
+@pytest.mark.parametrize("gap_time", [0.0, 0.5])
+def test_another_configuration_goes_on_from_the_same_state(gap_time):
+    stages = {"associate": {"wide_gate": 0.05}, "physics": {"gap_time": 0.5 - gap_time}}
+    tracker = tracked(5, BODY, Config.from_dict(stages))
+    before = tracker.snapshot()
+    config = Config.from_dict({"physics": {"stretch": 2 * tracker.config.physics.stretch, "gap_time": gap_time, "thickness": 0.001}})
+    other = tracker.configured(config)
+    assert (other.config, tracker.snapshot()) == (config, before)
+    assert (other._contact.gap is None) == (gap_time == 0)
+    np.testing.assert_array_equal(other._state.position, tracker._state.position)
+    points, how = next(frames(5, 1, BODY))
+    twin = Tracker.restore(other.snapshot())
+    changed, restored, unchanged = (t.step(points, **how) for t in (other, twin, tracker))
+    assert_same(changed, restored)
+    assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
+
+
+def test_a_snapshot_that_is_not_compressed_is_the_same_state():
+    tracker = tracked(3, BODY)
+    plain = tracker.snapshot(compressed=False)
+    assert Tracker.restore(plain).snapshot() == tracker.snapshot()
+
+
 def test_taking_a_snapshot_changes_nothing():
     disturbed, undisturbed = tracked(3, BODY), tracked(3, BODY)
     disturbed.snapshot()

@@ -48,6 +48,15 @@ class BodyContact:
         self.gap = np.clip(self.nearest(position).distance, -DEEPEST, thickness)
         self.held = self._asked_at = None
 
+    def configured(self, position: np.ndarray, config: Physics) -> None:
+        """Gaps as a new configuration has them, of vertices at (V, 3) ``position``, metres."""
+        if config.gap_time <= 0:
+            self.gap = None
+        elif self.gap is None:
+            self.start(position, config.thickness)
+        else:
+            self.gap = np.minimum(self.gap, config.thickness)
+
     def learn(self, position: np.ndarray, observed: np.ndarray, dt: float, config: Physics) -> None:
         """Where a sensor sees them, vertices may be as close as they turn out to be at (V, 3) ``position``.
 
