@@ -77,7 +77,8 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     stages = {"associate": {"wide_gate": 0.05}, "physics": {"gap_time": 0.5 - gap_time}}
     tracker = tracked(5, BODY, Config.from_dict(stages))
     before = tracker.snapshot()
-    config = Config.from_dict({"physics": {"stretch": 2 * tracker.config.physics.stretch, "gap_time": gap_time, "thickness": 0.001}})
+    physics = {"stretch": 2 * tracker.config.physics.stretch, "gap_time": gap_time, "thickness": 0.001}
+    config = Config.from_dict({"physics": physics})
     other = tracker.configured(config)
     assert (other.config, tracker.snapshot()) == (config, before)
     assert (other._contact.gap is None) == (gap_time == 0)

@@ -76,7 +76,7 @@ class TrackingService(rpc.TrackingServiceServicer):
 
     @_answering_errors
     async def UpdateSession(self, request, context):
-        return self._sessions.update(request)
+        return await self._sessions.update(request)
 
     @_answering_errors
     async def ResetSession(self, request, context):
@@ -103,8 +103,7 @@ class TrackingService(rpc.TrackingServiceServicer):
         stream = await self._sessions.open_stream(first.start)
         reader = asyncio.create_task(_read(context, stream))
         try:
-            async for response in stream.responses():
-                await context.write(response)
+            await stream.deliver(context.write)
         finally:
             reader.cancel()
             await self._sessions.close_stream(stream)

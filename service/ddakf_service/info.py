@@ -24,8 +24,11 @@ def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
         max_message_bytes=settings.max_message_bytes,
         max_limits=pb.SessionLimits(
             max_points=settings.max_points,
+            max_frame_rate=settings.max_frame_rate,
             idle_timeout=settings.idle_timeout,
+            max_lifetime=settings.max_lifetime,
             max_frames_in_flight=settings.lossless_queue,
+            departure_timeout=settings.idle_timeout,
         ),
         max_vertices=settings.max_vertices,
         draining=draining,

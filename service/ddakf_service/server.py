@@ -50,8 +50,12 @@ class Server:
         self._pool = LocalPool(
             settings.workers,
             Limits(settings.max_points, settings.max_vertices, settings.max_faces, settings.max_body_vertices),
+            spares=settings.spare_workers,
             frame_timeout=settings.frame_timeout,
             warm_timeout=settings.warm_timeout,
+            max_memory=settings.max_memory_bytes,
+            recycle_frames=settings.recycle_frames,
+            recycle_memory=settings.recycle_memory_bytes,
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
         )
@@ -60,7 +64,7 @@ class Server:
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
         self._http = HttpServer(app, settings)
         self._warm = False
-        self._restarts_seen = 0
+        self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()
         self._telling: asyncio.Future | None = None
 
@@ -136,6 +140,9 @@ class Server:
     def _follow_workers(self) -> None:
         health = self._pool.health()
         self._metrics.workers_ready.set(health.ready)
+        self._metrics.workers_spare.set(health.spares)
+        self._metrics.workers_recycled.inc(health.recycled - self._recycled_seen)
+        self._recycled_seen = health.recycled
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
         self._telling = asyncio.ensure_future(self._grpc.serving(not self._not_ready()))

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import math
+import secrets
 import time
 from collections import deque
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import TYPE_CHECKING
 
+from ddakf_api.errors import SessionExpired
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .watch import Watchers
+from .workers import Memory
 
 if TYPE_CHECKING:
     from .stream import Stream
@@ -31,6 +35,18 @@ class Session:
         labels, limits: as the client set them, within the server's bounds.
         lock: held by whoever has a call of this session in the worker.
         watchers: who reads the answers beside the session's client.
+        owner: the key that it was created with; None: none was needed.
+        request_id: of its creation, if there was one.
+        uid: a number that no other session has, or ever had.
+        seated: its tracker is in a worker.
+        checkpoint: the newest snapshot, from which it goes on when its worker is lost.
+        checkpoint_time: when that was taken, seconds since 1970.
+        checkpoint_number: of that one; later ones have larger numbers.
+        placed: frames that were applied when a checkpoint was last asked for.
+        last_reset: the serialised request of the last reset, where a session without a checkpoint begins again.
+        blames: when a worker was lost while it tracked a frame of this session (monotonic clock, seconds).
+        closed: it is no more.
+        departed: when its last stream ended (monotonic clock, seconds); None: it has one, or never had.
     """
 
     id: str
@@ -45,12 +61,31 @@ class Session:
     revision: int = 1
     created: float = field(default_factory=time.time)
     last_active: float = field(default_factory=monotonic)
+    owner: str | None = None
+    request_id: str = ""
+    uid: int = field(default_factory=lambda: secrets.randbits(63))
+    seated: bool = True
+    checkpoint: pb.SessionSnapshot | None = None
+    checkpoint_time: float | None = None
+    checkpoint_number: int = 0
+    placed: int = 0
+    last_reset: bytes = b""
+    blames: deque[float] = field(default_factory=lambda: deque(maxlen=8))
+    closed: bool = False
+    departed: float | None = None
     _state: pb.SessionState = pb.SESSION_STATE_INITIALIZING
     _applied: deque[float] = field(default_factory=deque)
 
     @property
     def name(self) -> str:
         return f"sessions/{self.id}"
+
+    @property
+    def memory(self) -> Memory:
+        """Estimate for its worker."""
+        count, body = self.opened.garment_vertex_count, self.opened.body_vertex_count
+        # A closed surface has twice as many faces as vertices; of the body's nobody has counted them.
+        return Memory.of(count, self.opened.garment_face_count, body, 2 * body, self.limits.max_points)
 
     def touch(self) -> None:
         """The session is in use: its idle time starts again."""
@@ -60,6 +95,18 @@ class Session:
     def idle_for(self) -> float:
         """Seconds since the last use."""
         return monotonic() - self.last_active
+
+    def expiry(self) -> tuple[float, SessionExpired]:
+        """When it expires if nothing more comes (monotonic clock, seconds), and what is said then."""
+        lifetime, idle, departure = self.limits.max_lifetime, self.limits.idle_timeout, self.limits.departure_timeout
+        ends = [(self.last_active + idle, f"had no frame for {idle:g} s")]
+        if self.departed is not None:
+            away = max(self.departed, self.last_active) + departure
+            ends = [(away, f"was left by its client, which did not come back within {departure:g} s")]
+        if lifetime > 0:
+            ends.append((monotonic() + self.created + lifetime - time.time(), f"has lived for {lifetime:g} s, its longest"))
+        moment, why = min(ends)
+        return moment, SessionExpired(f"{self.name} {why} and has expired")
 
     @property
     def state(self) -> pb.SessionState:
@@ -79,7 +126,16 @@ class Session:
         s.last_frame_time.FromNanoseconds(time.time_ns())
         s.last_latency = now - arrived
         result.frames_applied, result.frames_dropped = s.frames_applied, s.frames_dropped
-        result.frames_rejected = s.frames_rejected
+        result.frames_rejected, result.frames_late = s.frames_rejected, s.frames_late
+
+    def forget_since(self, checkpoint: pb.SessionStatistics) -> int:
+        """The tracker went back to a checkpoint; returns how many applied frames were forgotten by that."""
+        s = self.statistics
+        forgotten = max(s.frames_applied - checkpoint.frames_applied, 0)
+        s.recoveries += 1
+        s.frames_lost += forgotten
+        s.last_sequence_number, s.last_capture_time = checkpoint.last_sequence_number, checkpoint.last_capture_time
+        return forgotten
 
     def frame_rate(self) -> float:
         """Frames applied per second over the last few seconds."""
@@ -93,9 +149,16 @@ class Session:
         while self._applied and self._applied[0] < then:
             self._applied.popleft()
 
-    def restarted(self) -> None:
-        """The tracker starts again."""
-        self._state = pb.SESSION_STATE_INITIALIZING
+    def tell(self, notice: pb.Notice) -> None:
+        """Tells whoever reads the session's answers something in between."""
+        if self.stream is not None:
+            self.stream.notify(notice)
+        else:
+            self.watchers.publish(pb.TrackResponse(notice=notice))
+
+    def restarted(self, request: bytes) -> None:
+        """The tracker starts again, as a serialised request said."""
+        self._state, self.last_reset = pb.SESSION_STATE_INITIALIZING, request
         self.touch()
 
     def message(self, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
@@ -110,4 +173,10 @@ class Session:
         session.labels.update(self.labels)
         session.statistics.CopyFrom(self.statistics)
         session.statistics.frame_rate = self.frame_rate()
+        session.statistics.memory_bytes = sum(self.memory)
+        moment, _ = self.expiry()
+        if math.isfinite(moment):
+            session.expire_time.FromNanoseconds(int((time.time() + moment - monotonic()) * 1e9))
+        if self.checkpoint_time is not None:
+            session.checkpoint_time.FromNanoseconds(int(self.checkpoint_time * 1e9))
         return session

@@ -5,36 +5,41 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 import re
 import secrets
 from collections import OrderedDict
-from collections.abc import Iterable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from time import monotonic
 
 from ddakf_api.errors import (
     Draining,
+    FailedPrecondition,
     InvalidArgument,
     ResourceExhausted,
     ServiceError,
     SessionBusy,
     SessionExists,
-    SessionExpired,
     SessionNotFound,
     StreamTakenOver,
     Unavailable,
-    Unimplemented,
     WorkerLost,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
+from .durability import Durability, Irrecoverable
+from .outcomes import Outcomes
 from .session import Session
 from .settings import Settings
 from .stream import Stream
 from .telemetry import Metrics
 from .watch import Watcher
-from .workers import WorkerPool, worker_lost
+from .workers import Memory, WorkerPool
 
 log = logging.getLogger(__name__)
+
+_Open = Callable[[str, bytes], Awaitable[bytes]]
 
 _SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
 _PAGE_SIZE, _MAX_PAGE_SIZE = 50, 1000
@@ -42,6 +47,15 @@ _REMEMBERED = 1024  # ids of ended sessions, and of requests, that are kept for 
 _MAX_LABELS, _MAX_TEXT = 64, 256  # labels of a session; characters of a label, its value or a request id
 _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
 _RETRY_WHEN_FULL = 5.0  # seconds
+_LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
+_RESTORED = 4  # bytes that a restored tracker takes per byte of its snapshot, at most
+_CHANGEABLE = ("labels", "limits", "config_json", "fabric")
+_REAL_LIMITS = {
+    "max_frame_rate": "frames per second",
+    "idle_timeout": "seconds",
+    "max_lifetime": "seconds",
+    "departure_timeout": "seconds",
+}
 # A client that left its stream may ask for the next one before its leaving is noticed here, or before the frame that is
 # in the worker has been tracked.
 _NOTICE_PATIENCE = 0.5  # seconds that a stream has to turn out to be left
@@ -57,21 +71,29 @@ class Sessions:
 
     def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics):
         self._pool, self._settings, self._metrics = pool, settings, metrics
+        self._durability = Durability(pool, metrics, settings.checkpoint_every, self._end)
+        self._outcomes = Outcomes(metrics)
         self._sessions: dict[str, Session] = {}
-        self._opening: set[str] = set()
+        self._opening: dict[str, str | None] = {}  # id to owner
         self._ended: OrderedDict[str, ServiceError] = OrderedDict()
         self._requests: OrderedDict[str, asyncio.Future[str]] = OrderedDict()
         self.draining = False
 
-    async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
-        """Creates a session, or answers the one that the same request id created."""
-        require_compatible(request.api_version, peer="client")
-        return await self._once(request.request_id, request.session_id, request, self._pool.open)
+    async def create(self, request: pb.CreateSessionRequest, owner: str | None = None) -> pb.Session:
+        """Creates a session, or answers the one that the same request id created.
 
-    async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
-        """Creates a session from a snapshot."""
+        Args:
+            owner: the key that asks; None: none was needed.
+        """
         require_compatible(request.api_version, peer="client")
-        return await self._once(request.request_id, request.session_id, request, self._pool.restore)
+        memory = _memory_of(request.session, self._limits(request.session.limits))
+        return await self._once(request, owner, lambda *args: self._pool.open(*args, memory))
+
+    async def restore(self, request: pb.RestoreSessionRequest, owner: str | None = None) -> pb.Session:
+        """Creates a session from a snapshot; ``owner`` as in :meth:`create`."""
+        require_compatible(request.api_version, peer="client")
+        memory = Memory(_RESTORED * len(request.data), 0)
+        return await self._once(request, owner, lambda *args: self._pool.restore(*args, memory))
 
     def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
         return self._find(name).message(view)
@@ -87,35 +109,64 @@ class Sessions:
         more = _token(page[-1]) if len(wanted) > size else ""
         return pb.ListSessionsResponse(sessions=[s.message() for s in page], next_page_token=more)
 
-    def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
-        """Changes labels and limits."""
-        session = self._find(request.session.name)
-        paths = request.update_mask.paths or [f.name for f, _ in request.session.ListFields() if f.name != "name"]
-        for path in paths:
-            if path in ("config_json", "fabric"):
-                raise Unimplemented(f"{path} cannot be changed in a running session; create a new one")
-            if path not in ("labels", "limits"):
-                raise InvalidArgument(field="update_mask", expected='some of "labels", "limits"', got=repr(path))
-        if "labels" in paths:
-            session.labels = _labels(request.session)
-        if "limits" in paths:
-            session.limits = self._limits(request.session.limits)
-        session.revision += 1
+    async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
+        """Changes labels, limits, configuration and fabric, all of them or, when one cannot be used, none."""
+        change, session = request.session, self._find(request.session.name)
+        paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
+        if unknown := sorted(paths - set(_CHANGEABLE)):
+            raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
+        labels = _labels(change) if "labels" in paths else session.labels
+        limits = self._limits(change.limits) if "limits" in paths else session.limits
+        async with self._using(session):
+            if change.etag and change.etag != str(session.revision):
+                raise FailedPrecondition(
+                    f"{session.name} has been changed meanwhile: its etag is {session.revision}, not {change.etag[:80]}",
+                    field="etag",
+                )
+            if paths & {"config_json", "fabric"}:
+                await self._configure(session, change, paths)
+            session.labels, session.limits = labels, limits
+            session.revision += 1
         return session.message()
+
+    async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
+        """The configuration in force, or another one, and the fabric over it, or another one, as at creation."""
+        opened = session.opened
+        wanted = pb.Session(
+            config_json=change.config_json if "config_json" in paths else opened.config_json,
+            fabric=change.fabric if "fabric" in paths else opened.fabric,
+        )
+        answer = pb.Session.FromString(await self._pool.configure(session.id, wanted.SerializeToString()))
+        opened.config_json, opened.fabric = answer.config_json, answer.fabric
+        self._durability.checkpoint(session)
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
         """Starts the tracker again."""
         session = self._find(request.name)
-        async with session.lock:
-            await self._pool.reset(session.id, request.SerializeToString())
-        session.restarted()
+        payload = request.SerializeToString()
+        async with self._using(session):
+            await self._pool.reset(session.id, payload)
+            session.restarted(payload)
+            self._durability.checkpoint(session)
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
         session = self._find(name)
-        async with session.lock:
-            data = await self._pool.snapshot(session.id)
+        async with self._using(session):
+            data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
+
+    @contextlib.asynccontextmanager
+    async def _using(self, session: Session) -> AsyncIterator[None]:
+        """For a call of the session in its worker, which it is given back before if it has lost it."""
+        async with session.lock:
+            self._find(session.name)  # it may have ended while this waited
+            try:
+                await self._durability.seat(session)
+            except Irrecoverable as error:
+                raise error.reason from None
+            session.touch()
+            yield
 
     async def delete(self, name: str) -> None:
         session = self._find(name)
@@ -134,9 +185,14 @@ class Sessions:
             await self._ended_by_itself(session.stream)
         session = self._find(start.name)
         if session.stream is not None:
-            raise SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
-        session.touch()
-        session.stream = Stream(session, start, self._pool, self._metrics, self._mode(start.flow_mode))
+            raise _busy(session)
+        mode = self._mode(start.flow_mode)
+        async with self._using(session):
+            if session.stream is not None:  # opened while this waited
+                raise _busy(session)
+            session.departed = None
+            parts = self._pool, self._durability, self._outcomes
+            session.stream = Stream(session, start, mode, *parts, self._settings.reader_timeout)
         self._count()
         return session.stream
 
@@ -145,6 +201,7 @@ class Sessions:
         await stream.close()
         if stream.session.stream is stream:
             stream.session.stream = None
+            stream.session.departed = monotonic()
         stream.gone.set()
         self._count()
 
@@ -155,13 +212,20 @@ class Sessions:
         return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
 
     def lose(self, session_ids: Sequence[str]) -> None:
-        """Ends the sessions whose worker is gone."""
-        for session in self._existing(session_ids):
-            log.error("the session was lost with its worker", extra={"session": session.id})
-            self._end(session, worker_lost(session.id))
+        """Has the sessions whose worker is gone go on in another one, those with a stream first."""
+        lost = sorted(self._existing(session_ids), key=lambda session: session.stream is None)
+        for session in lost:
+            session.seated = False
+        for session in lost:
+            self._durability.background(self._revive(session))
+
+    async def _revive(self, session: Session) -> None:
+        with contextlib.suppress(Irrecoverable):  # it has been ended with the reason
+            async with session.lock:
+                await self._durability.seat(session)
 
     async def expire_idle(self) -> None:
-        """Ends sessions that had no frame for their idle timeout; runs until it is cancelled."""
+        """Ends sessions whose time is over; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             for session in list(self._sessions.values()):
@@ -171,29 +235,44 @@ class Sessions:
                     log.exception("a session could not be ended as it should", extra={"session": session.id})
 
     async def _expire(self, session: Session) -> None:
-        """Ends a session if it is idle now, and is still there: others may have ended while this was waited for."""
-        idle = session.limits.idle_timeout
-        if session.idle_for <= idle or self._sessions.get(session.id) is not session:
+        """Ends a session if its time is over, and it is still there: others may have ended while this was waited for."""
+        moment, reason = session.expiry()
+        if monotonic() <= moment or self._sessions.get(session.id) is not session:
             return
         log.info("the session expired", extra={"session": session.id})
-        self._end(session, SessionExpired(f"{session.name} had no frame for {idle:g} s and has expired"))
+        self._end(session, reason)
         await self._forget(session)
 
     async def drain(self, grace: float) -> None:
-        """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds."""
+        """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds, and the last
+        checkpoints are taken."""
         self.draining = True
         message = f"the server stops in {grace:g} s; connect again later or elsewhere"
-        notice = pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace)
         for session in self._sessions.values():
-            if session.stream:
-                session.stream.notify(notice)
-            else:
-                session.watchers.publish(pb.TrackResponse(notice=notice))
-        deadline = asyncio.get_running_loop().time() + grace
-        while any(s.stream for s in self._sessions.values()) and asyncio.get_running_loop().time() < deadline:
+            session.tell(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
+        deadline = monotonic() + grace
+        while any(s.stream for s in self._sessions.values()) and monotonic() < deadline:
             await asyncio.sleep(0.02)
         for session in list(self._sessions.values()):
+            if session.stream:
+                session.stream.notify(self._reconnect())
+                session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
+        for session in list(self._sessions.values()):
+            await self._last_checkpoint(session)
+        await self._durability.settle(_LAST_CHECKPOINTS)
+        for session in list(self._sessions.values()):
             self._end(session, Draining("the server has stopped; connect again later or elsewhere"))
+
+    def _reconnect(self) -> pb.Notice:
+        where = self._settings.successor
+        message = f"connect again{f' to {where}' if where else ''}; the session waits there"
+        return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message=message, target=where)
+
+    async def _last_checkpoint(self, session: Session) -> None:
+        """Of what was tracked since the one before; a frame that is in the worker is waited for."""
+        async with session.lock:
+            if session.seated and session.placed != session.statistics.frames_applied:
+                self._durability.checkpoint(session)
 
     async def _ended_by_itself(self, stream: Stream) -> None:
         """Returns when a stream whose client has left is gone; without it, when the patience is at its end."""
@@ -203,52 +282,47 @@ class Sessions:
             async with asyncio.timeout(_ENDING_PATIENCE):
                 await stream.gone.wait()
 
-    async def _once(self, request_id: str, session_id: str, request, open_) -> pb.Session:
+    async def _once(self, request, owner: str | None, open_: _Open) -> pb.Session:
         """Runs a creation, or waits for the same request's first run."""
+        request_id = request.request_id
         if len(request_id) > _MAX_TEXT:
             raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
         if request_id in self._requests:
             return self._find("sessions/" + await asyncio.shield(self._requests[request_id])).message()
-        session_id = self._new_id(session_id)
+        session_id = self._new_id(request.session_id, owner)
         outcome: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
             self._remember(self._requests, request_id, outcome)
-        self._opening.add(session_id)
+        self._opening[session_id] = owner
         try:
-            session = await self._open(session_id, request, open_)
+            session = await self._open(session_id, request, owner, open_)
         except BaseException as error:
             self._requests.pop(request_id, None)
             outcome.set_exception(error if isinstance(error, ServiceError) else Unavailable("the first call was cut off"))
             outcome.exception()  # seen, even where nobody else waits for it
             raise
         finally:
-            self._opening.discard(session_id)
+            del self._opening[session_id]
         outcome.set_result(session_id)
         return session.message()
 
-    async def _open(self, session_id: str, request, open_) -> Session:
+    async def _open(self, session_id: str, request, owner: str | None, open_: _Open) -> Session:
         limits, labels = self._limits(request.session.limits), _labels(request.session)
         opened = pb.Session.FromString(await open_(session_id, request.SerializeToString()))
-        meshes = pb.Session(garment=opened.garment)
-        if opened.HasField("body"):
-            meshes.body.CopyFrom(opened.body)
-        opened.ClearField("garment")
-        opened.ClearField("body")
-        session = Session(session_id, opened, meshes, limits, labels=labels)
+        session = Session(
+            session_id, opened, _taken_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
+        )
         self._sessions[session_id] = session
         self._ended.pop(session_id, None)
         self._count()
+        self._durability.checkpoint(session)
         log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
         return session
 
-    def _new_id(self, wanted: str) -> str:
+    def _new_id(self, wanted: str, owner: str | None) -> str:
         if self.draining:
             raise Draining("the server is about to stop and takes no new sessions")
-        if len(self._sessions) + len(self._opening) >= self._settings.max_sessions:
-            raise ResourceExhausted(
-                f"sessions: the server has its {self._settings.max_sessions} already; try again later or delete one",
-                retry_after=_RETRY_WHEN_FULL,
-            )
+        self._require_room(owner)
         if not wanted:
             return "s-" + secrets.token_hex(8)
         if not _SESSION_ID.fullmatch(wanted):
@@ -257,17 +331,35 @@ class Sessions:
             raise SessionExists(f"sessions/{wanted} exists already")
         return wanted
 
+    def _require_room(self, owner: str | None) -> None:
+        """Refuses a session beyond the server's number, or beyond its owner's."""
+        owners = [*(session.owner for session in self._sessions.values()), *self._opening.values()]
+        s = self._settings
+        for whose, count, most in (
+            ("the server", len(owners), s.max_sessions),
+            ("the key", 0 if owner is None else owners.count(owner), s.max_sessions_per_key or s.max_sessions),
+        ):
+            if count >= most:
+                raise ResourceExhausted(
+                    f"sessions: {whose} has its {most} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
+                )
+
     def _limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
         """What the client asked for, lowered to what the server allows."""
         s = self._settings
-        if asked.idle_timeout < 0:
-            raise InvalidArgument(
-                field="limits.idle_timeout", expected="a positive number of seconds", got=f"{asked.idle_timeout:g}"
-            )
+        for name, unit in _REAL_LIMITS.items():
+            if not 0 <= getattr(asked, name) < math.inf:
+                raise InvalidArgument(
+                    field=f"limits.{name}", expected=f"a positive number of {unit}", got=f"{getattr(asked, name):g}"
+                )
+        idle = min(asked.idle_timeout or s.idle_timeout, s.idle_timeout)
         return pb.SessionLimits(
             max_points=min(asked.max_points or s.max_points, s.max_points),
-            idle_timeout=min(asked.idle_timeout or s.idle_timeout, s.idle_timeout),
+            max_frame_rate=_lower(asked.max_frame_rate, s.max_frame_rate),
+            idle_timeout=idle,
+            max_lifetime=_lower(asked.max_lifetime, s.max_lifetime),
             max_frames_in_flight=min(asked.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
+            departure_timeout=min(asked.departure_timeout or s.departure_timeout, idle),
         )
 
     def _mode(self, asked: pb.FlowMode) -> pb.FlowMode:
@@ -290,7 +382,9 @@ class Sessions:
 
     def _end(self, session: Session, reason: ServiceError) -> None:
         """The session is gone; whoever asks for it, and its stream, is told why."""
-        self._sessions.pop(session.id, None)
+        if self._sessions.pop(session.id, None) is None:
+            return
+        session.closed = True
         self._remember(self._ended, session.id, reason)
         if session.stream:
             session.stream.end(reason)
@@ -298,8 +392,9 @@ class Sessions:
         self._count()
 
     async def _forget(self, session: Session) -> None:
-        with contextlib.suppress(WorkerLost):  # a lost worker took the session with it
-            await self._pool.close(session.id)
+        async with session.lock:
+            with contextlib.suppress(WorkerLost):  # a lost worker took the session with it
+                await self._pool.close(session.id)
 
     def _remember(self, memory: OrderedDict, key: str, value) -> None:
         memory[key] = value
@@ -319,6 +414,34 @@ def _labels(session: pb.Session) -> dict[str, str]:
     if longest > _MAX_TEXT:
         raise InvalidArgument(field="labels", expected=f"at most {_MAX_TEXT} characters each", got=str(longest))
     return labels
+
+
+def _lower(asked: float, most: float) -> float:
+    """The smaller one of two bounds, where 0 is none."""
+    return min(asked or most, most or asked)
+
+
+def _busy(session: Session) -> SessionBusy:
+    return SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
+
+
+def _taken_meshes(opened: pb.Session) -> pb.Session:
+    """Garment and body of a worker's answer, which loses them."""
+    meshes = pb.Session(garment=opened.garment)
+    if opened.HasField("body"):
+        meshes.body.CopyFrom(opened.body)
+    opened.ClearField("garment")
+    opened.ClearField("body")
+    return meshes
+
+
+def _memory_of(session: pb.Session, limits: pb.SessionLimits) -> Memory:
+    """Estimate for a session whose meshes nobody has read yet."""
+    counts = []
+    for mesh in (session.garment, session.body):
+        double = mesh.vertices.encoding == pb.ARRAY_ENCODING_FLOAT64
+        counts += [len(mesh.vertices.data) // (24 if double else 12), len(mesh.faces.data) // 12]
+    return Memory.of(*counts, limits.max_points)
 
 
 def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:

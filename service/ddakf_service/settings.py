@@ -45,7 +45,17 @@ class Settings(BaseSettings):
         description=f"worker processes; the default is one per core, at most {DEFAULT_MAX_WORKERS}",
     )
 
+    spare_workers: int = Field(1, ge=0, le=16, description="warm processes that take the place of a lost worker at once")
+    recycle_frames: int = Field(0, ge=0, description="frames after which a worker is replaced in order; 0: never")
+    recycle_memory_bytes: int = Field(
+        6 << 30, ge=0, description="bytes in memory at which a worker is replaced in order; 0: never"
+    )
+
     max_sessions: int = Field(64, ge=1, description="sessions at a time")
+    max_sessions_per_key: int = Field(0, ge=0, description="sessions at a time of one key; 0: as many as the server may have")
+    max_memory_bytes: int = Field(
+        4 << 30, ge=1 << 20, description="estimated bytes of a worker's sessions, above which it takes no more"
+    )
     max_message_bytes: int = Field(64 << 20, ge=1 << 16, le=1 << 30, description="largest request, bytes")
     max_points: int = Field(500_000, ge=1, description="points in one frame")
     max_vertices: int = Field(100_000, ge=3, description="vertices of a garment")
@@ -57,10 +67,17 @@ class Settings(BaseSettings):
     )
     lossless_queue: int = Field(8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops")
     max_watchers: int = Field(16, ge=0, le=1024, description="readers of one session beside its client")
+    max_frame_rate: float = Field(0.0, ge=0, description="frames per second of a session; 0: as many as can be tracked")
     idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
+    departure_timeout: float = Field(
+        60.0, gt=0, description="seconds that a session waits for its client once its stream has ended; at most idle_timeout"
+    )
+    max_lifetime: float = Field(0.0, ge=0, description="seconds after its creation at which a session ends; 0: none")
+    reader_timeout: float = Field(30.0, gt=0, description="seconds that a client may not read its answers before its stream ends")
     frame_timeout: float = Field(30.0, gt=0, description="seconds that one frame may take before its worker is replaced")
     warm_timeout: float = Field(900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame")
     drain_grace: float = Field(5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown")
+    successor: str = Field("", description="host:port that clients are told at a shutdown; empty: this server")
 
     data_dir: str = Field(
         default_factory=_default_data_dir,

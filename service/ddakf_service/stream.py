@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
 from time import monotonic
 
-from ddakf_api.errors import Internal, InvalidFrame, ServiceError, WorkerLost, to_detail
+from ddakf_api.errors import DeadlineExceeded, InvalidFrame, ServiceError, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from .flow import Waiting, mailbox_for
+from .durability import Durability, Irrecoverable
+from .flow import Overload, RateLimit, Waiting, mailbox_for
+from .outcomes import Outcomes
 from .session import Session
-from .telemetry import Metrics, current_session
+from .telemetry import current_session
 from .workers import WorkerPool
 
 log = logging.getLogger(__name__)
@@ -44,9 +47,13 @@ class Outbox:
             await self._room.wait()
         self._append(response)
 
-    def push(self, response: pb.TrackResponse) -> None:
-        """Leaves an answer without waiting; for the few that must not be held up."""
+    def notify(self, notice: pb.Notice) -> None:
+        """Leaves a notice without waiting, in place of one of its kind that still waits."""
+        response = pb.TrackResponse(notice=notice)
         self._publish(response)
+        older = [r for r in self._responses if r.HasField("notice") and r.notice.kind == notice.kind]
+        for waiting in older:
+            self._responses.remove(waiting)
         self._append(response)
 
     def _append(self, response: pb.TrackResponse) -> None:
@@ -77,30 +84,45 @@ class Outbox:
 class Stream:
     """The conversation of a session with its client.
 
-    A transport calls :meth:`receive` for each request, :meth:`finish` when no more will come, sends what
-    :meth:`responses` yields, and calls :meth:`close` at the end, whichever side ended it.
+    A transport calls :meth:`receive` for each request, :meth:`finish` when no more will come, has :meth:`deliver` send the
+    answers, and calls :meth:`close` at the end, whichever side ended it.
+
+    Args:
+        reader_timeout: seconds that the client may not read before the stream ends.
 
     Attributes:
         ending: set once nothing more is tracked, though a frame may still be in the worker.
         gone: set by whoever closed the stream, once its session is free for another one.
     """
 
-    def __init__(self, session: Session, start: pb.Start, pool: WorkerPool, metrics: Metrics, mode: pb.FlowMode):
+    def __init__(
+        self,
+        session: Session,
+        start: pb.Start,
+        mode: pb.FlowMode,
+        pool: WorkerPool,
+        durability: Durability,
+        outcomes: Outcomes,
+        reader_timeout: float,
+    ):
         self.session = session
-        self._pool, self._metrics = pool, metrics
+        self._pool, self._durability, self._outcomes = pool, durability, outcomes
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)
-        self._mode = mode
+        self._mode, self._reader_timeout = mode, reader_timeout
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox(session.watchers.publish)
+        self._rate_limit, self._overload = RateLimit(), Overload(monotonic())
         self.ending, self.gone = asyncio.Event(), asyncio.Event()
         self._pump = asyncio.create_task(self._run())
+
+    # From the client ------------------------------------------------------------------------------------------------
 
     async def receive(self, request: pb.TrackRequest) -> None:
         """Takes a request; waits in lossless mode while the session is behind."""
         match request.WhichOneof("message"):
             case "frame":
-                await self._receive_frame(request.frame)
+                await self._receive_frame(request.frame, monotonic())
             case "ping":
                 pong = pb.Pong(token=request.ping.token, server_time=time.time())
                 await self._outbox.put(pb.TrackResponse(pong=pong))
@@ -113,15 +135,75 @@ class Stream:
         """The client sends no more; the frames that wait are still answered."""
         self._mailbox.close()
 
+    async def _receive_frame(self, frame: pb.Frame, arrived: float) -> None:
+        try:
+            self._check(frame)
+        except InvalidFrame as error:
+            await self._outbox.put(self._outcomes.refused(self.session, frame, error))
+            return
+        if await self._may_come(arrived):
+            self._count_dropped(await self._mailbox.put(frame, arrived))
+
+    def _check(self, frame: pb.Frame) -> None:
+        """Refuses at the door what would only take memory while it waits."""
+        most = self.session.limits.max_points
+        cloud = frame.point_cloud
+        if cloud.point_count > most:
+            raise InvalidFrame(field="point_cloud.point_count", expected=f"at most {most}", got=str(cloud.point_count))
+        if len(cloud.data) > most * _BYTES_PER_POINT + _HEADER_BYTES:
+            raise InvalidFrame(
+                field="point_cloud.data", expected=f"bytes of at most {most} points", got=f"{len(cloud.data)} bytes"
+            )
+        if not 0 <= frame.deadline < math.inf:
+            raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
+
+    async def _may_come(self, now: float) -> bool:
+        """Whether a frame keeps to the session's frame rate. In lossless flow it does, once this returns."""
+        rate = self.session.limits.max_frame_rate
+        if self._mode == pb.FLOW_MODE_LOSSLESS:
+            while not self.ending.is_set() and (pause := self._rate_limit.wait(rate, monotonic())) > 0:
+                await asyncio.sleep(pause)
+            return True
+        if self._rate_limit.wait(rate, now) == 0:
+            return True
+        self._outcomes.dropped(self.session, 1)
+        if self._overload.may_tell(now):
+            self._tell_to_slow_down(rate, f"the session may have {rate:g} frames per second")
+        return False
+
+    def _count_dropped(self, count: int) -> None:
+        if count:
+            self._outcomes.dropped(self.session, count)
+            self._count_missed(count)
+
+    def _count_missed(self, count: int) -> None:
+        if rate := self._overload.missed(count, monotonic()):
+            self._tell_to_slow_down(rate, f"more frames come than can be tracked, which are {rate:.3g} per second")
+
+    def _tell_to_slow_down(self, rate: float, message: str) -> None:
+        self.notify(pb.Notice(kind=pb.NOTICE_KIND_SLOW_DOWN, message=message, value=rate))
+
+    # To the client --------------------------------------------------------------------------------------------------
+
     def notify(self, notice: pb.Notice) -> None:
         """Tells the client something in between its results."""
-        self._outbox.push(pb.TrackResponse(notice=notice))
+        self._outbox.notify(notice)
 
-    def end(self, error: Exception | None) -> None:
-        """Ends the stream from the server's side, with what the client shall be told."""
-        self.ending.set()
-        self._outbox.close(error)
-        self._mailbox.close()
+    async def deliver(self, send: Callable[[pb.TrackResponse], Awaitable[None]]) -> None:
+        """Sends everything, beginning with Started.
+
+        Raises:
+            ServiceError: what ended the stream before its time; DeadlineExceeded when it was a client that does not read.
+        """
+        async for response in self.responses():
+            try:
+                async with asyncio.timeout(self._reader_timeout):
+                    await send(response)
+            except TimeoutError:
+                error = DeadlineExceeded(f"the client has not read its answers for {self._reader_timeout:g} s")
+                log.warning("a stream ends: %s", error, extra={"session": self.session.id})
+                self.end(error)
+                raise error from None
 
     async def responses(self) -> AsyncIterator[pb.TrackResponse]:
         """Everything to send, beginning with Started; raises the error that ended the stream, if one did."""
@@ -138,32 +220,23 @@ class Stream:
         while (response := await self._outbox.get()) is not None:
             yield response
 
+    # The end --------------------------------------------------------------------------------------------------------
+
+    def end(self, error: Exception | None) -> None:
+        """Ends the stream from the server's side, with what the client shall be told."""
+        self.ending.set()
+        self._outbox.close(error)
+        self._mailbox.close()
+
     async def close(self) -> None:
         """Returns when the frame that is in the worker, if any, has been counted; frames that wait are dropped."""
         self.end(None)
-        while (waiting := await self._mailbox.get()) is not None:
-            self._count_dropped(1, waiting.frame)
+        while await self._mailbox.get() is not None:
+            self._outcomes.dropped(self.session, 1)
         # Not the pump itself: whoever waits here may be cancelled, and the frame in the worker shall be counted still.
         await asyncio.wait({self._pump})
 
-    async def _receive_frame(self, frame: pb.Frame) -> None:
-        try:
-            self._check_size(frame)
-        except InvalidFrame as error:
-            await self._outbox.put(self._rejection(frame, error))
-            return
-        self._count_dropped(await self._mailbox.put(frame), frame)
-
-    def _check_size(self, frame: pb.Frame) -> None:
-        """Refuses at the door what would only take memory while it waits."""
-        most = self.session.limits.max_points
-        cloud = frame.point_cloud
-        if cloud.point_count > most:
-            raise InvalidFrame(field="point_cloud.point_count", expected=f"at most {most}", got=str(cloud.point_count))
-        if len(cloud.data) > most * _BYTES_PER_POINT + _HEADER_BYTES:
-            raise InvalidFrame(
-                field="point_cloud.data", expected=f"bytes of at most {most} points", got=f"{len(cloud.data)} bytes"
-            )
+    # Tracking -------------------------------------------------------------------------------------------------------
 
     async def _run(self) -> None:
         """Tracks frame after frame until no more come; one is in the worker at a time."""
@@ -174,29 +247,50 @@ class Stream:
                 if response is not None:
                     await self._outbox.put(response)
             self._outbox.close()
-        except WorkerLost as error:
-            self.end(error)
+        except Irrecoverable as error:
+            self.end(error.reason)
         except Exception as error:
             log.exception("a stream failed")
             self.end(error)
 
     async def _track(self, waiting: Waiting) -> pb.TrackResponse | None:
-        frame, started = waiting.frame, monotonic()
-        try:
-            async with self.session.lock:
-                self._check_order(frame)
-                payload = await self._pool.submit(self.session.id, frame.SerializeToString(), self._options)
-                result = pb.Result.FromString(payload)
-                self.session.record_result(result, waiting.arrived)
-        except WorkerLost:
-            self._metrics.frames.labels("failed").inc()
-            raise
-        except ServiceError as error:
-            return self._rejection(frame, error)
-        result.timings["queue"] = started - waiting.arrived
-        result.timings["server"] = monotonic() - waiting.arrived
-        self._metrics.observe(result)
+        """The answer to a frame; None: the client does not want it.
+
+        Raises:
+            Irrecoverable: the session cannot be had back.
+        """
+        started, session = monotonic(), self.session
+        async with session.lock:
+            await self._durability.seat(session)
+            try:
+                self._check_order(waiting.frame)
+                result = await self._submit(waiting)
+            except WorkerLost as error:
+                self._durability.lost(session)
+                response = self._outcomes.refused(session, waiting.frame, error)
+                await self._durability.seat(session)
+                return response
+            except ServiceError as error:
+                response = self._outcomes.refused(session, waiting.frame, error)
+                if isinstance(error, DeadlineExceeded):
+                    self._count_missed(1)
+                return response
+            self._outcomes.applied(session, result, waiting, started)
+            self._overload.applied()
+            self._durability.tracked(session)
         return None if result.frames_applied % self._every_nth else pb.TrackResponse(result=result)
+
+    async def _submit(self, waiting: Waiting) -> pb.Result:
+        """Has a frame tracked, once more in another worker if the first one is lost."""
+        frame, session = waiting.frame, self.session
+        turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
+        payload = frame.SerializeToString()
+        try:
+            return pb.Result.FromString(await self._pool.submit(session.id, payload, self._options, turn_by=turn_by))
+        except WorkerLost:
+            self._durability.lost(session)
+            await self._durability.seat(session)
+        return pb.Result.FromString(await self._pool.submit(session.id, payload, self._options, turn_by=turn_by))
 
     def _check_order(self, frame: pb.Frame) -> None:
         last = self.session.statistics.last_sequence_number
@@ -206,24 +300,3 @@ class Stream:
                 expected=f"more than {last}, that of the last frame",
                 got=str(frame.sequence_number),
             )
-
-    def _rejection(self, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
-        self.session.touch()  # who sends frames, if bad ones, is there
-        statistics = self.session.statistics
-        statistics.frames_rejected += 1
-        self._metrics.frames.labels("failed" if isinstance(error, Internal) else "rejected").inc()
-        log.info("a frame was rejected: %s", error, extra={"session": self.session.id, "sequence": frame.sequence_number})
-        return pb.TrackResponse(
-            frame_error=pb.FrameError(
-                sequence_number=frame.sequence_number,
-                capture_time=frame.capture_time,
-                error=to_detail(error),
-                frames_rejected=statistics.frames_rejected,
-            )
-        )
-
-    def _count_dropped(self, count: int, frame: pb.Frame) -> None:
-        if count:
-            self.session.statistics.frames_dropped += count
-            self._metrics.frames.labels("dropped").inc(count)
-            log.debug("a frame was dropped", extra={"session": self.session.id, "before": frame.sequence_number})

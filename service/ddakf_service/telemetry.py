@@ -72,12 +72,14 @@ class Metrics:
     """What ``/metrics`` exports. Labels are few and bounded: never a session's id.
 
     ddakf_frames_total{outcome}: frames by what became of them: applied, dropped (a newer one came first), rejected (bad
-        input) or failed (worker lost or internal error).
+        input), late (its deadline had passed) or failed (worker lost or internal error).
     ddakf_frame_stage_seconds{stage}: time of each of the tracker's stages in a worker.
     ddakf_frame_seconds: from the arrival of a frame to its result, seconds.
     ddakf_frame_reliability: reliability of each applied frame, 0 to 1.
     ddakf_sessions: sessions that exist. ddakf_streams: sessions with an open stream.
-    ddakf_workers_ready: workers that take frames. ddakf_worker_restarts_total: workers that were replaced.
+    ddakf_workers_ready: workers that take frames. ddakf_worker_restarts_total: workers that were lost and
+        replaced. ddakf_workers_spare: warm ones that wait. ddakf_workers_recycled_total: workers that were replaced in order.
+    ddakf_session_recoveries_total: times that a session went on from a checkpoint.
     """
 
     def __init__(self):
@@ -107,8 +109,11 @@ class Metrics:
             "ddakf_checkpoint_seconds", "Time to write a checkpoint", buckets=_LATENCY_BUCKETS, **add
         )
         self.checkpoint_bytes = Counter("ddakf_checkpoint_bytes_total", "Bytes of checkpoints that were written", **add)
+        self.workers_spare = Gauge("ddakf_workers_spare", "Warm workers that wait to take the place of a lost one", **add)
+        self.workers_recycled = Counter("ddakf_workers_recycled_total", "Workers that were replaced in order", **add)
+        self.recoveries = Counter("ddakf_session_recoveries_total", "Times that a session went on from a checkpoint", **add)
         ProcessCollector(registry=self.registry)
-        for outcome in ("applied", "dropped", "rejected", "failed"):
+        for outcome in ("applied", "dropped", "late", "rejected", "failed"):
             self.frames.labels(outcome)
 
     def observe(self, result: pb.Result) -> None:

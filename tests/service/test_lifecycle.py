@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import queue
 import signal
 import socket
 import subprocess
@@ -13,7 +14,7 @@ import time
 
 import httpx
 import pytest
-from ddakf_api.errors import Draining, WorkerLost
+from ddakf_api.errors import Draining
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.child import ServiceFailed, ServiceProcess
 
@@ -35,7 +36,8 @@ def until(condition, seconds: float = TIMEOUT) -> None:
 @pytest.fixture
 def own_service(tmp_path):
     """A service that a test may end."""
-    process = ServiceProcess(["--workers", "1", "--drain-grace", "3"], log=tmp_path / "service.log")
+    arguments = ["--workers", "1", "--spare-workers", "0", "--drain-grace", "3"]
+    process = ServiceProcess(arguments, log=tmp_path / "service.log")
     process.wait_until_ready()
     yield process
     process.stop()
@@ -73,43 +75,76 @@ def test_a_port_in_use_ends_with_status_two(flag):
     assert port in ended.stderr
 
 
-def test_a_killed_worker_gives_a_retryable_error_and_a_replacement(service, api, http, sheet):
-    """Two sessions on two workers: one is lost with its worker, the other goes on."""
+@pytest.fixture(scope="module")
+def durable(tmp_path_factory):
+    """A service whose workers tests may kill."""
+    arguments = ["--workers", "2", "--checkpoint-every", "4"]
+    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("durable") / "service.log")
+    try:
+        process.wait_until_ready()
+        yield process
+    finally:
+        status = process.stop()
+    assert status == 0
+
+
+def spare_is_ready(service) -> bool:
+    metrics = httpx.get(service.http + "/metrics").text
+    return "ddakf_workers_ready 2.0" in metrics and "ddakf_workers_spare 1.0" in metrics
+
+
+class Talk:
+    """An open stream: what is sent is decided while the answers come."""
+
+    def __init__(self, api: Api, name: str, **start):
+        self._requests = queue.Queue()
+        self.answers = api.track(name, iter(self._requests.get, None), **start)
+        self.started = next(self.answers).started
+
+    def send(self, frame: pb.Frame) -> None:
+        self._requests.put(request_of(frame))
+
+    def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
+        """What comes back up to the answer to this frame."""
+        self.send(frame)
+        seen = []
+        while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
+            seen.append(next(self.answers))
+        return seen
+
+    def end(self) -> None:
+        self._requests.put(None)
+        assert list(self.answers) == []
+
+
+def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
+    """Both workers are killed in turn, between frames and while one is tracked; nobody's stream ends."""
+    until(lambda: spare_is_ready(durable), 100)
+    api = Api(durable.grpc)
     names = [api.create(sheet).name for _ in range(2)]
-    hold = threading.Event()
-
-    def endless():
-        yield request_of(frame_of(sheet, 1))
-        hold.wait(TIMEOUT)
-
-    streams = {name: api.track(name, endless()) for name in names}
-    for stream in streams.values():
-        assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
-    workers = [pid for pid in children(service.pid) if is_running(pid)]
-    assert len(workers) == 2
-    os.kill(workers[0], signal.SIGKILL)
-    killed = time.monotonic()
-    until(lambda: len([name for name in names if http.get(f"/v1/{name}").status_code == 503]) == 1, 2)
-    lost = next(name for name in names if http.get(f"/v1/{name}").status_code == 503)
-    with pytest.raises(WorkerLost, match="create the session anew") as caught:
-        next(streams[lost])
-    assert caught.value.retry_after > 0
-    assert time.monotonic() - killed < 2
-    with pytest.raises(WorkerLost) as caught:
-        api.get(lost)
-    assert caught.value.retryable
-    assert caught.value.retry_after > 0
-    assert http.get("/readyz").status_code == 200, "the other worker still takes sessions"
-    (kept,) = set(names) - {lost}
-    following = list(api.track(kept, [request_of(frame_of(sheet, 2))], takeover=True))
-    assert following[-1].result.frames_applied == 2
-    again = api.create(sheet, lost.removeprefix("sessions/")).name
-    assert list(api.track(again, [request_of(frame_of(sheet, 1))]))[-1].result.frames_applied == 1
-    hold.set()
+    talks = [Talk(api, name) for name in names]
+    for number in range(1, 7):
+        for talk in talks:
+            assert talk.ask(frame_of(sheet, number))[-1].result.sequence_number == number
+    until(lambda: all(api.get(name).HasField("checkpoint_time") for name in names))
+    for victim in sorted(children(durable.pid))[:2]:  # the spare is the youngest
+        os.kill(victim, signal.SIGKILL)
+    begun = time.monotonic()
+    notices = [[r.notice for r in talk.ask(frame_of(sheet, 7)) if r.HasField("notice")] for talk in talks]
+    assert [api.get(name).statistics.last_sequence_number for name in names] == [7, 7]
+    assert time.monotonic() - begun < 30
+    for name, (notice,) in zip(names, notices, strict=True):
+        assert notice.kind == pb.NOTICE_KIND_RESUMED
+        statistics = api.get(name).statistics
+        assert (statistics.recoveries, statistics.frames_lost) == (1, notice.value)
+        assert notice.value == 2, "frames since the checkpoint at the fourth"
+        assert statistics.frames_applied == 7
+    for talk in talks:
+        talk.end()
     for name in names:
         api.delete(name)
-    until(lambda: "ddakf_workers_ready 2.0" in http.get("/metrics").text)
-    assert "ddakf_worker_restarts_total 1.0" in http.get("/metrics").text
+    assert httpx.get(durable.http + "/readyz").status_code == 200
+    api.channel.close()
 
 
 @pytest.mark.slow
@@ -172,7 +207,8 @@ def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     stream = api.track(api.create(sheet).name, silence(hold))
     next(stream)
     os.kill(own_service.pid, signal.SIGTERM)
-    assert next(stream).HasField("notice")
+    notices = [next(stream).notice.kind for _ in range(2)]
+    assert notices == [pb.NOTICE_KIND_DRAINING, pb.NOTICE_KIND_RECONNECT]
     with pytest.raises(Draining):
         next(stream)
     hold.set()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+import json
+import threading
 import time
 import uuid
 
@@ -11,12 +14,13 @@ import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack, pack_mesh
 from ddakf_api.errors import (
+    FailedPrecondition,
     InvalidArgument,
+    InvalidConfig,
     InvalidSnapshot,
     SessionExists,
     SessionExpired,
     SessionNotFound,
-    Unimplemented,
     VersionMismatch,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -31,7 +35,7 @@ from ddakf import data
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Sensor
 
-from .conftest import Api, frame_of, make_sheet, request_of
+from .conftest import TIMEOUT, Api, frame_of, make_sheet, request_of, silence
 
 
 def test_life_over_grpc(api, sheet):
@@ -128,8 +132,123 @@ def test_updating_labels_and_limits(api, session):
     assert after.limits.max_points == 10
     assert after.limits.idle_timeout == before.limits.idle_timeout, "lowered to what the server allows"
     assert after.etag != before.etag
-    with pytest.raises(Unimplemented, match="fabric"):
-        api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, fabric="silk")))
+    with pytest.raises(InvalidArgument, match="update_mask"):
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, state=pb.SESSION_STATE_LOST)))
+
+
+def test_another_configuration_and_fabric_while_frames_are_tracked(api, session, sheet):
+    """The tracker goes on where it is: the frame number and the time of the last frame still count."""
+
+    def update(**change):
+        return api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, **change)))
+
+    between, sent = [], threading.Event()
+
+    def requests():
+        yield request_of(frame_of(sheet, 1))
+        sent.wait(TIMEOUT)
+        yield request_of(frame_of(sheet, 2))
+
+    stream = api.track(session, requests())
+    assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    between.append(update(config_json='{"associate": {"wide_gate": 0.05}}'))
+    between.append(update(fabric="silk"))
+    with pytest.raises(InvalidConfig, match="fabric"):
+        update(fabric="iron", labels={"never": "set"})
+    sent.set()
+    assert [response.result.frames_applied for response in stream] == [2]
+    first, second = (json.loads(answer.config_json) for answer in between)
+    assert first["associate"]["wide_gate"] == second["associate"]["wide_gate"] == 0.05
+    assert first["physics"] != second["physics"] == ddakf.Config().with_fabric(ddakf.Fabric.named("silk")).to_dict()["physics"]
+    after = api.get(session)
+    assert (after.fabric, dict(after.labels), after.config_json) == ("silk", {}, between[1].config_json)
+
+
+def test_an_update_of_what_another_has_changed_meanwhile_is_refused(api, session):
+    seen = api.get(session).etag
+    change = pb.UpdateSessionRequest(session=pb.Session(name=session, etag=seen, labels={"mine": "1"}))
+    after = api.call("UpdateSession", change)
+    with pytest.raises(FailedPrecondition, match="etag") as caught:
+        api.call("UpdateSession", change)
+    assert caught.value.field == "etag"
+    change.session.etag = after.etag
+    assert api.call("UpdateSession", change).etag not in (seen, after.etag)
+
+
+def test_a_session_tells_its_memory_and_when_it_expires(api, sheet):
+    limits = pb.SessionLimits(idle_timeout=50, max_lifetime=20, departure_timeout=1e6, max_frame_rate=7, max_points=1000)
+    small = api.create(sheet, limits=limits)
+    large = api.create(make_sheet(40, 0.01))
+    assert small.limits.departure_timeout == 50, "at most the idle timeout"
+    assert small.limits.max_frame_rate == 7
+    assert small.expire_time.ToNanoseconds() - small.create_time.ToNanoseconds() == pytest.approx(20e9, abs=1e9)
+    assert 0 < small.statistics.memory_bytes < large.statistics.memory_bytes
+    for name in (small.name, large.name):
+        api.delete(name)
+
+
+@pytest.mark.parametrize("field", ["max_frame_rate", "idle_timeout", "max_lifetime", "departure_timeout"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_a_limit_that_is_no_number_is_refused(api, session, field, value):
+    change = pb.Session(name=session, limits=pb.SessionLimits(**{field: value}))
+    with pytest.raises(InvalidArgument, match=field):
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=change))
+
+
+def gone(api, name: str) -> SessionExpired:
+    """Why a session has expired, once it has."""
+    deadline = time.monotonic() + 10
+    while time.monotonic() < deadline:
+        try:
+            api.get(name)
+        except SessionExpired as error:
+            return error
+        time.sleep(0.1)
+    raise AssertionError("it lives")
+
+
+def test_a_session_that_its_client_has_left_waits_and_expires(api, sheet):
+    """While a stream is open, or before there was one, the departure window does not run."""
+    limits = pb.SessionLimits(departure_timeout=0.5)
+    left, waiting, open_still = (api.create(sheet, limits=limits).name for _ in range(3))
+    hold = threading.Event()
+    stream = api.track(open_still, silence(hold))
+    next(stream)
+    list(api.track(left, [request_of(frame_of(sheet, 1))]))
+    again = list(api.track(left, [request_of(frame_of(sheet, 2))]))
+    assert again[0].started.last_sequence_number == 1, "within the window it comes back to what it left"
+    assert "did not come back within 0.5 s" in str(gone(api, left))
+    assert [api.get(name).name for name in (waiting, open_still)] == [waiting, open_still]
+    hold.set()
+    list(stream)
+    gone(api, open_still)
+    api.delete(waiting)
+
+
+def test_a_lifetime_ends_even_a_busy_session(api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_lifetime=1.0)).name
+
+    def endless():
+        for number in itertools.count(1):
+            time.sleep(0.05)
+            yield request_of(frame_of(sheet, number))
+
+    with pytest.raises(SessionExpired, match="1 s, its longest"):
+        list(api.track(name, endless()))
+    assert "its longest" in str(gone(api, name))
+
+
+def test_a_repeated_request_over_another_connection_creates_once(service, api, sheet):
+    request = pb.CreateSessionRequest(
+        api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*sheet)), request_id=str(uuid.uuid4())
+    )
+    name = api.call("CreateSession", request).name
+    other = Api(service.grpc)
+    with other.channel:
+        assert other.call("CreateSession", request).name == name
+    api.delete(name)
+    with pytest.raises(SessionNotFound, match="deleted"):
+        api.call("CreateSession", request)
 
 
 def test_reset_starts_again_from_given_vertices(api, session, sheet):
@@ -256,8 +375,11 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
     monkeypatch.setattr(sessions, "_EXPIRY_INTERVAL", 0.01)
 
     class Pool:
-        async def open(self, session_id, request):
+        async def open(self, session_id, request, memory):
             return pb.Session(name=session_id).SerializeToString()
+
+        async def snapshot(self, session_id):
+            return b""
 
         async def close(self, session_id):
             await asyncio.sleep(0.05)

@@ -3,32 +3,51 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import os
 import signal
 
 import numpy as np
 import pytest
+import pytest_asyncio
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack_mesh, unpack
-from ddakf_api.errors import InvalidFrame, InvalidMesh, InvalidSnapshot, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    InvalidConfig,
+    InvalidFrame,
+    InvalidMesh,
+    InvalidSnapshot,
+    ResourceExhausted,
+    SessionNotFound,
+    Unavailable,
+    WorkerLost,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.workers import Limits
+from ddakf_service.workers import Limits, Memory, wire
 from ddakf_service.workers.local import LocalPool, WorkerStartFailed
+
+from ddakf import Tracker
 
 from .conftest import frame_of, is_running
 
 LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000)
 
 
-def local(**options) -> LocalPool:
-    return LocalPool(2, LIMITS, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+def local(size=2, **options) -> LocalPool:
+    return LocalPool(size, LIMITS, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
 
 
+NAMES = ("one", "two", "three", "copy", "bad", "greedy", "other", "modest")  # of the sessions in these tests
 IMPLEMENTATIONS = [pytest.param(local, id="local")]
 
 
-@pytest.fixture(params=IMPLEMENTATIONS)
-async def pool(request):
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
+async def shared_pool(request):
+    """Two workers, whoever uses them."""
     lost: list[str] = []
     pool = request.param(on_lost=lost.extend)
     pool.lost = lost
@@ -37,6 +56,17 @@ async def pool(request):
         yield pool
     finally:
         await pool.stop()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def pool(shared_pool):
+    """Two ready workers without sessions."""
+    await until(lambda: shared_pool.health().ready == 2)
+    shared_pool.lost.clear()
+    shared_pool.restarts = shared_pool.health().restarts
+    yield shared_pool
+    for name in NAMES:
+        await shared_pool.close(name)
 
 
 def creation(sheet) -> bytes:
@@ -57,7 +87,7 @@ async def until(condition, seconds: float = 60.0) -> None:
 
 @pytest.mark.slow
 async def test_sessions_live_where_they_were_opened(pool, sheet):
-    assert pool.health() == (2, 2, 0)
+    assert (pool.health().ready, pool.health().wanted) == (2, 2)
     for session_id in ("one", "two", "three"):
         opened = pb.Session.FromString(await pool.open(session_id, creation(sheet)))
         assert opened.garment_vertex_count == len(sheet.vertices)
@@ -108,11 +138,11 @@ async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
     os.kill(victim, signal.SIGKILL)
     await until(lambda: pool.lost, 2.0)
     assert pool.lost == ["one"]
-    with pytest.raises(WorkerLost, match="create the session anew"):
+    with pytest.raises(WorkerLost, match="was lost"):
         await track(pool, "one", frame_of(sheet, 1))
     assert (await track(pool, "two", frame_of(sheet, 1))).sequence_number == 1
     await until(lambda: pool.health().ready == 2)
-    assert pool.health().restarts == 1
+    assert pool.health().restarts == pool.restarts + 1
     assert survivor in pool.process_ids()
     assert victim not in pool.process_ids()
     await pool.open("one", creation(sheet))
@@ -122,12 +152,12 @@ async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
 @pytest.mark.slow
 async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
     await pool.open("one", creation(sheet))
-    worker = pool._homes["one"]
+    worker = pool._homes["one"].worker
     worker._reader.feed_data(b"\xff" + bytes(14))
     await until(lambda: pool.lost, 5.0)
     with pytest.raises(WorkerLost):
         await track(pool, "one", frame_of(sheet, 1))
-    await until(lambda: pool.health() == (2, 2, 1))
+    await until(lambda: pool.health()[:3] == (2, 2, pool.restarts + 1))
     assert not is_running(worker.process.pid)
 
 
@@ -154,6 +184,127 @@ async def test_a_hung_worker_is_replaced(implementation, sheet):
         with pytest.raises(WorkerLost):
             await track(pool, "one", frame_of(sheet, 1))
         await until(lambda: pool.health().restarts == 1)
+    finally:
+        await pool.stop()
+
+
+@pytest_asyncio.fixture(params=IMPLEMENTATIONS, loop_scope="module")
+async def recycling_pool(request):
+    """One worker that is replaced after three frames, and a spare."""
+    pool = request.param(1, spares=1, recycle_frames=3)
+    await pool.start(lambda *_: None)
+    try:
+        yield pool
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet):
+    """What it tracks is what an undisturbed worker tracks, to the bit."""
+    pool = recycling_pool
+    for name in ("one", "two"):
+        await pool.open(name, creation(sheet))
+    (first,) = pool.process_ids()
+    results, number = [], 0
+    async with asyncio.timeout(60):
+        while pool.health().recycled == 0 or number < 5:
+            number += 1
+            frame = frame_of(sheet, number, shift=(0.001 * number, 0, 0))
+            results.append([await track(pool, name, frame, include_covariance=True) for name in ("one", "two")])
+            await asyncio.sleep(0.02)
+    assert first not in pool.process_ids()
+    await until(lambda: not is_running(first))
+    assert pool.health().restarts == 0
+    undisturbed = compute()
+    undisturbed.open("one", creation(sheet))
+    options = pb.ResultOptions(include_covariance=True).SerializeToString()
+    for i, pair in enumerate(results, 1):
+        frame = frame_of(sheet, i, shift=(0.001 * i, 0, 0)).SerializeToString()
+        expected = pb.Result.FromString(undisturbed.frame("one", wire.join(options, frame)))
+        assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
+    await until(lambda: pool.health().spares == 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
+    lost = []
+    pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))
+    await pool.start(lambda *_: None)
+    try:
+        await until(lambda: pool.health().spares == 1)
+        await pool.open("one", creation(sheet))
+        os.kill(pool.process_ids()[0], signal.SIGKILL)
+        await until(lambda: lost)
+        assert lost == [(["one"], 1)], "who is told finds a worker"
+        await pool.open("one", creation(sheet))
+        assert (await track(pool, "one", frame_of(sheet, 1))).sequence_number == 1
+        await until(lambda: pool.health().spares == 1)
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await track(pool, "one", frame_of(sheet, 1))
+    before = pool.snapshot("one", compressed=True)
+    plain = pool.snapshot("one")
+    after = track(pool, "one", frame_of(sheet, 2))
+    before, plain, _ = await asyncio.gather(before, plain, after)
+    assert Tracker.restore(before)._time == Tracker.restore(plain)._time == frame_of(sheet, 1).capture_time
+
+
+@pytest.mark.slow
+async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
+    """Whoever has many frames to come waits for those who have one."""
+    for name in ("greedy", "other", "modest"):
+        await pool.open(name, creation(sheet))
+    assert pool._homes["greedy"].worker is pool._homes["modest"].worker
+    order = []
+
+    async def submit(name, numbers):
+        for number in numbers:
+            await track(pool, name, frame_of(sheet, number))
+            order.append(name)
+
+    await asyncio.gather(submit("greedy", range(1, 31)), submit("modest", range(1, 11)))
+    assert order.index("modest") <= 2
+    assert order[:18].count("modest") >= 8
+    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", turn_by=0.0)
+    with pytest.raises(DeadlineExceeded):
+        await late
+    assert (await track(pool, "modest", frame_of(sheet, 11))).sequence_number == 11
+
+
+@pytest.mark.slow
+async def test_another_configuration_goes_on_from_the_same_state(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await track(pool, "one", frame_of(sheet, 1))
+    session = pb.Session(config_json='{"associate": {"wide_gate": 0.05}}', fabric="silk")
+    answer = pb.Session.FromString(await pool.configure("one", session.SerializeToString()))
+    assert json.loads(answer.config_json)["associate"]["wide_gate"] == 0.05
+    with pytest.raises(InvalidConfig, match="wide_gate"):
+        await pool.configure("one", pb.Session(config_json='{"associate": {"wide_gate": -1}}').SerializeToString())
+    with pytest.raises(InvalidFrame, match="capture_time"):
+        await track(pool, "one", frame_of(sheet, 1))
+    assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_sessions_beyond_a_worker_s_memory_are_refused(implementation, sheet):
+    pool = implementation(1, max_memory=100.0)
+    await pool.start(lambda *_: None)
+    try:
+        await pool.open("one", creation(sheet), Memory(40, 30))
+        await pool.open("two", creation(sheet), Memory(30, 20))
+        with pytest.raises(ResourceExhausted, match="memory") as caught:
+            await pool.open("three", creation(sheet), Memory(10, 0))
+        assert caught.value.retry_after > 0
+        await pool.close("two")
+        await pool.open("three", creation(sheet), Memory(10, 0))
     finally:
         await pool.stop()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from time import perf_counter
 
@@ -26,6 +27,7 @@ class Compute:
             Kind.OPEN: self.open,
             Kind.RESTORE: self.restore,
             Kind.FRAME: self.frame,
+            Kind.CONFIGURE: self.configure,
             Kind.RESET: self.reset,
             Kind.SNAPSHOT: self.snapshot,
             Kind.CLOSE: self.close,
@@ -75,9 +77,15 @@ class Compute:
         tracker.reset(vertices, velocities=velocities)
         return b""
 
+    def configure(self, session_id: str, payload: bytes) -> bytes:
+        """Session with configuration and fabric in, with the whole configuration out."""
+        session = pb.Session.FromString(payload)
+        self._trackers[session_id] = tracker = self._tracker(session_id).configured(messages.config(session))
+        return pb.Session(config_json=json.dumps(tracker.config.to_dict()), fabric=session.fabric).SerializeToString()
+
     def snapshot(self, session_id: str, payload: bytes) -> bytes:
-        """The tracker's state out."""
-        return self._tracker(session_id).snapshot()
+        """The tracker's state out, compressed unless the payload is empty."""
+        return self._tracker(session_id).snapshot(compressed=bool(payload))
 
     def close(self, session_id: str, payload: bytes) -> bytes:
         """Forgets a session."""

@@ -6,16 +6,20 @@ import asyncio
 import itertools
 import json
 import logging
+import math
 import os
 import socket
 import subprocess
 import sys
+from collections.abc import Awaitable, Coroutine
+from pathlib import Path
+from time import monotonic
 
-from ddakf_api.errors import Unavailable, from_detail
+from ddakf_api.errors import DeadlineExceeded, ResourceExhausted, ServiceError, Unavailable, from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from . import wire
-from .pool import RETRY_AFTER, Health, Limits, OnLost, Progress, worker_lost
+from .pool import RETRY_AFTER, UNKNOWN, Health, Limits, Memory, OnLost, Progress, worker_lost
 
 log = logging.getLogger(__name__)
 
@@ -25,6 +29,9 @@ ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OP
 _STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
 _EXIT_PATIENCE = 5.0  # seconds that a worker has to end by itself once its pipe is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 10.0  # seconds between attempts to replace a worker that dies before it is ready
+_FRAMES_IN_PIPE = 2  # one that is tracked, and one so that the worker need not wait; the others' turns come in order
+_LOOK_INTERVAL = 1.0  # seconds between looks for workers that are due to be recycled
+_RETRY_WHEN_FULL = 5.0  # seconds, told to clients
 
 
 class WorkerStartFailed(RuntimeError):
@@ -35,10 +42,14 @@ class LocalPool:
     """A WorkerPool of spawned processes.
 
     Args:
-        size: number of processes.
+        size: number of processes that take frames.
         limits: what one request may contain.
+        spares: warm processes beside them that take the place of a lost one at once.
         frame_timeout: seconds that a call may take before its worker counts as hung and is replaced.
         warm_timeout: seconds that a worker has to become ready.
+        max_memory: bytes that the sessions of a worker may take by the estimate.
+        recycle_frames: a worker is replaced in order after so many frames; 0: never.
+        recycle_memory: or once it has so many bytes in memory; 0: never.
         on_lost: told which sessions went with a worker.
         on_change: called whenever ``health()`` may have changed.
     """
@@ -48,136 +59,272 @@ class LocalPool:
         size: int,
         limits: Limits,
         *,
+        spares: int = 0,
         frame_timeout: float,
         warm_timeout: float,
+        max_memory: float = math.inf,
+        recycle_frames: int = 0,
+        recycle_memory: int = 0,
         on_lost: OnLost = lambda ids: None,
         on_change=lambda: None,
     ):
-        self._size, self._limits = size, limits
+        self._size, self._n_spares, self._limits = size, spares, limits
         self._frame_timeout, self._warm_timeout = frame_timeout, warm_timeout
+        self._max_memory = max_memory
+        self._recycle_frames, self._recycle_memory = recycle_frames or math.inf, recycle_memory or math.inf
         self._on_lost, self._on_change = on_lost, on_change
-        self._workers: list[_Worker] = []  # the ready ones
-        self._homes: dict[str, _Worker] = {}  # session id to its worker
-        self._keepers: list[asyncio.Task] = []
-        self._restarts = 0
+        self._workers: list[_Worker] = []  # those that take frames
+        self._spares: list[_Worker] = []
+        self._retiring: set[_Worker] = set()
+        self._homes: dict[str, _Home] = {}  # by session id
+        self._tasks: set[asyncio.Task] = set()
+        self._starting = self._restarts = self._recycled = 0
 
     async def start(self, progress: Progress) -> None:
         # The first worker compiles and fills the kernel cache; the others then load from it.
         await self._add_worker(progress)
-        others = [self._add_worker(lambda *_: None) for _ in range(self._size - 1)]
-        for outcome in await asyncio.gather(*others, return_exceptions=True):
+        for outcome in await asyncio.gather(*(self._add_worker() for _ in range(self._size - 1)), return_exceptions=True):
             if isinstance(outcome, BaseException):
                 raise outcome
+        self._refill()
+        self._background(self._recycle_when_due())
 
-    async def open(self, session_id: str, request: bytes) -> bytes:
-        return await self._place(wire.Kind.OPEN, session_id, request)
+    async def open(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
+        return await self._place(wire.Kind.OPEN, session_id, request, memory)
 
-    async def restore(self, session_id: str, request: bytes) -> bytes:
-        return await self._place(wire.Kind.RESTORE, session_id, request)
+    async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
+        return await self._place(wire.Kind.RESTORE, session_id, request, memory)
 
-    async def submit(self, session_id: str, frame: bytes, options: bytes) -> bytes:
-        return await self._call(self._home(session_id), wire.Kind.FRAME, session_id, wire.join(options, frame))
+    async def submit(self, session_id: str, frame: bytes, options: bytes, *, turn_by: float = math.inf) -> bytes:
+        home = self._home(session_id)
+        async with home.lock, home.worker.turns:
+            if monotonic() > turn_by:
+                raise DeadlineExceeded("the frame's deadline passed before its turn came")
+            home.worker.frames += 1
+            return await self._call(home.worker, wire.Kind.FRAME, session_id, wire.join(options, frame))
+
+    async def configure(self, session_id: str, request: bytes) -> bytes:
+        return await self._at_home(wire.Kind.CONFIGURE, session_id, request)
 
     async def reset(self, session_id: str, request: bytes) -> None:
-        await self._call(self._home(session_id), wire.Kind.RESET, session_id, request)
+        await self._at_home(wire.Kind.RESET, session_id, request)
 
-    async def snapshot(self, session_id: str) -> bytes:
-        return await self._call(self._home(session_id), wire.Kind.SNAPSHOT, session_id)
+    def snapshot(self, session_id: str, *, compressed: bool = False) -> Awaitable[bytes]:
+        worker = self._home(session_id).worker
+        answer = worker.send(wire.Kind.SNAPSHOT, session_id, b"compressed" if compressed else b"")
+        return self._in_time(worker, session_id, answer)
 
     async def close(self, session_id: str) -> None:
-        worker = self._homes.pop(session_id, None)
-        if worker is None:
+        home = self._homes.get(session_id)
+        if home is None:
             return
-        worker.sessions.discard(session_id)
-        await self._call(worker, wire.Kind.CLOSE, session_id)
+        async with home.lock:  # it may be moving
+            if self._homes.get(session_id) is home:
+                del self._homes[session_id]
+                home.worker.sessions.pop(session_id, None)
+                await self._call(home.worker, wire.Kind.CLOSE, session_id)
 
     def health(self) -> Health:
-        return Health(len(self._workers), self._size, self._restarts)
+        return Health(len(self._workers), self._size, self._restarts, len(self._spares), self._recycled)
 
     def process_ids(self) -> list[int]:
-        """Of the ready workers."""
         return [worker.process.pid for worker in self._workers]
 
     async def stop(self) -> None:
-        for keeper in self._keepers:
-            keeper.cancel()
-        await asyncio.gather(*self._keepers, return_exceptions=True)
-        await asyncio.gather(*(worker.end() for worker in self._workers))
-        self._workers.clear()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*(worker.end() for worker in [*self._workers, *self._spares, *self._retiring]))
+        for workers in (self._workers, self._spares, self._retiring):
+            workers.clear()
 
-    async def _place(self, kind: wire.Kind, session_id: str, request: bytes) -> bytes:
+    # Sessions -------------------------------------------------------------------------------------------------------
+
+    async def _place(self, kind: wire.Kind, session_id: str, request: bytes, memory: Memory) -> bytes:
         """Creates a session on the least loaded worker."""
         if not self._workers:
             raise Unavailable("no worker is ready; try again in a few seconds", retry_after=RETRY_AFTER)
-        worker = min(self._workers, key=lambda w: len(w.sessions))
-        worker.sessions.add(session_id)
-        self._homes[session_id] = worker
+        worker = min(self._workers, key=lambda w: (w.memory_with(memory) > self._max_memory, len(w.sessions)))
+        if worker.memory_with(memory) > self._max_memory:
+            raise ResourceExhausted(
+                f"memory: no worker has {sum(memory) >> 20} MiB left for the session; try again later, or with fewer points",
+                retry_after=_RETRY_WHEN_FULL,
+            )
+        worker.sessions[session_id] = memory
+        home = self._homes[session_id] = _Home(worker)
         try:
-            return await self._call(worker, kind, session_id, request)
+            async with home.lock:
+                return await self._call(worker, kind, session_id, request)
         except BaseException:
-            worker.sessions.discard(session_id)
-            self._homes.pop(session_id, None)
+            worker.sessions.pop(session_id, None)
+            if self._homes.get(session_id) is home:
+                del self._homes[session_id]
             # Whoever asked may have left while the worker was at it.
             worker.tell(wire.Kind.CLOSE, session_id)
             raise
 
-    def _home(self, session_id: str) -> _Worker:
+    def _home(self, session_id: str) -> _Home:
         try:
             return self._homes[session_id]
         except KeyError:
             raise worker_lost(session_id) from None
 
+    async def _at_home(self, kind: wire.Kind, session_id: str, payload: bytes) -> bytes:
+        home = self._home(session_id)
+        async with home.lock:
+            return await self._call(home.worker, kind, session_id, payload)
+
     async def _call(self, worker: _Worker, kind: wire.Kind, session_id: str, payload: bytes = b"") -> bytes:
+        return await self._in_time(worker, session_id, worker.send(kind, session_id, payload))
+
+    async def _in_time(self, worker: _Worker, session_id: str, answer: asyncio.Future[bytes]) -> bytes:
         try:
             async with asyncio.timeout(self._frame_timeout):
-                return await worker.call(kind, session_id, payload)
+                return await answer
         except TimeoutError:
             log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout)
             worker.process.kill()
             raise worker_lost(session_id) from None
 
-    async def _add_worker(self, progress: Progress) -> None:
-        worker = await _Worker.start(self._limits, self._warm_timeout, progress)
-        self._workers.append(worker)
-        self._keepers.append(asyncio.create_task(self._keep(worker)))
-        self._on_change()
+    # Workers --------------------------------------------------------------------------------------------------------
 
-    async def _keep(self, worker: _Worker) -> None:
-        """Waits for the end of a worker, tells whom it concerns, replaces it, and so on."""
-        while True:
-            await worker.gone.wait()
-            self._forget(worker)
-            worker = await self._replacement()
-            self._workers.append(worker)
-            self._on_change()
+    def _background(self, work: Coroutine) -> asyncio.Task:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
 
-    def _forget(self, worker: _Worker) -> None:
-        self._workers.remove(worker)
-        self._restarts += 1
-        log.error("a worker was lost", extra={"worker": worker.process.pid, "sessions_lost": len(worker.sessions)})
-        lost = sorted(worker.sessions)
-        for session_id in lost:
-            self._homes.pop(session_id, None)
-        self._on_lost(lost)
-        self._on_change()
+    async def _add_worker(self, progress: Progress = lambda *_: None) -> None:
+        self._admit(await _Worker.start(self._limits, self._warm_timeout, progress))
 
-    async def _replacement(self) -> _Worker:
+    def _refill(self) -> None:
+        """Starts as many workers as are missing."""
+        there = len(self._workers) + len(self._spares) + self._starting
+        for _ in range(self._size + self._n_spares - there):
+            self._background(self._recruit())
+            self._starting += 1
+
+    async def _recruit(self) -> None:
+        """Adds a worker, however many attempts it takes."""
         pause = _FIRST_PAUSE
         while True:
             try:
-                return await _Worker.start(self._limits, self._warm_timeout, lambda *_: None)
+                await self._add_worker()
+                self._starting -= 1
+                return
             except (WorkerStartFailed, OSError) as error:
-                log.error("a worker could not be replaced, next attempt in %.1f s: %s", pause, error)
+                log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
 
+    def _admit(self, worker: _Worker) -> None:
+        """A worker that is warm takes frames, or waits until one is missing."""
+        (self._workers if len(self._workers) < self._size else self._spares).append(worker)
+        worker.keeper = self._background(self._keep(worker))
+        self._on_change()
+
+    async def _keep(self, worker: _Worker) -> None:
+        """Waits for the end of a worker, tells whom it concerns, and replaces it."""
+        await worker.gone.wait()
+        self._remove(worker)
+        self._restarts += 1
+        lost = sorted(session_id for session_id, home in self._homes.items() if home.worker is worker)
+        for session_id in lost:
+            del self._homes[session_id]
+        log.error("a worker was lost", extra={"worker": worker.process.pid, "sessions_lost": len(lost)})
+        self._on_lost(lost)
+        self._refill()
+        self._on_change()
+
+    def _remove(self, worker: _Worker) -> None:
+        """Takes a worker out; a spare takes its place."""
+        self._retiring.discard(worker)
+        for workers in (self._workers, self._spares):
+            if worker in workers:
+                workers.remove(worker)
+        while self._spares and len(self._workers) < self._size:
+            self._workers.append(self._spares.pop(0))
+
+    async def _recycle_when_due(self) -> None:
+        """Replaces workers that have tracked or hold too much, one after the other, each when a spare waits for it."""
+        while True:
+            await asyncio.sleep(_LOOK_INTERVAL)
+            for worker in list(self._workers):
+                due = worker.frames >= self._recycle_frames or worker.resident_bytes() >= self._recycle_memory
+                if due and self._spares and worker in self._workers:
+                    await self._recycle(worker)
+
+    async def _recycle(self, worker: _Worker) -> None:
+        """Moves the sessions of a worker to a spare and ends it; none of their frames is lost."""
+        log.info(
+            "a worker is recycled",
+            extra={"worker": worker.process.pid, "frames": worker.frames, "bytes": worker.resident_bytes()},
+        )
+        self._remove(worker)
+        successor = self._workers[-1]
+        self._retiring.add(worker)
+        self._refill()
+        for session_id in list(worker.sessions):
+            await self._move(session_id, worker, successor)
+        if worker.gone.is_set():
+            return
+        self._retiring.discard(worker)
+        if worker.sessions:  # a move failed: it goes on as one too many, and is due again
+            self._workers.append(worker)
+        else:
+            self._recycled += 1
+            worker.keeper.cancel()
+            await worker.end()
+        self._on_change()
+
+    async def _move(self, session_id: str, old: _Worker, new: _Worker) -> None:
+        """Moves a session between two frames; it stays where it is when that fails."""
+        home = self._homes.get(session_id)
+        if home is None or home.worker is not old:
+            return
+        try:
+            async with home.lock:
+                if self._homes.get(session_id) is not home:
+                    return
+                data = await self._call(old, wire.Kind.SNAPSHOT, session_id)
+                await self._call(new, wire.Kind.RESTORE, session_id, pb.RestoreSessionRequest(data=data).SerializeToString())
+                home.worker = new
+                new.sessions[session_id] = old.sessions.pop(session_id)
+                old.tell(wire.Kind.CLOSE, session_id)
+        except ServiceError as error:
+            log.warning("a session could not be moved: %s", error, extra={"session": session_id})
+
+
+class _Home:
+    """Where a session lives.
+
+    Attributes:
+        lock: held by whoever has a call of the session in the worker, or moves it.
+    """
+
+    def __init__(self, worker: _Worker):
+        self.worker = worker
+        self.lock = asyncio.Lock()
+
 
 class _Worker:
-    """One process and the server's end of its pipe."""
+    """One process and the server's end of its pipe.
+
+    Attributes:
+        sessions: with the memory that each is estimated to take.
+        turns: taken by a frame for as long as it is in the pipe or the worker.
+        frames: submitted so far.
+        gone: set once the process is.
+        keeper: waits for that.
+    """
+
+    keeper: asyncio.Task
 
     def __init__(self, process: subprocess.Popen, reader: asyncio.StreamReader, writer: asyncio.StreamWriter):
         self.process = process
-        self.sessions: set[str] = set()
+        self.sessions: dict[str, Memory] = {}
+        self.turns = asyncio.Semaphore(_FRAMES_IN_PIPE)
+        self.frames = 0
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._numbers = itertools.count(1)
@@ -211,18 +358,32 @@ class _Worker:
         worker._listener = asyncio.create_task(worker._listen())
         return worker
 
-    async def call(self, kind: wire.Kind, session_id: str, payload: bytes) -> bytes:
+    def memory_with(self, more: Memory = UNKNOWN) -> int:
+        """Estimated bytes of its sessions, with one more."""
+        all_of_them = [*self.sessions.values(), more]
+        return sum(memory.kept for memory in all_of_them) + max(memory.frame for memory in all_of_them)
+
+    def resident_bytes(self) -> int:
+        """What the process has in memory; 0 where the system does not say."""
+        try:
+            return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+        except OSError:
+            return 0
+
+    def send(self, kind: wire.Kind, session_id: str, payload: bytes = b"") -> asyncio.Future[bytes]:
+        """Places a request at once; its answer comes later.
+
+        Raises:
+            WorkerLost: the worker is gone. The answer may be so, too.
+        """
         if self.gone.is_set():
             raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting[number] = session_id, answer
-        message = wire.Message(kind, number, session_id, payload)
-        try:
-            self._writer.writelines((message.head(), payload))
-            return await answer
-        finally:
-            del self._waiting[number]
+        answer.add_done_callback(lambda _: self._waiting.pop(number, None))
+        self._writer.writelines((wire.Message(kind, number, session_id, payload).head(), payload))
+        return answer
 
     def tell(self, kind: wire.Kind, session_id: str) -> None:
         """A request whose answer nobody waits for."""
@@ -268,7 +429,7 @@ class _Worker:
 
     async def _lose(self) -> None:
         self.gone.set()
-        for session_id, answer in self._waiting.values():
+        for session_id, answer in list(self._waiting.values()):
             if not answer.done():
                 answer.set_exception(worker_lost(session_id))
         await self.end(patience=0)

@@ -21,6 +21,7 @@ class Kind(enum.IntEnum):
     RESET = 4
     SNAPSHOT = 5
     CLOSE = 6
+    CONFIGURE = 7
 
     RESULT = 16
     ERROR = 17

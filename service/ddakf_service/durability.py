@@ -1,0 +1,150 @@
+"""Sessions survive their workers: checkpoints while they are tracked, and the way back from one."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Awaitable, Callable, Coroutine
+from time import monotonic
+
+from ddakf_api.errors import ServiceError, Unavailable, WorkerLost
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from .session import Session
+from .telemetry import Metrics
+from .workers import WorkerPool, worker_lost
+
+log = logging.getLogger(__name__)
+
+_PATIENCE = 60.0  # seconds that a session may take to be back, a new worker included
+_PAUSE = 0.1  # seconds between attempts
+_MOST_BLAMES, _BLAME_SPAN = 3, 60.0  # workers lost over a session's own frames within so many seconds, after which it ends
+
+
+class Irrecoverable(Exception):
+    """A session cannot be had back; ``reason`` is what everyone is told."""
+
+    def __init__(self, reason: ServiceError):
+        super().__init__(str(reason))
+        self.reason = reason
+
+
+class Durability:
+    """Takes checkpoints of sessions, and seats those that have lost their worker on another one.
+
+    Args:
+        every: frames between two checkpoints.
+        give_up: told which session cannot be had back, and why.
+    """
+
+    def __init__(self, pool: WorkerPool, metrics: Metrics, every: int, give_up: Callable[[Session, ServiceError], None]):
+        self._pool, self._metrics, self._every, self._give_up = pool, metrics, every, give_up
+        self._tasks: set[asyncio.Task] = set()
+        self._placed = 0
+
+    def background(self, work: Coroutine) -> asyncio.Task:
+        """Runs something beside; :meth:`settle` waits for it."""
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return task
+
+    async def settle(self, timeout: float) -> None:
+        """Returns when nothing runs in the background any more, or after ``timeout`` seconds."""
+        if self._tasks:
+            await asyncio.wait(set(self._tasks), timeout=timeout)
+
+    # Checkpoints ----------------------------------------------------------------------------------------------------
+
+    def tracked(self, session: Session) -> None:
+        """A frame was tracked and no other call was made since: takes a checkpoint if one is due."""
+        if session.statistics.frames_applied - session.placed >= self._every:
+            self.checkpoint(session)
+
+    def checkpoint(self, session: Session) -> None:
+        """Takes one of this moment; the answer comes later, and nobody waits for it."""
+        session.placed = session.statistics.frames_applied
+        message = session.message()
+        try:
+            answer = self._pool.snapshot(session.id)
+        except WorkerLost:
+            return  # it is on its way back from the one before
+        self._placed += 1
+        self.background(self._keep(session, message, answer, self._placed))
+
+    async def _keep(self, session: Session, message: pb.Session, answer: Awaitable[bytes], number: int) -> None:
+        try:
+            data = await answer
+        except ServiceError as error:
+            log.warning("no checkpoint could be taken: %s", error, extra={"session": session.id})
+            return
+        if number > session.checkpoint_number:
+            session.checkpoint_number, session.checkpoint_time = number, time.time()
+            session.checkpoint = pb.SessionSnapshot(session=message, data=data)
+
+    # The way back ---------------------------------------------------------------------------------------------------
+
+    def lost(self, session: Session) -> None:
+        """A worker was lost while it tracked a frame of this session.
+
+        Raises:
+            Irrecoverable: it was not the first one; the session ends before it takes all workers down.
+        """
+        session.seated = False
+        now = monotonic()
+        session.blames.append(now)
+        if sum(now - moment < _BLAME_SPAN for moment in session.blames) > _MOST_BLAMES:
+            self._end(session, WorkerLost(f"{session.name} has ended: {_MOST_BLAMES + 1} workers were lost over its frames"))
+
+    async def seat(self, session: Session) -> None:
+        """Returns when the session has a tracker in a worker. The caller holds the session's lock.
+
+        Raises:
+            Irrecoverable: it cannot be had back, or has ended meanwhile.
+        """
+        if session.seated:
+            return
+        began = monotonic()
+        while not (session.seated or session.closed):
+            try:
+                await self._restore(session)
+            except (WorkerLost, Unavailable) as error:
+                if monotonic() - began > _PATIENCE:
+                    self._end(session, worker_lost(session.id))
+                log.debug("the session waits for a worker: %s", error, extra={"session": session.id})
+                await asyncio.sleep(_PAUSE)
+            except ServiceError as error:
+                log.error("the session could not be restored: %s", error, extra={"session": session.id})
+                self._end(session, WorkerLost(f"{session.name} was lost with its worker and could not be restored: {error}"))
+        if session.closed:
+            raise Irrecoverable(worker_lost(session.id))
+
+    def _end(self, session: Session, reason: ServiceError) -> None:
+        self._give_up(session, reason)
+        raise Irrecoverable(reason)
+
+    async def _restore(self, session: Session) -> None:
+        """From the newest checkpoint, or, where there is none, from the beginning."""
+        checkpoint = session.checkpoint
+        if checkpoint is not None:
+            request = pb.RestoreSessionRequest(data=checkpoint.data)
+            await self._pool.restore(session.id, request.SerializeToString(), session.memory)
+        else:
+            beginning = pb.Session(config_json=session.opened.config_json)
+            beginning.MergeFrom(session.meshes)
+            request = pb.CreateSessionRequest(session=beginning)
+            await self._pool.open(session.id, request.SerializeToString(), session.memory)
+            if session.last_reset:
+                await self._pool.reset(session.id, session.last_reset)
+        forgotten = session.forget_since(checkpoint.session.statistics if checkpoint else pb.SessionStatistics())
+        session.placed = session.statistics.frames_applied
+        session.seated = True
+        log.warning("the session goes on in another worker", extra={"session": session.id, "frames_lost": forgotten})
+        self._metrics.recoveries.inc()
+        notice = pb.Notice(
+            kind=pb.NOTICE_KIND_RESUMED,
+            message=f"the session's worker was replaced; {forgotten} applied frames were forgotten",
+            value=forgotten,
+        )
+        session.tell(notice)

@@ -1,0 +1,56 @@
+"""What becomes of frames, told to whom it concerns: the session's counters, the metrics, the history."""
+
+from __future__ import annotations
+
+import logging
+from time import monotonic
+
+from ddakf_api.errors import DeadlineExceeded, Internal, ServiceError, WorkerLost, to_detail
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from .flow import Waiting
+from .session import Session
+from .telemetry import Metrics
+
+log = logging.getLogger(__name__)
+
+
+class Outcomes:
+    """Counts frames by outcome."""
+
+    def __init__(self, metrics: Metrics):
+        self._metrics = metrics
+
+    def applied(self, session: Session, result: pb.Result, waiting: Waiting, started: float) -> None:
+        """A frame was tracked; its work was ``started`` then (monotonic clock). Completes the result."""
+        session.record_result(result, waiting.arrived)
+        result.timings["queue"] = started - waiting.arrived
+        result.timings["server"] = monotonic() - waiting.arrived
+        self._metrics.observe(result)
+
+    def dropped(self, session: Session, count: int) -> None:
+        """Frames were overtaken by newer ones, or came faster than they may."""
+        session.statistics.frames_dropped += count
+        self._metrics.frames.labels("dropped").inc(count)
+
+    def refused(self, session: Session, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
+        """A frame was not tracked: its answer."""
+        session.touch()  # who sends frames, if bad ones, is there
+        statistics = session.statistics
+        if isinstance(error, DeadlineExceeded):
+            statistics.frames_late += 1
+            self._metrics.frames.labels("late").inc()
+        else:
+            statistics.frames_rejected += 1
+            self._metrics.frames.labels("failed" if isinstance(error, (Internal, WorkerLost)) else "rejected").inc()
+            log.info("a frame was rejected: %s", error, extra={"session": session.id, "sequence": frame.sequence_number})
+        return pb.TrackResponse(
+            frame_error=pb.FrameError(
+                sequence_number=frame.sequence_number,
+                capture_time=frame.capture_time,
+                error=to_detail(error),
+                frames_rejected=statistics.frames_rejected,
+                frames_dropped=statistics.frames_dropped,
+                frames_late=statistics.frames_late,
+            )
+        )
