@@ -21,7 +21,7 @@ from ddakf.model import Model
 from ddakf.preprocess import distinct
 
 STEPS, ROUNDS = 24, 4  # of the annealing; local and global ones in each
-FIRST_REACH, SETTLED_REACH, LAST_REACH = 0.20, 0.12, 0.04  # m: pairs farther apart are none
+FIRST_REACH, SETTLED_REACH, LAST_REACH = 0.20, 0.30, 0.04  # m: pairs farther apart are none
 STIFF, SOFT, HALF_SEEN = 5.0, 0.2, 3.0  # weight of an edge against the data of a patch: first, last, last with one sensor
 # rounds towards one to one, where all sides are seen: where they are not, what is seen of the two may differ at the rims
 BALANCING, OUTLIER = 2, 0.1  # and the weight of a point's belonging to nothing

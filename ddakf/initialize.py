@@ -35,7 +35,7 @@ PARTLY = 0.010  # m: a cost of the cloud alone below it is that of a start in it
 ALIKE = 0.04  # m: a cost above it is that of something else, wherever the garment is laid
 GAIN = 0.8  # share of the cost in place that a found placement must stay below
 FOUND_SD = 0.03  # m, of the vertices of a garment that was found
-SETTLING = 4  # frames after a search
+SETTLING, BENT_SD = 4, 0.01  # frames after a search in which it is bent further; m, of a vertex that was
 DISTINCT = np.radians(30.0)  # between headings that are bent apart
 BENT, ROUGH_STEPS, ROUGHER = 3, 10, 2  # headings of each shape that are bent, how long, and of how many times fewer vertices
 STRAIN_LENGTH = 0.03  # m: what a strain of 1 costs, as the wrong heading fits only a garment that is pulled about
@@ -276,7 +276,19 @@ def _settled(placed: Located, now: Frame, contact: BodyContact | None, model: Mo
     if len(mine.points) == 0:
         return placed._replace(settling=left)
     bent = deform.follow(prior.position, Target.of(mine.points, mine.sensor_origin), model, deform.SETTLED_REACH)
-    return Located(prior._replace(position=bent), bent, rigidity.rotations(bent, model), settling=left)
+    return Located(_moved(prior, bent), bent, rigidity.rotations(bent, model), settling=left)
+
+
+def _moved(prior: State, bent: np.ndarray) -> State:
+    """The prior at (V, 3) ``bent``, metres, its velocity corrected by what it takes to get there.
+
+    A garment is found at rest and the fit that follows sees little more than what bending left over: without this it would not
+    learn from it that it moves, and be lost again when it is bent no further. The covariance stays, as the fit measures the same
+    points.
+    """
+    noise = prior.P_pp + BENT_SD**2 * np.eye(3)
+    correction = np.linalg.solve(noise, (bent - prior.position)[:, :, None])
+    return prior._replace(position=bent, velocity=prior.velocity + np.einsum("vba,vb->va", prior.P_pu, correction[:, :, 0]))
 
 
 def _stay(position: np.ndarray, mine: Frame, model: Model, first: bool) -> float:

@@ -11,7 +11,9 @@ from ddakf.evaluation.sensors import Sensor, sample_surface
 from ddakf.frame import Frame
 from ddakf.initialize import cost_in_place, locate, places
 from ddakf.mesh import vertex_normals
+from ddakf.predict import predict
 from ddakf.reliability import Health
+from ddakf.types import State
 from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
@@ -111,6 +113,20 @@ def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
         health = health._replace(settling=last.settling)
     assert health.settling == 0
     assert located(first.prior, scan(moved, TUBE), health).prior is first.prior
+
+
+def test_a_garment_that_was_found_learns_from_bending_that_it_moves():
+    travel = np.array([0.04, -0.06, 0.0])  # m, of a frame
+    known = State.at(TUBE.vertices, np.zeros(TUBE.vertices.shape), 0.005, 0.5, 1.0)
+    settling = Health(state="tracking", settling=3)
+    prior = predict(known, DT, None, Config().predict)
+    moved = located(prior, scan(TUBE.vertices + travel, TUBE), settling).prior
+    np.testing.assert_allclose(moved.velocity.mean(axis=0), travel / DT, rtol=0.35, atol=0.15)
+    # of what is known for sure nothing is learned
+    certain = located(prior._replace(P_pu=0 * prior.P_pu), scan(TUBE.vertices + travel, TUBE), settling).prior
+    assert not certain.velocity.any()
+    resting = located(prior, scan(TUBE.vertices, TUBE), settling).prior
+    assert np.linalg.norm(resting.velocity.mean(axis=0)) < 0.2
 
 
 def prior_at(position):
