@@ -119,6 +119,10 @@ class ResourceExhausted(ServiceError, status=StatusCode.RESOURCE_EXHAUSTED, http
     """The server, the key or the session is at a limit."""
 
 
+class MessageTooLarge(ResourceExhausted, status=StatusCode.RESOURCE_EXHAUSTED, http=413):
+    """A request with more bytes than the server takes."""
+
+
 class Unavailable(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
     """No server answers, or it is not ready."""
 

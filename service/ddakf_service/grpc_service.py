@@ -7,7 +7,7 @@ import functools
 import logging
 
 import grpc
-from ddakf_api.errors import FailedPrecondition, ServiceError, class_of, to_detail, to_metadata
+from ddakf_api.errors import FailedPrecondition, ServiceError, class_of, to_detail
 from ddakf_api.transport import server_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
@@ -20,16 +20,16 @@ from ddakf import errors as library
 from .info import server_info
 from .sessions import Sessions
 from .settings import Settings
+from .status_details import shortened, trailers
 from .stream import Stream
 
 log = logging.getLogger(__name__)
 
 SERVICE_NAME = pb.DESCRIPTOR.services_by_name["TrackingService"].full_name
-_LONGEST_TEXT = 1000  # characters of an error's text: status and trailers share 8 KiB of HTTP/2 headers
 
 
 def _answering_errors(call):
-    """Ends the call with the error's code, sentence and ``ErrorDetail``."""
+    """Ends the call with the error's code, sentence and details."""
 
     @functools.wraps(call)
     async def answering(self, request, context):
@@ -47,10 +47,8 @@ def _answering_errors(call):
 
 
 async def _abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
-    detail = to_detail(error)
-    for field in ("message", "expected", "got"):
-        setattr(detail, field, getattr(detail, field)[:_LONGEST_TEXT])
-    await context.abort(class_of(error).status, detail.message, to_metadata(detail))
+    detail, cls = shortened(to_detail(error)), class_of(error)
+    await context.abort(cls.status, detail.message, trailers(detail, cls))
 
 
 class TrackingService(rpc.TrackingServiceServicer):
@@ -159,10 +157,12 @@ class GrpcServer:
         return port
 
     async def serving(self, ready: bool) -> None:
-        """Says through grpc.health.v1 whether the server takes sessions."""
+        """Says through grpc.health.v1, service by service, whether the server takes sessions."""
         status = health_pb2.HealthCheckResponse.SERVING if ready else health_pb2.HealthCheckResponse.NOT_SERVING
         for service in ("", SERVICE_NAME):
             await self._health.set(service, status)
+        for service in (health.SERVICE_NAME, reflection.SERVICE_NAME):  # which answer from the first moment on
+            await self._health.set(service, health_pb2.HealthCheckResponse.SERVING)
 
     async def stop(self, grace: float) -> None:
         """Ends all calls, the last ones after ``grace`` seconds."""

@@ -12,11 +12,28 @@ from http import HTTPStatus
 from typing import Annotated, Literal
 
 import uvicorn
-from ddakf_api.errors import InvalidArgument, ResourceExhausted, ServiceError, Unavailable, class_of, to_detail
+from ddakf_api.errors import (
+    Draining,
+    FailedPrecondition,
+    InvalidArgument,
+    InvalidSnapshot,
+    MessageTooLarge,
+    ResourceExhausted,
+    ServiceError,
+    SessionExists,
+    SessionExpired,
+    SessionNotFound,
+    Unavailable,
+    Unimplemented,
+    VersionMismatch,
+    WorkerLost,
+    class_of,
+    to_detail,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
-from fastapi import FastAPI, Query, Request, Response
+from fastapi import FastAPI, Path, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
@@ -25,24 +42,56 @@ import ddakf
 from ddakf import errors as library
 
 from .info import server_info
-from .rest_models import CreateSession, ErrorOut, Info, Readiness, SessionList, SessionOut, states_from
+from .openapi import binary_answer, binary_body, document_of, errors, json_body
+from .origins import SecurityHeaders, add_origins
+from .rest_models import (
+    EXAMPLE_ID,
+    TRIANGLE,
+    CreateSession,
+    ErrorOut,
+    Info,
+    Readiness,
+    ResetSession,
+    RestoreSession,
+    SessionList,
+    SessionOut,
+    Statistics,
+    UpdateSession,
+    key_value,
+    states_from,
+)
 from .sessions import Sessions
 from .settings import Settings
 from .store import Store
 from .telemetry import Metrics
 from .validation import invalid_argument
+from .websocket import WebSocketProtocol, add_websockets
 
 log = logging.getLogger(__name__)
 
-_MAX_BODY_BYTES = 32 << 20  # JSON lists of the largest meshes fit; larger ones travel as base64 or over gRPC
+_MAX_JSON_BYTES = 32 << 20  # lists of the largest meshes fit; larger ones travel as base64 or over gRPC
 _STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
-_ERRORS = {code: {"model": ErrorOut} for code in (404, 409, 410, 422, 429, 503)}
-_SESSION_BODY = {
-    "requestBody": {
-        "required": True,
-        "content": {"application/json": {"schema": {"$ref": "#/components/schemas/CreateSession"}}},
-    }
-}
+_OCTETS = "application/octet-stream"
+
+_NAMED = errors(SessionNotFound, SessionExpired, InvalidArgument)
+_IN_WORKER = {**_NAMED, **errors(WorkerLost)}
+_JSON = errors(MessageTooLarge)
+_CREATED = errors(
+    VersionMismatch, SessionExists, SessionNotFound, SessionExpired, MessageTooLarge, InvalidArgument, ResourceExhausted, Draining
+)
+
+
+def _example(value: object) -> dict:
+    return {"example": {"value": value}}
+
+
+SessionId = Annotated[str, Path(description="of sessions/{session_id}", openapi_examples=_example(EXAMPLE_ID))]
+
+DESCRIPTION = """Garment tracking from point clouds.
+
+Frames travel over gRPC (`ddakf_api.v1.TrackingService/Track`) or over a WebSocket, `/v1/sessions/{session_id}/stream`; whoever
+only wants to see the results opens `/v1/sessions/{session_id}/watch`. Both take `?mode=json` for text frames. Errors of every
+call have the same form, `ErrorOut`, and the names of the classes that the clients raise."""
 
 
 def create_app(
@@ -53,19 +102,26 @@ def create_app(
     Args:
         not_ready: why the server takes no sessions now, in a few words; empty when it does.
     """
-    app = FastAPI(
-        title="ddakf",
-        version=ddakf.__version__,
-        description="Garment tracking from point clouds. Frames travel over gRPC (`ddakf_api.v1.TrackingService`).",
-    )
+    app = FastAPI(title="ddakf", version=ddakf.__version__, description=DESCRIPTION)
     _add_error_handlers(app)
+    add_origins(app, settings.cors_origins)
+    _add_server_routes(app, sessions, settings, metrics, not_ready, store)
+    _add_session_routes(app, sessions, settings)
+    _add_state_routes(app, sessions, settings)
+    add_websockets(app, sessions)
+    app.openapi = lambda: document_of(app)
+    return app
 
+
+def _add_server_routes(
+    app: FastAPI, sessions: Sessions, settings: Settings, metrics: Metrics, not_ready: Callable[[], str], store: Store
+) -> None:
     @app.get("/healthz", tags=["health"])
     async def healthz() -> dict[str, str]:
         """The process lives and its event loop turns."""
         return {"status": "ok"}
 
-    @app.get("/readyz", tags=["health"], responses={503: {"model": ErrorOut}})
+    @app.get("/readyz", tags=["health"], responses=errors(Unavailable))
     async def readyz() -> Readiness:
         """Sessions are taken: every worker has compiled its kernels and tracked a frame, and no stop has begun.
 
@@ -75,7 +131,7 @@ def create_app(
         problems = store.problems()
         return Readiness(status="degraded" if problems else "ready", problems=problems)
 
-    @app.get("/metrics", tags=["health"], response_class=Response)
+    @app.get("/metrics", tags=["health"], response_class=PlainTextResponse)
     async def metrics_page() -> Response:
         """Prometheus exposition."""
         return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
@@ -85,42 +141,132 @@ def create_app(
         """Versions, codecs and limits."""
         return Info.of(server_info(settings, sessions.draining))
 
-    @app.post("/v1/sessions", tags=["sessions"], status_code=201, responses=_ERRORS, openapi_extra=_SESSION_BODY)
-    async def create_session(request: Request, response: Response) -> SessionOut:
-        """Creates a session; frames are then streamed to it over gRPC."""
-        body = await _bounded_body(request)
-        # In a thread, because parsing some hundred thousand numbers would hold up every stream.
-        message = await asyncio.to_thread(lambda: CreateSession.model_validate_json(body).to_message())
-        session = await sessions.create(message)
-        response.headers["Location"] = f"/v1/{session.name}"
-        return SessionOut.of(session)
 
-    @app.get("/v1/sessions", tags=["sessions"], responses={422: {"model": ErrorOut}})
+def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
+    """The standard methods of the resource."""
+
+    @app.post(
+        "/v1/sessions",
+        tags=["sessions"],
+        status_code=201,
+        responses=_CREATED,
+        openapi_extra=json_body(
+            CreateSession,
+            named={"session_id": EXAMPLE_ID, "garment": TRIANGLE, "fabric": "cotton", "labels": {"scene": "stage"}},
+            configured={"garment": TRIANGLE, "config": {"associate": {"wide_gate": 0.3}}, "limits": {"idle_timeout": 60}},
+        ),
+    )
+    async def create_session(request: Request, response: Response) -> SessionOut:
+        """Creates a session; frames are then streamed to it over gRPC or a WebSocket."""
+        # In a thread, because parsing some hundred thousand numbers would hold up every stream.
+        body = await _body(request, _most_json(settings))
+        message = await asyncio.to_thread(lambda: CreateSession.model_validate_json(body).to_message())
+        return _created(await sessions.create(message), response)
+
+    @app.get("/v1/sessions", tags=["sessions"], responses=errors(InvalidArgument))
     async def list_sessions(
-        page_size: Annotated[int, Query(ge=0, le=2**31, description="at most this many; 0: 50; lowered to 1000")] = 0,
+        page_size: Annotated[
+            int, Query(ge=0, le=2**31, description="at most this many; 0: 50; lowered to 1000", openapi_examples=_example(2))
+        ] = 0,
         page_token: Annotated[str, Query(description="next_page_token of the page before")] = "",
-        state: Annotated[list[str], Query(description="only sessions in one of these states")] = [],  # noqa: B006
-        label: Annotated[list[str], Query(description="only sessions with these labels, key=value")] = [],  # noqa: B006
+        state: Annotated[
+            list[str],
+            Query(description="only sessions in one of these states", openapi_examples=_example(["idle", "tracking"])),
+        ] = [],  # noqa: B006
+        label: Annotated[
+            list[str],
+            Query(description="only sessions with these labels, key=value", openapi_examples=_example(["scene=stage"])),
+        ] = [],  # noqa: B006
     ) -> SessionList:
         """Lists sessions, oldest first."""
         request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=states_from(state))
-        request.labels.update(_key_value(text) for text in label)
+        request.labels.update(key_value(text) for text in label)
         answer = sessions.list(request)
         return SessionList(sessions=[SessionOut.of(s) for s in answer.sessions], next_page_token=answer.next_page_token)
 
-    @app.get("/v1/sessions/{session_id}", tags=["sessions"], responses={404: {"model": ErrorOut}, 410: {"model": ErrorOut}})
-    async def get_session(session_id: str, view: Literal["basic", "full"] = "basic") -> SessionOut:
+    @app.get("/v1/sessions/{session_id}", tags=["sessions"], responses=_NAMED)
+    async def get_session(
+        session_id: SessionId,
+        view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
+    ) -> SessionOut:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
         wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
         return SessionOut.of(sessions.get(f"sessions/{session_id}", wanted))
 
-    @app.delete("/v1/sessions/{session_id}", tags=["sessions"], status_code=204, responses={404: {"model": ErrorOut}})
-    async def delete_session(session_id: str) -> None:
+    @app.patch(
+        "/v1/sessions/{session_id}",
+        tags=["sessions"],
+        responses={**_NAMED, **_JSON, **errors(FailedPrecondition, Unimplemented)},
+        openapi_extra=json_body(
+            UpdateSession, labels={"labels": {"scene": "stage", "take": "2"}}, limits={"limits": {"idle_timeout": 120}}
+        ),
+    )
+    async def update_session(
+        session_id: SessionId,
+        request: Request,
+        update_mask: Annotated[
+            str,
+            Query(description="fields, separated by commas; empty: those in the body", openapi_examples=_example("labels")),
+        ] = "",
+    ) -> SessionOut:
+        """Changes labels and limits. A field that the mask names and the body lacks goes back to its default."""
+        change = UpdateSession.model_validate_json(await _body(request, _most_json(settings)))
+        return SessionOut.of(sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
+
+    @app.delete("/v1/sessions/{session_id}", tags=["sessions"], status_code=204, responses=_NAMED)
+    async def delete_session(session_id: SessionId) -> None:
         """Ends a session and its stream."""
         await sessions.delete(f"sessions/{session_id}")
 
-    app.openapi = lambda: _openapi(app)
-    return app
+
+def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
+    """What concerns the tracker of a session."""
+
+    @app.get("/v1/sessions/{session_id}/statistics", tags=["state"], responses=_NAMED)
+    async def statistics(session_id: SessionId) -> Statistics:
+        """Counters, and the numbers of the last frame."""
+        return Statistics.of(sessions.get(f"sessions/{session_id}").statistics)
+
+    @app.post(
+        "/v1/sessions/{session_id}:reset",
+        tags=["state"],
+        responses={**_IN_WORKER, **_JSON},
+        openapi_extra=json_body(ResetSession, required=False, rest={}, there={"vertices": TRIANGLE["vertices"]}),
+    )
+    async def reset_session(session_id: SessionId, request: Request) -> SessionOut:
+        """Starts the tracker again, from given vertices or from the rest shape; without a body from the latter."""
+        body = await _body(request, _most_json(settings))
+        reset = ResetSession.model_validate_json(body) if body else ResetSession()
+        message = await asyncio.to_thread(reset.to_message, f"sessions/{session_id}")
+        return SessionOut.of(await sessions.reset(message))
+
+    @app.get(
+        "/v1/sessions/{session_id}/snapshot",
+        tags=["state"],
+        response_class=Response,
+        responses={**_IN_WORKER, **binary_answer("the tracker's state, versioned and opaque")},
+    )
+    async def snapshot_session(session_id: SessionId) -> Response:
+        """The whole state of the tracker, exact to the bit on the next frame."""
+        data = (await sessions.snapshot(f"sessions/{session_id}")).data
+        return Response(data, media_type=_OCTETS, headers={"Content-Disposition": 'attachment; filename="ddakf.snapshot"'})
+
+    @app.post(
+        "/v1/sessions:restore",
+        tags=["state"],
+        status_code=201,
+        responses={**_CREATED, **errors(InvalidSnapshot, InvalidArgument)},
+        openapi_extra=binary_body("what GET /v1/sessions/{session_id}/snapshot answered, of this server or another"),
+    )
+    async def restore_session(request: Request, response: Response, query: Annotated[RestoreSession, Query()]) -> SessionOut:
+        """A new session that goes on from a snapshot."""
+        data = await _body(request, settings.max_message_bytes)
+        return _created(await sessions.restore(query.to_message(data)), response)
+
+
+def _created(session: pb.Session, response: Response) -> SessionOut:
+    response.headers["Location"] = f"/v1/{session.name}"
+    return SessionOut.of(session)
 
 
 class HttpServer:
@@ -129,11 +275,17 @@ class HttpServer:
     def __init__(self, app: FastAPI, settings: Settings):
         self._settings = settings
         config = uvicorn.Config(
-            app,
+            SecurityHeaders(app),
+            http="h11",  # which bounds the headers of a request
+            ws=WebSocketProtocol,
+            ws_max_size=settings.max_message_bytes,
+            ws_ping_interval=settings.keepalive,
+            ws_ping_timeout=settings.keepalive,
+            ws_per_message_deflate=False,
             log_config=None,
             access_log=False,
+            server_header=False,
             lifespan="off",
-            ws_per_message_deflate=False,
             timeout_graceful_shutdown=_STOP_PATIENCE,
         )
         self._server = _QuietServer(config)
@@ -198,29 +350,19 @@ def _error_response(error: Exception) -> JSONResponse:
     return JSONResponse(ErrorOut.of(detail).model_dump(), class_of(error).http_status, headers=headers)
 
 
-async def _bounded_body(request: Request) -> bytes:
-    """The body, read no further than its bound."""
+async def _body(request: Request, most: int) -> bytes:
+    """The body, refused by its declared length before it is read, and read no further than its bound."""
+    declared = request.headers.get("content-length", "")
     chunks, size = [], 0
+    if declared.isdigit() and int(declared[:20]) > most:
+        raise MessageTooLarge(field="body", expected=f"at most {most} bytes", got=f"{declared} bytes")
     async for chunk in request.stream():
         size += len(chunk)
-        if size > _MAX_BODY_BYTES:
-            raise ResourceExhausted(field="body", expected=f"at most {_MAX_BODY_BYTES} bytes", got="more")
+        if size > most:
+            raise MessageTooLarge(field="body", expected=f"at most {most} bytes", got="more")
         chunks.append(chunk)
     return b"".join(chunks)
 
 
-def _key_value(text: str) -> tuple[str, str]:
-    key, separator, value = text.partition("=")
-    if not separator:
-        raise InvalidArgument(field="label", expected="key=value", got=repr(text[:80]))
-    return key, value
-
-
-def _openapi(app: FastAPI) -> dict:
-    """FastAPI's document, with the schema of the body that is parsed by hand."""
-    if app.openapi_schema is None:
-        document = FastAPI.openapi(app)
-        schema = CreateSession.model_json_schema(ref_template="#/components/schemas/{model}")
-        document["components"]["schemas"].update(schema.pop("$defs"))
-        document["components"]["schemas"]["CreateSession"] = schema
-    return app.openapi_schema
+def _most_json(settings: Settings) -> int:
+    return min(_MAX_JSON_BYTES, settings.max_message_bytes)

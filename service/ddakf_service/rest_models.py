@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import json
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Any, Literal
 
@@ -16,10 +16,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 StateName = Literal["initializing", "tracking", "recovering", "lost", "idle", "expired", "closed"]
 
+Rows = list[tuple[float, float, float]]
+
 _FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
 _INTEGERS = {"uint32": pb.ARRAY_ENCODING_UINT32}
 _STATE_PREFIX = "SESSION_STATE_"
 
+EXAMPLE_ID = "shirt-1"
 TRIANGLE = {"vertices": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "faces": [[0, 1, 2]]}
 
 
@@ -44,7 +47,7 @@ class PackedIndices(_Strict):
 class MeshIn(_Strict):
     """A triangle mesh; metres."""
 
-    vertices: list[tuple[float, float, float]] | PackedFloats = Field(description="(V, 3) positions, metres")
+    vertices: Rows | PackedFloats = Field(description="(V, 3) positions, metres")
     faces: list[tuple[int, int, int]] | PackedIndices = Field(
         description="(F, 3) vertex indices, counter-clockwise seen from outside"
     )
@@ -54,14 +57,18 @@ class LimitsIn(_Strict):
     """Bounds of a session; what is left out, or more than the server allows, becomes the server's."""
 
     max_points: int = Field(0, ge=0, le=2**32 - 1, description="points per frame")
+    max_frame_rate: float = Field(0.0, ge=0, description="frames per second")
     idle_timeout: float = Field(0.0, ge=0, description="seconds without a frame after which the session expires")
+    max_lifetime: float = Field(0.0, ge=0, description="seconds after its creation at which the session expires")
     max_frames_in_flight: int = Field(0, ge=0, le=2**32 - 1, description="frames that may wait in lossless flow")
+    departure_timeout: float = Field(0.0, ge=0, description="seconds that a session waits for a client that left its stream")
+
+    def to_message(self) -> pb.SessionLimits:
+        return pb.SessionLimits(**{name: getattr(self, name) for name in LimitsIn.model_fields})
 
 
 class CreateSession(_Strict):
     """A garment to track."""
-
-    model_config = ConfigDict(extra="forbid", json_schema_extra={"examples": [{"garment": TRIANGLE, "fabric": "cotton"}]})
 
     garment: MeshIn = Field(description="the garment in its rest shape")
     body: MeshIn | None = Field(None, description="the body in its pose at the start")
@@ -77,9 +84,9 @@ class CreateSession(_Strict):
     def to_message(self) -> pb.CreateSessionRequest:
         session = pb.Session(
             labels=self.labels,
-            config_json=json.dumps(self.config) if self.config is not None else "",
+            config_json=_config_json(self.config),
             fabric=self.fabric,
-            limits=pb.SessionLimits(**self.limits.model_dump()),
+            limits=self.limits.to_message(),
             garment=_mesh_message(self.garment, "garment"),
         )
         if self.body is not None:
@@ -93,10 +100,73 @@ class CreateSession(_Strict):
         )
 
 
+class UpdateSession(_Strict):
+    """Changes of a session; what is left out stays as it is, unless the mask names it."""
+
+    labels: dict[str, str] = Field(default_factory=dict, description="all of them")
+    config: dict[str, Any] | None = Field(None, description="the tracker's configuration")
+    fabric: str = Field("", max_length=64, description="a fabric preset by name")
+    limits: LimitsIn = Field(default_factory=LimitsIn, description="all of them")
+
+    def to_message(self, name: str, update_mask: str) -> pb.UpdateSessionRequest:
+        names = [path.strip() for path in update_mask.split(",")] if update_mask else sorted(self.model_fields_set)
+        session = pb.Session(
+            name=name,
+            labels=self.labels,
+            config_json=_config_json(self.config),
+            fabric=self.fabric,
+            limits=self.limits.to_message(),
+        )
+        request = pb.UpdateSessionRequest(session=session)
+        request.update_mask.paths.extend("config_json" if path == "config" else path for path in names)
+        return request if names else pb.UpdateSessionRequest(session=pb.Session(name=name))
+
+
+class ResetSession(_Strict):
+    """Where the tracker starts again."""
+
+    vertices: Rows | PackedFloats | None = Field(None, description="(V, 3) metres; null: the rest shape")
+    velocities: Rows | PackedFloats | None = Field(None, description="(V, 3) metres per second; null: none")
+
+    def to_message(self, name: str) -> pb.ResetSessionRequest:
+        request = pb.ResetSessionRequest(name=name)
+        for field in ("vertices", "velocities"):
+            if (value := getattr(self, field)) is not None:
+                getattr(request, field).CopyFrom(_packed(value, field, "float64", _FLOATS))
+        return request
+
+
+class RestoreSession(LimitsIn):
+    """A session from a snapshot, which is the body."""
+
+    session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
+    request_id: str = Field("", max_length=64, description="makes a repeated call harmless")
+    label: list[str] = Field(default_factory=list, description="labels of the session, key=value")
+    api_version: str = Field("1.0", description="version of the contract that the client speaks")
+
+    def to_message(self, data: bytes) -> pb.RestoreSessionRequest:
+        return pb.RestoreSessionRequest(
+            api_version=self.api_version,
+            session=pb.Session(labels=dict(key_value(text) for text in self.label), limits=LimitsIn.to_message(self)),
+            session_id=self.session_id,
+            request_id=self.request_id,
+            data=data,
+        )
+
+
 class Limits(BaseModel):
+    """Bounds in force; 0 of a rate or a lifetime: not bounded."""
+
     max_points: int
+    max_frame_rate: float
     idle_timeout: float
+    max_lifetime: float
     max_frames_in_flight: int
+    departure_timeout: float
+
+    @classmethod
+    def of(cls, limits: pb.SessionLimits) -> Limits:
+        return cls(**{name: getattr(limits, name) for name in cls.model_fields})
 
 
 class Statistics(BaseModel):
@@ -104,7 +174,10 @@ class Statistics(BaseModel):
 
     frames_applied: int
     frames_dropped: int = Field(description="overtaken by a newer frame in realtime flow")
+    frames_late: int = Field(description="not tracked, because their deadline had passed")
     frames_rejected: int = Field(description="answered with an error")
+    frames_lost: int = Field(description="applied frames that were forgotten when the session went on from a checkpoint")
+    recoveries: int = Field(description="times that it did so")
     frame_rate: float = Field(description="frames applied per second over the last few seconds")
     reliability: float = Field(description="in [0, 1]; high means low error")
     paper_score: float
@@ -113,6 +186,12 @@ class Statistics(BaseModel):
     last_capture_time: float = Field(description="seconds of the client's clock")
     last_frame_time: datetime | None = None
     last_latency: float = Field(description="seconds from arrival at the server to the result")
+    memory_bytes: int = Field(description="estimated memory of the session in its worker")
+
+    @classmethod
+    def of(cls, statistics: pb.SessionStatistics) -> Statistics:
+        numbers = {name: getattr(statistics, name) for name in cls.model_fields if name != "last_frame_time"}
+        return cls(**numbers, last_frame_time=_time(statistics, "last_frame_time"))
 
 
 class PackedOut(BaseModel):
@@ -132,6 +211,8 @@ class SessionOut(BaseModel):
     labels: dict[str, str]
     state: StateName
     create_time: datetime
+    expire_time: datetime | None = Field(None, description="when it expires if nothing more comes")
+    checkpoint_time: datetime | None = Field(None, description="of the checkpoint that it would go on from")
     config: dict[str, Any] = Field(description="the whole configuration in force")
     fabric: str
     limits: Limits
@@ -149,19 +230,18 @@ class SessionOut(BaseModel):
 
     @classmethod
     def of(cls, session: pb.Session) -> SessionOut:
-        statistics = {f.name: getattr(session.statistics, f.name) for f in pb.SessionStatistics.DESCRIPTOR.fields}
-        has_frame = session.statistics.HasField("last_frame_time")
-        statistics["last_frame_time"] = session.statistics.last_frame_time.ToDatetime(UTC) if has_frame else None
         has_map = session.HasField("vertex_map")
         return cls(
             name=session.name,
             labels=dict(session.labels),
             state=pb.SessionState.Name(session.state).removeprefix(_STATE_PREFIX).lower(),
             create_time=session.create_time.ToDatetime(UTC),
+            expire_time=_time(session, "expire_time"),
+            checkpoint_time=_time(session, "checkpoint_time"),
             config=json.loads(session.config_json),
             fabric=session.fabric,
-            limits=Limits(**{name: getattr(session.limits, name) for name in Limits.model_fields}),
-            statistics=Statistics(**statistics),
+            limits=Limits.of(session.limits),
+            statistics=Statistics.of(session.statistics),
             etag=session.etag,
             garment_vertex_count=session.garment_vertex_count,
             garment_face_count=session.garment_face_count,
@@ -210,7 +290,10 @@ class Info(BaseModel):
 
     api_version: str
     server_version: str
+    build: str
     point_codecs: list[str]
+    depth_compressions: list[str]
+    result_encodings: list[str]
     fabrics: list[str]
     max_message_bytes: int
     max_vertices: int
@@ -222,11 +305,14 @@ class Info(BaseModel):
         return cls(
             api_version=info.api_version,
             server_version=info.server_version,
-            point_codecs=[pb.PointCodec.Name(c).removeprefix("POINT_CODEC_").lower() for c in info.point_codecs],
+            build=info.build,
+            point_codecs=_names(pb.PointCodec, info.point_codecs),
+            depth_compressions=_names(pb.DepthCompression, info.depth_compressions),
+            result_encodings=_names(pb.ArrayEncoding, info.result_encodings),
             fabrics=list(info.fabrics),
             max_message_bytes=info.max_message_bytes,
             max_vertices=info.max_vertices,
-            max_limits=Limits(**{name: getattr(info.max_limits, name) for name in Limits.model_fields}),
+            max_limits=Limits.of(info.max_limits),
             draining=info.draining,
         )
 
@@ -238,6 +324,28 @@ def states_from(names: list[str]) -> list[int]:
         if name not in known:
             raise InvalidArgument(field="state", expected=" or ".join(known), got=repr(name[:80]))
     return [known[name] for name in names]
+
+
+def key_value(text: str) -> tuple[str, str]:
+    """A label of a query."""
+    key, separator, value = text.partition("=")
+    if not separator:
+        raise InvalidArgument(field="label", expected="key=value", got=repr(text[:80]))
+    return key, value
+
+
+def _names(enum, values: Iterable[int]) -> list[str]:
+    """Values of an enumeration without its own name, in lower case."""
+    prefix = enum.Name(0).removesuffix("UNSPECIFIED")
+    return [enum.Name(value).removeprefix(prefix).lower() for value in values]
+
+
+def _config_json(config: dict[str, Any] | None) -> str:
+    return "" if config is None else json.dumps(config)
+
+
+def _time(message, field: str) -> datetime | None:
+    return getattr(message, field).ToDatetime(UTC) if message.HasField(field) else None
 
 
 def _mesh_message(mesh: MeshIn, field: str) -> pb.Mesh:
@@ -256,7 +364,7 @@ def _packed(value, field: str, list_encoding: str, encodings: dict[str, int]) ->
         return pb.PackedArray(encoding=encodings[list_encoding], data=data)
     try:
         return pb.PackedArray(encoding=encodings[value.encoding], data=base64.b64decode(value.data, validate=True))
-    except binascii.Error as error:
+    except ValueError as error:  # of binascii, or because the text is no ASCII
         raise InvalidArgument(field=f"{field}.data", expected="base64", got=str(error)) from None
 
 

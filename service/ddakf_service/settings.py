@@ -8,10 +8,11 @@ import socket
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
-from pydantic import Field, ValidationError
-from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic_core import PydanticCustomError
+from pydantic_settings import BaseSettings, EnvSettingsSource, NoDecode, SettingsConfigDict
 
 from ddakf.errors import InvalidConfig
 
@@ -30,6 +31,20 @@ def _default_data_dir() -> str:
     return str(Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "ddakf")
 
 
+def _split(origins: object) -> object:
+    return [origin.strip() for origin in origins.split(",")] if isinstance(origins, str) else origins
+
+
+def _origin(text: str) -> str:
+    if text != "*" and not _ORIGIN_FORM.fullmatch(text):
+        raise PydanticCustomError("origin", "origins such as https://example.org, separated by commas, or *")
+    return text
+
+
+_ORIGIN_FORM = re.compile(r"https?://[a-z0-9.:\[\]-]+")
+_Origin = Annotated[str, AfterValidator(_origin)]
+
+
 class Settings(BaseSettings):
     """Everything that an operator can set. Each field is also the flag, the key in the file and ``DDAKF_<FIELD>``."""
 
@@ -38,6 +53,10 @@ class Settings(BaseSettings):
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     grpc_port: int = Field(7701, ge=0, le=65535, description="port of gRPC; 0 takes a free one")
     http_port: int = Field(7702, ge=0, le=65535, description="port of REST and metrics; 0 takes a free one")
+    cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
+        (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
+    )
+    keepalive: float = Field(20.0, gt=0, description="seconds between pings of a WebSocket client, and for its answer")
     workers: int = Field(
         default_factory=_default_workers,
         ge=1,

@@ -300,7 +300,7 @@ def test_a_body_above_the_limit_is_cut_off(http):
             yield b" " * (1 << 20)
 
     answer = http.post("/v1/sessions", content=endless())
-    assert answer.status_code == 429
+    assert answer.status_code == 413
     assert answer.json()["error"]["field"] == "body"
 
 
