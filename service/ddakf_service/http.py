@@ -71,6 +71,8 @@ log = logging.getLogger(__name__)
 
 _MAX_JSON_BYTES = 32 << 20  # lists of the largest meshes fit; larger ones travel as base64 or over gRPC
 _STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
+# Bytes that the kernel keeps for one connection. Left alone it keeps megabytes for a slow watcher: seconds that are past.
+_SEND_BUFFER = 1 << 19
 _OCTETS = "application/octet-stream"
 
 _NAMED = errors(SessionNotFound, SessionExpired, InvalidArgument)
@@ -301,6 +303,7 @@ class HttpServer:
         try:
             family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0][0]
             listener = socket.create_server((host, port), family=family, backlog=512)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         except OSError as error:
             raise library.InvalidConfig("http_port", f"a free port on {host}", f"{port}: {error.strerror}") from None
         self._task = asyncio.create_task(self._server.serve(sockets=[listener]))
