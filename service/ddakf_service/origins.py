@@ -24,7 +24,8 @@ _DOCUMENTATION = ("/docs", "/redoc")
 _NOTHING = "default-src 'none'; frame-ancestors 'none'"
 # What FastAPI's documentation pages load, and no more.
 _DOCUMENTATION_POLICY = (
-    "default-src 'none'; frame-ancestors 'none'; connect-src 'self'; script-src https://cdn.jsdelivr.net 'unsafe-inline'; "
+    "default-src 'none'; frame-ancestors 'none'; connect-src 'self' ws: wss:; "
+    "script-src https://cdn.jsdelivr.net 'unsafe-inline'; "
     "style-src https://cdn.jsdelivr.net https://fonts.googleapis.com 'unsafe-inline'; font-src https://fonts.gstatic.com; "
     "img-src data: https://fastapi.tiangolo.com https://cdn.redoc.ly; worker-src blob:"
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import re
 from collections.abc import AsyncIterator
 from typing import Protocol
 
@@ -135,8 +136,8 @@ async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
 async def _watch(websocket: WebSocket, sessions: Sessions, name: str) -> None:
     mode, query = _mode(websocket), websocket.query_params
     every_nth = query.get("every_nth", "1")
-    if not (every_nth.isascii() and every_nth.isdigit() and int(every_nth[:10]) < 2**32):
-        raise InvalidArgument(field="every_nth", expected="a whole number below 2^32", got=repr(every_nth[:80]))
+    if not re.fullmatch("[0-9]{1,9}", every_nth):
+        raise InvalidArgument(field="every_nth", expected="a whole number of at most 9 digits", got=repr(every_nth[:80]))
     request = pb.WatchSessionRequest(name=name, api_version=query.get("api_version", ""), every_nth=int(every_nth))
     watcher = sessions.watch(request)
 

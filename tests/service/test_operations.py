@@ -6,6 +6,7 @@ import grpc
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
+from google.protobuf import descriptor_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
 from prometheus_client.parser import text_string_to_metric_families
@@ -20,7 +21,8 @@ def samples(http) -> dict[tuple, float]:
 
 def test_health_over_grpc(api):
     stub = health_pb2_grpc.HealthStub(api.channel)
-    for name in ("", "ddakf_api.v1.TrackingService"):
+    services = ("grpc.health.v1.Health", "grpc.reflection.v1alpha.ServerReflection")
+    for name in ("", "ddakf_api.v1.TrackingService", *services):
         answer = stub.Check(health_pb2.HealthCheckRequest(service=name), timeout=TIMEOUT)
         assert answer.status == health_pb2.HealthCheckResponse.SERVING
     with pytest.raises(grpc.RpcError):
@@ -33,6 +35,12 @@ def test_reflection_lists_the_service(api):
     (answer,) = stub.ServerReflectionInfo(requests, timeout=TIMEOUT)
     names = {service.name for service in answer.list_services_response.service}
     assert {"ddakf_api.v1.TrackingService", "grpc.health.v1.Health"} <= names
+    requests = iter([reflection_pb2.ServerReflectionRequest(file_containing_symbol="ddakf_api.v1.TrackingService")])
+    (answer,) = stub.ServerReflectionInfo(requests, timeout=TIMEOUT)
+    files = [descriptor_pb2.FileDescriptorProto.FromString(f) for f in answer.file_descriptor_response.file_descriptor_proto]
+    methods = {method.name for file in files for service in file.service for method in service.method}
+    assert methods == set(pb.DESCRIPTOR.services_by_name["TrackingService"].methods_by_name)
+    assert {"Track", "WatchSession", "SnapshotSession"} <= methods
 
 
 def test_health_and_readiness_over_rest(http):

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
+import signal
 import socket
 import time
+from pathlib import Path
 from typing import NamedTuple
 
 import httpx
@@ -20,6 +23,7 @@ from websockets.sync.client import connect
 
 from .conftest import TIMEOUT, Api, frame_of, make_sheet, request_of
 
+ROOT = Path(__file__).resolve().parents[2]
 ORIGIN = "https://example.org"
 START = pb.TrackRequest(start=pb.Start(api_version=API_VERSION, flow_mode=pb.FLOW_MODE_LOSSLESS))
 
@@ -115,6 +119,8 @@ def test_a_watcher_is_told_the_end_and_only_reads(service, api, sheet):
         assert other.ending() == (4409, "a watcher only reads")
         api.delete(name)
         assert watcher.ending() == (4404, f"{name} was deleted")
+    with line(service, f"{name}/watch?api_version=1.0&every_nth=often") as refused:
+        assert refused.ending()[0] == 4422
 
 
 class Wrong(NamedTuple):
@@ -179,13 +185,33 @@ def test_nothing_is_compressed(service, session):
         assert websocket.connection.protocol.extensions == []
 
 
+def test_the_recipe_for_a_browsers_console(service, http):
+    """What docs/protocol.md says to type, sent by another client of WebSocket."""
+    recipe = (ROOT / "docs/protocol.md").read_text().partition("```js\n")[2].partition("```")[0]
+    ((path, body),) = re.findall(r"""fetch\("([^"]+)", {method: "POST", body: '([^']+)'}\)""", recipe)
+    assert http.post(path, content=body).status_code == 201
+    (address,) = re.findall(r'new WebSocket\("ws://127.0.0.1:7702([^"]+)"\)', recipe)
+    with connect(service.http.replace("http", "ws", 1) + address, proxy=None, open_timeout=TIMEOUT) as websocket:
+        kinds, messages = [], re.findall(r"ws\.send\('([^']+)'\)", recipe)
+        assert len(messages) == 4
+        for message in messages[:-1]:
+            websocket.send(message)
+            kinds += json.loads(websocket.recv(timeout=TIMEOUT))
+        websocket.send(messages[-1])
+        code, _ = Line(websocket, "json").ending()
+    assert (kinds, code) == (["started", "result", "pong"], 1000)
+    (path,) = re.findall(r'fetch\("([^"]+)", {method: "DELETE"}\)', recipe)
+    assert http.delete(path).status_code == 204
+
+
 # A service of other settings -----------------------------------------------------------------------------------------
 
 
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory):
-    """Small messages, impatient pings, one foreign origin."""
+    """Small messages, impatient pings, one foreign origin, a short farewell."""
     settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "0.5", "--cors-origins", ORIGIN]
+    settings += ["--drain-grace", "0.5"]
     process = ServiceProcess(settings, log=tmp_path_factory.mktemp("strict") / "service.log")
     try:
         process.wait_until_ready()
@@ -346,3 +372,19 @@ def test_a_flood_of_headers_is_refused(http):
     with pytest.raises(httpx.TransportError):  # the connection is closed while they still come
         http.get("/healthz", headers={f"x-{i}": "y" * 10_000 for i in range(100)})
     assert http.get("/healthz").status_code == 200
+
+
+def test_a_stop_is_announced_and_then_closes(strict, sheet):
+    """The last of the tests with this service, for it stops it."""
+    api = Api(strict.grpc)
+    with api.channel:
+        name = api.create(sheet).name
+    with line(strict, f"{name}/stream") as stream, line(strict, f"{name}/watch?api_version=1.0") as watcher:
+        stream.send(START)
+        assert [each.receive().WhichOneof("message") for each in (stream, watcher)] == ["started"] * 2
+        os.kill(strict.pid, signal.SIGTERM)
+        for each in (stream, watcher):
+            assert each.receive().notice.kind == pb.NOTICE_KIND_DRAINING
+            code, reason = each.ending()
+            assert (code, reason) == (4503, "the server has stopped; connect again later or elsewhere")
+    assert strict.wait() == 0
