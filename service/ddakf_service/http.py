@@ -24,7 +24,6 @@ from ddakf_api.errors import (
     SessionExpired,
     SessionNotFound,
     Unavailable,
-    Unimplemented,
     VersionMismatch,
     WorkerLost,
     class_of,
@@ -198,9 +197,12 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     @app.patch(
         "/v1/sessions/{session_id}",
         tags=["sessions"],
-        responses={**_NAMED, **_JSON, **errors(FailedPrecondition, Unimplemented)},
+        responses={**_IN_WORKER, **_JSON, **errors(FailedPrecondition)},
         openapi_extra=json_body(
-            UpdateSession, labels={"labels": {"scene": "stage", "take": "2"}}, limits={"limits": {"idle_timeout": 120}}
+            UpdateSession,
+            labels={"labels": {"scene": "stage", "take": "2"}},
+            limits={"limits": {"idle_timeout": 120}},
+            fabric={"fabric": "silk"},
         ),
     )
     async def update_session(
@@ -211,9 +213,9 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
             Query(description="fields, separated by commas; empty: those in the body", openapi_examples=_example("labels")),
         ] = "",
     ) -> SessionOut:
-        """Changes labels and limits. A field that the mask names and the body lacks goes back to its default."""
+        """Changes labels, limits, configuration and fabric. What the mask names and the body lacks goes back to its default."""
         change = UpdateSession.model_validate_json(await _body(request, _most_json(settings)))
-        return SessionOut.of(sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
+        return SessionOut.of(await sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
 
     @app.delete("/v1/sessions/{session_id}", tags=["sessions"], status_code=204, responses=_NAMED)
     async def delete_session(session_id: SessionId) -> None:

@@ -107,11 +107,13 @@ class UpdateSession(_Strict):
     config: dict[str, Any] | None = Field(None, description="the tracker's configuration")
     fabric: str = Field("", max_length=64, description="a fabric preset by name")
     limits: LimitsIn = Field(default_factory=LimitsIn, description="all of them")
+    etag: str = Field("", max_length=64, description="of the session that this changes; another one is refused")
 
     def to_message(self, name: str, update_mask: str) -> pb.UpdateSessionRequest:
-        names = [path.strip() for path in update_mask.split(",")] if update_mask else sorted(self.model_fields_set)
+        names = [path.strip() for path in update_mask.split(",")] if update_mask else sorted(self.model_fields_set - {"etag"})
         session = pb.Session(
             name=name,
+            etag=self.etag,
             labels=self.labels,
             config_json=_config_json(self.config),
             fabric=self.fabric,
@@ -119,7 +121,7 @@ class UpdateSession(_Strict):
         )
         request = pb.UpdateSessionRequest(session=session)
         request.update_mask.paths.extend("config_json" if path == "config" else path for path in names)
-        return request if names else pb.UpdateSessionRequest(session=pb.Session(name=name))
+        return request if names else pb.UpdateSessionRequest(session=pb.Session(name=name, etag=self.etag))
 
 
 class ResetSession(_Strict):

@@ -130,7 +130,9 @@ def test_patch_changes_what_the_mask_says(http, session):
     assert second["etag"] != first["etag"]
     third = http.patch(url, params={"update_mask": "labels"}, json={}).json()
     assert (third["labels"], third["limits"]["max_points"]) == ({}, 8)
-    assert http.patch(url, json={"labels": {}}).status_code == 200
+    assert http.patch(url, json={"labels": {}, "etag": third["etag"]}).status_code == 200
+    assert http.patch(url, json={"labels": {}, "etag": first["etag"]}).json()["error"]["name"] == "FailedPrecondition"
+    assert http.patch(url, json={"fabric": "silk"}).json()["fabric"] == "silk"
     refused = http.patch(url, params={"update_mask": "labels,colour"}, json={})
     assert (refused.status_code, refused.json()["error"]["field"]) == (422, "update_mask")
     assert http.patch("/v1/sessions/nobody", json={}).status_code == 404
