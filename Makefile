@@ -6,13 +6,15 @@ DDAKF_DATA ?= ../shared/data
 export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help install demo test lint serve bench clean
+.PHONY: help install demo test lint serve bench load soak clean
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
 	@echo "make test    lint and all tests"
 	@echo "make serve   the service in the foreground"
 	@echo "make bench   speed and accuracy, as ratios inside one run"
+	@echo "make load    four clients at 30 frames per second: what the service sustains (ARGS='--clients 8 --codec raw ...')"
+	@echo "make soak    ten minutes of clients that come and leave: memory, descriptors (ARGS='--seconds 60 ...')"
 	@echo "make install the development environment in $(VENV)"
 
 # what runs the product, and on top of it what tests it
@@ -51,6 +53,12 @@ test: lint
 
 bench: $(DEV)
 	@$(BIN)/python benchmarks/bench.py
+
+load: $(DEV)
+	@$(BIN)/python benchmarks/load.py $(ARGS)
+
+soak: $(DEV)
+	@$(BIN)/python benchmarks/soak.py $(ARGS)
 
 clean:
 	@rm -rf $(VENV) out build

@@ -1,0 +1,137 @@
+"""A load generator: ``python benchmarks/load.py [--clients N] [--rate FPS] [--vertices V] [--points M] [--codec NAME] ...``.
+
+Streams the bundled sample from several clients on schedule to a service of its own, or to one that runs, and prints what was
+sustained: frames answered, dropped and refused, latency from the moment a frame was due to its answer, CPU, and the error of
+what came back. Generator and service share the machine. Writes benchmarks/results/load.json unless ``--out`` says otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import sys
+import time
+from pathlib import Path
+
+import machine
+import numpy as np
+import traffic
+from ddakf_api.codec import CODECS, DEFAULT_CODEC
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+RESULT = Path(__file__).parent / "results" / "load.json"
+FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}
+WARM = 1.0  # seconds at the beginning whose latencies are left out
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Returns the exit status: 0 when the load was carried, whatever was dropped; 1 when a stream ended with an error."""
+    a = _parser().parse_args(argv)
+    script = traffic.Script(a.vertices, a.points, view=a.view, codec_name=a.codec, body=a.body)
+    with contextlib.ExitStack() as stack:
+        address, pid = a.server, None
+        if address is None:
+            process = stack.enter_context(traffic.service(["--workers", str(a.workers)]))
+            address, pid = process.grpc, process.pid
+        row = asyncio.run(_load(a, script, address, traffic.Usage(pid) if pid else None))
+    report = {"name": "load", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
+    report["load"] = row
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    a.out.write_text(json.dumps(report, indent=1) + "\n")
+    _show(row)
+    print(a.out)
+    return 1 if row["ended"] else 0
+
+
+async def _load(a: argparse.Namespace, script: traffic.Script, address: str, usage: traffic.Usage | None) -> dict:
+    records = [traffic.Record() for _ in range(a.clients)]
+    async with contextlib.AsyncExitStack() as stack:
+        stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
+        names = await asyncio.gather(*(traffic.created(stub, script) for stub in stubs))
+        before, begun = usage.cpu_seconds() if usage else 0.0, time.monotonic()
+        delays = traffic.spread(a.clients, a.rate)
+        plays = [
+            traffic.play(stub, name, script, a.rate, a.seconds, record, flow=FLOWS[a.flow], delay=delay)
+            for stub, name, record, delay in zip(stubs, names, records, delays, strict=False)
+        ]
+        await asyncio.gather(_progress(a.seconds), *plays)
+        elapsed = time.monotonic() - begun
+        cores = (usage.cpu_seconds() - before) / elapsed if usage else None
+        for stub, name in zip(stubs, names, strict=True):
+            await stub.DeleteSession(pb.DeleteSessionRequest(name=name))
+    return _row(a, script, records, elapsed, cores)
+
+
+async def _progress(seconds: float) -> None:
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task, begun = bar.add_task("streaming", total=seconds), time.monotonic()
+        while (elapsed := time.monotonic() - begun) < seconds:
+            bar.update(task, completed=elapsed)
+            await asyncio.sleep(0.25)
+
+
+def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.Record], elapsed: float, cores) -> dict:
+    skipped = round(WARM * a.rate)
+    latency = 1e3 * np.concatenate([np.array(r.latency[min(skipped, len(r.latency) // 2) :]) for r in records])
+    rmse = np.concatenate([np.array(r.rmse) for r in records])
+    refused = {name: sum(r.errors.get(name, 0) for r in records) for name in sorted({n for r in records for n in r.errors})}
+    sent, answered = sum(r.sent for r in records), sum(r.answered for r in records)
+    return {
+        "clients": a.clients,
+        "rate": a.rate,
+        "vertices": script.vertices,
+        "points": a.points,
+        "view": a.view + (" + body" if a.body else ""),
+        "codec": a.codec,
+        "flow": a.flow,
+        "workers": None if a.server else a.workers,
+        "bytes_per_frame": script.bytes,
+        "sent": sent,
+        "answered": answered,
+        "dropped": sum(r.dropped for r in records),
+        "refused": refused,
+        "ended": [r.ended for r in records if r.ended],
+        "frames_per_second": round(answered / elapsed, 2),
+        "latency_ms": {f"p{p:g}": round(float(np.percentile(latency, p)), 2) for p in (50, 99, 99.9)} if len(latency) else {},
+        "cores": None if cores is None else round(cores, 2),
+        "rmse_mm": round(float(rmse.mean()), 2) if len(rmse) else None,
+    }
+
+
+def _show(row: dict) -> None:
+    table = Table("figure", "value", box=None, header_style="bold")
+    table.columns[1].justify = "right"
+    for name, value in row.items():
+        if isinstance(value, list):
+            value = ", ".join(value) or "none"
+        if isinstance(value, dict):
+            value = ", ".join(f"{key} {number}" for key, number in value.items()) or "none"
+        table.add_row(name, str(value))
+    Console(highlight=False).print(table)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--rate", type=float, default=30.0, help="frames per second of each client")
+    parser.add_argument("--vertices", type=int, default=2_500)
+    parser.add_argument("--points", type=int, default=10_000)
+    parser.add_argument("--view", default="full", help="full, ring4 or front")
+    parser.add_argument("--body", action="store_true", help="the body's vertices travel with every frame")
+    parser.add_argument("--codec", choices=CODECS, default=DEFAULT_CODEC)
+    parser.add_argument("--flow", choices=FLOWS, default="realtime")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--workers", type=int, default=2, help="of the service that is started")
+    parser.add_argument("--server", metavar="HOST:PORT", help="a service that runs, instead of one of our own")
+    parser.add_argument("--out", type=Path, default=RESULT)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

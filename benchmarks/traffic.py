@@ -1,0 +1,244 @@
+"""What the operational benchmarks share: frames encoded ahead, clients that send them on schedule, and what a server takes.
+
+The clients speak the contract itself, so that neither encoding nor a client library's own work counts as the server's. All of
+them live in one event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import tempfile
+import time
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import grpc
+import inputs
+import numpy as np
+from ddakf_api import API_VERSION, codec
+from ddakf_api.arrays import pack, pack_mesh, unpack
+from ddakf_api.errors import ServiceError, from_detail, from_rpc_error
+from ddakf_api.transport import client_options
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
+from ddakf_service.child import ServiceProcess
+
+from ddakf import data
+from ddakf.evaluation import metrics
+
+_TICKS = os.sysconf("SC_CLK_TCK")
+
+
+class Script:
+    """A garment and its frames, encoded once; they are played to the end and back again for as long as anyone likes.
+
+    Args:
+        vertices: about so many of the garment; None: the sample's own.
+        points: of each frame.
+        view: of the virtual sensor.
+        codec: a name of ``ddakf_api.codec.CODECS``.
+        frames: different ones.
+        body: the body's vertices travel with every frame.
+    """
+
+    def __init__(self, vertices: int | None, points: int, *, view: str = "full", codec_name: str = codec.DEFAULT_CODEC,
+                 frames: int = 149, body: bool = False):  # fmt: skip
+        sequence = data.sample()
+        run = inputs.run_of(inputs.resampled(sequence, vertices) if vertices else sequence, frames, view, points, body=body)
+        s = self._sequence = run.sequence
+        self.fps, self.vertices = s.fps, len(s.template)
+        self.session = pb.Session(garment=pack_mesh(s.template, s.garment_faces))
+        if body:
+            self.session.body.CopyFrom(pack_mesh(s.body_vertices[0], s.body_faces))
+        self._frames = []
+        for _, cloud, how in run.frames():
+            encoded = codec.encode(cloud.points, codec_name).cloud
+            frame = pb.Frame(point_cloud=encoded)
+            if how["sensor_origin"] is not None and np.ndim(how["sensor_origin"]) == 1:
+                frame.sensors.add(origin=pb.Vector3(**dict(zip("xyz", map(float, how["sensor_origin"]), strict=True))))
+            if how["body_vertices"] is not None:
+                frame.body_vertices = np.asarray(how["body_vertices"], "<f4").tobytes()
+            self._frames.append(frame)
+        self.bytes = round(float(np.mean([frame.ByteSize() for frame in self._frames])))
+
+    def frame(self, number: int, rate: float) -> pb.TrackRequest:
+        """Frame ``number``, from 1, of a stream of ``rate`` frames per second."""
+        request = pb.TrackRequest(frame=self._frames[self._place(number)])
+        request.frame.sequence_number, request.frame.capture_time = number, number / rate
+        return request
+
+    def reset(self, name: str) -> pb.ResetSessionRequest:
+        """Starts a session at the truth."""
+        return pb.ResetSessionRequest(name=name, vertices=pack(self._sequence.garment_vertices[0], pb.ARRAY_ENCODING_FLOAT32))
+
+    def rmse_mm(self, result: pb.Result) -> float:
+        """Error of a result's vertices."""
+        vertices = unpack(result.vertices, 3, field="vertices", max_items=self.vertices)
+        return metrics.rmse_mm(vertices, self._sequence.garment_vertices[1 + self._place(result.sequence_number)])
+
+    def _place(self, number: int) -> int:
+        """There and back: no jump where the recording ends."""
+        place = (number - 1) % (2 * len(self._frames))
+        return min(place, 2 * len(self._frames) - 1 - place)
+
+
+@dataclass
+class Record:
+    """What one client saw.
+
+    Attributes:
+        latency: seconds of each answered frame, from when it was due: a late send counts as the service's delay.
+        rmse: mm of each.
+        errors: refusals and ends of streams, by name.
+        ended: name of the error that ended the stream before its time; empty when none did.
+    """
+
+    sent: int = 0
+    answered: int = 0
+    dropped: int = 0
+    late: int = 0
+    latency: list[float] = field(default_factory=list)
+    rmse: list[float] = field(default_factory=list)
+    states: list[int] = field(default_factory=list)
+    numbers: list[int] = field(default_factory=list)
+    errors: dict[str, int] = field(default_factory=dict)
+    ended: str = ""
+
+    def failed(self, error: ServiceError) -> str:
+        """Counts an error and returns its name."""
+        name = type(error).__name__
+        self.errors[name] = self.errors.get(name, 0) + 1
+        return name
+
+
+@asynccontextmanager
+async def channel_to(address: str) -> AsyncIterator[grpc.aio.Channel]:
+    """A connection of its own, as every client has one."""
+    options = [*client_options(), ("grpc.use_local_subchannel_pool", 1)]
+    async with grpc.aio.insecure_channel(address, options) as channel:
+        yield channel
+
+
+async def created(stub: TrackingServiceStub, script: Script, limits: pb.SessionLimits | None = None) -> str:
+    """The name of a new session at the truth."""
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=script.session)
+    if limits is not None:
+        request.session.limits.CopyFrom(limits)
+    session = await stub.CreateSession(request)
+    await stub.ResetSession(script.reset(session.name))
+    return session.name
+
+
+async def play(
+    stub: TrackingServiceStub, name: str, script: Script, rate: float, seconds: float, record: Record, *,
+    flow: pb.FlowMode = pb.FLOW_MODE_REALTIME, first: int = 1, accuracy_every: int = 10, delay: float = 0.0,
+) -> None:  # fmt: skip
+    """Sends frames on schedule for so many seconds, and reads until the last answer.
+
+    Args:
+        first: number of the first frame.
+        accuracy_every: every so many answers the error is computed.
+        delay: seconds before the first frame, so that clients do not all send at the same moment.
+    """
+    begun = time.monotonic() + delay
+    due: dict[int, float] = {}
+
+    async def requests() -> AsyncIterator[pb.TrackRequest]:
+        yield pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=flow))
+        for k in range(round(seconds * rate)):
+            at = begun + k / rate
+            await asyncio.sleep(max(0.0, at - time.monotonic()))
+            due[first + k] = at
+            record.sent += 1
+            yield script.frame(first + k, rate)
+
+    try:
+        async for response in stub.Track(requests()):
+            now, kind = time.monotonic(), response.WhichOneof("message")
+            if kind == "result":
+                result = response.result
+                record.answered += 1
+                record.dropped, record.late = result.frames_dropped, result.frames_late
+                record.latency.append(now - due.get(result.sequence_number, now))
+                record.states.append(result.state)
+                record.numbers.append(result.sequence_number)
+                if record.answered % accuracy_every == 0 and result.HasField("vertices"):
+                    record.rmse.append(script.rmse_mm(result))
+            elif kind == "frame_error":
+                record.failed(from_detail(response.frame_error.error))
+    except grpc.RpcError as error:
+        record.ended = record.failed(from_rpc_error(error))
+
+
+@contextmanager
+def service(arguments: list[str], *, folder: Path | None = None) -> Iterator[ServiceProcess]:
+    """A service of our own, ready; its log is in ``folder`` (a temporary one if None)."""
+    with tempfile.TemporaryDirectory() as own:
+        process = ServiceProcess(arguments, log=Path(folder or own) / "service.log")
+        try:
+            process.wait_until_ready()
+            yield process
+        finally:
+            process.stop()
+
+
+class Usage:
+    """What a process and its descendants take, from /proc."""
+
+    def __init__(self, pid: int):
+        self._pid = pid
+
+    def tree(self) -> list[int]:
+        """The process and its descendants."""
+        children: dict[int, list[int]] = {}
+        for entry in Path("/proc").iterdir():
+            if entry.name.isdigit() and (stat := _stat(int(entry.name))):
+                children.setdefault(int(stat[1]), []).append(int(entry.name))
+        found = [self._pid]
+        for pid in found:
+            found.extend(children.get(pid, ()))
+        return found
+
+    def cpu_seconds(self) -> float:
+        """User and system time of all that are alive."""
+        return sum(sum(map(int, stat[11:13])) for pid in self.tree() if (stat := _stat(pid))) / _TICKS
+
+    def memory(self) -> dict[int, int]:
+        """Private and shared memory of each, bytes: a page that several have is counted in shares (PSS)."""
+        return {pid: size for pid in self.tree() if (size := _pss(pid))}
+
+    def descriptors(self) -> dict[int, int]:
+        """Open files, pipes and sockets of each."""
+        return {pid: count for pid in self.tree() if (count := _descriptors(pid)) is not None}
+
+
+def _stat(pid: int) -> list[str] | None:
+    """Fields of /proc/PID/stat from the state on; None when the process is gone."""
+    try:
+        return (Path("/proc") / str(pid) / "stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return None
+
+
+def _pss(pid: int) -> int:
+    try:
+        lines = (Path("/proc") / str(pid) / "smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
+
+
+def _descriptors(pid: int) -> int | None:
+    try:
+        return len(os.listdir(f"/proc/{pid}/fd"))
+    except OSError:
+        return None
+
+
+def spread(clients: int, rate: float) -> Iterator[float]:
+    """Delays that place the frames of several clients evenly within an interval."""
+    return (k / clients / rate for k in itertools.count())
