@@ -1,0 +1,398 @@
+"""What can go wrong goes wrong: ``python benchmarks/chaos.py [--seconds 150] [--seed 1]``.
+
+Clients stream the sample through the client library and through a proxy of our own, while on a schedule drawn from the seed
+workers are killed, connections are cut, readers stall, the file system of the checkpoints is filled, the database is stopped,
+and the whole server is killed and started again. Afterwards every session has to be alive, its state tracking, and its error as
+undisturbed: over the last seconds at most 1.2 times, or 1 mm above, what the same frames have without any of this. Exit status 1
+otherwise. What the machine cannot do (no PostgreSQL, not root for a file system of limited size) is left out with a sentence. Writes
+benchmarks/results/chaos.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import contextlib
+import json
+import os
+import random
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import AsyncIterator, Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import inputs
+import machine
+import numpy as np
+import traffic
+from ddakf_client import Frame, Notice, Result, aconnect
+from ddakf_service.child import ServiceProcess
+from rich.console import Console
+
+import ddakf
+from ddakf import data
+from ddakf.evaluation import metrics
+
+RESULT = Path(__file__).parent / "results" / "chaos.json"
+QUIET = 10.0  # seconds at the end without any trouble, over whose last half errors are compared
+EVERY = (4.0, 8.0)  # seconds between troubles
+RATIO, SLACK_MM = 1.2, 1.0
+DISK = "24m"  # of the file system that the checkpoints are on
+console = Console(stderr=True, highlight=False)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Returns the exit status."""
+    a = _parser().parse_args(argv)
+    run = inputs.run_of(data.sample(), 149, "full", a.points)
+    with contextlib.ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        disk = stack.enter_context(_small_disk(folder))
+        database = stack.enter_context(_postgres(folder))
+        server = Fleet(folder, disk, database, a.workers)
+        stack.callback(server.stop)
+        server.start()
+        part = asyncio.run(_chaos(a, run, server))
+    report = {"name": "chaos", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
+    report["chaos"] = part
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    a.out.write_text(json.dumps(report, indent=1) + "\n")
+    for row in part["sessions"]:
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    for sentence in part["failed"]:
+        print(f"FAILED: {sentence}")
+    print(a.out)
+    return 1 if part["failed"] else 0
+
+
+class Fleet:
+    """The server under test, always on the same ports, and what may be done to it."""
+
+    def __init__(self, folder: Path, disk: Path | None, database: Postgres | None, workers: int):
+        self.grpc_port, self.http_port = _free_port(), _free_port()
+        self.disk, self.database = disk, database
+        self._folder, self._process, self._starts = folder, None, 0
+        data_dir = (disk or folder) / "state"
+        data_dir.mkdir()
+        self._arguments = ["--workers", str(workers), "--data-dir", str(data_dir), "--checkpoint-every", "15"]
+        self._arguments += ["--grpc-port", str(self.grpc_port), "--http-port", str(self.http_port)]
+        if database:
+            self._arguments += ["--database-url", database.url]
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def start(self) -> None:
+        self._starts += 1
+        self._process = ServiceProcess(self._arguments, log=self._folder / f"service-{self._starts}.log")
+        self._process.wait_until_ready()
+
+    def stop(self) -> None:
+        if self._process is not None:
+            self._process.stop()
+
+    def workers(self) -> list[int]:
+        """Process ids of those that compute."""
+        return [pid for pid in traffic.Usage(self.pid).tree() if b"workers.process" in _command(pid)]
+
+    def logs(self) -> str:
+        return "".join(path.read_text(errors="replace") for path in sorted(self._folder.glob("service-*.log")))
+
+
+class Proxy:
+    """Carries bytes between clients and the server, unless told otherwise."""
+
+    def __init__(self, port: int):
+        self._port = port
+        self._pairs: set[tuple[asyncio.StreamWriter, asyncio.StreamWriter]] = set()
+        self._flowing = asyncio.Event()
+        self._flowing.set()
+
+    async def start(self) -> str:
+        self._server = await asyncio.start_server(self._carry, "127.0.0.1", 0)
+        host, port = self._server.sockets[0].getsockname()
+        return f"{host}:{port}"
+
+    def cut(self) -> None:
+        """Every connection ends at once, without a word."""
+        for pair in list(self._pairs):
+            for writer in pair:
+                writer.transport.abort()
+
+    async def stall(self, seconds: float) -> None:
+        """Nothing that the server says arrives, and it notices by full buffers alone."""
+        self._flowing.clear()
+        await asyncio.sleep(seconds)
+        self._flowing.set()
+
+    async def stop(self) -> None:
+        self.cut()
+        self._server.close()
+
+    async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        try:
+            from_server, to_server = await asyncio.open_connection("127.0.0.1", self._port)
+        except OSError:
+            writer.transport.abort()
+            return
+        pair = (writer, to_server)
+        self._pairs.add(pair)
+        try:
+            async with asyncio.TaskGroup() as both:
+                both.create_task(self._copy(reader, to_server, None))
+                both.create_task(self._copy(from_server, writer, self._flowing))
+        except* (OSError, asyncio.IncompleteReadError):
+            pass  # cut
+        finally:
+            self._pairs.discard(pair)
+            for end in pair:
+                end.transport.abort()
+
+    @staticmethod
+    async def _copy(reader: asyncio.StreamReader, writer: asyncio.StreamWriter, flowing: asyncio.Event | None) -> None:
+        while chunk := await reader.read(1 << 16):
+            if flowing is not None:
+                await flowing.wait()
+            writer.write(chunk)
+            await writer.drain()
+        raise ConnectionResetError  # one side's end is the other's
+
+
+@dataclass
+class Seen:
+    """What one client saw: frame index to error in mm, notices, and what made it give up."""
+
+    error: dict[int, float] = field(default_factory=dict)
+    state: str = ""
+    notices: list[str] = field(default_factory=list)
+    gave_up: str = ""
+
+
+async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
+    console.print("without any trouble ...")
+    calm = await _stream(a, run, f"127.0.0.1:{fleet.grpc_port}", 30.0, "calm-1")
+    if calm.gave_up:
+        raise SystemExit(f"the undisturbed stream ended: {calm.gave_up}")
+    proxy = Proxy(fleet.grpc_port)
+    address = await proxy.start()
+    log: list[str] = []
+    streams = [asyncio.create_task(_stream(a, run, address, a.seconds, f"chaos-{k}")) for k in range(a.clients)]
+    await _trouble(a, fleet, proxy, log)
+    seen = await asyncio.gather(*streams)
+    await proxy.stop()
+    rows = [_judged(a, k, calm, one) for k, one in enumerate(seen)]
+    failed = [f"session {row['session']}: {row['verdict']}" for row in rows if row["verdict"] != "as undisturbed"]
+    left_out = [name for name, part in (("PostgreSQL", fleet.database), ("a small disk", fleet.disk)) if part is None]
+    return {"seconds": a.seconds, "seed": a.seed, "troubles": log, "left_out": left_out, "sessions": rows, "failed": failed}
+
+
+async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds: float, session_id: str) -> Seen:
+    """One client, at its frames' pace, for so many seconds."""
+    seen, sequence = Seen(), run.sequence
+    begun = time.monotonic()
+
+    async def frames() -> AsyncIterator[Frame]:
+        for k in range(round(seconds * a.rate)):
+            await asyncio.sleep(max(0.0, begun + k / a.rate - time.monotonic()))
+            cloud = run.clouds[_place(k, len(run.clouds))]
+            yield Frame(cloud.points, k / a.rate + 1.0, cloud.sensor_origin)
+
+    def notice(notice: Notice) -> None:
+        seen.notices.append(notice.kind)
+
+    try:
+        async with aconnect(address, timeout=60.0) as client:
+            session = await client.create_session(ddakf.Mesh(sequence.template, sequence.garment_faces), session_id=session_id)
+            await session.reset(sequence.garment_vertices[0])
+            async for result in session.track(frames(), on_error="yield", on_notice=notice):
+                if isinstance(result, Result):
+                    k = round((result.timestamp - 1.0) * a.rate)
+                    truth = sequence.garment_vertices[1 + _place(k, len(run.clouds))]
+                    seen.error[k] = metrics.rmse_mm(result.vertices, truth)
+                    seen.state = result.state
+    except Exception as error:  # whatever it is, this client has given up, which the verdict says
+        seen.gave_up = f"{type(error).__name__}: {error}"
+    return seen
+
+
+def _place(k: int, n: int) -> int:
+    """There and back through n frames."""
+    place = k % (2 * n)
+    return min(place, 2 * n - 1 - place)
+
+
+async def _trouble(a: argparse.Namespace, fleet: Fleet, proxy: Proxy, log: list[str]) -> None:
+    """The schedule."""
+    random_ = random.Random(a.seed)
+    kinds: dict[str, Callable] = {
+        "a worker is killed": lambda: _kill_worker(fleet, random_),
+        "connections are cut": lambda: _cut(proxy),
+        "readers stall": lambda: proxy.stall(3.0),
+        "the server is killed": lambda: _kill_server(fleet),
+    }
+    if fleet.disk is not None:
+        kinds["the disk is full"] = lambda: _fill(fleet.disk)
+    if fleet.database is not None:
+        kinds["the database is stopped"] = lambda: _stop_database(fleet.database)
+    begun, waiting = time.monotonic(), list(kinds)
+    random_.shuffle(waiting)
+    while True:
+        await asyncio.sleep(random_.uniform(*EVERY))
+        elapsed = time.monotonic() - begun
+        if elapsed > a.seconds - QUIET - 5.0:
+            return
+        # each kind once before any comes twice
+        name = waiting.pop() if waiting else random_.choice(list(kinds))
+        console.print(f"{elapsed:6.1f} s  {name}")
+        log.append(f"{elapsed:.1f} s: {name}")
+        await kinds[name]()
+
+
+async def _cut(proxy: Proxy) -> None:
+    proxy.cut()
+
+
+async def _kill_worker(fleet: Fleet, random_: random.Random) -> None:
+    if workers := fleet.workers():
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(random_.choice(workers), signal.SIGKILL)
+
+
+async def _kill_server(fleet: Fleet) -> None:
+    os.kill(fleet.pid, signal.SIGKILL)
+    await asyncio.to_thread(fleet.stop)
+    await asyncio.to_thread(fleet.start)
+
+
+async def _fill(disk: Path) -> None:
+    """For a few seconds nothing can be written there."""
+    ballast = disk / "ballast"
+    with contextlib.suppress(OSError), ballast.open("wb") as file:
+        while True:
+            file.write(bytes(1 << 16))
+            file.flush()
+    await asyncio.sleep(4.0)
+    ballast.unlink()
+
+
+async def _stop_database(database: Postgres) -> None:
+    await asyncio.to_thread(database.stop)
+    await asyncio.sleep(4.0)
+    await asyncio.to_thread(database.start)
+
+
+def _judged(a: argparse.Namespace, number: int, calm: Seen, seen: Seen) -> dict:
+    """The errors of the last seconds against those of the same places without trouble."""
+    first = round((a.seconds - QUIET / 2) * a.rate)
+    period = 2 * 149
+    pairs = [(error, calm.error[k % period]) for k, error in seen.error.items() if k >= first and k % period in calm.error]
+    row = {"session": number, "frames": len(seen.error), "state": seen.state, "notices": _counted(seen.notices)}
+    if seen.gave_up or not pairs:
+        return row | {"verdict": seen.gave_up or "no results at the end"}
+    disturbed, undisturbed = np.mean(pairs, axis=0)
+    row |= {"rmse_mm": round(float(disturbed), 2), "undisturbed_mm": round(float(undisturbed), 2)}
+    good = seen.state == "tracking" and disturbed <= max(RATIO * undisturbed, undisturbed + SLACK_MM)
+    return row | {"verdict": "as undisturbed" if good else "worse than undisturbed"}
+
+
+def _counted(notices: list[str]) -> str:
+    return ", ".join(f"{kind} {notices.count(kind)}" for kind in sorted(set(notices))) or "none"
+
+
+class Postgres:
+    """A database server of our own."""
+
+    def __init__(self, binaries: Path, folder: Path, user: str | None):
+        self._binaries, self._data, self._user = binaries, folder / "postgres", user
+        self._port = _free_port()
+        self.url = f"postgresql+psycopg://ddakf@127.0.0.1:{self._port}/postgres"
+        self._data.mkdir()
+        if user:
+            shutil.chown(self._data, user, user)
+        self._run("initdb", "-D", str(self._data), "-U", "ddakf", "-A", "trust", "--no-sync")
+
+    def start(self) -> None:
+        options = f"-p {self._port} -k {self._data} -c listen_addresses=127.0.0.1 -c fsync=off"
+        self._run("pg_ctl", "-D", str(self._data), "-w", "-l", str(self._data / "log"), "-o", options, "start")
+
+    def stop(self) -> None:
+        self._run("pg_ctl", "-D", str(self._data), "-w", "-m", "immediate", "stop")
+
+    def _run(self, program: str, *arguments: str) -> None:
+        as_user = ["runuser", "-u", self._user, "--"] if self._user else []
+        command = [*as_user, str(self._binaries / program), *arguments]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd="/")
+
+
+@contextlib.contextmanager
+def _postgres(folder: Path):
+    """None where there is no PostgreSQL, or nobody who may run it."""
+    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
+    binaries = found[-1].parent if found else None
+    if binaries is None or (os.geteuid() == 0 and shutil.which("runuser") is None):
+        yield None
+        return
+    try:
+        folder.chmod(0o755)
+        database = Postgres(binaries, folder, "nobody" if os.geteuid() == 0 else None)
+        database.start()
+    except (subprocess.CalledProcessError, LookupError, OSError) as error:
+        console.print(f"no PostgreSQL: {error}")
+        yield None
+        return
+    try:
+        yield database
+    finally:
+        with contextlib.suppress(subprocess.CalledProcessError):  # stopped already
+            database.stop()
+
+
+@contextlib.contextmanager
+def _small_disk(folder: Path):
+    """A file system that can be filled without harm; None where none can be mounted."""
+    place = folder / "disk"
+    place.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(place)], capture_output=True, check=False)
+    if mounted.returncode != 0:
+        yield None
+        return
+    try:
+        yield place
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=False)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+def _command(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=150.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--clients", type=int, default=2)
+    parser.add_argument("--rate", type=float, default=10.0, help="frames per second of each client")
+    parser.add_argument("--points", type=int, default=3_000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--out", type=Path, default=RESULT)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
