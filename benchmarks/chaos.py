@@ -4,8 +4,8 @@ Clients stream the sample through the client library and through a proxy of our 
 workers are killed, connections are cut, readers stall, the file system of the checkpoints is filled, the database is stopped,
 and the whole server is killed and started again. Afterwards every session has to be alive, its state tracking, and its error as
 undisturbed: over the last seconds at most 1.2 times, or 1 mm above, what the same frames have without any of this. Exit status 1
-otherwise. What the machine cannot do (no PostgreSQL, not root for a file system of limited size) is left out with a sentence. Writes
-benchmarks/results/chaos.json.
+otherwise. What the machine cannot do (no PostgreSQL, not root for a file system of limited size) is left out and named.
+Writes benchmarks/results/chaos.json.
 """
 
 from __future__ import annotations
@@ -359,7 +359,8 @@ def _small_disk(folder: Path):
     """A file system that can be filled without harm; None where none can be mounted."""
     place = folder / "disk"
     place.mkdir()
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(place)], capture_output=True, check=False)
+    command = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(place)]
+    mounted = subprocess.run(command, capture_output=True, check=False)
     if mounted.returncode != 0:
         yield None
         return
