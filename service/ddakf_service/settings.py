@@ -119,6 +119,13 @@ class Settings(BaseSettings):
         description="name of this server among those of one database: it restores the sessions of its name alone",
     )
 
+    allow_anonymous: bool = Field(False, description="calls without a key are allowed on addresses other than loopback, too")
+    require_keys: bool = Field(False, description="calls need a key on loopback as well, for a proxy that runs there")
+    max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key that says no other number")
+    tls_certificate: str = Field("", description="PEM file with the certificate chain; empty: no encryption")
+    tls_key: str = Field("", description="PEM file with its private key")
+    tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate of theirs")
+
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
     log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
 

@@ -1,0 +1,373 @@
+"""Who gets in: keys and scopes on every call of every transport, owners, TLS with certificates that change."""
+
+from __future__ import annotations
+
+import datetime
+import json
+import socket
+import ssl
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import grpc
+import httpx
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+from ddakf_api import API_VERSION
+from ddakf_api.arrays import pack_mesh
+from ddakf_api.errors import PermissionDenied, ResourceExhausted, SessionNotFound, Unauthenticated, from_rpc_error
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1 import tracking_pb2_grpc as rpc
+from ddakf_client import connect
+from ddakf_service.child import ServiceProcess
+from ddakf_service.trust.guard import GRPC_SCOPES
+
+from .conftest import TIMEOUT, make_sheet
+
+METHODS = {m.name: m for m in pb.DESCRIPTOR.services_by_name["TrackingService"].methods}
+GUARDED = [name for name in METHODS if name != "GetServerInfo"]
+
+
+def keys_command(data_dir: Path, *arguments: str) -> str:
+    command = [sys.executable, "-m", "ddakf.cli", "keys", "--data-dir", str(data_dir), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def new_key(data_dir: Path, name: str, *scopes: str, **options) -> str:
+    flags = [flag for scope in scopes for flag in ("--scope", scope)]
+    flags += [flag for option, value in options.items() for flag in (f"--{option.replace('_', '-')}", str(value))]
+    return keys_command(data_dir, "create", name, *flags).split()[-1]
+
+
+@pytest.fixture(scope="module")
+def guarded(tmp_path_factory):
+    """A service that asks for keys, its data folder, and a key of each kind."""
+    folder = tmp_path_factory.mktemp("guarded")
+    data = folder / "data"
+    keys = {name: new_key(data, name, name) for name in ("stream", "read", "admin")}
+    keys["other"] = new_key(data, "other", "stream", max_sessions=1)
+    arguments = ["--workers", "1", "--require-keys", "--data-dir", str(data), "--log-level", "debug"]
+    service = ServiceProcess(arguments, log=folder / "service.log")
+    try:
+        service.wait_until_ready()
+        service.keys, service.data, service.log = keys, data, folder / "service.log"
+        yield service
+    finally:
+        service.stop()
+
+
+def metadata(key: str | None):
+    return (("authorization", f"Bearer {key}"),) if key else ()
+
+
+def call(service, method: str, key: str | None):
+    """The error of a call with an empty request, or None."""
+    with grpc.insecure_channel(service.grpc) as channel:
+        stub = getattr(rpc.TrackingServiceStub(channel), method)
+        described = METHODS[method]
+        request = getattr(pb, described.input_type.name)()
+        given = iter([request]) if described.client_streaming else request
+        try:
+            answer = stub(given, timeout=TIMEOUT, metadata=metadata(key))
+            if described.server_streaming:
+                list(answer)
+        except grpc.RpcError as error:
+            return from_rpc_error(error)
+    return None
+
+
+@pytest.mark.parametrize("method", GUARDED)
+def test_no_method_of_grpc_works_without_a_key_or_with_a_wrong_one(guarded, method):
+    assert isinstance(call(guarded, method, None), Unauthenticated)
+    assert isinstance(call(guarded, method, "ddakf_0123456789ab_" + 43 * "A"), Unauthenticated)
+    assert isinstance(call(guarded, method, "nonsense"), Unauthenticated)
+
+
+@pytest.mark.parametrize("method", GUARDED)
+def test_a_method_of_grpc_needs_its_scope(guarded, method):
+    scope = GRPC_SCOPES["/ddakf_api.v1.TrackingService/" + method]
+    refused = call(guarded, method, guarded.keys["read"])
+    assert isinstance(refused, PermissionDenied) == (scope == "stream")
+    assert not isinstance(call(guarded, method, guarded.keys["admin"]), (PermissionDenied, Unauthenticated))
+
+
+def test_reflection_needs_a_key_but_health_and_the_handshake_do_not(guarded):
+    from grpc_health.v1 import health_pb2, health_pb2_grpc
+    from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
+
+    with grpc.insecure_channel(guarded.grpc) as channel:
+        assert health_pb2_grpc.HealthStub(channel).Check(health_pb2.HealthCheckRequest()).status
+        assert rpc.TrackingServiceStub(channel).GetServerInfo(pb.GetServerInfoRequest(api_version=API_VERSION)).server_version
+        reflection = reflection_pb2_grpc.ServerReflectionStub(channel)
+        with pytest.raises(grpc.RpcError) as refused:
+            list(reflection.ServerReflectionInfo(iter([reflection_pb2.ServerReflectionRequest(list_services="")])))
+    assert isinstance(from_rpc_error(refused.value), Unauthenticated)
+
+
+def routes(service) -> list[tuple[str, str]]:
+    """Method and path of every documented operation that is not open."""
+    document = httpx.get(service.http + "/openapi.json").json()
+    open_paths = ("/healthz", "/readyz", "/v1/info")
+    return [
+        (method.upper(), path.replace("{session_id}", "nobody"))
+        for path, operations in document["paths"].items()
+        for method in operations
+        if path not in open_paths
+    ]
+
+
+def test_no_route_works_without_a_key_or_without_its_scope(guarded):
+    found = routes(guarded)
+    assert {"GET", "POST", "DELETE"} <= {method for method, _ in found}
+    with httpx.Client(base_url=guarded.http, timeout=TIMEOUT) as http:
+        for method, path in found:
+            answer = http.request(method, path)
+            assert answer.status_code == 401, (method, path)
+            assert answer.json()["name"] == "Unauthenticated"
+            assert answer.headers["www-authenticate"] == "Bearer"
+            needs_stream = method != "GET" or path.endswith("/snapshot")
+            for key, refused in (("read", needs_stream), ("stream", path == "/metrics")):
+                headers = {"authorization": f"Bearer {guarded.keys[key]}"}
+                assert (http.request(method, path, headers=headers).status_code == 403) == refused, (method, path, key)
+
+
+def test_what_says_whether_the_service_lives_is_open(guarded):
+    for path in ("/healthz", "/readyz", "/v1/info", "/openapi.json"):
+        assert httpx.get(guarded.http + path).status_code == 200, path
+
+
+def test_unknown_paths_are_closed(guarded):
+    assert httpx.get(guarded.http + "/v1/anything").status_code == 401
+    headers = {"authorization": f"Bearer {guarded.keys['read']}"}
+    assert httpx.get(guarded.http + "/v1/anything", headers=headers).status_code == 403
+
+
+@pytest.mark.parametrize("what", ["stream", "watch"])
+def test_a_websocket_is_refused_before_it_opens(guarded, what):
+    from websockets.exceptions import InvalidStatus
+    from websockets.sync.client import connect as websocket
+
+    address = guarded.http.replace("http", "ws") + f"/v1/sessions/nobody/{what}"
+    with pytest.raises(InvalidStatus) as refused, websocket(address):
+        pass
+    assert refused.value.response.status_code in (401, 403)
+
+
+def test_sessions_belong_to_the_key_that_made_them(guarded):
+    sheet = make_sheet()
+    with (
+        connect(guarded.grpc, api_key=guarded.keys["stream"]) as mine,
+        connect(guarded.grpc, api_key=guarded.keys["other"]) as other,
+        connect(guarded.grpc, api_key=guarded.keys["read"]) as reader,
+        connect(guarded.grpc, api_key=guarded.keys["admin"]) as admin,
+        mine.create_session(*sheet) as session,
+    ):
+        for stranger in (lambda: other.open_session(session.session_id), lambda: other.open_session(session.session_id).delete()):
+            with pytest.raises(SessionNotFound):
+                stranger()
+        listed = {name: [s.name for s in c.sessions()] for name, c in (("mine", mine), ("other", other), ("reader", reader))}
+        assert listed == {"mine": [session.name], "other": [], "reader": [session.name]}
+        watched = reader.open_session(session.session_id)
+        with pytest.raises(PermissionDenied):
+            watched.delete()
+        admin.open_session(session.session_id).reset()
+
+
+def test_a_key_has_its_own_bound_of_sessions(guarded):
+    sheet = make_sheet()
+    with connect(guarded.grpc, api_key=guarded.keys["other"]) as client, client.create_session(*sheet):
+        with pytest.raises(ResourceExhausted, match="key"):
+            client.create_session(*sheet)
+
+
+def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):
+    key = new_key(guarded.data, "passing", "read")
+    with connect(guarded.grpc, api_key=key) as client:
+        assert list(client.sessions()) is not None
+        key_id = key.split("_")[1]
+        keys_command(guarded.data, "revoke", key_id)
+        deadline = time.monotonic() + 20
+        while time.monotonic() < deadline:
+            try:
+                list(client.sessions())
+            except Unauthenticated:
+                break
+            time.sleep(0.2)
+        else:
+            pytest.fail("a revoked key still works")
+    rows = {row["id"]: row for row in json.loads(keys_command(guarded.data, "list", "--json"))}
+    assert rows[key_id]["revoked"]
+    assert rows[key_id]["name"] == "passing"
+
+
+def test_secrets_are_nowhere_but_with_their_holders(guarded):
+    """Neither in the log, at its most talkative, nor in the database."""
+    call(guarded, "ListSessions", guarded.keys["read"])
+    httpx.get(guarded.http + "/v1/sessions", headers={"authorization": f"Bearer {guarded.keys['read']}"})
+    kept = guarded.log.read_bytes() + b"".join(path.read_bytes() for path in guarded.data.rglob("*") if path.is_file())
+    for key in guarded.keys.values():
+        assert key.split("_", 2)[2].encode() not in kept
+
+
+def test_without_keys_only_loopback_is_served(tmp_path):
+    service = ServiceProcess(["--host", "0.0.0.0", "--workers", "1"], log=tmp_path / "log")
+    try:
+        service.wait_until_ready()
+        assert isinstance(call(service, "ListSessions", None), Unauthenticated)
+    finally:
+        service.stop()
+    assert "ddakf keys create" in (tmp_path / "log").read_text()
+
+
+# TLS ------------------------------------------------------------------------------------------------------------------
+
+
+class Authority:
+    """Signs certificates for 127.0.0.1."""
+
+    def __init__(self, name: str):
+        self.key = ec.generate_private_key(ec.SECP256R1())
+        self.name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        self.certificate = self._signed(self.name, self.key.public_key(), authority=True)
+        self.pem = self.certificate.public_bytes(serialization.Encoding.PEM)
+
+    def issue(self, name: str) -> tuple[bytes, bytes]:
+        """PEM of a certificate and of its key."""
+        key = ec.generate_private_key(ec.SECP256R1())
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        certificate = self._signed(subject, key.public_key(), authority=False)
+        private = key.private_bytes(
+            serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+        )
+        return certificate.public_bytes(serialization.Encoding.PEM), private
+
+    def _signed(self, subject, public_key, *, authority: bool):
+        import ipaddress
+
+        now = datetime.datetime.now(datetime.UTC)
+        names = [x509.DNSName("localhost"), x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]
+        builder = x509.CertificateBuilder().subject_name(subject).issuer_name(self.name).public_key(public_key)
+        builder = builder.serial_number(x509.random_serial_number()).not_valid_before(now - datetime.timedelta(hours=1))
+        builder = builder.not_valid_after(now + datetime.timedelta(days=1))
+        builder = builder.add_extension(x509.BasicConstraints(ca=authority, path_length=None), critical=True)
+        builder = builder.add_extension(x509.SubjectAlternativeName(names), critical=False)
+        return builder.sign(self.key, hashes.SHA256())
+
+
+@pytest.fixture(scope="module")
+def encrypted(tmp_path_factory):
+    """A service with TLS that asks clients for certificates."""
+    folder = tmp_path_factory.mktemp("tls")
+    authority = Authority("first")
+    install(folder, authority, "server")
+    files = [f"--tls-certificate={folder / 'server.pem'}", f"--tls-key={folder / 'server.key'}"]
+    (folder / "clients.pem").write_bytes(authority.pem)
+    service = ServiceProcess(["--workers", "1", *files, f"--tls-client-ca={folder / 'clients.pem'}"], log=folder / "log")
+    try:
+        service.wait_until_ready()
+        service.folder, service.authority = folder, authority
+        yield service
+    finally:
+        service.stop()
+
+
+def install(folder: Path, authority: Authority, name: str) -> None:
+    certificate, key = authority.issue(name)
+    (folder / "server.key").write_bytes(key)
+    (folder / "server.pem").write_bytes(certificate)
+
+
+def https(service, authority: Authority, client: tuple[bytes, bytes] | None) -> int:
+    context = ssl.create_default_context(cadata=authority.pem.decode())
+    if client:
+        certificate, key = service.folder / "c.pem", service.folder / "c.key"
+        certificate.write_bytes(client[0])
+        key.write_bytes(client[1])
+        context.load_cert_chain(certificate, key)
+    with httpx.Client(verify=context, timeout=TIMEOUT) as http:
+        return http.get(service.http.replace("http:", "https:") + "/healthz").status_code
+
+
+def secure(service, authority: Authority, client: tuple[bytes, bytes] | None):
+    certificate, key = client or (None, None)
+    credentials = grpc.ssl_channel_credentials(authority.pem, key, certificate)
+    with connect(service.grpc, credentials=credentials, timeout=5.0) as connected:
+        return list(connected.sessions())
+
+
+def test_a_client_needs_a_certificate_of_the_authority(encrypted):
+    client, stranger = encrypted.authority.issue("client"), Authority("stranger").issue("client")
+    assert https(encrypted, encrypted.authority, client) == 200
+    assert secure(encrypted, encrypted.authority, client) == []
+    for wrong in (None, stranger):
+        with pytest.raises((httpx.HTTPError, ssl.SSLError)):
+            https(encrypted, encrypted.authority, wrong)
+        with pytest.raises(Exception, match="does not answer|handshake|certificate"):
+            secure(encrypted, encrypted.authority, wrong)
+
+
+def test_plain_text_is_not_served_beside_it(encrypted):
+    host, port = encrypted.http.rsplit("/", 1)[1].rsplit(":", 1)
+    with socket.create_connection((host, int(port)), timeout=10) as plain:
+        plain.sendall(b"GET /healthz HTTP/1.1\r\nHost: x\r\n\r\n")
+        assert not plain.recv(100).startswith(b"HTTP/1.1 200")
+
+
+def test_changed_files_are_used_by_new_connections_and_a_broken_one_is_not(encrypted):
+    second = Authority("second")
+    (encrypted.folder / "clients.pem").write_bytes(second.pem)
+    (encrypted.folder / "server.pem").write_bytes(b"half a certificate")
+    time.sleep(2.5)
+    old = encrypted.authority.issue("client")
+    assert https(encrypted, encrypted.authority, old) == 200
+    install(encrypted.folder, second, "server")
+    new = second.issue("client")
+    deadline = time.monotonic() + 20
+    while True:
+        try:
+            assert https(encrypted, second, new) == 200
+            assert secure(encrypted, second, new) == []
+            break
+        except (httpx.HTTPError, ssl.SSLError, Exception):
+            if time.monotonic() > deadline:
+                raise
+            time.sleep(0.2)
+    with pytest.raises((httpx.HTTPError, ssl.SSLError)):
+        https(encrypted, second, old)
+    encrypted.authority = second
+
+
+@pytest.mark.parametrize(
+    ("flags", "named"),
+    [
+        (["--tls-key", "/nonexistent"], "tls_certificate"),
+        (["--tls-certificate", "/nonexistent", "--tls-key", "/nonexistent"], "tls_certificate"),
+    ],
+)
+def test_files_that_cannot_be_used_are_refused_by_name(flags, named):
+    command = [sys.executable, "-m", "ddakf_service", "--http-port", "0", "--grpc-port", "0", *flags]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert named in done.stderr
+
+
+def test_keys_command_refuses_what_it_cannot_do(tmp_path):
+    command = [sys.executable, "-m", "ddakf.cli", "keys", "--data-dir", str(tmp_path), "revoke", "0123456789ab"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 2
+    assert "0123456789ab" in done.stderr
+
+
+def test_a_session_is_made_with_a_key(guarded):
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*make_sheet())))
+    with grpc.insecure_channel(guarded.grpc) as channel:
+        stub = rpc.TrackingServiceStub(channel)
+        session = stub.CreateSession(request, metadata=metadata(guarded.keys["stream"]), timeout=TIMEOUT)
+        stub.DeleteSession(pb.DeleteSessionRequest(name=session.name), metadata=metadata(guarded.keys["admin"]), timeout=TIMEOUT)
