@@ -1,0 +1,52 @@
+"""Keys in the database of the service."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import sqlalchemy as sa
+
+from ..store.database import Database
+from ..store.tables import api_keys
+from .keys import PREFIX, Key
+from .principal import Scope
+
+
+class StoredKeys:
+    """A :class:`~.keys.KeyStore` in a database that is open; raises ``Unavailable`` while that cannot be reached."""
+
+    def __init__(self, database: Database):
+        self._database = database
+
+    def keys(self) -> Iterable[Key]:
+        """All, oldest first."""
+        rows = self._database.read_now(lambda c: c.execute(sa.select(api_keys).order_by(api_keys.c.create_time)).all())
+        return [_key(row) for row in rows]
+
+    def add(self, key: Key) -> None:
+        values = {
+            "hash": key.digest,
+            "prefix": f"{PREFIX}_{key.id}",
+            "name": key.name,
+            "scopes": " ".join(sorted(key.scopes)),
+            "max_sessions": key.max_sessions,
+            "create_time": key.created,
+        }
+        self._database.read_now(lambda c: c.execute(sa.insert(api_keys).values(values)))
+
+    def revoke(self, key_id: str, at: float) -> bool:
+        in_force = sa.and_(api_keys.c.prefix == f"{PREFIX}_{key_id}", api_keys.c.revoke_time.is_(None))
+        change = sa.update(api_keys).where(in_force).values(revoke_time=at)
+        return self._database.read_now(lambda c: c.execute(change)).rowcount > 0
+
+
+def _key(row) -> Key:
+    return Key(
+        id=row.prefix.removeprefix(f"{PREFIX}_"),
+        digest=row.hash,
+        name=row.name,
+        scopes=frozenset(Scope(scope) for scope in row.scopes.split()),
+        created=row.create_time,
+        max_sessions=row.max_sessions,
+        revoked=row.revoke_time,
+    )
