@@ -1,4 +1,4 @@
-"""The commands ``ddakf serve`` and ``ddakf keys``; what they do is in ``serve.py`` and ``trust/command.py``, imported when they run."""
+"""The commands ``ddakf serve`` and ``ddakf keys``; what they do is imported only when they run."""
 
 from __future__ import annotations
 

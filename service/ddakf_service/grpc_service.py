@@ -22,6 +22,8 @@ from .sessions import Sessions
 from .settings import Settings
 from .status_details import shortened, trailers
 from .stream import Stream
+from .trust.guard import GrpcGuard, Guard
+from .trust.tls import Tls
 
 log = logging.getLogger(__name__)
 
@@ -127,13 +129,18 @@ async def _read(context: grpc.aio.ServicerContext, stream: Stream) -> None:
 
 
 class GrpcServer:
-    """The listening server. ``start`` binds; ``serving`` follows the server's readiness."""
+    """The listening server. ``start`` binds; ``serving`` follows the server's readiness.
 
-    def __init__(self, sessions: Sessions, settings: Settings):
-        self._settings = settings
+    Args:
+        guard: before every call.
+        tls: certificates; None: no encryption.
+    """
+
+    def __init__(self, sessions: Sessions, settings: Settings, guard: Guard, tls: Tls | None):
+        self._settings, self._tls = settings, tls
         # Without reuse of the port a second server says that the port is taken, rather than share the clients.
         options = [*server_options(settings.max_message_bytes), ("grpc.so_reuseport", 0)]
-        self._server = grpc.aio.server(options=options)
+        self._server = grpc.aio.server(options=options, interceptors=[GrpcGuard(guard)])
         rpc.add_TrackingServiceServicer_to_server(TrackingService(sessions, settings), self._server)
         self._health = health.aio.HealthServicer()
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
@@ -150,7 +157,11 @@ class GrpcServer:
         await self.serving(False)
         try:
             host = f"[{s.host}]" if ":" in s.host else s.host
-            port = self._server.add_insecure_port(f"{host}:{s.grpc_port}")
+            address = f"{host}:{s.grpc_port}"
+            if self._tls is None:
+                port = self._server.add_insecure_port(address)
+            else:
+                port = self._server.add_secure_port(address, self._tls.grpc_credentials())
         except RuntimeError:
             raise library.InvalidConfig("grpc_port", f"a free port on {s.host}", str(s.grpc_port)) from None
         await self._server.start()

@@ -36,6 +36,7 @@ from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
+from starlette.types import ASGIApp
 
 import ddakf
 from ddakf import errors as library
@@ -63,6 +64,7 @@ from .sessions import Sessions
 from .settings import Settings
 from .store import Store
 from .telemetry import Metrics
+from .trust.tls import Tls
 from .validation import invalid_argument
 from .websocket import WebSocketProtocol, add_websockets
 
@@ -274,10 +276,15 @@ def _created(session: pb.Session, response: Response) -> SessionOut:
 
 
 class HttpServer:
-    """uvicorn in an event loop that others share."""
+    """uvicorn in an event loop that others share.
 
-    def __init__(self, app: FastAPI, settings: Settings):
-        self._settings = settings
+    Args:
+        app: the application, with its guards.
+        tls: certificates; None: no encryption.
+    """
+
+    def __init__(self, app: ASGIApp, settings: Settings, tls: Tls | None):
+        self._settings, self._tls = settings, tls
         config = uvicorn.Config(
             SecurityHeaders(app),
             http="h11",  # which bounds the headers of a request
@@ -292,8 +299,12 @@ class HttpServer:
             lifespan="off",
             timeout_graceful_shutdown=_STOP_PATIENCE,
         )
+        if tls is not None:
+            config.load()  # uvicorn makes a context from files alone, which it never reads again
+            config.ssl = tls.context()
         self._server = _QuietServer(config)
         self._task: asyncio.Task | None = None
+        self._following: asyncio.Task | None = None
 
     async def start(self) -> int:
         """Listens, and returns the port.
@@ -308,6 +319,8 @@ class HttpServer:
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         except OSError as error:
             raise library.InvalidConfig("http_port", f"a free port on {host}", f"{port}: {error.strerror}") from None
+        if self._tls is not None:
+            self._following = asyncio.create_task(self._tls.follow(self._server.config.ssl))
         self._task = asyncio.create_task(self._server.serve(sockets=[listener]))
         while not self._server.started and not self._task.done():
             await asyncio.sleep(0.01)
@@ -316,6 +329,8 @@ class HttpServer:
     async def stop(self) -> None:
         """Ends once the calls in progress are answered."""
         self._server.should_exit = True
+        if self._following:
+            self._following.cancel()
         if self._task:
             await self._task
 

@@ -15,6 +15,10 @@ from .sessions import Sessions
 from .settings import Settings
 from .store import Store
 from .telemetry import Metrics
+from .trust.guard import Guard, HttpGuard
+from .trust.keys import KeyRing
+from .trust.stored import StoredKeys
+from .trust.tls import Tls
 from .workers.local import LocalPool
 from .workers.pool import Limits, Progress
 
@@ -60,9 +64,12 @@ class Server:
             on_change=self._follow_workers,
         )
         self._sessions = Sessions(self._pool, settings, self._metrics)
-        self._grpc = GrpcServer(self._sessions, settings)
+        self._keys = KeyRing(StoredKeys(self._store.database))
+        guard = Guard(self._keys, anonymous=_anonymous(settings))
+        tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
+        self._grpc = GrpcServer(self._sessions, settings, guard, tls)
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
-        self._http = HttpServer(app, settings)
+        self._http = HttpServer(HttpGuard(app, guard), settings, tls)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()
@@ -82,9 +89,8 @@ class Server:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_signal)
-        if self._settings.host not in _LOOPBACK:
-            log.warning("whoever reaches %s may use this service: nothing asks for a key yet", self._settings.host)
         try:
+            await self._open_doors()
             addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
             warming = asyncio.create_task(self._start_pool(progress))
             stopping = asyncio.create_task(self._stopping.wait())
@@ -104,6 +110,15 @@ class Server:
         """Begins an orderly shutdown."""
         self._stopping.set()
 
+    async def _open_doors(self) -> None:
+        """Loads the keys, and says who gets in without one."""
+        await self._keys.start()
+        if not _anonymous(self._settings):
+            if not len(self._keys):
+                log.warning("calls need a key, and there is none yet: ddakf keys create NAME --scope stream")
+        elif self._settings.host not in _LOOPBACK:
+            log.warning("whoever reaches %s may use this service: it does not ask for keys", self._settings.host)
+
     async def _start_pool(self, progress: Progress) -> None:
         await self._pool.start(progress)
         self._warm = True
@@ -120,6 +135,7 @@ class Server:
     async def _shut_down(self) -> None:
         await self._grpc.stop(_LAST_WORDS)
         await self._http.stop()
+        await self._keys.stop()
         await self._pool.stop()
         await asyncio.to_thread(self._store.close)
         log.info("stopped")
@@ -146,6 +162,11 @@ class Server:
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
         self._telling = asyncio.ensure_future(self._grpc.serving(not self._not_ready()))
+
+
+def _anonymous(settings: Settings) -> bool:
+    """Whether calls are let in without a key."""
+    return not settings.require_keys and (settings.allow_anonymous or settings.host in _LOOPBACK)
 
 
 def _bracketed(host: str) -> str:

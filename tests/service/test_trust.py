@@ -20,12 +20,12 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import PermissionDenied, ResourceExhausted, SessionNotFound, Unauthenticated, from_rpc_error
+from ddakf_api.errors import PermissionDenied, Unauthenticated, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
 from ddakf_service.child import ServiceProcess
-from ddakf_service.trust.guard import GRPC_SCOPES
+from ddakf_service.trust.guard import GRPC_SCOPES, STREAM
 
 from .conftest import TIMEOUT, make_sheet
 
@@ -92,9 +92,8 @@ def test_no_method_of_grpc_works_without_a_key_or_with_a_wrong_one(guarded, meth
 
 @pytest.mark.parametrize("method", GUARDED)
 def test_a_method_of_grpc_needs_its_scope(guarded, method):
-    scope = GRPC_SCOPES["/ddakf_api.v1.TrackingService/" + method]
     refused = call(guarded, method, guarded.keys["read"])
-    assert isinstance(refused, PermissionDenied) == (scope == "stream")
+    assert isinstance(refused, PermissionDenied) == (GRPC_SCOPES["/ddakf_api.v1.TrackingService/" + method] == STREAM)
     assert not isinstance(call(guarded, method, guarded.keys["admin"]), (PermissionDenied, Unauthenticated))
 
 
@@ -158,33 +157,6 @@ def test_a_websocket_is_refused_before_it_opens(guarded, what):
     with pytest.raises(InvalidStatus) as refused, websocket(address):
         pass
     assert refused.value.response.status_code in (401, 403)
-
-
-def test_sessions_belong_to_the_key_that_made_them(guarded):
-    sheet = make_sheet()
-    with (
-        connect(guarded.grpc, api_key=guarded.keys["stream"]) as mine,
-        connect(guarded.grpc, api_key=guarded.keys["other"]) as other,
-        connect(guarded.grpc, api_key=guarded.keys["read"]) as reader,
-        connect(guarded.grpc, api_key=guarded.keys["admin"]) as admin,
-        mine.create_session(*sheet) as session,
-    ):
-        for stranger in (lambda: other.open_session(session.session_id), lambda: other.open_session(session.session_id).delete()):
-            with pytest.raises(SessionNotFound):
-                stranger()
-        listed = {name: [s.name for s in c.sessions()] for name, c in (("mine", mine), ("other", other), ("reader", reader))}
-        assert listed == {"mine": [session.name], "other": [], "reader": [session.name]}
-        watched = reader.open_session(session.session_id)
-        with pytest.raises(PermissionDenied):
-            watched.delete()
-        admin.open_session(session.session_id).reset()
-
-
-def test_a_key_has_its_own_bound_of_sessions(guarded):
-    sheet = make_sheet()
-    with connect(guarded.grpc, api_key=guarded.keys["other"]) as client, client.create_session(*sheet):
-        with pytest.raises(ResourceExhausted, match="key"):
-            client.create_session(*sheet)
 
 
 def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):
@@ -309,7 +281,7 @@ def test_a_client_needs_a_certificate_of_the_authority(encrypted):
     for wrong in (None, stranger):
         with pytest.raises((httpx.HTTPError, ssl.SSLError)):
             https(encrypted, encrypted.authority, wrong)
-        with pytest.raises(Exception, match="does not answer|handshake|certificate"):
+        with pytest.raises(Exception, match=r"does not answer|handshake|certificate"):
             secure(encrypted, encrypted.authority, wrong)
 
 

@@ -20,12 +20,11 @@ class DataFolder:
 
     def __init__(self, path: Path):
         self.path = path
+        make_folder(path)
         try:
-            path.mkdir(parents=True, exist_ok=True, mode=0o700)
             self._lock: IO[bytes] = (path / _LOCK).open("ab")
         except OSError as error:
-            expected = 'a folder that can be written, or "none"'
-            raise InvalidConfig("data_dir", expected, f"{path}: {error.strerror}") from None
+            raise _unusable(path, error) from None
         try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -35,3 +34,19 @@ class DataFolder:
     def release(self) -> None:
         """Lets another server in."""
         self._lock.close()
+
+
+def make_folder(path: Path) -> None:
+    """Makes it, for its owner's eyes only, unless it is there.
+
+    Raises:
+        InvalidConfig: naming ``data_dir``.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True, mode=0o700)
+    except OSError as error:
+        raise _unusable(path, error) from None
+
+
+def _unusable(path: Path, error: OSError) -> InvalidConfig:
+    return InvalidConfig("data_dir", 'a folder that can be written, or "none"', f"{path}: {error.strerror}")

@@ -72,8 +72,8 @@ api_keys = Table(
     Column("prefix", String(32), nullable=False),
     Column("name", String(256), nullable=False),
     Column("scopes", String(256), nullable=False),  # of stream, read, admin; separated by spaces
+    Column("max_sessions", Integer, nullable=False),  # at a time; 0: the server's setting
     Column("create_time", Double, nullable=False),
     Column("revoke_time", Double),
-    Column("last_used_time", Double),
     Index("api_keys_by_prefix", "prefix"),
 )

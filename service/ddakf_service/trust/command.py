@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import closing
 from datetime import UTC, datetime
+from pathlib import Path
 
 from ddakf_api.errors import ServiceError
 from rich.console import Console
@@ -18,6 +19,7 @@ from ddakf.errors import InvalidArgument, InvalidConfig
 from ..settings import load
 from ..store import database_url
 from ..store.database import IN_MEMORY, Database
+from ..store.folder import make_folder
 from ..telemetry import Metrics
 from .keys import PREFIX, Key, generate
 from .principal import Scope
@@ -29,9 +31,12 @@ _LONGEST_NAME = 256
 def run(args: argparse.Namespace) -> int:
     """Returns the exit status."""
     flags = {name: value for name in ("data_dir", "database_url") if (value := getattr(args, f"setting_{name}")) is not None}
-    url = database_url(load(flags, args.config)[0])
+    settings = load(flags, args.config)[0]
+    url = database_url(settings)
     if url == IN_MEMORY:
         raise InvalidConfig("data_dir", "a folder, or a database_url, for keys to be kept in", "none")
+    if not settings.database_url:
+        make_folder(Path(settings.data_dir).expanduser())
     database = Database(url, Metrics())
     database.open()
     with closing(database):
@@ -55,7 +60,7 @@ def _create(keys: StoredKeys, args: argparse.Namespace) -> int:
 
 
 def _list(keys: StoredKeys, args: argparse.Namespace) -> int:
-    rows = [_row(key) for key in keys.keys()]
+    rows = [_row(key) for key in keys.all()]
     if args.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
         return 0

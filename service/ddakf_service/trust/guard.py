@@ -17,16 +17,19 @@ from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope, current_principal
 
 _SERVICE = "/" + pb.DESCRIPTOR.services_by_name["TrackingService"].full_name + "/"
-GRPC_SCOPES: dict[str, Scope | None] = {
-    _SERVICE + "GetServerInfo": None,
-    "/grpc.health.v1.Health/Check": None,
-    "/grpc.health.v1.Health/Watch": None,
-    "/grpc.health.v1.Health/List": None,
-    **{_SERVICE + name: Scope.READ for name in ("GetSession", "ListSessions", "WatchSession", "GetSessionHistory")},
-    **{_SERVICE + name: Scope.STREAM for name in ("CreateSession", "RestoreSession", "Track")},
-    **{_SERVICE + name + "Session": Scope.STREAM for name in ("Update", "Reset", "Delete", "Snapshot")},
+OPEN: frozenset[Scope] = frozenset()  # nobody is asked for a key
+READ, STREAM, ADMIN = (frozenset({scope}) for scope in (Scope.READ, Scope.STREAM, Scope.ADMIN))
+READ_OWN = frozenset({Scope.READ, Scope.STREAM})  # those who stream may read what is theirs
+GRPC_SCOPES: dict[str, frozenset[Scope]] = {
+    _SERVICE + "GetServerInfo": OPEN,
+    "/grpc.health.v1.Health/Check": OPEN,
+    "/grpc.health.v1.Health/Watch": OPEN,
+    "/grpc.health.v1.Health/List": OPEN,
+    **{_SERVICE + name: READ_OWN for name in ("GetSession", "ListSessions", "WatchSession", "GetSessionHistory")},
+    **{_SERVICE + name: STREAM for name in ("CreateSession", "RestoreSession", "Track")},
+    **{_SERVICE + name + "Session": STREAM for name in ("Update", "Reset", "Delete", "Snapshot")},
 }
-"""Scope by method; None: open to all. READ stands for whoever may read something, their own sessions at least."""
+"""By method the scopes of which one is enough."""
 
 OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v1/info", "/docs", "/docs/oauth2-redirect", "/redoc", "/openapi.json"})
 _SUBPROTOCOL = "ddakf.key."
@@ -43,22 +46,20 @@ class Guard:
     def __init__(self, keys: KeyRing, *, anonymous: bool):
         self._keys, self._anonymous = keys, anonymous
 
-    async def admit(self, presented: str | None, scope: Scope | None) -> Principal:
-        """Who presents this key, if they may do what needs the scope.
+    async def admit(self, presented: str | None, enough: frozenset[Scope]) -> Principal:
+        """Who presents this key, if they have one of the scopes that are enough; what is theirs is known to the sessions.
 
         Raises:
-            Unauthenticated: no key where one is needed, or one that is not known: an open call is refused with that as well.
+            Unauthenticated: no key where one is needed, or one that is not known, even where none is needed.
             PermissionDenied: the key's scopes do not include this.
         """
         if presented is None:
-            if self._anonymous or scope is None:
+            if self._anonymous or not enough:
                 return ANONYMOUS
             raise Unauthenticated("a key is needed: send it as 'authorization: Bearer KEY'")
         principal = await self._keys.principal(presented)
-        # a holder of the scope stream may read sessions of their own: which these are is known where sessions are found
-        sufficient = (scope, Scope.STREAM) if scope is Scope.READ else (scope,)
-        if scope is not None and not any(principal.allows(s) for s in sufficient):
-            raise PermissionDenied(f"this needs a key with the scope {scope}")
+        if enough and not any(principal.allows(scope) for scope in enough):
+            raise PermissionDenied(f"this needs a key with the scope {' or '.join(sorted(enough))}")
         return principal
 
 
@@ -82,7 +83,7 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
             return None
         presented = _bearer(dict(details.invocation_metadata or ()).get("authorization"))
         try:
-            principal = await self._guard.admit(presented, GRPC_SCOPES.get(details.method, Scope.ADMIN))
+            principal = await self._guard.admit(presented, GRPC_SCOPES.get(details.method, ADMIN))
         except ServiceError as error:
             return _refusing(handler, error)
         current_principal.set(principal)
@@ -129,7 +130,7 @@ class HttpGuard:
         if presented is None and scope["type"] == "websocket":
             presented = next((p.removeprefix(_SUBPROTOCOL) for p in scope["subprotocols"] if p.startswith(_SUBPROTOCOL)), None)
         try:
-            principal = await self._guard.admit(presented, http_scope(scope))
+            principal = await self._guard.admit(presented, http_scopes(scope))
         except ServiceError as error:
             await _refuse(scope, receive, send, error)
             return
@@ -140,23 +141,21 @@ class HttpGuard:
             current_principal.reset(token)
 
 
-def http_scope(scope) -> Scope | None:
-    """What a request needs: reading is for GET and for watchers, what changes something for those who stream."""
+def http_scopes(scope) -> frozenset[Scope]:
+    """The scopes of which one is enough: reading is for GET and for watchers, what changes something for those who stream."""
     path = scope["path"].rstrip("/") or "/"
     if path in OPEN_PATHS:
-        return None
+        return OPEN
     sessions = path == "/v1/sessions" or path.startswith("/v1/sessions/")
-    if scope["type"] == "websocket":
-        if sessions and path.endswith("/watch"):
-            return Scope.READ
-        return Scope.STREAM if sessions and path.endswith("/stream") else Scope.ADMIN
-    if path == "/metrics" and scope["method"] in ("GET", "HEAD"):
-        return Scope.READ
+    reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
+    if path == "/metrics" and reading:
+        return READ
     if not sessions:
-        return Scope.ADMIN
-    if path.endswith("/snapshot"):
-        return Scope.STREAM  # whoever has it can have the session elsewhere
-    return Scope.READ if scope["method"] in ("GET", "HEAD") else Scope.STREAM
+        return ADMIN
+    if scope["type"] == "websocket":
+        return READ_OWN if path.endswith("/watch") else STREAM
+    # whoever has a snapshot can have the session elsewhere
+    return READ_OWN if reading and not path.endswith("/snapshot") else STREAM
 
 
 async def _refuse(scope, receive, send, error: ServiceError) -> None:

@@ -58,7 +58,7 @@ class Key:
 class KeyStore(Protocol):
     """Where keys are kept; blocking."""
 
-    def keys(self) -> Iterable[Key]:
+    def all(self) -> Iterable[Key]:
         """All, the revoked ones too."""
 
     def add(self, key: Key) -> None:
@@ -133,7 +133,7 @@ class KeyRing:
         """What is known stays in force while the store cannot be read."""
         async with self._loading:
             try:
-                keys = await asyncio.to_thread(lambda: list(self._store.keys()))
+                keys = await asyncio.to_thread(lambda: list(self._store.all()))
             except Exception as error:  # of any database driver
                 log.warning("the keys could not be read: %s", type(error).__name__)
                 return

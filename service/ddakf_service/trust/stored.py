@@ -18,7 +18,7 @@ class StoredKeys:
     def __init__(self, database: Database):
         self._database = database
 
-    def keys(self) -> Iterable[Key]:
+    def all(self) -> Iterable[Key]:
         """All, oldest first."""
         rows = self._database.read_now(lambda c: c.execute(sa.select(api_keys).order_by(api_keys.c.create_time)).all())
         return [_key(row) for row in rows]

@@ -54,8 +54,8 @@ def upgrade() -> None:
         sa.Column("prefix", sa.String(32), nullable=False),
         sa.Column("name", sa.String(256), nullable=False),
         sa.Column("scopes", sa.String(256), nullable=False),
+        sa.Column("max_sessions", sa.Integer, nullable=False),
         sa.Column("create_time", sa.Double, nullable=False),
         sa.Column("revoke_time", sa.Double),
-        sa.Column("last_used_time", sa.Double),
     )
     op.create_index("api_keys_by_prefix", "api_keys", ["prefix"])
