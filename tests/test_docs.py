@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ast
 import importlib
 import json
@@ -153,7 +154,10 @@ def test_the_commands_of_the_documents_exist():
     for block in (body for language, body in CODE.findall(text) if not language):
         for name, rest in re.findall(r"^ddakf ([a-z]+)(.*)$", block, re.M):
             flags = re.findall(r"--[a-z-]+", rest.partition("  ")[0])
-            assert set(flags) <= set(commands[name]._option_string_actions), f"ddakf {name} {rest}"
+            parser = commands[name]
+            actions = next((a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
+            parser = actions.get(rest.split(maxsplit=1)[0] if rest else "", parser)
+            assert set(flags) <= set(parser._option_string_actions), f"ddakf {name} {rest}"
     for script in re.findall(r"python ((?:docs|benchmarks|examples|protos)/\w+\.py)", text):
         assert (ROOT / script).is_file()
 
