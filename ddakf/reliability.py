@@ -147,7 +147,7 @@ def evidence(
     strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_edge, squared))
     health = health._replace(least_strain=min(health.least_strain, strain))
     if len(points):
-        health = _held_against_cloud(health, points, position, dt, model)
+        health = held_against_cloud(health, points, position, dt, model)
     normal = np.empty_like(position)
     vertex_normals(position, model.faces, normal)
     hem = update.measurement.hem
@@ -169,8 +169,19 @@ def evidence(
     return frame, vertices, health
 
 
-def _held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
-    """Every so many points against the nearest vertex. A cloud of a whole person always has points that no garment explains."""
+def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
+    """The memory after every so many of the points were held against the nearest vertex.
+
+    A cloud of a whole person always has points that no garment explains. Of a garment that was found and still settles nothing
+    good is known from before, so the frame alone counts.
+
+    Args:
+        health: after the last frame.
+        points: (N, 3) metres, N > 0.
+        position: (V, 3) metres.
+        dt: seconds since the last frame.
+        model: the garment.
+    """
     stride = max(1, len(points) // EVIDENCE_POINTS)
     asked, near = points[::stride], max(NEAR, NEAR_EDGES * model.edge_length)
     away = np.empty(len(asked))
@@ -179,9 +190,10 @@ def _held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray
     )
     share = clumped(asked[away > near] - position.mean(axis=0)) / len(asked)
     least = min(health.least_unexplained, share)
+    memory = 0.0 if health.settling else MEMORY
     return health._replace(
-        offset=_follow(health.offset, offset, dt, MEMORY),
-        unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, MEMORY),
+        offset=_follow(health.offset, offset, dt, memory),
+        unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, memory),
         least_unexplained=least,
     )
 
@@ -196,7 +208,7 @@ def clumped(points: np.ndarray) -> int:
 
 
 def _follow(old: float, new: float, dt: float, memory: float) -> float:
-    return old + (1.0 - math.exp(-dt / memory)) * (new - old)
+    return new if memory == 0.0 else old + (1.0 - math.exp(-dt / memory)) * (new - old)
 
 
 def score(error, config: Reliability | PaperReliability):

@@ -18,6 +18,7 @@ from ddakf.reliability import (
     VertexEvidence,
     advance,
     clumped,
+    held_against_cloud,
     paper_score,
     score,
     vertex_error,
@@ -159,6 +160,23 @@ def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
     assert clumped(stray) < 10
     assert clumped(np.concatenate([limb, limb + 1e30])) >= clumped(limb)
     assert clumped(limb[:0]) == 0
+
+
+def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
+    mesh = tube()
+    garment, points = model.build(mesh, 0.003), scan(mesh.vertices, mesh).astype(float)
+    limb = np.random.default_rng(0).uniform(0, 1, (len(points) // 8, 3)) * [0.4, 0.1, 0.1] + mesh.vertices.max(axis=0) + 0.1
+    seen = np.concatenate([points, limb])
+    found, tracked = (
+        held_against_cloud(Health(settling=left), seen, mesh.vertices + 0.01, DT, garment) for left in (2, 0)
+    )
+    assert found.unexplained == pytest.approx(1 / 9, abs=0.03)
+    assert tracked.unexplained < 0.1 * found.unexplained
+    assert tracked.offset < 0.1 * found.offset
+    # and what it says is believed as soon when it is good
+    good = held_against_cloud(found, points, mesh.vertices, DT, garment)
+    assert good.unexplained < 0.01
+    assert good.offset < 0.1 * found.offset
 
 
 def test_strain_is_that_of_the_edges():
