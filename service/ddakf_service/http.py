@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-import math
 import socket
 from collections.abc import Callable
 from http import HTTPStatus
@@ -18,16 +17,16 @@ from ddakf_api.errors import (
     InvalidArgument,
     InvalidSnapshot,
     MessageTooLarge,
+    PermissionDenied,
     ResourceExhausted,
     ServiceError,
     SessionExists,
     SessionExpired,
     SessionNotFound,
+    Unauthenticated,
     Unavailable,
     VersionMismatch,
     WorkerLost,
-    class_of,
-    to_detail,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI, Path, Query, Request, Response
@@ -35,7 +34,9 @@ from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
+from starlette.convertors import Convertor, register_url_convertor
 from starlette.exceptions import HTTPException
+from starlette.routing import Match
 from starlette.types import ASGIApp
 
 import ddakf
@@ -46,6 +47,8 @@ from .openapi import binary_answer, binary_body, document_of, errors, json_body
 from .origins import SecurityHeaders, add_origins
 from .rest_models import (
     EXAMPLE_ID,
+    KEY_VALUES,
+    STATES,
     TRIANGLE,
     CreateSession,
     ErrorOut,
@@ -57,6 +60,7 @@ from .rest_models import (
     SessionOut,
     Statistics,
     UpdateSession,
+    error_response,
     key_value,
     states_from,
 )
@@ -88,6 +92,19 @@ def _example(value: object) -> dict:
     return {"example": {"value": value}}
 
 
+class _SessionIdConvertor(Convertor[str]):
+    """What stands between ``/v1/sessions/`` and the next slash or the colon of a custom method."""
+
+    regex = "[^/:]+"
+
+    def convert(self, value: str) -> str:
+        return value
+
+    def to_string(self, value: str) -> str:
+        return value
+
+
+register_url_convertor("session", _SessionIdConvertor())
 SessionId = Annotated[str, Path(description="of sessions/{session_id}", openapi_examples=_example(EXAMPLE_ID))]
 
 DESCRIPTION = """Garment tracking from point clouds.
@@ -105,7 +122,12 @@ def create_app(
     Args:
         not_ready: why the server takes no sessions now, in a few words; empty when it does.
     """
-    app = FastAPI(title="ddakf", version=ddakf.__version__, description=DESCRIPTION)
+    app = FastAPI(
+        title="ddakf",
+        version=ddakf.__version__,
+        description=DESCRIPTION,
+        responses=errors(Unauthenticated, PermissionDenied),
+    )
     _add_error_handlers(app)
     add_origins(app, settings.cors_origins)
     _add_server_routes(app, sessions, settings, metrics, not_ready, store)
@@ -174,11 +196,19 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         page_token: Annotated[str, Query(description="next_page_token of the page before")] = "",
         state: Annotated[
             list[str],
-            Query(description="only sessions in one of these states", openapi_examples=_example(["idle", "tracking"])),
+            Query(
+                description="only sessions in one of these states",
+                json_schema_extra=STATES,
+                openapi_examples=_example(["idle", "tracking"]),
+            ),
         ] = [],  # noqa: B006
         label: Annotated[
             list[str],
-            Query(description="only sessions with these labels, key=value", openapi_examples=_example(["scene=stage"])),
+            Query(
+                description="only sessions with these labels, key=value",
+                json_schema_extra=KEY_VALUES,
+                openapi_examples=_example(["scene=stage"]),
+            ),
         ] = [],  # noqa: B006
     ) -> SessionList:
         """Lists sessions, oldest first."""
@@ -187,7 +217,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         answer = sessions.list(request)
         return SessionList(sessions=[SessionOut.of(s) for s in answer.sessions], next_page_token=answer.next_page_token)
 
-    @app.get("/v1/sessions/{session_id}", tags=["sessions"], responses=_NAMED)
+    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], responses=_NAMED)
     async def get_session(
         session_id: SessionId,
         view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
@@ -197,7 +227,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         return SessionOut.of(sessions.get(f"sessions/{session_id}", wanted))
 
     @app.patch(
-        "/v1/sessions/{session_id}",
+        "/v1/sessions/{session_id:session}",
         tags=["sessions"],
         responses={**_IN_WORKER, **_JSON, **errors(FailedPrecondition)},
         openapi_extra=json_body(
@@ -219,7 +249,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         change = UpdateSession.model_validate_json(await _body(request, _most_json(settings)))
         return SessionOut.of(await sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
 
-    @app.delete("/v1/sessions/{session_id}", tags=["sessions"], status_code=204, responses=_NAMED)
+    @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_NAMED)
     async def delete_session(session_id: SessionId) -> None:
         """Ends a session and its stream."""
         await sessions.delete(f"sessions/{session_id}")
@@ -228,13 +258,13 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
 def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
     """What concerns the tracker of a session."""
 
-    @app.get("/v1/sessions/{session_id}/statistics", tags=["state"], responses=_NAMED)
+    @app.get("/v1/sessions/{session_id:session}/statistics", tags=["state"], responses=_NAMED)
     async def statistics(session_id: SessionId) -> Statistics:
         """Counters, and the numbers of the last frame."""
         return Statistics.of(sessions.get(f"sessions/{session_id}").statistics)
 
     @app.post(
-        "/v1/sessions/{session_id}:reset",
+        "/v1/sessions/{session_id:session}:reset",
         tags=["state"],
         responses={**_IN_WORKER, **_JSON},
         openapi_extra=json_body(ResetSession, required=False, rest={}, there={"vertices": TRIANGLE["vertices"]}),
@@ -247,7 +277,7 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
         return SessionOut.of(await sessions.reset(message))
 
     @app.get(
-        "/v1/sessions/{session_id}/snapshot",
+        "/v1/sessions/{session_id:session}/snapshot",
         tags=["state"],
         response_class=Response,
         responses={**_IN_WORKER, **binary_answer("the tracker's state, versioned and opaque")},
@@ -343,18 +373,22 @@ class _QuietServer(uvicorn.Server):
 
 def _add_error_handlers(app: FastAPI) -> None:
     async def known(request: Request, error: Exception) -> JSONResponse:
-        return _error_response(error)
+        return error_response(error)
 
     async def invalid(request: Request, error: RequestValidationError | ValidationError) -> JSONResponse:
-        return _error_response(invalid_argument(error))
+        return error_response(invalid_argument(error))
 
     async def refused(request: Request, error: HTTPException) -> JSONResponse:
         phrase = HTTPStatus(error.status_code).phrase
         detail = pb.ErrorDetail(name=phrase.replace(" ", ""), message=f"{request.method} {request.url.path}: {phrase}")
-        return JSONResponse(ErrorOut.of(detail).model_dump(), error.status_code, headers=error.headers)
+        headers = dict(error.headers or {})
+        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names those of one route alone
+            matching = (route for route in app.routes if route.matches(request.scope)[0] is not Match.NONE)
+            headers["Allow"] = ", ".join(sorted({method for route in matching for method in route.methods or ()}))
+        return JSONResponse(ErrorOut.of(detail).model_dump(), error.status_code, headers=headers)
 
     async def unexpected(request: Request, error: Exception) -> JSONResponse:
-        return _error_response(error)
+        return error_response(error)
 
     app.add_exception_handler(ServiceError, known)
     app.add_exception_handler(library.DdakfError, known)
@@ -362,12 +396,6 @@ def _add_error_handlers(app: FastAPI) -> None:
     app.add_exception_handler(ValidationError, invalid)
     app.add_exception_handler(HTTPException, refused)
     app.add_exception_handler(Exception, unexpected)
-
-
-def _error_response(error: Exception) -> JSONResponse:
-    detail = to_detail(error)
-    headers = {"Retry-After": str(math.ceil(detail.retry_after))} if detail.retry_after else None
-    return JSONResponse(ErrorOut.of(detail).model_dump(), class_of(error).http_status, headers=headers)
 
 
 async def _body(request: Request, most: int) -> bytes:

@@ -54,4 +54,6 @@ def document_of(app: FastAPI) -> dict[str, Any]:
         document = FastAPI.openapi(app)
         _, schemas = models_json_schema([(model, "validation") for model in _BODIES], ref_template=_REFERENCE)
         document["components"]["schemas"].update(schemas["$defs"])
+        document["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
+        document["security"] = [{"key": []}, {}]
     return app.openapi_schema

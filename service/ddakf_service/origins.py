@@ -10,14 +10,13 @@ import ipaddress
 from collections.abc import Sequence
 from urllib.parse import urlsplit
 
-from ddakf_api.errors import PermissionDenied, class_of, to_detail
+from ddakf_api.errors import PermissionDenied
 from fastapi import FastAPI
-from fastapi.responses import JSONResponse
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .rest_models import ErrorOut
+from .rest_models import error_response
 
 ANY = "*"
 _DOCUMENTATION = ("/docs", "/redoc")
@@ -64,8 +63,7 @@ class OriginCheck:
             await self._app(scope, receive, send)
             return
         error = PermissionDenied(f"pages of {origin[:80]} may not use this service: the setting cors_origins does not name it")
-        body = ErrorOut.of(to_detail(error)).model_dump()
-        await JSONResponse(body, class_of(error).http_status)(scope, receive, send)
+        await error_response(error)(scope, receive, send)
 
     def _is_allowed(self, origin: str, host: str) -> bool:
         return ANY in self._allowed or origin in self._allowed or _is_own(origin, host)

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from ddakf_api.arrays import unpack
-from ddakf_api.errors import InvalidArgument
+from ddakf_api.errors import InvalidArgument, class_of, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
+from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 
 StateName = Literal["initializing", "tracking", "recovering", "lost", "idle", "expired", "closed"]
 
+KEY_VALUES = {"items": {"type": "string", "pattern": "="}}
+STATES = {"items": {"type": "string", "enum": list(get_args(StateName))}}
+_BASE64 = {"contentEncoding": "base64", "pattern": "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"}
 Rows = list[tuple[float, float, float]]
 
 _FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
@@ -27,21 +32,21 @@ TRIANGLE = {"vertices": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "fa
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", strict=True)
 
 
 class PackedFloats(_Strict):
     """Numbers as base64 of packed little-endian rows of three."""
 
     encoding: Literal["float32", "float64"]
-    data: str = Field(description="base64")
+    data: str = Field(description="base64", json_schema_extra=_BASE64)
 
 
 class PackedIndices(_Strict):
     """Indices as base64 of packed little-endian rows of three."""
 
     encoding: Literal["uint32"]
-    data: str = Field(description="base64")
+    data: str = Field(description="base64", json_schema_extra=_BASE64)
 
 
 class MeshIn(_Strict):
@@ -141,9 +146,11 @@ class ResetSession(_Strict):
 class RestoreSession(LimitsIn):
     """A session from a snapshot, which is the body."""
 
+    model_config = ConfigDict(strict=False)  # a query has only text
+
     session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
     request_id: str = Field("", max_length=64, description="makes a repeated call harmless")
-    label: list[str] = Field(default_factory=list, description="labels of the session, key=value")
+    label: list[str] = Field(default_factory=list, description="labels of the session, key=value", json_schema_extra=KEY_VALUES)
     api_version: str = Field("1.0", description="version of the contract that the client speaks")
 
     def to_message(self, data: bytes) -> pb.RestoreSessionRequest:
@@ -285,6 +292,13 @@ class Readiness(BaseModel):
 
     status: Literal["ready", "degraded"]
     problems: list[str] = Field(description="one sentence for each part that does not work; tracking goes on")
+
+
+def error_response(error: Exception) -> JSONResponse:
+    """The answer to a call that failed."""
+    detail = to_detail(error)
+    headers = {"Retry-After": str(math.ceil(detail.retry_after))} if detail.retry_after else None
+    return JSONResponse(ErrorOut.of(detail).model_dump(), class_of(error).http_status, headers=headers)
 
 
 class Info(BaseModel):

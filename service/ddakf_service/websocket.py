@@ -27,6 +27,8 @@ from .truncation import truncated
 
 log = logging.getLogger(__name__)
 
+# What a browser that names its key as a subprotocol names first, because it needs one of them agreed to.
+SUBPROTOCOL = "ddakf.v1"
 ERROR_CODES = 4000  # plus the HTTP status of the error
 _NORMAL = 1000
 _MAX_REASON_BYTES = 123  # RFC 6455: a control frame holds 125, two of them the code
@@ -95,7 +97,7 @@ def add_websockets(app: FastAPI, sessions: Sessions) -> None:
 
 async def _answering_errors(websocket: WebSocket, converse, sessions: Sessions, name: str) -> None:
     """Runs a conversation and closes the connection with what it ended with."""
-    await websocket.accept()
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
     code, reason = _NORMAL, ""
     try:
         await converse(websocket, sessions, name)

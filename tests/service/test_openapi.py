@@ -23,6 +23,7 @@ CHECKS = [
     checks.content_type_conformance,
     checks.response_schema_conformance,
     checks.response_headers_conformance,
+    checks.unsupported_method,
 ]
 
 
@@ -110,6 +111,19 @@ def test_a_snapshot_travels_over_http_bit_for_bit(http, api, session, sheet):
     assert http.get("/v1/sessions/copy-of-it/snapshot").content == answer.content
     assert http.post("/v1/sessions:restore", content=b"no snapshot").json()["error"]["name"] == "InvalidSnapshot"
     api.delete("sessions/copy-of-it")
+
+
+def test_another_method_is_refused_with_those_there_are(http, session):
+    for path, methods in (
+        ("/v1/sessions", "GET, POST"),
+        (f"/v1/{session}", "DELETE, GET, PATCH"),
+        (f"/v1/{session}:reset", "POST"),
+        ("/v1/sessions:restore", "POST"),
+    ):
+        answer = http.put(path)
+        assert (answer.status_code, answer.headers["allow"]) == (405, methods), path
+        assert answer.json()["error"]["name"] == "MethodNotAllowed"
+    assert http.get(f"/v1/{session}:reset").status_code == 405
 
 
 def test_an_upload_above_the_limit_is_refused_by_its_length(http):

@@ -129,7 +129,7 @@ def test_no_route_works_without_a_key_or_without_its_scope(guarded):
         for method, path in found:
             answer = http.request(method, path)
             assert answer.status_code == 401, (method, path)
-            assert answer.json()["name"] == "Unauthenticated"
+            assert answer.json()["error"]["name"] == "Unauthenticated"
             assert answer.headers["www-authenticate"] == "Bearer"
             needs_stream = method != "GET" or path.endswith("/snapshot")
             for key, refused in (("read", needs_stream), ("stream", path == "/metrics")):
@@ -154,9 +154,18 @@ def test_a_websocket_is_refused_before_it_opens(guarded, what):
     from websockets.sync.client import connect as websocket
 
     address = guarded.http.replace("http", "ws") + f"/v1/sessions/nobody/{what}"
-    with pytest.raises(InvalidStatus) as refused, websocket(address):
+    with pytest.raises(InvalidStatus) as refused, websocket(address, proxy=None):
         pass
-    assert refused.value.response.status_code in (401, 403)
+    assert refused.value.response.status_code == 401
+    assert json.loads(refused.value.response.body)["error"]["name"] == "Unauthenticated"
+    named = ["ddakf.v1", f"ddakf.key.{guarded.keys['read']}"]
+    if what == "stream":
+        with pytest.raises(InvalidStatus) as refused, websocket(address, proxy=None, subprotocols=named):
+            pass
+        assert refused.value.response.status_code == 403
+        return
+    with websocket(address, proxy=None, subprotocols=named) as connection:
+        assert connection.subprotocol == "ddakf.v1"
 
 
 def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):

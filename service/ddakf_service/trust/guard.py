@@ -5,14 +5,14 @@ What is not named in a table here needs the scope ``admin``: a new call is close
 
 from __future__ import annotations
 
-import json
-import math
 from http import HTTPStatus
 
 import grpc
-from ddakf_api.errors import PermissionDenied, ServiceError, Unauthenticated, class_of, to_detail, to_metadata
+from ddakf_api.errors import PermissionDenied, ServiceError, Unauthenticated, class_of, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..rest_models import error_response
+from ..status_details import trailers
 from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope, current_principal
 
@@ -92,13 +92,13 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
 
 def _refusing(handler: grpc.RpcMethodHandler, error: ServiceError) -> grpc.RpcMethodHandler:
     """A handler of the same kind that says why not."""
-    detail = to_detail(error)
+    detail, cls = to_detail(error), class_of(error)
 
     async def unary(request, context):
-        await context.abort(class_of(error).status, detail.message, to_metadata(detail))
+        await context.abort(cls.status, detail.message, trailers(detail, cls))
 
     async def stream(request, context):
-        await context.abort(class_of(error).status, detail.message, to_metadata(detail))
+        await context.abort(cls.status, detail.message, trailers(detail, cls))
         yield
 
     kinds = {
@@ -115,7 +115,7 @@ def _refusing(handler: grpc.RpcMethodHandler, error: ServiceError) -> grpc.RpcMe
 class HttpGuard:
     """ASGI middleware before every route and every WebSocket.
 
-    A browser's WebSocket cannot send headers: it names its key as a subprotocol, ``ddakf.key.KEY``.
+    A browser's WebSocket cannot send headers: it names its key as a subprotocol, ``ddakf.key.KEY``, after ``ddakf.v1``.
     """
 
     def __init__(self, app, guard: Guard):
@@ -146,7 +146,7 @@ def http_scopes(scope) -> frozenset[Scope]:
     path = scope["path"].rstrip("/") or "/"
     if path in OPEN_PATHS:
         return OPEN
-    sessions = path == "/v1/sessions" or path.startswith("/v1/sessions/")
+    sessions = path == "/v1/sessions" or path.startswith(("/v1/sessions/", "/v1/sessions:"))
     reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
     if path == "/metrics" and reading:
         return READ
@@ -159,16 +159,7 @@ def http_scopes(scope) -> frozenset[Scope]:
 
 
 async def _refuse(scope, receive, send, error: ServiceError) -> None:
-    detail, status = to_detail(error), class_of(error).http_status
-    if scope["type"] == "websocket":
-        await receive()  # the connect event
-        await send({"type": "websocket.close", "code": 4000 + status, "reason": detail.message[:120]})
-        return
-    body = json.dumps({field.name: getattr(detail, field.name) for field in detail.DESCRIPTOR.fields}).encode()
-    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-    if status == HTTPStatus.UNAUTHORIZED:
-        headers.append((b"www-authenticate", b"Bearer"))
-    if detail.retry_after:
-        headers.append((b"retry-after", str(math.ceil(detail.retry_after)).encode()))
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
+    response = error_response(error)
+    if response.status_code == HTTPStatus.UNAUTHORIZED:
+        response.headers["WWW-Authenticate"] = "Bearer"
+    await response(scope, receive, send)
