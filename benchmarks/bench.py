@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
-PARTS = ("frame", "changes", "open3d", "icp", "scaling", "outliers", "memory", "cold", "growth", "codecs", "service")
+PARTS = ("frame", "changes", "open3d", "icp", "scaling", "outliers", "memory", "cold", "growth", "codecs", "images", "service")
 ALL_CORES = ("service",)  # parts that are about several processes
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
@@ -120,6 +120,7 @@ def _measures() -> dict:
         "cold": library.cold,
         "growth": library.growth,
         "codecs": streaming.codec_costs,
+        "images": streaming.image_costs,
         "service": streaming.through_a_service,
     }
 

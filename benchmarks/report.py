@@ -125,6 +125,16 @@ def _codecs(console: Console, rows: list[dict]) -> None:
     console.print(table)
 
 
+def _images(console: Console, rows: list[dict]) -> None:
+    columns = "depth image", "pixels", "bytes", "mask", "encode ms", "decode ms", "unproject ms", "largest error mm"
+    table = Table(*columns, box=None, header_style="bold")
+    for row in rows:
+        times = (_time(row[key]) for key in ("encode_ms", "decode_ms", "unproject_ms"))
+        sizes = str(row["pixels"]), str(row["bytes"]), str(row["mask_bytes"])
+        table.add_row(row["codec"], *sizes, *times, f"{row['largest_error_mm']:.3f}")
+    console.print(table)
+
+
 def _service(console: Console, part: dict) -> None:
     table = Table("service, ms p50 (p99)", "latency", "tracker", "added", "RMSE mm", box=None, header_style="bold")
     for row in part["overhead"]:
@@ -149,6 +159,7 @@ PRINTERS = {
     "cold": _cold,
     "growth": _growth,
     "codecs": _codecs,
+    "images": _images,
     "service": _service,
 }
 
@@ -203,12 +214,42 @@ def changes_table(report: dict) -> str:
     return "\n".join(lines)
 
 
-TABLES = {"README.md": ("numbers", readme_table), "docs/algorithm.md": ("changes", changes_table)}
+def payload_table(report: dict) -> str:
+    """Sizes, times and errors of what a frame may hold."""
+    clouds, images = report["codecs"], report["images"]
+    lines = [
+        f"| {clouds[0]['points']:,} points | bytes | per point | encode ms | decode ms | largest error mm |",
+        "|---|---|---|---|---|---|",
+    ]
+    for row in clouds:
+        times = f"{_time(row['encode_ms'])} | {_time(row['decode_ms'])}"
+        share = f"{row['bytes'] / row['points']:.1f}"
+        lines.append(f"| `{row['codec']}` | {row['bytes']:,} | {share} | {times} | {row['largest_error_mm']:.3f} |")
+    lines += [
+        "",
+        f"| depth image, {images[0]['pixels']:,} pixels | bytes | mask | encode ms | decode ms | unproject ms | error mm |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in images:
+        times = " | ".join(_time(row[key]) for key in ("encode_ms", "decode_ms", "unproject_ms"))
+        sizes = f"{row['bytes']:,} | {row['mask_bytes']:,}"
+        lines.append(f"| {row['codec']} | {sizes} | {times} | {row['largest_error_mm']:.3f} |")
+    machine = report["machine"]
+    place = f"{machine['cpu']}, {machine['cores']} cores, Python {machine['python']}, load average {machine['load_average']}"
+    return "\n".join([*lines, "", f"Milliseconds are medians on {place}."])
+
+
+# Of each document: the name of its table, what makes it, and the parts that this needs.
+TABLES = {
+    "README.md": ("numbers", readme_table, ("frame", "open3d", "service")),
+    "docs/algorithm.md": ("changes", changes_table, ("changes",)),
+    "docs/protocol.md": ("payloads", payload_table, ("codecs", "images")),
+}
 
 
 def fresh(document: str, report: dict) -> str:
     """A document with its table as the report has it."""
-    name, table = TABLES[document]
+    name, table, _ = TABLES[document]
     begin, end = f"<!-- {name}: begin -->", f"<!-- {name}: end -->"
     head, _, rest = (ROOT / document).read_text().partition(begin)
     return f"{head}{begin}\n{table(report)}\n{end}{rest.partition(end)[2]}"
@@ -217,15 +258,16 @@ def fresh(document: str, report: dict) -> str:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", type=Path, nargs="?", default=RESULT)
-    parser.add_argument("--write", action="store_true", help="write the tables of README.md and docs/algorithm.md")
+    parser.add_argument("--write", action="store_true", help="write the tables of the documents whose parts it has")
     parser.add_argument("--check", action="store_true", help="fail where these tables are not this result's")
     arguments = parser.parse_args()
     report = json.loads(arguments.path.read_text())
+    documents = [name for name, (_, _, parts) in TABLES.items() if all(part in report for part in parts)]
     if arguments.write:
-        for document in TABLES:
+        for document in documents:
             (ROOT / document).write_text(fresh(document, report))
     elif arguments.check:
-        return int(any(fresh(document, report) != (ROOT / document).read_text() for document in TABLES))
+        return int(any(fresh(document, report) != (ROOT / document).read_text() for document in documents))
     else:
         show(report)
     return 0

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.kernels import predict as kernels
-from ddakf.types import State
+from ddakf.types import FrameResult, State
 
 
 def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration) -> State:
@@ -39,6 +41,40 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     P_pp, P_pu, P_uu = (np.empty(state.P_pp.shape) for _ in range(3))
     kernels.propagate(state.P_pp, state.P_pu, state.P_uu, travel, g, noise, P_pp, P_pu, P_uu)
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
+
+
+def ahead(
+    result: FrameResult, state: State, carrying: np.ndarray | None, speed2: float, dt: float, seconds: float,
+    config: ConstantVelocity | ConstantAcceleration,
+) -> FrameResult:  # fmt: skip
+    """A frame's result moved on in time.
+
+    The mean goes where :func:`predict` takes it. The covariance grows by what predictions of this garment have missed lately:
+    a frame ahead by the innovations, further with the cube of the time, as under white acceleration. Before there are any, by as
+    much as P does.
+
+    Args:
+        result: of the frame.
+        state: posterior of the same frame; with a body its velocities are relative to it.
+        carrying: (V, 3) m/s, the body's last velocity at each vertex, or None.
+        speed2: m^2/s^2, running mean of the squared innovations per second; 0 without any.
+        dt: seconds from the frame before.
+        seconds: since the frame.
+        config: of stage A.
+    """
+    prior = predict(state, seconds, None if carrying is None else seconds * carrying, config)
+    if speed2 > 0.0:
+        grown = speed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)
+    else:
+        grown = prior.P_pp - state.P_pp
+    covariance = result.covariance + grown
+    return replace(
+        result,
+        vertices=prior.position,
+        velocities=prior.velocity if carrying is None else prior.velocity + carrying,
+        covariance=covariance,
+        sigma=np.sqrt(np.einsum("vaa->v", covariance) / 3),
+    )
 
 
 def learn(

@@ -27,7 +27,7 @@ from ddakf import (
 )
 from ddakf import snapshot as snapshots
 from ddakf.config import Config
-from ddakf.errors import InvalidConfig, InvalidMesh
+from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
 from ddakf.mesh import Mesh
 from ddakf.physics import energies
 from ddakf.physics.contact import BodyContact
@@ -98,6 +98,7 @@ class Tracker:
         self._elasticity = elasticity.Elasticity.at(self.config.physics)
         self._health = reliability.Health()
         self._time: float | None = None
+        self._last_step = FIRST_STEP
         if self._contact is not None:
             self._contact.reset()
             if self.config.physics.gap_time > 0:
@@ -196,8 +197,28 @@ class Tracker:
         result = _result(posterior, covariance, update, verdict, carried, dt, clock.done())
         self._state, self._drift, self._elasticity = posterior, drift, learned
         self._rotation = rotation if update.rejected else update.rest.rotation
-        self._health, self._time = verdict.health, now.timestamp
+        self._health, self._time, self._last_step = verdict.health, now.timestamp, dt
         return result
+
+    def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
+        """The last result as it will be ``seconds`` after its frame: stage A's prediction, the body moving on as it last did.
+
+        For a display that shows the garment later than the sensor saw it. Vertices, velocities, covariance and sigma are those
+        of that moment, all else is the frame's. The tracker stays as it is.
+
+        Args:
+            result: of the last step.
+            seconds: at most ``predict.longest_step`` of the configuration moves the garment.
+
+        Raises:
+            InvalidArgument: a result that is not the last step's, a time that is no finite number of 0 or more.
+        """
+        if not np.array_equal(result.vertices, self._state.position):
+            raise InvalidArgument("result", "that of the last step", "another one")
+        if not 0 <= seconds < np.inf:
+            raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
+        velocity = None if self._contact is None else self._contact.velocity
+        return predict.ahead(result, self._state, velocity, self._drift.speed2, self._last_step, seconds, self.config.predict)
 
     def configured(self, config: Config) -> Tracker:
         """A tracker that goes on from here with another configuration; this one stays as it is.

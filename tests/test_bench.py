@@ -82,8 +82,10 @@ def test_memory_of_a_frame_and_a_cold_start(report):
 def test_filters_memory_codecs_and_service(report):
     assert {row["filter"] for row in report["outliers"]["rows"]} >= {"ddakf, grid (default)", "ddakf, k-NN (paper)"}
     assert [mark["frame"] for mark in report["growth"]["marks"]] == [1, 4]
-    assert {row["codec"] for row in report["codecs"]} == {"raw", "quantised", "morton-zstd", "morton-deflate"}
+    assert {row["codec"] for row in report["codecs"]} == {"raw", "quantised", "morton-zstd", "morton-deflate", "draco"}
     assert all(row["largest_error_mm"] < 0.26 for row in report["codecs"]), "half of the default step"
+    assert {row["codec"].partition(",")[0] for row in report["images"]} == {"none", "zstd", "png", "rvl"}
+    assert all(row["largest_error_mm"] < 0.51 for row in report["images"]), "half a millimetre, of whole ones"
     assert all(row["frames"] == 3 for row in report["service"]["overhead"])
     load = report["service"]["clients"]
     assert load["frames_sent"] == load["frames_answered"] + load["frames_dropped"]

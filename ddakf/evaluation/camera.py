@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ddakf.depth import Intrinsics as Lens
+from ddakf.depth import seen, unproject
 from ddakf.errors import InvalidArgument
 from ddakf.kernels import zbuffer
 
@@ -95,26 +97,6 @@ class Camera:
         i = self.intrinsics
         if depth.shape != (i.height, i.width):
             raise InvalidArgument("depth", f"an image of shape {(i.height, i.width)}", str(depth.shape))
-        seen = np.isfinite(depth) & (depth > 0)
-        v, u = np.nonzero(seen if keep is None else seen & keep)
-        z = depth[v, u].astype(np.float64)
-        return np.column_stack([(u - i.cx) / i.fx * z, (v - i.cy) / i.fy * z, z]) @ self.axes + self.eye
-
-
-def without_fliers(depth: np.ndarray, jump: float) -> np.ndarray:
-    """(H, W) bool: pixels no farther than ``jump`` metres behind the nearest of their eight neighbours.
-
-    At the edge of an object a depth camera mixes foreground and background; such points float behind the edge.
-
-    Args:
-        depth: (H, W) metres; zero, negative or non-finite where nothing was seen.
-    """
-    seen = np.isfinite(depth) & (depth > 0)
-    z = np.where(seen, depth, np.inf)
-    padded = np.pad(z, 1, constant_values=np.inf)
-    height, width = z.shape
-    nearest = z.copy()
-    for row in range(3):
-        for column in range(3):
-            np.minimum(nearest, padded[row : row + height, column : column + width], out=nearest)
-    return seen & (z < nearest + jump)
+        found = seen(depth) if keep is None else seen(depth) & keep
+        pose = np.column_stack([self.axes.T, self.eye])
+        return unproject(depth, found, Lens(i.fx, i.fy, i.cx, i.cy), pose)

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
+from ddakf.depth import without_fliers
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.camera import Camera, Intrinsics, without_fliers
+from ddakf.evaluation.camera import Camera, Intrinsics
 from ddakf.evaluation.depth_template import JUMP, smoothed, template_from_depth
 from ddakf.evaluation.sensors import Cloud
 from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points

@@ -8,8 +8,9 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
+from ddakf.depth import without_fliers
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.camera import Camera, Intrinsics, without_fliers
+from ddakf.evaluation.camera import Camera, Intrinsics
 from ddakf.sequence import Sequence
 
 View = Literal["full", "front", "ring4"]
@@ -17,7 +18,7 @@ View = Literal["full", "front", "ring4"]
 DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, horizontally
 FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
 INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
-FLIER_JUMP = 0.03  # m: see camera.without_fliers
+FLIER_JUMP = 0.03  # m: see ddakf.depth.without_fliers
 OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
 COVERED = 0.06  # m: skin this near to cloth counts as covered
 

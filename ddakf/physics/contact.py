@@ -100,6 +100,11 @@ class BodyContact:
         self._velocity = displacement / dt
         return state, displacement
 
+    @property
+    def velocity(self) -> np.ndarray | None:
+        """(V, 3) m/s with which the body carried each vertex in the last frame; None where it did not."""
+        return self._velocity
+
     def mark(self) -> tuple:
         """What :meth:`back_to` needs; arrays are never written in place between the two."""
         return self.vertices, self.present, self._velocity, self.held, self._asked_at, self.gap

@@ -58,11 +58,15 @@ def checked_array(
     return array
 
 
-def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32) -> pb.PackedArray:
+def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32, *, step: float | None = None) -> pb.PackedArray:
     """Packs an array of shape (n,) or (n, components).
 
-    Quantised encodings spread their steps over the array's own range: the error is at most half a step, that is the
-    largest component's range divided by 131,070 (16 bit) or 510 (8 bit). They need finite values.
+    Quantised encodings need finite values; their error is at most half a step. Without a `step` they spread their steps over
+    the array's own range: the error is at most the largest component's range divided by 131,070 (16 bit) or 510 (8 bit).
+
+    Args:
+        step: of quantised encodings, in the array's unit: doubled until it fits. Values are rounded to whole multiples of it,
+            so that what stays the same from array to array is written the same.
     """
     dtype = _DTYPES[encoding]
     if encoding not in _QUANTISED:
@@ -70,7 +74,12 @@ def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32) -> pb.Pac
     values = np.asarray(array, dtype=np.float64)
     columns = values.reshape(len(values), -1) if values.size else np.zeros((1, *values.shape[1:])).reshape(1, -1)
     low, high = columns.min(axis=0), columns.max(axis=0)
-    step = float((high - low).max()) / np.iinfo(dtype).max or 1.0
+    if step is None:
+        step = float((high - low).max()) / np.iinfo(dtype).max or 1.0
+    else:
+        while (np.rint(high / step) - np.rint(low / step)).max() > np.iinfo(dtype).max:
+            step *= 2
+        low = step * np.rint(low / step)
     data = np.rint((values - low) / step).astype(dtype).tobytes()
     return pb.PackedArray(encoding=encoding, data=data, offset=low, step=step)
 

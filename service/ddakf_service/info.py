@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ddakf_api import API_VERSION
-from ddakf_api.codec import CODECS
+from ddakf_api.codec import CODECS, DEPTH_CODECS, draco
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
@@ -18,7 +18,8 @@ def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
     return pb.ServerInfo(
         api_version=API_VERSION,
         server_version=ddakf.__version__,
-        point_codecs=CODECS.values(),
+        point_codecs=[c for c in CODECS.values() if c != pb.POINT_CODEC_DRACO or draco.installed()],
+        depth_compressions=DEPTH_CODECS.values(),
         result_encodings=RESULT_ENCODINGS,
         fabrics=PRESETS,
         max_message_bytes=settings.max_message_bytes,

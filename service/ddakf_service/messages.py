@@ -11,23 +11,29 @@ from contextlib import contextmanager
 import numpy as np
 from ddakf_api import codec
 from ddakf_api.arrays import FLOATS, pack, pack_mesh, unpack, unpack_mesh
-from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidSnapshot, Unimplemented
+from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidSnapshot
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
+from ddakf import depth as depths
 from ddakf import errors as library
 from ddakf import snapshot
 from ddakf.types import FrameResult
 
+from .workers.pool import Limits
+
 _MAX_CONFIG_CHARACTERS = 1 << 16
 # The arguments of Tracker.step by the fields of a frame that they come from.
 _FRAME_FIELDS = {"points": "point_cloud", "timestamp": "capture_time", "sensor_origin": "sensors"}
+MOST_AHEAD = 0.5  # s between capture and display: later is no latency, and no prediction
 _UPPER_TRIANGLE = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 
 # What a client may ask for, per array; the first is the default.
 _VERTEX_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT64, pb.ARRAY_ENCODING_QUANTISED_16)
 _SIGMA_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT16)
 _RELIABILITY_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_QUANTISED_8)
+_RELIABILITY_STEP = 1 / 255
+_ROOM = 1.5  # times the template's largest side: what a garment extends to before its vertices are quantised more coarsely
 RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_ENCODINGS})
 
 
@@ -91,26 +97,41 @@ def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | No
     return session
 
 
-def step_arguments(frame: pb.Frame, max_points: int, max_body_vertices: int) -> dict:
+def step_arguments(frame: pb.Frame, limits: Limits, draco: codec.DracoDecoder) -> dict:
     """The arguments of ``Tracker.step`` for a frame."""
     if frame.WhichOneof("payload") == "depth_image":
-        raise Unimplemented("depth_image: this server takes point clouds only", field="depth_image")
-    points = codec.decode(frame.point_cloud, max_points=max_points)
+        points, origin = _unprojected(frame, limits)
+    else:
+        points = codec.decode(frame.point_cloud, max_points=limits.max_points, draco_decoder=draco)
+        origin = codec.sensor_origins(frame.sensors, len(points))
     return {
         "points": points,
         "timestamp": frame.capture_time,
-        "sensor_origin": codec.sensor_origins(frame.sensors, len(points)),
-        "body_vertices": _body_vertices(frame.body_vertices, max_body_vertices),
+        "sensor_origin": origin,
+        "body_vertices": _body_vertices(frame.body_vertices, limits.max_body_vertices),
     }
 
 
+def seconds_ahead(frame: pb.Frame) -> float:
+    """How long after its capture the frame's answer will be shown."""
+    if frame.display_time == 0:
+        return 0.0
+    ahead = frame.display_time - frame.capture_time
+    if not 0 <= ahead <= MOST_AHEAD:  # also false for a NaN
+        expected = f"0, or {frame.capture_time:.6f} to {MOST_AHEAD} s later"
+        raise InvalidFrame(field="display_time", expected=expected, got=f"{frame.display_time:.6f}")
+    return ahead
+
+
 @contextmanager
-def frame_fields():
+def frame_fields(frame: pb.Frame):
     """Makes errors of the tracker name the fields of the frame."""
     try:
         yield
     except library.InvalidFrame as error:
         field = _FRAME_FIELDS.get(error.field, error.field)
+        if frame.WhichOneof("payload") == "depth_image" and error.field in ("points", "sensor_origin"):
+            field = "depth_image" if error.field == "points" else "depth_image.pose"
         raise InvalidFrame(field=field, expected=error.expected, got=error.got) from None
 
 
@@ -129,8 +150,10 @@ def require_known_encodings(options: pb.ResultOptions) -> None:
             raise InvalidFrame(field=f"result_options.{field}", expected=names, got=got)
 
 
-def result(frame: pb.Frame, outcome: FrameResult, options: pb.ResultOptions) -> pb.Result:
+def result(frame: pb.Frame, outcome: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
     """The answer to a frame, without what only the server knows: counters and queueing time."""
+    vertex_encoding = options.vertex_encoding or _VERTEX_ENCODINGS[0]
+    step = _vertex_step(garment) if vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16 else None
     answer = pb.Result(
         sequence_number=frame.sequence_number,
         capture_time=frame.capture_time,
@@ -139,9 +162,12 @@ def result(frame: pb.Frame, outcome: FrameResult, options: pb.ResultOptions) -> 
         paper_score=outcome.paper_score,
         coverage=outcome.coverage,
         timings=outcome.timings,
-        vertices=pack(outcome.vertices, options.vertex_encoding or _VERTEX_ENCODINGS[0]),
+        display_time=frame.display_time or frame.capture_time,
+        vertices=pack(outcome.vertices, vertex_encoding, step=step),
         sigma=pack(outcome.sigma, options.sigma_encoding or _SIGMA_ENCODINGS[0]),
-        vertex_reliability=pack(outcome.vertex_reliability, options.reliability_encoding or _RELIABILITY_ENCODINGS[0]),
+        vertex_reliability=pack(
+            outcome.vertex_reliability, options.reliability_encoding or _RELIABILITY_ENCODINGS[0], step=_RELIABILITY_STEP
+        ),
         observed=pack(outcome.observed, pb.ARRAY_ENCODING_BOOL),
     )
     if options.include_velocities:
@@ -176,6 +202,27 @@ def warm_up_session() -> tuple[pb.CreateSessionRequest, pb.Frame]:
         point_cloud=codec.encode(sheet).cloud,
     )
     return request, frame
+
+
+def _vertex_step(garment: ddakf.Mesh) -> float:
+    """Metres per step of 16-bit vertices: with 65,536 of them half as much again as the template's largest side is covered."""
+    return _ROOM * float(np.ptp(garment.vertices, axis=0).max()) / 0xFFFF
+
+
+def _unprojected(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """World points (N, 3) of a depth image, metres, without those that float behind edges, and the camera's centre (3,)."""
+    if frame.sensors:
+        raise InvalidFrame(field="sensors", expected="none beside a depth image, which has its pose", got=str(len(frame.sensors)))
+    image = codec.decode_depth(frame.depth_image, max_pixels=limits.max_image_pixels)
+    lens = depths.Intrinsics(*image.intrinsics)
+    keep = depths.without_fliers(image.depth, depths.largest_step(image.depth, min(lens.fx, lens.fy)))
+    if image.keep is not None:
+        keep &= image.keep
+    count = int(np.count_nonzero(keep))
+    if count > limits.max_points:
+        expected = f"at most {limits.max_points} pixels with a measurement (mask or scale it)"
+        raise InvalidFrame(field="depth_image", expected=expected, got=str(count))
+    return depths.unproject(image.depth, keep, lens, image.pose), image.pose[:, 3]
 
 
 def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:

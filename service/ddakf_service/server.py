@@ -53,7 +53,13 @@ class Server:
         self._store = Store(settings, self._metrics)
         self._pool = LocalPool(
             settings.workers,
-            Limits(settings.max_points, settings.max_vertices, settings.max_faces, settings.max_body_vertices),
+            Limits(
+                settings.max_points,
+                settings.max_vertices,
+                settings.max_faces,
+                settings.max_body_vertices,
+                settings.max_image_pixels,
+            ),
             spares=settings.spare_workers,
             frame_timeout=settings.frame_timeout,
             warm_timeout=settings.warm_timeout,

@@ -192,7 +192,7 @@ class Sessions:
                 raise _busy(session)
             session.departed = None
             parts = self._pool, self._durability, self._outcomes
-            session.stream = Stream(session, start, mode, *parts, self._settings.reader_timeout)
+            session.stream = Stream(session, start, mode, *parts, self._settings.reader_timeout, self._settings.max_image_pixels)
         self._count()
         return session.stream
 

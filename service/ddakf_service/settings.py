@@ -77,6 +77,7 @@ class Settings(BaseSettings):
     )
     max_message_bytes: int = Field(64 << 20, ge=1 << 16, le=1 << 30, description="largest request, bytes")
     max_points: int = Field(500_000, ge=1, description="points in one frame")
+    max_image_pixels: int = Field(1 << 21, ge=1, le=1 << 26, description="pixels of a depth image")
     max_vertices: int = Field(100_000, ge=3, description="vertices of a garment")
     max_faces: int = Field(300_000, ge=1, description="triangles of a garment or body")
     max_body_vertices: int = Field(100_000, ge=3, description="vertices of a body")

@@ -16,16 +16,16 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from .durability import Durability, Irrecoverable
 from .flow import Overload, RateLimit, Waiting, mailbox_for
 from .outcomes import Outcomes
+from .payload import require_payload_within
 from .session import Session
 from .telemetry import current_session
+from .watch import without_arrays
 from .workers import WorkerPool
 
 log = logging.getLogger(__name__)
 
 # Answers that may wait for a slow reader: one, so that the next frame is tracked while this one is sent.
 _OUTBOX_CAPACITY = 1
-# A point of the least compact codec takes 12 bytes; smaller clouds carry headers.
-_BYTES_PER_POINT, _HEADER_BYTES = 12, 1 << 16
 
 
 class Outbox:
@@ -104,12 +104,14 @@ class Stream:
         durability: Durability,
         outcomes: Outcomes,
         reader_timeout: float,
+        max_image_pixels: int,
     ):
         self.session = session
         self._pool, self._durability, self._outcomes = pool, durability, outcomes
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)
         self._mode, self._reader_timeout = mode, reader_timeout
+        self._max_image_pixels = max_image_pixels
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox(session.watchers.publish)
         self._rate_limit, self._overload = RateLimit(), Overload(monotonic())
@@ -146,14 +148,7 @@ class Stream:
 
     def _check(self, frame: pb.Frame) -> None:
         """Refuses at the door what would only take memory while it waits."""
-        most = self.session.limits.max_points
-        cloud = frame.point_cloud
-        if cloud.point_count > most:
-            raise InvalidFrame(field="point_cloud.point_count", expected=f"at most {most}", got=str(cloud.point_count))
-        if len(cloud.data) > most * _BYTES_PER_POINT + _HEADER_BYTES:
-            raise InvalidFrame(
-                field="point_cloud.data", expected=f"bytes of at most {most} points", got=f"{len(cloud.data)} bytes"
-            )
+        require_payload_within(frame, self.session.limits.max_points, self._max_image_pixels)
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
@@ -243,9 +238,7 @@ class Stream:
         current_session.set(self.session.id)
         try:
             while not self.ending.is_set() and (waiting := await self._mailbox.get()) is not None:
-                response = await self._track(waiting)
-                if response is not None:
-                    await self._outbox.put(response)
+                await self._outbox.put(await self._track(waiting))
             self._outbox.close()
         except Irrecoverable as error:
             self.end(error.reason)
@@ -253,8 +246,8 @@ class Stream:
             log.exception("a stream failed")
             self.end(error)
 
-    async def _track(self, waiting: Waiting) -> pb.TrackResponse | None:
-        """The answer to a frame; None: the client does not want it.
+    async def _track(self, waiting: Waiting) -> pb.TrackResponse:
+        """The answer to a frame.
 
         Raises:
             Irrecoverable: the session cannot be had back.
@@ -278,7 +271,8 @@ class Stream:
             self._outcomes.applied(session, result, waiting, started)
             self._overload.applied()
             self._durability.tracked(session)
-        return None if result.frames_applied % self._every_nth else pb.TrackResponse(result=result)
+        response = pb.TrackResponse(result=result)
+        return without_arrays(response) if result.frames_applied % self._every_nth else response
 
     async def _submit(self, waiting: Waiting) -> pb.Result:
         """Has a frame tracked, once more in another worker if the first one is lost."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.camera import Camera, Intrinsics, without_fliers
+from ddakf.evaluation.camera import Camera, Intrinsics
 from ddakf.kernels import zbuffer
 
 INTRINSICS = Intrinsics(width=24, height=18, fx=20.0, fy=21.0, cx=11.5, cy=8.0)
@@ -86,17 +86,6 @@ def test_axes_are_a_right_handed_frame_with_the_target_in_the_middle():
     assert np.allclose(camera.project(np.array([[-1, 0, 0.5]])), [[11.5, 8.0]])
     above, below = camera.project(np.array([[-1, 0.2, 0.5], [-1, -0.2, 0.5]]))
     assert above[1] < below[1]
-
-
-def test_fliers_are_the_far_side_of_a_jump_and_nothing_else():
-    depth = np.full((5, 6), 2.0)
-    depth[:, 3:] = 2.5
-    depth[0, 0] = 0
-    keep = without_fliers(depth, 0.03)
-    assert np.array_equal(keep[:, 1], np.ones(5))
-    assert not keep[:, 3].any()
-    assert keep[:, 4:].all()
-    assert not keep[0, 0]
 
 
 def test_splats_are_discs_and_the_nearest_point_wins():

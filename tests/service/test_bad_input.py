@@ -61,6 +61,16 @@ def body(frame: pb.Frame, count: int) -> None:
     frame.body_vertices = np.zeros((count, 3), "<f4").tobytes()
 
 
+def depth(frame: pb.Frame, **changes) -> None:
+    """A depth image of four pixels a metre away."""
+    frame.depth_image.CopyFrom(codec.encode_depth(np.ones((2, 2), np.float32), (100, 100, 0.5, 0.5), codec="none"))
+    for name, value in changes.items():
+        if name == "intrinsics":
+            frame.depth_image.intrinsics.CopyFrom(value)
+        else:
+            setattr(frame.depth_image, name, value)
+
+
 def at(frame: pb.Frame, time: float) -> None:
     frame.capture_time = time
 
@@ -78,8 +88,21 @@ BAD_FRAMES = {
         (str(12 * V), str(12 * V - 6)),
     ),
     "unknown codec": Bad(lambda f: cloud(f, codec=99), "CodecError", "point_cloud.codec", ("99",)),
-    "draco": Bad(lambda f: cloud(f, codec=pb.POINT_CODEC_DRACO), "Unimplemented", "point_cloud.codec"),
-    "depth image": Bad(lambda f: f.depth_image.SetInParent(), "Unimplemented", "depth_image"),
+    "Draco that is none": Bad(lambda f: cloud(f, codec=pb.POINT_CODEC_DRACO), "CodecError", "point_cloud.data", ("DRACO",)),
+    "depth image without pixels": Bad(lambda f: f.depth_image.SetInParent(), "CodecError", "depth_image"),
+    "depth image of gigabytes": Bad(
+        lambda f: depth(f, width=60_000, height=60_000, data=b""), "CodecError", "depth_image", ("2097152", "60000 x 60000")
+    ),
+    "depth image without intrinsics": Bad(
+        lambda f: depth(f, intrinsics=pb.Intrinsics()), "InvalidFrame", "depth_image.intrinsics", ("above 0",)
+    ),
+    "depth image and sensors": Bad(
+        lambda f: (depth(f), f.sensors.append(pb.Sensor(origin=pb.Vector3(z=1)))), "InvalidFrame", "sensors"
+    ),
+    "depth of 20 km": Bad(lambda f: depth(f, data=np.full(4, 2e4, "<f4").tobytes()), "InvalidFrame", "depth_image"),
+    "display before capture": Bad(lambda f: setattr(f, "display_time", 1e-3), "InvalidFrame", "display_time", ("0.066667",)),
+    "display in a second": Bad(lambda f: setattr(f, "display_time", 1.1), "InvalidFrame", "display_time", ("0.5 s",)),
+    "display at no time": Bad(lambda f: setattr(f, "display_time", float("nan")), "InvalidFrame", "display_time"),
     "5 million points": Bad(
         lambda f: raw(f, np.zeros((5_000_000, 3), np.float32)),
         "InvalidFrame",

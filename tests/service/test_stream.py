@@ -83,11 +83,14 @@ def test_a_stream_resumes_after_the_last_applied_frame(api, session, sheet):
     assert started.last_capture_time == pytest.approx(2 / 30)
 
 
-def test_only_every_nth_result_is_sent(api, session, sheet):
-    options = pb.ResultOptions(every_nth=3)
+def test_only_every_nth_result_has_arrays(api, session, sheet):
+    options = pb.ResultOptions(every_nth=3, include_covariance=True)
     requests = [request_of(frame_of(sheet, i)) for i in range(1, 8)]
     results = results_of(api.track(session, requests, result_options=options))
-    assert [result.frames_applied for result in results] == [3, 6]
+    assert [result.frames_applied for result in results] == list(range(1, 8))
+    assert all(result.reliability > 0 for result in results)
+    for name in ("vertices", "sigma", "vertex_reliability", "observed", "covariance"):
+        assert [result.HasField(name) for result in results] == [False, False, True, False, False, True, False]
 
 
 def test_results_come_in_the_encodings_asked_for(api, session, sheet):

@@ -31,7 +31,7 @@ from ddakf import Tracker
 
 from .conftest import frame_of, is_running
 
-LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000)
+LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
 
 
 def local(size=2, **options) -> LocalPool:

@@ -9,7 +9,7 @@ from typing import Any
 import grpc
 import numpy as np
 from ddakf_api import API_VERSION
-from ddakf_api.codec import DEFAULT_CODEC, DEFAULT_STEP
+from ddakf_api.codec import DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP
 from ddakf_api.errors import ServiceError, SessionNotFound
 from ddakf_api.transport import MAX_MESSAGE_BYTES, client_options
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -249,6 +249,9 @@ class Session:
         velocities: bool = False,
         covariance: bool = False,
         takeover: bool = False,
+        depth_codec: str = DEFAULT_DEPTH_CODEC,
+        compact: bool = False,
+        every_nth: int = 1,
         timeout: float | None = None,
     ) -> Iterator[Result | FrameError]:
         """Streams frames and yields their results in order, until every frame has been answered.
@@ -263,6 +266,9 @@ class Session:
             on_notice: called with what the server says in between; by default it is logged.
             velocities, covariance: ask for these arrays.
             takeover: end another stream that the session has.
+            depth_codec: how depth images are sent, a name of ``DEPTH_CODECS``; floats go as "zstd" where it cannot have them.
+            compact: vertices, sigma and reliability in 9 bytes per vertex rather than 20; docs/protocol.md says how exact.
+            every_nth: arrays only in every n-th result of the session; those of the others are empty.
             timeout: seconds that the answer to a frame may take.
 
         Raises:
@@ -279,6 +285,9 @@ class Session:
             velocities=velocities,
             covariance=covariance,
             takeover=takeover,
+            depth_codec=depth_codec,
+            compact=compact,
+            every_nth=every_nth,
         )
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client.open_track, frames, plan, self._client.target)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from ddakf_api import API_VERSION
-from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_STEP
+from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
 from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -21,6 +21,11 @@ from ddakf_client.frames import Frame, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
 FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}
+COMPACT = pb.ResultOptions(
+    vertex_encoding=pb.ARRAY_ENCODING_QUANTISED_16,
+    sigma_encoding=pb.ARRAY_ENCODING_FLOAT16,
+    reliability_encoding=pb.ARRAY_ENCODING_QUANTISED_8,
+)
 IN_FLIGHT = 8
 """Frames unanswered at most: enough to keep a server busy over a line of 200 ms at 30 frames per second."""
 
@@ -52,18 +57,27 @@ class Plan:
     velocities: bool = False
     covariance: bool = False
     takeover: bool = False
+    depth_codec: str = DEFAULT_DEPTH_CODEC
+    compact: bool = False
+    every_nth: int = 1
 
     def __post_init__(self) -> None:
-        for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR)):
+        for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR), ("depth_codec", DEPTH_CODECS)):
             value = getattr(self, field)
             if not isinstance(value, str) or value not in allowed:
                 raise InvalidArgument(field=field, expected=" or ".join(allowed), got=repr(value)[:80])
-        for field in ("velocities", "covariance", "takeover"):
+        for field in ("velocities", "covariance", "takeover", "compact"):
             if not isinstance(getattr(self, field), bool):
                 raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
+        if not isinstance(self.every_nth, int) or isinstance(self.every_nth, bool) or not 1 <= self.every_nth < 2**32:
+            raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(self.every_nth)[:80])
 
     def start(self) -> pb.TrackRequest:
-        options = pb.ResultOptions(include_velocities=self.velocities, include_covariance=self.covariance)
+        options = pb.ResultOptions(
+            include_velocities=self.velocities, include_covariance=self.covariance, every_nth=self.every_nth
+        )
+        if self.compact:
+            options.MergeFrom(COMPACT)
         return pb.TrackRequest(
             start=pb.Start(
                 name=self.name,
@@ -240,7 +254,8 @@ def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
         ServiceError: it cannot be sent; :class:`~ddakf_api.errors.InvalidFrame` too for what its object raises itself.
     """
     try:
-        return pb.TrackRequest(frame=to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step))
+        message = to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step, plan.depth_codec)
+        return pb.TrackRequest(frame=message)
     except ServiceError:
         raise
     except Exception as error:  # raised inside gRPC's iterator it would end the stream without a reason

@@ -38,6 +38,7 @@ class Result:
         rejected: frames of the session that the server refused.
         applied: frames of the session that the server tracked, this one included.
         timings: seconds per stage of the tracker and of the server.
+        display_time: that the arrays hold for, seconds of the caller's clock: the timestamp, or the frame's display time.
         latency: seconds from the moment the frame was handed over to the moment the result arrived.
     """
 
@@ -57,6 +58,7 @@ class Result:
     rejected: int
     applied: int
     timings: dict[str, float]
+    display_time: float
     latency: float
 
 
@@ -175,6 +177,7 @@ def result_from(message: pb.Result, *, dropped_before_sending: int, latency: flo
         rejected=message.frames_rejected,
         applied=message.frames_applied,
         timings=dict(message.timings),
+        display_time=message.display_time or message.capture_time,
         latency=latency,
     )
 

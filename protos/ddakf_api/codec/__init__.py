@@ -1,23 +1,43 @@
-"""Point-cloud codecs, written once for server and client: points to ``PointCloud`` messages and back.
+"""Codecs of point clouds and depth images, written once for server and client.
 
     encoded = encode(points)                      # Morton order and zstd, half a millimetre per step
     points = decode(encoded.cloud, max_points=100_000)
+    image = encode_depth(depth, (fx, fy, cx, cy), pose=T_world_camera)
+    depth = decode_depth(image, max_pixels=1_000_000)
 
 Decoding trusts nothing: counts are compared with the limit, and sizes that a payload declares with its count, before
 memory is taken for them; whatever the bytes are, the answer is points or a :class:`~ddakf_api.errors.CodecError`.
 """
 
 from ddakf_api.codec.cloud import CODECS, DEFAULT_CODEC, Encoded, decode, encode
+from ddakf_api.codec.depth import (
+    DEFAULT_DEPTH_CODEC,
+    DEFAULT_SCALE,
+    DEPTH_CODECS,
+    Depth,
+    decode_depth,
+    encode_depth,
+    require_image_within,
+)
+from ddakf_api.codec.draco import Decoder as DracoDecoder
 from ddakf_api.codec.quantise import DEFAULT_STEP
 from ddakf_api.codec.sensors import group_by_sensor, sensor_origins
 
 __all__ = [
     "CODECS",
     "DEFAULT_CODEC",
+    "DEFAULT_DEPTH_CODEC",
+    "DEFAULT_SCALE",
     "DEFAULT_STEP",
+    "DEPTH_CODECS",
+    "Depth",
+    "DracoDecoder",
     "Encoded",
     "decode",
+    "decode_depth",
     "encode",
+    "encode_depth",
     "group_by_sensor",
+    "require_image_within",
     "sensor_origins",
 ]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf_api.codec import morton, planes
+from ddakf_api.codec import compress, draco, morton, planes
 from ddakf_api.codec.quantise import DEFAULT_STEP, dequantise, quantise, require_finite_range
 from ddakf_api.errors import CodecError, Unimplemented
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -18,14 +18,15 @@ CODECS = {
     "quantised": pb.POINT_CODEC_QUANTISED_16,
     "morton-zstd": pb.POINT_CODEC_MORTON_ZSTD,
     "morton-deflate": pb.POINT_CODEC_MORTON_DEFLATE,
+    "draco": pb.POINT_CODEC_DRACO,
 }
-"""The codecs that this package reads and writes, by the name that users give them."""
+"""The codecs that this package reads and writes, by the name that users give them; draco needs the package dracopy."""
 
 DEFAULT_CODEC = "morton-zstd"
 
 _COMPRESS = {
-    pb.POINT_CODEC_MORTON_ZSTD: planes.zstd_compress,
-    pb.POINT_CODEC_MORTON_DEFLATE: planes.deflate_compress,
+    pb.POINT_CODEC_MORTON_ZSTD: compress.zstd_compress,
+    pb.POINT_CODEC_MORTON_DEFLATE: compress.deflate_compress,
 }
 _DECOMPRESS = {
     pb.POINT_CODEC_MORTON_ZSTD: planes.zstd_decompress,
@@ -76,6 +77,11 @@ def _fill(cloud: pb.PointCloud, codec: str, points: np.ndarray, step: float, run
     if codec == "raw":
         cloud.data = _as_float32(points).tobytes()
         return None
+    if codec == "draco":
+        if len(points) == 0:
+            return np.empty(0, np.int64)
+        cloud.data, order = draco.encode(points, step, runs)
+        return order
     coordinates, origin = quantise(points, step, 16 if codec == "quantised" else morton.BITS)
     cloud.step = step
     cloud.origin.x, cloud.origin.y, cloud.origin.z = origin.tolist()
@@ -88,12 +94,13 @@ def _fill(cloud: pb.PointCloud, codec: str, points: np.ndarray, step: float, run
     return order
 
 
-def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
+def decode(cloud: pb.PointCloud, *, max_points: int, draco_decoder: draco.Decoder | None = None) -> np.ndarray:
     """Decodes a cloud.
 
     Args:
         cloud: the message; anything may have happened to it.
         max_points: the largest N that is accepted; memory stays below about 100 bytes per point of it.
+        draco_decoder: what decodes Draco; None: such clouds are refused.
 
     Returns:
         (N, 3) float64 metres, finite.
@@ -101,14 +108,14 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
     Raises:
         CodecError: too many points, an unknown codec, bytes that are not what they should be, or that have another
             CRC-32 than the message says.
-        Unimplemented: Draco.
+        Unimplemented: Draco without a decoder.
     """
     count = cloud.point_count
     if count > max_points:
         raise CodecError(field="point_cloud.point_count", expected=f"at most {max_points} points", got=str(count))
     codec = cloud.codec or CODECS[DEFAULT_CODEC]
-    if codec == pb.POINT_CODEC_DRACO:
-        raise Unimplemented("point_cloud.codec: this server does not decode Draco", field="point_cloud.codec")
+    if codec == pb.POINT_CODEC_DRACO and draco_decoder is None:
+        raise Unimplemented("point_cloud.codec: Draco is not decoded here", field="point_cloud.codec")
     if codec not in CODECS.values():
         raise CodecError(field="point_cloud.codec", expected=" or ".join(CODECS), got=f"unknown codec {codec}")
     lengths = {pb.POINT_CODEC_RAW_FLOAT32: 12 * count, pb.POINT_CODEC_QUANTISED_16: 6 * count}
@@ -119,6 +126,8 @@ def decode(cloud: pb.PointCloud, *, max_points: int) -> np.ndarray:
         return np.empty((0, 3))
     if codec == pb.POINT_CODEC_RAW_FLOAT32:
         return _decode_raw(cloud.data, count)
+    if codec == pb.POINT_CODEC_DRACO:
+        return draco_decoder.decode(cloud.data, count)
     origin = np.array([cloud.origin.x, cloud.origin.y, cloud.origin.z])
     step = cloud.step or DEFAULT_STEP
     if codec == pb.POINT_CODEC_QUANTISED_16:

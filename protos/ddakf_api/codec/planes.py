@@ -1,4 +1,4 @@
-"""Differences of codes in byte planes, and the two bounded compressors over them.
+"""Differences of codes in byte planes, and the two compressors over them, bounded by their number.
 
 Sorted codes differ by little, so the high bytes of the differences are nearly all zero: held plane by plane they vanish
 under any general compressor. Differences are taken modulo 256^P, so that a run that starts over costs nothing extra and
@@ -7,16 +7,12 @@ the planes need not say where runs begin.
 
 from __future__ import annotations
 
-import zlib
-
 import numpy as np
-import zstandard
 
+from ddakf_api.codec import compress
 from ddakf_api.errors import CodecError
 
 MAX_PLANES = 8
-LEVEL = 1  # of both compressors: higher ones gain under 3 % and cost several times the time
-MAX_WINDOW_BYTES = 1 << 23  # what every zstd decoder has to support; level 1 writes far smaller ones
 
 _FIELD = "point_cloud.data"
 
@@ -45,53 +41,14 @@ def from_planes(data: bytes, count: int) -> np.ndarray:
     return codes
 
 
-def zstd_compress(data: bytes) -> bytes:
-    """One zstd frame with its content size and a checksum."""
-    return zstandard.ZstdCompressor(level=LEVEL, write_checksum=True, write_content_size=True).compress(data)
-
-
 def zstd_decompress(data: bytes, count: int) -> bytes:
-    """The planes of `count` codes. What the frame declares is checked first: zstandard would allocate as much at once.
-
-    Raises:
-        CodecError: no such frame, one that declares another size or a large window, or one that is damaged.
-    """
-    try:
-        header = zstandard.get_frame_parameters(data)
-        if header.content_size in (zstandard.CONTENTSIZE_UNKNOWN, zstandard.CONTENTSIZE_ERROR):
-            raise CodecError(field=_FIELD, expected="a zstd frame that declares its content size", got="none declared")
-        _require_whole_planes(header.content_size, count)
-        if header.window_size > MAX_WINDOW_BYTES:
-            got = f"{header.window_size} bytes"
-            raise CodecError(field=_FIELD, expected=f"a zstd window of at most {MAX_WINDOW_BYTES} bytes", got=got)
-        return zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES).decompress(data, allow_extra_data=False)
-    except zstandard.ZstdError as error:
-        raise CodecError(field=_FIELD, expected="one whole zstd frame", got=_first_line(error)) from None
-
-
-def deflate_compress(data: bytes) -> bytes:
-    """A zlib stream."""
-    return zlib.compress(data, LEVEL)
+    """The planes of `count` codes; raises :class:`CodecError` where the frame is not what it should be."""
+    return compress.zstd_decompress(data, lambda size: _require_whole_planes(size, count), _FIELD)
 
 
 def deflate_decompress(data: bytes, count: int) -> bytes:
-    """The planes of `count` codes; inflating stops one byte above the largest size they may have.
-
-    Raises:
-        CodecError: no zlib stream, one that is damaged, goes on, or holds more than the planes.
-    """
-    inflater = zlib.decompressobj()
-    try:
-        planes = inflater.decompress(data, MAX_PLANES * count + 1)
-    except zlib.error as error:
-        raise CodecError(field=_FIELD, expected="one whole zlib stream", got=_first_line(error)) from None
-    if len(planes) > MAX_PLANES * count:
-        raise CodecError(field=_FIELD, expected=f"at most {MAX_PLANES * count} bytes when inflated", got="more")
-    if not inflater.eof:
-        raise CodecError(field=_FIELD, expected="one whole zlib stream", got=f"{len(data)} bytes without its end")
-    if inflater.unused_data:
-        raise CodecError(field=_FIELD, expected="one zlib stream", got=f"{len(inflater.unused_data)} bytes after it")
-    return planes
+    """The planes of `count` codes; raises :class:`CodecError` where the stream is not what it should be."""
+    return compress.inflate(data, MAX_PLANES * count, _FIELD)
 
 
 def _require_whole_planes(size: int, count: int) -> int:
@@ -102,6 +59,3 @@ def _require_whole_planes(size: int, count: int) -> int:
         )
     return planes
 
-
-def _first_line(error: Exception) -> str:
-    return str(error).splitlines()[0][:120]

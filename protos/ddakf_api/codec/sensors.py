@@ -60,6 +60,20 @@ def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | Non
     return origins[0] if len(sensors) == 1 else np.repeat(origins, runs, axis=0)
 
 
+def pose_matrix(pose: pb.Pose, field: str) -> np.ndarray:
+    """(3, 4) float64 [R | t] of a pose, finite; whether R is a rotation is not looked at.
+
+    Raises:
+        InvalidFrame: other than 12 finite numbers, or none for the identity.
+    """
+    matrix = np.array(pose.matrix or [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0], np.float64)
+    if len(matrix) != 12:
+        raise InvalidFrame(field=f"{field}.matrix", expected="12 numbers", got=str(len(matrix)))
+    if not np.isfinite(matrix).all():
+        raise InvalidFrame(field=f"{field}.matrix", expected="finite numbers", got="others")
+    return matrix.reshape(3, 4)
+
+
 def _origin(sensor: pb.Sensor, field: str) -> tuple[float, float, float]:
     placement = sensor.WhichOneof("placement")
     if placement is None:
@@ -67,10 +81,7 @@ def _origin(sensor: pb.Sensor, field: str) -> tuple[float, float, float]:
     if placement == "origin":
         origin = (sensor.origin.x, sensor.origin.y, sensor.origin.z)
     else:
-        matrix = sensor.pose.matrix or [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
-        if len(matrix) != 12:
-            raise InvalidFrame(field=f"{field}.pose.matrix", expected="12 numbers", got=str(len(matrix)))
-        origin = (matrix[3], matrix[7], matrix[11])
+        origin = tuple(pose_matrix(sensor.pose, f"{field}.pose")[:, 3].tolist())
     if not np.isfinite(origin).all():
         raise InvalidFrame(field=f"{field}.{placement}", expected="finite numbers", got=str(origin))
     return origin

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from time import perf_counter
 
+from ddakf_api.codec import DracoDecoder
 from ddakf_api.errors import SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -23,6 +24,7 @@ class Compute:
     def __init__(self, limits: Limits):
         self._limits = limits
         self._trackers: dict[str, ddakf.Tracker] = {}
+        self._draco = DracoDecoder(limits.max_points)
         self._handlers: dict[Kind, Callable[[str, bytes], bytes]] = {
             Kind.OPEN: self.open,
             Kind.RESTORE: self.restore,
@@ -96,12 +98,15 @@ class Compute:
         started = perf_counter()
         tracker = self._tracker(session_id)
         messages.require_known_encodings(options)
-        arguments = messages.step_arguments(frame, self._limits.max_points, self._limits.max_body_vertices)
+        ahead = messages.seconds_ahead(frame)
+        arguments = messages.step_arguments(frame, self._limits, self._draco)
         decoded = perf_counter()
-        with messages.frame_fields():
+        with messages.frame_fields(frame):
             outcome = tracker.step(**arguments)
+        if ahead > 0:
+            outcome = tracker.predicted(outcome, ahead)
         tracked = perf_counter()
-        result = messages.result(frame, outcome, options)
+        result = messages.result(frame, outcome, options, tracker.garment)
         result.timings["decode"] = decoded - started
         result.timings["encode"] = perf_counter() - tracked
         return result.SerializeToString()

@@ -27,6 +27,7 @@ class Limits:
     max_vertices: int
     max_faces: int
     max_body_vertices: int
+    max_image_pixels: int
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))

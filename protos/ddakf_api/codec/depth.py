@@ -1,0 +1,225 @@
+"""Depth images to ``DepthImage`` messages and back. What they mean in space is for the tracker's side to compute."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf_api.arrays import checked_array
+from ddakf_api.codec import compress, png, rvl
+from ddakf_api.codec.sensors import pose_matrix
+from ddakf_api.errors import CodecError, InvalidFrame
+from ddakf_api.v1 import tracking_pb2 as pb
+
+DEPTH_CODECS = {
+    "none": pb.DEPTH_COMPRESSION_NONE,
+    "zstd": pb.DEPTH_COMPRESSION_ZSTD,
+    "png": pb.DEPTH_COMPRESSION_PNG,
+    "rvl": pb.DEPTH_COMPRESSION_RVL,
+}
+"""How images are compressed, by the name that users give it; png needs pillow, and png and rvl need uint16."""
+
+DEFAULT_DEPTH_CODEC = "zstd"
+DEFAULT_SCALE = 0.001
+"""Metres per unit of uint16 depth."""
+
+_ROTATION_ERROR = 1e-3  # largest element of R R' - I; float32 poses stay far below
+_BYTES_PER_PIXEL, _HEADER_BYTES = 5, 1 << 16  # of float32 in the worst compression, and its frame
+
+
+class Depth(NamedTuple):
+    """A depth image, unpacked.
+
+    Attributes:
+        depth: (H, W) float32 metres along the optical axis; not positive, or not finite: no measurement.
+        keep: (H, W) bool, pixels of the garment that are certain enough; None: all.
+        intrinsics: fx, fy, cx, cy, pixels.
+        pose: (3, 4) float64 [R | t], sensor to world, metres.
+    """
+
+    depth: np.ndarray
+    keep: np.ndarray | None
+    intrinsics: tuple[float, float, float, float]
+    pose: np.ndarray
+
+
+def encode_depth(
+    depth: np.ndarray,
+    intrinsics: Sequence[float],
+    *,
+    pose: np.ndarray | None = None,
+    mask: np.ndarray | None = None,
+    confidence: np.ndarray | None = None,
+    min_confidence: int = 0,
+    depth_scale: float = DEFAULT_SCALE,
+    codec: str = DEFAULT_DEPTH_CODEC,
+) -> pb.DepthImage:
+    """The message of a depth image.
+
+    Args:
+        depth: (H, W) along the optical axis, 0 or NaN for none: floats in metres, or uint16 in units of ``depth_scale``.
+        intrinsics: fx, fy, cx, cy, pixels; pixel (0, 0) is the centre of the top left one.
+        pose: (3, 4) or (4, 4) [R | t], camera axes (x right, y down, z forward) to world, metres; None: the identity.
+        mask: (H, W) bool or integers, zero where a pixel is not of the garment.
+        confidence: (H, W) uint8, 255 is certain.
+        min_confidence: pixels of a lower one are left out.
+        depth_scale: metres per unit of uint16 depth.
+        codec: a name of :data:`DEPTH_CODECS`, of all three images; where one cannot be, as floats in png, "zstd".
+
+    Raises:
+        CodecError: arrays of other shapes or types, an unknown codec.
+    """
+    if codec not in DEPTH_CODECS:
+        raise CodecError(field="depth_codec", expected=" or ".join(DEPTH_CODECS), got=repr(codec)[:80])
+    depth = _image("depth", depth, "fu")
+    lens = checked_array("intrinsics", intrinsics, expected="fx, fy, cx, cy", columns=None, error=CodecError)
+    if lens.shape != (4,):
+        raise CodecError(field="intrinsics", expected="fx, fy, cx, cy", got=f"numbers of shape {lens.shape}")
+    message = pb.DepthImage(height=depth.shape[0], width=depth.shape[1])
+    message.intrinsics.fx, message.intrinsics.fy, message.intrinsics.cx, message.intrinsics.cy = lens.tolist()
+    if pose is not None:
+        message.pose.matrix.extend(_pose_rows(pose))
+    if depth.dtype.kind == "f":
+        message.encoding = pb.DEPTH_ENCODING_FLOAT32_METRES
+        message.compression = DEPTH_CODECS[codec if codec in ("none", "zstd") else "zstd"]
+        with np.errstate(over="ignore"):
+            message.data = _compress(depth.astype("<f4"), message.compression)
+    else:
+        message.encoding = pb.DEPTH_ENCODING_UINT16_MILLIMETRES
+        message.compression, message.depth_scale = DEPTH_CODECS[codec], depth_scale
+        message.data = _compress(depth.astype("<u2"), message.compression)
+    byte_codec = DEPTH_CODECS[codec if codec != "rvl" else "zstd"]
+    if mask is not None:
+        message.mask_compression = byte_codec
+        message.mask = _compress((_image("mask", mask, "biu", depth.shape) != 0).astype(np.uint8), byte_codec)
+    if confidence is not None:
+        if not 0 <= min_confidence <= 255:
+            raise CodecError(field="min_confidence", expected="0 to 255", got=str(min_confidence))
+        message.confidence_compression, message.min_confidence = byte_codec, min_confidence
+        message.confidence = _compress(_image("confidence", confidence, "u", depth.shape).astype(np.uint8), byte_codec)
+    return message
+
+
+def require_image_within(image: pb.DepthImage, max_pixels: int) -> None:
+    """Refuses an image whose size, or that of its payloads, no image within the limit has; before anything is decoded."""
+    if not (image.width and image.height) or image.width * image.height > max_pixels:
+        expected, got = f"1 to {max_pixels} pixels", f"{image.width} x {image.height}"
+        raise CodecError(field="depth_image", expected=expected, got=got)
+    most = _BYTES_PER_PIXEL * image.width * image.height + _HEADER_BYTES
+    for name in ("data", "mask", "confidence"):
+        if (size := len(getattr(image, name))) > most:
+            raise CodecError(field=f"depth_image.{name}", expected=f"at most {most} bytes", got=f"{size} bytes")
+
+
+def decode_depth(image: pb.DepthImage, *, max_pixels: int) -> Depth:
+    """Unpacks a depth image.
+
+    Args:
+        image: the message; anything may have happened to it.
+        max_pixels: the largest width x height that is accepted; memory stays below about 100 bytes per pixel of it.
+
+    Raises:
+        CodecError: too many pixels, unknown encodings, payloads that are not what they should be.
+        InvalidFrame: intrinsics, a pose or a scale that cannot be used.
+    """
+    require_image_within(image, max_pixels)
+    lens = _lens(image.intrinsics)
+    pose = _rigid(pose_matrix(image.pose, "depth_image.pose"))
+    shape = image.height, image.width
+    depth = _depth(image, shape)
+    keep = None
+    if image.mask:
+        keep = _decompress(image.mask, image.mask_compression, shape, np.dtype("u1"), "depth_image.mask") != 0
+    if image.confidence:
+        if image.min_confidence > 255:
+            got = str(image.min_confidence)
+            raise CodecError(field="depth_image.min_confidence", expected="at most 255", got=got)
+        field = "depth_image.confidence"
+        confidence = _decompress(image.confidence, image.confidence_compression, shape, np.dtype("u1"), field)
+        certain = confidence >= max(image.min_confidence, 1)  # 0 is unusable
+        keep = certain if keep is None else keep & certain
+    return Depth(depth, keep, lens, pose)
+
+
+def _depth(image: pb.DepthImage, shape: tuple[int, int]) -> np.ndarray:
+    field = "depth_image.data"
+    if image.encoding == pb.DEPTH_ENCODING_FLOAT32_METRES:
+        return _decompress(image.data, image.compression, shape, np.dtype("<f4"), field)
+    if image.encoding == pb.DEPTH_ENCODING_UINT16_MILLIMETRES:
+        scale = image.depth_scale or DEFAULT_SCALE
+        if not (math.isfinite(scale) and scale > 0):
+            raise InvalidFrame(field="depth_image.depth_scale", expected="a finite length above 0", got=repr(scale))
+        units = _decompress(image.data, image.compression, shape, np.dtype("<u2"), field)
+        with np.errstate(over="ignore"):
+            return units * np.float32(min(scale, np.finfo(np.float32).max))
+    expected = "float32 metres or uint16 millimetres"
+    raise CodecError(field="depth_image.encoding", expected=expected, got=f"encoding {image.encoding}")
+
+
+def _compress(image: np.ndarray, compression: int) -> bytes:
+    match compression:
+        case pb.DEPTH_COMPRESSION_ZSTD:
+            return compress.zstd_compress(image.tobytes())
+        case pb.DEPTH_COMPRESSION_PNG:
+            return png.compress(image)
+        case pb.DEPTH_COMPRESSION_RVL:
+            return rvl.compress(image)
+    return image.tobytes()
+
+
+def _decompress(data: bytes, compression: int, shape: tuple[int, int], dtype: np.dtype, field: str) -> np.ndarray:
+    """The (H, W) image of this type, whose size in bytes is known before any is taken."""
+    size = shape[0] * shape[1] * dtype.itemsize
+
+    def require_size(got: int) -> None:
+        if got != size:
+            raise CodecError(field=field, expected=f"{size} bytes for {shape[1]} x {shape[0]} pixels", got=f"{got} bytes")
+
+    if compression in (pb.DEPTH_COMPRESSION_UNSPECIFIED, pb.DEPTH_COMPRESSION_NONE):
+        require_size(len(data))
+    elif compression == pb.DEPTH_COMPRESSION_ZSTD:
+        data = compress.zstd_decompress(data, require_size, field)
+    elif compression == pb.DEPTH_COMPRESSION_PNG and dtype.kind == "u":
+        return png.decompress(data, shape, dtype, field)
+    elif compression == pb.DEPTH_COMPRESSION_RVL and dtype == np.dtype("<u2"):
+        return rvl.decompress(data, shape, field)
+    else:
+        known = compression in pb.DepthCompression.values()
+        got = f"{pb.DepthCompression.Name(compression)} of {dtype.name}" if known else f"unknown compression {compression}"
+        raise CodecError(field=field, expected="a compression of this kind of image", got=got)
+    return np.frombuffer(data, dtype).reshape(shape)
+
+
+def _lens(intrinsics: pb.Intrinsics) -> tuple[float, float, float, float]:
+    lens = intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy
+    if not all(map(math.isfinite, lens)) or lens[0] <= 0 or lens[1] <= 0:
+        raise InvalidFrame(field="depth_image.intrinsics", expected="finite numbers, fx and fy above 0", got=str(lens))
+    return lens
+
+
+def _rigid(pose: np.ndarray) -> np.ndarray:
+    rotation = pose[:, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if error <= _ROTATION_ERROR and np.linalg.det(rotation) > 0:
+            return pose
+    raise InvalidFrame(field="depth_image.pose.matrix", expected="[R | t] with R a rotation", got="another R")
+
+
+def _pose_rows(pose: np.ndarray) -> list[float]:
+    pose = checked_array("pose", pose, expected="numbers of shape (3, 4) or (4, 4)", columns=None, error=CodecError)
+    if pose.shape not in ((3, 4), (4, 4)):
+        raise CodecError(field="pose", expected="shape (3, 4) or (4, 4)", got=str(pose.shape))
+    return pose[:3].ravel().tolist()
+
+
+def _image(name: str, image: np.ndarray, kinds: str, shape: tuple[int, int] | None = None) -> np.ndarray:
+    image = checked_array(name, image, expected="an image of shape (H, W)", kinds="biuf", columns=None, error=CodecError)
+    fits = image.ndim == 2 and image.size and (shape is None or image.shape == shape)
+    if fits and image.dtype.kind in kinds and (image.dtype.kind != "u" or image.dtype.itemsize <= 2):
+        return image
+    expected = "floats, uint16 or uint8 of shape (H, W)" if shape is None else f"whole numbers or bools of shape {shape}"
+    raise CodecError(field=name, expected=expected, got=f"{image.dtype} of shape {image.shape}")

@@ -1,0 +1,81 @@
+"""A result moved on to a later time: nearer to what is there then, less certain, and the tracker none the wiser."""
+
+import numpy as np
+import pytest
+
+from ddakf import Mesh, Tracker
+from ddakf.errors import InvalidArgument
+from tests.stages.scenes import FPS, rms
+from tests.tracker_runs import ARRAYS, BODY, EYE, PRESETS, TUBE, assert_finite, assert_same, cloud, swaying, tracked
+
+
+@pytest.fixture
+def steady():
+    """A tracker after 20 frames of the swaying tube, and its last result."""
+    tracker = tracked(20)
+    return tracker, tracker.step(cloud(20), timestamp=20 / FPS, sensor_origin=EYE)
+
+
+def test_nothing_ahead_is_the_result_itself(steady):
+    tracker, result = steady
+    assert_same(tracker.predicted(result, 0.0), result)
+
+
+@pytest.mark.parametrize("frames", [1, 3])
+def test_it_is_nearer_to_what_is_there_then(steady, frames):
+    tracker, result = steady
+    later = swaying(20 + frames)
+    assert rms(tracker.predicted(result, frames / FPS).vertices - later) < 0.7 * rms(result.vertices - later)
+
+
+def test_uncertainty_grows_with_time_and_faster_than_it(steady):
+    tracker, result = steady
+    sigma = np.array([tracker.predicted(result, k / FPS).sigma.mean() for k in range(1, 5)])
+    assert (np.diff(sigma) > 0).all()
+    variance = sigma**2 - (result.sigma**2).mean()
+    assert variance[3] > 16 * variance[0] * 0.9
+
+
+@PRESETS
+def test_the_tracker_stays_as_it_is_and_all_is_finite(config):
+    tracker, other = tracked(3, config=config), tracked(3, config=config)
+    result = tracker.step(cloud(3), timestamp=3 / FPS, sensor_origin=EYE)
+    other.step(cloud(3), timestamp=3 / FPS, sensor_origin=EYE)
+    before = [getattr(result, name).copy() for name in ARRAYS]
+    for seconds in (0.03, 0.5, 1e6):
+        later = tracker.predicted(result, seconds)
+        assert_finite(later)
+        assert (later.sigma > 0).all()
+    for name, array in zip(ARRAYS, before, strict=True):
+        assert np.array_equal(getattr(result, name), array)
+    assert tracker.snapshot() == other.snapshot()
+    more = {"timestamp": 4 / FPS, "sensor_origin": EYE}
+    assert_same(tracker.step(cloud(4), **more), other.step(cloud(4), **more))
+
+
+def test_a_body_takes_the_garment_along():
+    tracker = Tracker(TUBE, body=BODY)
+    drift = np.array([0.6, 0.0, 0.0]) / FPS
+    for k in range(1, 11):
+        body = BODY.vertices + k * drift
+        result = tracker.step(cloud(0) + np.float32(k * drift), timestamp=k / FPS, sensor_origin=EYE, body_vertices=body)
+    later = tracker.predicted(result, 3 / FPS)
+    assert np.allclose((later.vertices - result.vertices).mean(axis=0), 3 * drift, atol=0.2 * rms(3 * drift[None]))
+    gone = tracker.step(cloud(0) + np.float32(11 * drift), timestamp=11 / FPS, sensor_origin=EYE)
+    assert (tracker.predicted(gone, 1 / FPS).vertices - gone.vertices).mean(axis=0)[0] > 0.5 * drift[0]
+
+
+@pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
+def test_a_time_that_cannot_be_is_refused(steady, seconds):
+    tracker, result = steady
+    with pytest.raises(InvalidArgument, match="seconds"):
+        tracker.predicted(result, seconds)
+
+
+def test_only_the_last_result_can_be_moved_on(steady):
+    tracker, result = steady
+    tracker.step(cloud(21), timestamp=21 / FPS, sensor_origin=EYE)
+    with pytest.raises(InvalidArgument, match="the last step"):
+        tracker.predicted(result, 0.1)
+    with pytest.raises(InvalidArgument, match="the last step"):
+        Tracker(Mesh(TUBE.vertices[::-1], (len(TUBE.vertices) - 1 - TUBE.faces)[:, ::-1])).predicted(result, 0.1)
