@@ -16,11 +16,14 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi.responses import JSONResponse
 from pydantic import BaseModel, ConfigDict, Field
 
+from ddakf.physics.fabric import PRESETS
+
 StateName = Literal["initializing", "tracking", "recovering", "lost", "idle", "expired", "closed"]
 
 KEY_VALUES = {"items": {"type": "string", "pattern": "="}}
 STATES = {"items": {"type": "string", "enum": list(get_args(StateName))}}
 _BASE64 = {"contentEncoding": "base64", "pattern": "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"}
+_FABRICS = {"enum": ["", *PRESETS]}
 Rows = list[tuple[float, float, float]]
 
 _FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
@@ -78,7 +81,7 @@ class CreateSession(_Strict):
     garment: MeshIn = Field(description="the garment in its rest shape")
     body: MeshIn | None = Field(None, description="the body in its pose at the start")
     config: dict[str, Any] | None = Field(None, description="the tracker's configuration; what is left out keeps its default")
-    fabric: str = Field("", max_length=64, description="a fabric preset by name")
+    fabric: str = Field("", max_length=64, description="a fabric preset by name", json_schema_extra=_FABRICS)
     labels: dict[str, str] = Field(default_factory=dict, description="free key-value pairs")
     limits: LimitsIn = Field(default_factory=LimitsIn)
     session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
@@ -110,7 +113,7 @@ class UpdateSession(_Strict):
 
     labels: dict[str, str] = Field(default_factory=dict, description="all of them")
     config: dict[str, Any] | None = Field(None, description="the tracker's configuration")
-    fabric: str = Field("", max_length=64, description="a fabric preset by name")
+    fabric: str = Field("", max_length=64, description="a fabric preset by name", json_schema_extra=_FABRICS)
     limits: LimitsIn = Field(default_factory=LimitsIn, description="all of them")
     etag: str = Field("", max_length=64, description="of the session that this changes; another one is refused")
 

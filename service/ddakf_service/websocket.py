@@ -211,12 +211,20 @@ async def _maybe_in_thread(size: int, function, *arguments):
 class WebSocketProtocol(WebSocketsSansIOProtocol):
     """uvicorn's protocol, but for what happens to a client that answers no ping.
 
-    It is cut off even if it has left unread what was sent to it, which an orderly close would wait for. One whose pong
-    lies behind frames that a lossless session holds back, while it does read its answers, is asked again instead.
+    It is cut off even if it has left unread what was sent to it, which an orderly close would wait for. One that has sent
+    something since is asked again instead, and so is one that reads its answers while a lossless session holds back the
+    frames that its pong lies behind.
     """
 
+    _heard = 0.0  # when something came last, the event loop's clock
+
+    def data_received(self, data: bytes) -> None:
+        self._heard = self.loop.time()
+        super().data_received(data)
+
     def keepalive_timeout(self) -> None:
-        if self.read_paused and self.writable.is_set():
+        held_back = self.read_paused and self.writable.is_set()
+        if held_back or self._heard > self.ping_sent_at:
             self.pong_timer = self.pending_ping_payload = None
             self.schedule_ping()
             return

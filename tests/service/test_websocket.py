@@ -309,6 +309,19 @@ def test_a_client_that_answers_pings_stays(strict, strict_session, sheet):
         assert websocket.receive().result.sequence_number == 1
 
 
+def test_a_client_whose_pong_waits_behind_its_frames_stays(strict):
+    """It sends them all at once, and the server takes them only as fast as they are tracked."""
+    api, large = Api(strict.grpc), make_sheet(40, 0.01)
+    with api.channel:
+        name = api.create(large).name
+        count = 150  # several times as long as a client has to answer a ping
+        with line(strict, f"{name}/stream") as websocket:
+            results = websocket.track([request_of(frame_of(large, i)) for i in range(1, count + 1)])[1:]
+            assert websocket.connection.close_code == 1000
+        assert [answer.result.sequence_number for answer in results] == list(range(1, count + 1))
+        api.delete(name)
+
+
 @pytest.mark.parametrize(
     ("origin", "host", "status"),
     [
