@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.errors import InvalidFrame
+from ddakf.kernels.preprocess import bounds
 from ddakf.mesh import MAX_COORDINATE, Mesh  # float32 keeps a millimetre up to there
 
 MAX_POINTS = 1_000_000
@@ -54,9 +55,11 @@ def checked(points, timestamp, sensor_origin, body_vertices, last: float | None,
         if len(body_vertices) != body.n_vertices:
             raise InvalidFrame("body_vertices", f"shape ({body.n_vertices}, 3), as declared", str(body_vertices.shape))
         body_vertices = body_vertices.astype(np.float64)
-        size, declared = np.ptp(body_vertices, axis=0).max(), np.ptp(body.vertices, axis=0).max()
-        if not declared / BODY_FACTOR < size < declared * BODY_FACTOR:
-            raise InvalidFrame("body_vertices", f"a body about {declared:.2g} m in size, as declared", f"{size:.2g} m")
+        lower, upper = np.empty(3), np.empty(3)
+        bounds(body_vertices, 0.0, lower, upper)
+        size = (upper - lower).max()
+        if not body.size / BODY_FACTOR < size < body.size * BODY_FACTOR:
+            raise InvalidFrame("body_vertices", f"a body about {body.size:.2g} m in size, as declared", f"{size:.2g} m")
     return Frame(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
 
 

@@ -317,7 +317,7 @@ def _best(sought: list[np.ndarray], target: Target, turn_sd: float, model: Model
         for placement in places(shape, model, target, turn_sd)[:BENT]:
             rough = deform.follow(placement.apply(shape), target, model, steps=ROUGH_STEPS, thinner=ROUGHER)
             cost = cost_in_place(rough, model, target)
-            strain = math.sqrt(strains(rough, model.start, model.neighbour, model.rest_edge, squared))
+            strain = math.sqrt(strains(rough, model.start, model.neighbour, model.rest_length, squared))
             total = (cost + STRAIN_LENGTH * strain) * (1.0 + TEMPLATE_COST * k)
             trials.append((_surprise(total, INDEPENDENT, placement.rotation, turn_sd), len(trials), cost, rough))
     _, _, cost, found = min(trials, key=lambda trial: trial[:2])

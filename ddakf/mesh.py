@@ -88,6 +88,11 @@ class Mesh:
         return on_boundary
 
     @cached_property
+    def size(self) -> float:
+        """Longest side of the box around it, metres."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
     def edge_length(self) -> float:
         """Mean length of the edges, metres."""
         ends = self.vertices[self.edges]

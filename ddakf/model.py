@@ -35,6 +35,8 @@ class Model(NamedTuple):
     likeness: np.ndarray  # (L, L) float32 correlation of how patches move: exp(-1/2 (distance at rest / LIKENESS_LENGTH)^2)
     clusters: clusters.Clusters  # the same, for the coarse passes
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
+    rest_length: np.ndarray  # (2E,) float32 m, of the same
+    crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
     vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
@@ -71,6 +73,7 @@ def build(mesh: Mesh, thickness: float) -> Model:
     patch = distance[:PATCHES].argmin(axis=0).astype(np.int32)
     aggregate = distance[: min(AGGREGATES, max(1, mesh.n_vertices // VERTICES_PER_AGGREGATE))].argmin(axis=0).astype(np.int32)
     thinned = thinning.thin(mesh, graph, distance[0])
+    rest_edge = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
@@ -84,7 +87,9 @@ def build(mesh: Mesh, thickness: float) -> Model:
         patch=patch,
         likeness=_likeness(mesh.vertices, patch),
         clusters=clusters.build(mesh, distance, edges),
-        rest_edge=(mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]).astype(np.float32),
+        rest_edge=rest_edge.astype(np.float32),
+        rest_length=np.linalg.norm(rest_edge, axis=1).astype(np.float32),
+        crossing=crossings(edges, patch),
         boundary=_boundary(mesh),
         area=float(area.sum()),
         vertex_share=(vertex_area / vertex_area.mean()).astype(np.float32),
@@ -96,6 +101,12 @@ def build(mesh: Mesh, thickness: float) -> Model:
         collision=collision.build(mesh, thickness),
         coarser=None if thinned is None else Coarser(build(thinned.mesh, thickness), *thinned[1:]),
     )
+
+
+def crossings(edges: np.ndarray, patch: np.ndarray) -> np.ndarray:
+    """(C, 3) int32: of the (2E, 2) ends of the one-rings' entries those from patch to patch, and the two patches."""
+    entry = np.flatnonzero(patch[edges[:, 0]] != patch[edges[:, 1]])
+    return np.column_stack([entry, patch[edges[entry]]]).astype(np.int32)
 
 
 def _graph(edges: np.ndarray, mesh: Mesh) -> csr_array:

@@ -106,10 +106,9 @@ def _drop_sparse(grid, config: GridFilter):
     all points: suspects, and a sample of the rest.
     """
     points, index, start, _, cell, dims = grid
-    count = np.empty(len(start) - 2, np.int32)
-    kernels.neighbourhood_counts(start, dims, count)
-    suspects, rest = np.empty(len(index), np.int32), np.empty(len(index), np.int32)
-    n = kernels.split(start, count, config.suspect_share, suspects, rest)
+    occupied, count, suspects, rest = (np.empty(len(index), np.int32) for _ in range(4))
+    n = kernels.neighbourhood_counts(start, dims, occupied, count)
+    n = kernels.split(start, occupied[:n], count[:n], config.suspect_share, suspects, rest)
     if n == 0:
         return grid
     suspects, rest = suspects[:n], rest[: len(index) - n]
@@ -142,9 +141,12 @@ def _drop_far(grid, config: KnnFilter):
 
 def _without(grid, removed: np.ndarray):
     points, index, start, origin, cell, dims = grid
-    new_start, new_points, new_index = np.empty_like(start), np.empty_like(points), np.empty_like(index)
-    n = kernels.remove(start, removed, points, index, new_start, new_points, new_index)
-    return np.ascontiguousarray(new_points[:, :n]), new_index[:n], new_start, origin, cell, dims
+    left = len(index) - np.count_nonzero(removed)
+    if left == len(index):
+        return grid
+    new_start, new_points, new_index = np.empty_like(start), np.empty((3, left), np.float32), np.empty(left, np.int32)
+    kernels.remove(start, removed, points, index, new_start, new_points, new_index)
+    return new_points, new_index, new_start, origin, cell, dims
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:

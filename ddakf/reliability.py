@@ -8,11 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config import PaperReliability, Reliability
+from ddakf.frame import Frame
 from ddakf.fuse import Update
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.model import Model
 from ddakf.types import State, TrackerState
+from ddakf.uncertainty import variances
 
 EVIDENCE_POINTS = 800  # of a cloud that are held against the surface
 REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
@@ -75,8 +77,7 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     """
     if not found.any():
         return 0.0
-    energy = np.einsum("va,va->v", innovation, innovation) / np.einsum("vaa->v", R)
-    return float(np.exp(-energy[found].sum() / len(found)))
+    return float(np.exp(-kernels.surprise(innovation, R, found) / len(found)))
 
 
 class Evidence(NamedTuple):
@@ -137,14 +138,14 @@ def evidence(
         update: the finished update.
         posterior: of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) the cloud as it came, metres.
+        points: (N, 3) of the cloud as it came, metres.
         clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds since the last frame.
         model: the garment.
     """
     position, n, used = posterior.position, len(posterior.position), update.weight > 0
     squared = np.empty(n)
-    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_edge, squared))
+    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, squared))
     health = health._replace(least_strain=min(health.least_strain, strain))
     if len(points):
         health = held_against_cloud(health, points, position, dt, model)
@@ -155,18 +156,27 @@ def evidence(
         offset=health.offset,
         unmatched=float((update.measurement.visible & ~used).mean()),
         unexplained=health.unexplained,
-        uncertainty=float(np.einsum("va,vab,vb->", normal, covariance, normal)) / n,
+        uncertainty=kernels.along_normals(normal, covariance) / n,
         strain=(strain - health.least_strain) ** 2,
         hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
     )
     measured = np.bincount(model.cluster, update.weight, model.n_clusters) / np.bincount(model.cluster)
     vertices = VertexEvidence(
-        variance=np.einsum("vaa->v", covariance),
+        variance=3.0 * variances(covariance),
         unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
         strain=squared,
         clearance=np.full(n, FREE) if clearance is None else np.clip(clearance, 0.0, FREE),
     )
     return frame, vertices, health
+
+
+def sample(now: Frame) -> Frame:
+    """About :data:`EVIDENCE_POINTS` of a frame's points."""
+    stride = max(1, len(now.points) // EVIDENCE_POINTS)
+    origin = now.sensor_origin
+    return now._replace(
+        points=now.points[::stride], sensor_origin=origin[::stride] if origin is not None and origin.ndim == 2 else origin
+    )
 
 
 def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
@@ -245,7 +255,7 @@ def judge(
         update: the finished update.
         posterior, prior: states of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) the cloud as it came, metres.
+        points: (N, 3) of the cloud as it came, metres.
         clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds of sensor time since the last frame.
         model: the garment.

@@ -15,7 +15,7 @@ ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie
 BESIDE = 0.10  # m, and EDGES: skin within it stays in the cloud, which shows that a hem does not end there
 EDGES = 0.75
 PERSON = 0.15  # share of skin, above which a cloud is of a whole person
-CELLS = 128  # at most along each axis of the grid of vertices
+CELLS = 32  # at most along each axis of the grid of vertices
 
 
 def cloth(now: Frame, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> Frame:
@@ -55,8 +55,9 @@ def skin(points: np.ndarray, position: np.ndarray, contact: BodyContact | None, 
 
 def apart(points: np.ndarray, position: np.ndarray, radius: float) -> np.ndarray:
     """(N,) bool: (N, 3) points farther than ``radius`` from all (V, 3) vertices, metres."""
-    lower = position.min(axis=0)
-    extent = position.max(axis=0) - lower
+    lower, upper = np.empty(3), np.empty(3)
+    grids.bounds(position, 0.0, lower, upper)
+    extent = upper - lower
     cell = max(radius, float(extent.max()) / CELLS)
     dims = (extent / cell).astype(np.int64) + 1
     start = np.empty(int(np.prod(dims)) + 2, np.int32)

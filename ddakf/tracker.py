@@ -183,9 +183,9 @@ class Tracker:
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
-        mine = segment.cloth(mine, posterior.position, self._contact, garment, segment.ON_CLOTH)
+        sample = segment.cloth(reliability.sample(mine), posterior.position, self._contact, garment, segment.ON_CLOTH)
         verdict = reliability.judge(
-            health, update, posterior, covariance, prior, mine.points, self._clearance(), dt, garment, config.reliability
+            health, update, posterior, covariance, prior, sample.points, self._clearance(), dt, garment, config.reliability
         )
         clock.lap("reliability")
 
@@ -289,7 +289,7 @@ def _result(posterior, covariance, update, verdict, carried, dt, timings) -> Fra
         vertices=posterior.position.copy(),
         velocities=posterior.velocity.copy() if carried is None else posterior.velocity + carried / dt,
         covariance=covariance.copy(),
-        sigma=np.sqrt(np.einsum("vaa->v", covariance) / 3),
+        sigma=np.sqrt(uncertainty.variances(covariance)),
         vertex_reliability=verdict.vertex_reliability,
         observed=update.weight > 0,
         reliability=verdict.reliability,

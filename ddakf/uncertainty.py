@@ -17,6 +17,7 @@ import numpy as np
 from ddakf.config import Config, NearestPoint, Uncertainty
 from ddakf.fuse import BLAS, Update, condition, inverse_blocks, invert
 from ddakf.kernels import uncertainty as kernels
+from ddakf.kernels.reliability import strains
 from ddakf.model import Model
 from ddakf.types import State
 
@@ -116,7 +117,9 @@ def marginals(
         drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
         evidence.isotropic, scale2, covariance,
     )  # fmt: skip
-    covariance *= _scale(covariance, limits.ceiling_sd) ** 2
+    scale = _scale(covariance, limits.ceiling_sd)
+    if scale is not None:
+        covariance *= scale**2
     return covariance, drift
 
 
@@ -137,7 +140,7 @@ def _room(seen: np.ndarray, clearance: np.ndarray | None, model: Model) -> np.nd
     if clearance is not None:
         return 1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY
     distance = np.empty(len(seen))
-    kernels.along_cloth(seen, model.start, model.neighbour, model.rest_edge, MOST_TO_SEEN, distance)
+    kernels.along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
     return 1.0 + distance / ROOM_TO_SEEN
 
 
@@ -178,14 +181,7 @@ def advance(
 def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
-    kernels.couple(B, model.start, model.neighbour, model.patch, coarse)
-    a, b, c, d, e, f = evidence.information.T.astype(np.float32)
-    k = 3 * np.arange(len(model.likeness))
-    for row, column, value in ((0, 0, a), (1, 1, b), (2, 2, c), (0, 1, d), (0, 2, e), (1, 2, f)):
-        coarse[k + row, k + column] += value
-        if row != column:
-            coarse[k + column, k + row] += value
-    coarse[np.arange(len(coarse)), np.arange(len(coarse))] += SMALLEST
+    kernels.couple(B, model.crossing, evidence.information, SMALLEST, coarse)
     G = invert(coarse)
     if not np.isfinite(G).all():
         return P
@@ -217,19 +213,19 @@ def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: b
 
 
 def _mean_variance(covariance: np.ndarray) -> float:
-    return float(np.einsum("vaa->", covariance)) / (3 * len(covariance))
+    return float(variances(covariance).mean())
 
 
 def _evidence(
     update: Update, weight: np.ndarray, position: np.ndarray, prior: np.ndarray, still: np.ndarray, model: Model, config: Config
 ) -> Evidence:
-    n, planes = len(model.likeness), update.planes
+    n, planes, ring_strain = len(model.likeness), update.planes, np.empty(len(position))
     size, observed, strain2, information = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 6))
     facing, motion, innovation = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 4))
     isotropic = isinstance(config.associate, NearestPoint)
+    strains(position, model.start, model.neighbour, model.rest_length, ring_strain)
     kernels.gather(
-        position, still, prior, model.patch, model.start, model.neighbour, model.rest_edge,
-        weight, planes.normal, planes.variance, isotropic,
+        position, still, prior, model.patch, ring_strain, weight, planes.normal, planes.variance, isotropic,
         size, observed, information, facing, motion, innovation, strain2,
     )  # fmt: skip
     measured = np.maximum(observed, 1.0)
@@ -259,11 +255,23 @@ def bound(state: State, limits: Uncertainty) -> State:
     Each block row and column is scaled, a congruence, so that P_i stays positive definite.
     """
     s, t = _scale(state.P_pp, limits.ceiling_sd), _scale(state.P_uu, limits.ceiling_speed_sd)
-    if s.min() == t.min() == 1.0:
+    if s is None and t is None:
         return state
+    s, t = 1.0 if s is None else s, 1.0 if t is None else t
     return state._replace(P_pp=s * s * state.P_pp, P_pu=s * t * state.P_pu, P_uu=t * t * state.P_uu)
 
 
-def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray:
-    """(V, 1, 1) factor on the standard deviations that keeps the trace at 3 ceiling_sd^2 or less."""
-    return np.minimum(1.0, ceiling_sd / np.sqrt(np.einsum("vaa->v", covariance) / 3))[:, None, None]
+def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray | None:
+    """(V, 1, 1) factor on the standard deviations that keeps the trace at 3 ceiling_sd^2 or less; None where it is."""
+    variance = variances(covariance)
+    if variance.max() <= ceiling_sd**2:
+        return None
+    return np.minimum(1.0, ceiling_sd / np.sqrt(variance))[:, None, None]
+
+
+def variances(covariance: np.ndarray) -> np.ndarray:
+    """(V,) mean variance of (V, 3, 3) blocks over the directions."""
+    trace = np.empty(len(covariance))
+    kernels.traces(covariance, trace)
+    trace /= 3.0
+    return trace

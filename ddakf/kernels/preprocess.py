@@ -1,11 +1,12 @@
 """Preprocessing (paper, section 2.1): one uniform grid per frame, outlier removal and PCA normals on it."""
 
-from math import acos, cos, pi, sqrt
+from math import sqrt
 
 import numpy as np
 from numba import njit
 
 LANES = 16  # neighbours that are summed up side by side
+BLOCK = 256  # planes that are found side by side
 FAR = np.float32(1e9)  # m: outside any radius
 
 
@@ -56,20 +57,18 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
     inverse = 1.0 / cell
     n = chosen.shape[0]
     start[:] = 0
+    own = np.empty(n, np.int32)
     for k in range(n):
         i = chosen[k]
         ix = min(max(int((points[i, 0] - origin[0]) * inverse), 0), dims[0] - 1)
         iy = min(max(int((points[i, 1] - origin[1]) * inverse), 0), dims[1] - 1)
         iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
-        start[(ix * dims[1] + iy) * dims[2] + iz + 2] += 1
+        own[k] = (ix * dims[1] + iy) * dims[2] + iz + 1
+        start[own[k] + 1] += 1
     for c in range(2, start.shape[0]):
         start[c] += start[c - 1]
     for k in range(n):
-        i = chosen[k]
-        ix = min(max(int((points[i, 0] - origin[0]) * inverse), 0), dims[0] - 1)
-        iy = min(max(int((points[i, 1] - origin[1]) * inverse), 0), dims[1] - 1)
-        iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
-        c = (ix * dims[1] + iy) * dims[2] + iz + 1
+        i, c = chosen[k], own[k]
         slot = start[c]
         start[c] += 1
         for a in range(3):
@@ -78,20 +77,18 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def neighbourhood_counts(start, dims, count):
-    """Points in the 27 cells around each occupied cell, written to (cells,) count; zero elsewhere."""
+def neighbourhood_counts(start, dims, cell, count):
+    """The occupied cells, in order, and the points in the 27 cells around each, written to ``cell`` and ``count``, (M,) int32
+    each. Returns the number of occupied cells."""
     nx, ny, nz = dims[0], dims[1], dims[2]
+    n = 0
     for ix in range(nx):
         for iy in range(ny):
             row = (ix * ny + iy) * nz
             if start[row] == start[row + nz]:
-                for iz in range(nz):
-                    count[row + iz] = 0
                 continue
             for iz in range(nz):
-                c = row + iz
-                if start[c] == start[c + 1]:
-                    count[c] = 0
+                if start[row + iz] == start[row + iz + 1]:
                     continue
                 z0 = max(iz - 1, 0)
                 z1 = min(iz + 1, nz - 1)
@@ -100,31 +97,30 @@ def neighbourhood_counts(start, dims, count):
                     for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
                         r = (jx * ny + jy) * nz
                         total += start[r + z1 + 1] - start[r + z0]
-                count[c] = total
+                cell[n], count[n] = row + iz, total
+                n += 1
+    return n
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def split(start, count, share, suspect, rest):
-    """Points of cells whose (cells,) count is below ``share`` of the median point's, and the others, in order.
+def split(start, cell, count, share, suspect, rest):
+    """Points of cells whose ``count`` is below ``share`` of the median point's, and the others, in order.
 
     Returns the number of suspects. The median is exact: counts are small integers.
 
     Args:
-        start, count: of the grid, and of :func:`neighbourhood_counts`.
+        start: of the grid.
+        cell, count: of :func:`neighbourhood_counts`, as many as there are occupied cells.
         share: of the median.
         suspect, rest: (M,) out, indices of sorted points.
     """
-    cells = count.shape[0]
-    most = 0
-    for c in range(cells):
-        most = max(most, count[c])
-    points = np.zeros(most + 1, np.int64)
-    for c in range(cells):
-        points[count[c]] += start[c + 1] - start[c]
-    total = start[cells]
+    points = np.zeros(count.max() + 1, np.int64)
+    for k in range(cell.shape[0]):
+        points[count[k]] += start[cell[k] + 1] - start[cell[k]]
+    total = points.sum()
     low = high = -1
     passed = 0
-    for value in range(most + 1):
+    for value in range(points.shape[0]):
         passed += points[value]
         if low < 0 and passed > (total - 1) // 2:
             low = value
@@ -132,21 +128,20 @@ def split(start, count, share, suspect, rest):
             high = value
     limit = share * 0.5 * (low + high)
     n = m = 0
-    for c in range(cells):
-        if count[c] < limit:
-            for k in range(start[c], start[c + 1]):
-                suspect[n] = k
+    for k in range(cell.shape[0]):
+        for p in range(start[cell[k]], start[cell[k] + 1]):
+            if count[k] < limit:
+                suspect[n] = p
                 n += 1
-        else:
-            for k in range(start[c], start[c + 1]):
-                rest[m] = k
+            else:
+                rest[m] = p
                 m += 1
     return n
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def remove(start, removed, points, index, new_start, new_points, new_index):
-    """Copies the grid without the points marked in (M,) removed. Returns how many are left."""
+    """Copies the grid without the points marked in (M,) removed."""
     n = 0
     for c in range(start.shape[0] - 2):
         new_start[c] = n
@@ -159,41 +154,41 @@ def remove(start, removed, points, index, new_start, new_points, new_index):
                 n += 1
     for c in range(start.shape[0] - 2, new_start.shape[0]):
         new_start[c] = n
-    return n
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def smallest_eigenvector(a, b, c, d, e, f):
     """Of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]]: smallest and middle eigenvalue, and the unit eigenvector
-    of the smallest. Trigonometric solution; the eigenvector is the longest cross product of two rows."""
+    of the smallest, which is the longest cross product of two rows; the last axis where all are equal.
+
+    With q the mean of the eigenvalues and p their spread they are q + p t, t^3 - 3 t = 2 r. The least root is -(1 + x) with
+    x^3 + 3 x^2 = 2 (1 - r); Newton's steps come down to it from sqrt((1 - r) / 2), six digits more with each. There is no branch
+    and no function but the root, so that many matrices go side by side.
+    """
     q = (a + b + c) / 3.0
-    p1 = d * d + e * e + f * f
-    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * p1
+    p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)
     p = sqrt(p2 / 6.0)
-    if p < 1e-30:
-        return q, q, 0.0, 0.0, 1.0
-    ia, ib, ic = (a - q) / p, (b - q) / p, (c - q) / p
-    id_, ie, if_ = d / p, e / p, f / p
-    r = 0.5 * (ia * (ib * ic - if_ * if_) - id_ * (id_ * ic - if_ * ie) + ie * (id_ * if_ - ib * ie))
-    phi = acos(min(max(r, -1.0), 1.0)) / 3.0
-    largest = q + 2.0 * p * cos(phi)
-    smallest = q + 2.0 * p * cos(phi + 2.0 * pi / 3.0)
-    middle = 3.0 * q - largest - smallest
-    r0x, r0y, r0z = a - smallest, d, e
-    r1x, r1y, r1z = d, b - smallest, f
-    r2x, r2y, r2z = e, f, c - smallest
-    ux, uy, uz = r0y * r1z - r0z * r1y, r0z * r1x - r0x * r1z, r0x * r1y - r0y * r1x
-    vx, vy, vz = r0y * r2z - r0z * r2y, r0z * r2x - r0x * r2z, r0x * r2y - r0y * r2x
-    wx, wy, wz = r1y * r2z - r1z * r2y, r1z * r2x - r1x * r2z, r1x * r2y - r1y * r2x
+    i = 1.0 / max(p, 1e-30)
+    A, B, C, D, E, F = (a - q) * i, (b - q) * i, (c - q) * i, d * i, e * i, f * i
+    r = 0.5 * (A * (B * C - F * F) - D * (D * C - F * E) + E * (D * F - B * E))
+    goal = 2.0 * (1.0 - min(max(r, -1.0), 1.0))
+    x = sqrt(0.25 * goal) + 1e-30
+    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
+    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
+    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
+    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
+    smallest = q - p * (1.0 + x)
+    middle = q + 0.5 * p * (1.0 + x - sqrt(max(9.0 - 3.0 * x * (x + 2.0), 0.0)))
+    g, h, k = a - smallest, b - smallest, c - smallest
+    ux, uy, uz = d * f - e * h, e * d - g * f, g * h - d * d
+    vx, vy, vz = d * k - e * f, e * e - g * k, g * f - d * e
+    wx, wy, wz = h * k - f * f, f * e - d * k, d * f - h * e
     nu, nv, nw = ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz
-    if nv > nu:
-        ux, uy, uz, nu = vx, vy, vz, nv
-    if nw > nu:
-        ux, uy, uz, nu = wx, wy, wz, nw
-    if nu < 1e-60:
-        return smallest, middle, 0.0, 0.0, 1.0
-    s = 1.0 / sqrt(nu)
-    return smallest, middle, ux * s, uy * s, uz * s
+    ux, uy, uz, nu = (vx if nv > nu else ux), (vy if nv > nu else uy), (vz if nv > nu else uz), max(nu, nv)
+    ux, uy, uz, nu = (wx if nw > nu else ux), (wy if nw > nu else uy), (wz if nw > nu else uz), max(nu, nw)
+    flat = nu >= 1e-60
+    s = 1.0 / sqrt(max(nu, 1e-60))
+    return smallest, middle, (ux * s if flat else 0.0), (uy * s if flat else 0.0), (uz * s if flat else 1.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
@@ -216,61 +211,79 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
     zero, one = np.float32(0.0), np.float32(1.0)
     nx, ny, nz = dims[0], dims[1], dims[2]
     X, Y, Z = points[0], points[1], points[2]
-    near = np.empty((3, points.shape[1] + LANES), np.float32)
+    near, moments = np.empty((3, points.shape[1] + LANES), np.float32), np.empty(10 * BLOCK, np.float32)
     AX, AY, AZ = near[0], near[1], near[2]
     here, padded = -1, 0
-    for i in range(surfels.shape[1]):
-        px, py, pz = X[i * stride], Y[i * stride], Z[i * stride]
-        ix = min(max(int(px * inverse), 0), nx - 1)
-        iy = min(max(int(py * inverse), 0), ny - 1)
-        iz = min(max(int(pz * inverse), 0), nz - 1)
-        if (ix * ny + iy) * nz + iz != here:
-            # the 27 cells around, gathered once for all points of a cell
-            here = (ix * ny + iy) * nz + iz
-            z0 = max(iz - 1, 0)
-            z1 = min(iz + 1, nz - 1)
-            n = 0
-            for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
-                for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
-                    row = (jx * ny + jy) * nz
-                    for k in range(start[row + z0], start[row + z1 + 1]):
-                        AX[n], AY[n], AZ[n] = X[k], Y[k], Z[k]
-                        n += 1
-            padded = (n + LANES - 1) // LANES * LANES
-            for k in range(n, padded):
-                AX[k], AY[k], AZ[k] = FAR, FAR, FAR
-        sw = sx = sy = sz = zero
-        xx = yy = zz = xy = xz = yz = zero
-        for k in range(padded):
-            dx, dy, dz = AX[k] - px, AY[k] - py, AZ[k] - pz
-            w = max(one - (dx * dx + dy * dy + dz * dz) * inverse_r2, zero)
-            w = w * w
-            wx, wy, wz = w * dx, w * dy, w * dz
-            sw += w
-            sx += wx
-            sy += wy
-            sz += wz
-            xx += wx * dx
-            yy += wy * dy
-            zz += wz * dz
-            xy += wx * dy
-            xz += wx * dz
-            yz += wy * dz
-        s = 1.0 / sw
-        mx, my, mz = sx * s, sy * s, sz * s
+    for first in range(0, surfels.shape[1], BLOCK):
+        n_block = min(BLOCK, surfels.shape[1] - first)
+        for b in range(n_block):
+            i = (first + b) * stride
+            px, py, pz = X[i], Y[i], Z[i]
+            ix = min(max(int(px * inverse), 0), nx - 1)
+            iy = min(max(int(py * inverse), 0), ny - 1)
+            iz = min(max(int(pz * inverse), 0), nz - 1)
+            if (ix * ny + iy) * nz + iz != here:
+                # the 27 cells around, gathered once for all points of a cell
+                here = (ix * ny + iy) * nz + iz
+                z0 = max(iz - 1, 0)
+                z1 = min(iz + 1, nz - 1)
+                n = 0
+                for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+                    for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                        row = (jx * ny + jy) * nz
+                        for k in range(start[row + z0], start[row + z1 + 1]):
+                            AX[n], AY[n], AZ[n] = X[k], Y[k], Z[k]
+                            n += 1
+                padded = (n + LANES - 1) // LANES * LANES
+                for k in range(n, padded):
+                    AX[k], AY[k], AZ[k] = FAR, FAR, FAR
+            sw = sx = sy = sz = zero
+            xx = yy = zz = xy = xz = yz = zero
+            for k in range(padded):
+                dx, dy, dz = AX[k] - px, AY[k] - py, AZ[k] - pz
+                w = max(one - (dx * dx + dy * dy + dz * dz) * inverse_r2, zero)
+                w = w * w
+                wx, wy, wz = w * dx, w * dy, w * dz
+                sw += w
+                sx += wx
+                sy += wy
+                sz += wz
+                xx += wx * dx
+                yy += wy * dy
+                zz += wz * dz
+                xy += wx * dy
+                xz += wx * dz
+                yz += wy * dz
+            for a, moment in enumerate((sw, sx, sy, sz, xx, yy, zz, xy, xz, yz)):
+                moments[a * BLOCK + b] = moment
+        planes_of(moments, n_block, r2)
+        for b in range(n_block):
+            i, off = first + b, moments[b]
+            for a in range(3):
+                axis = moments[(a + 1) * BLOCK + b]
+                surfels[a, i] = points[a, i * stride] + off * axis
+                surfels[3 + a, i] = axis
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
+def planes_of(moments, n, r2):
+    """The planes of n neighbourhoods, side by side: of the first BLOCK numbers of ``moments`` each belongs to one, and so on.
+
+    In: weighted sums about each point of 1, x y z, xx yy zz xy xz yz. Out, in the place of the first four: how far the plane lies
+    along its unit normal, metres, and the normal; 0 where there is no plane. One array, in place, with rows of known length: of
+    sixteen arrays the compiler would not know that they do not overlap.
+    """
+    for i in range(n):
+        s = 1.0 / np.float64(moments[i])
+        x, y, z = moments[BLOCK + i] * s, moments[2 * BLOCK + i] * s, moments[3 * BLOCK + i] * s
         smallest, middle, ux, uy, uz = smallest_eigenvector(
-            xx * s - mx * mx, yy * s - my * my, zz * s - mz * mz, xy * s - mx * my, xz * s - mx * mz, yz * s - my * mz
-        )
+            moments[4 * BLOCK + i] * s - x * x, moments[5 * BLOCK + i] * s - y * y, moments[6 * BLOCK + i] * s - z * z,
+            moments[7 * BLOCK + i] * s - x * y, moments[8 * BLOCK + i] * s - x * z, moments[9 * BLOCK + i] * s - y * z,
+        )  # fmt: skip
         # three points or a line have no plane; so has a ball, where no direction is thinner than the others
-        planar = middle > 0.004 * r2 and smallest < 0.5 * middle
-        offset = ux * mx + uy * my + uz * mz if planar else 0.0
-        surfels[0, i] = px + offset * ux
-        surfels[1, i] = py + offset * uy
-        surfels[2, i] = pz + offset * uz
-        scale = 1.0 if planar else 0.0
-        surfels[3, i] = ux * scale
-        surfels[4, i] = uy * scale
-        surfels[5, i] = uz * scale
+        scale = 1.0 if (middle > 0.004 * r2) & (smallest < 0.5 * middle) else 0.0
+        moments[i] = scale * (ux * x + uy * y + uz * z)
+        moments[BLOCK + i], moments[2 * BLOCK + i], moments[3 * BLOCK + i] = scale * ux, scale * uy, scale * uz
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -357,6 +357,38 @@ def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def above(vertices, faces, f, d):
+    """Whether a vector points away from the outside of a face, along it (0), or away from the inside: 1, 0 or -1."""
+    _, b, c = edges(vertices, faces, f)
+    along = dot(cross(b, c), d)
+    return (1 if along > 0.0 else 0) - (1 if along < 0.0 else 0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def outside(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w, d):
+    """Whether the offset d from a point of a face does not point against the pseudo-normal there.
+
+    Where all faces around the point agree, so does any positive combination of their normals: roots and angles are needed for
+    creases that are seen from within their fold alone.
+    """
+    on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
+    least = most = above(vertices, faces, f, d)
+    if on_edges == 1:
+        other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
+        if other >= 0:
+            side = above(vertices, faces, other, d)
+            least, most = min(least, side), max(most, side)
+    elif on_edges == 2:
+        corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
+        for r in range(ring_start[corner], ring_start[corner + 1]):
+            side = above(vertices, faces, ring_face[r], d)
+            least, most = min(least, side), max(most, side)
+    if least < 0 < most:
+        return dot(pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w), d) >= 0.0
+    return least >= 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, barycentric, point, normal, distance):
     """Closest point on the given face of every point, and on which side of the body it lies."""
     for i in range(points.shape[0]):
@@ -371,15 +403,15 @@ def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, ba
         v, w = closest_on_triangle((ax, ay, az), b, c)
         u = 1.0 - v - w
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, v, w
-        x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
         dx, dy, dz = ax - v * b[0] - w * c[0], ay - v * b[1] - w * c[1], az - v * b[2] - w * c[2]
         length = sqrt(dx * dx + dy * dy + dz * dz)
-        sign = 1.0 if x * dx + y * dy + z * dz >= 0.0 else -1.0
+        sign = 1.0 if outside(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w, (dx, dy, dz)) else -1.0
         point[i, 0], point[i, 1], point[i, 2] = points[i, 0] - dx, points[i, 1] - dy, points[i, 2] - dz
         distance[i] = sign * length
         if length > SURFACE:
             x, y, z, scale = dx, dy, dz, sign / length
         else:
+            x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
             norm = sqrt(x * x + y * y + z * z)
             scale = 1.0 / norm if norm > 0.0 else 0.0
         normal[i, 0], normal[i, 1], normal[i, 2] = x * scale, y * scale, z * scale

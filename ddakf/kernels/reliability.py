@@ -106,18 +106,43 @@ def misfit(points, stride, position, patch, n_patches, reach, boundary, foreign,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def strains(position, start, neighbour, rest, squared):
-    """Mean of (|x_j - x_i| / |rest edge| - 1)^2 over the (2E, 3) edges of the one-rings; ``squared`` (V,) out, of each ring."""
-    total = 0.0
+def strains(position, start, neighbour, rest_length, squared):
+    """Mean of (|x_j - x_i| / rest length - 1)^2 over the 2E edges of the one-rings; ``squared`` (V,) out, of each ring."""
+    squared[:] = 0.0
     for i in range(position.shape[0]):
-        ring = 0.0
-        for k in range(start[i], start[i + 1]):
+        x, y, z, ring = position[i, 0], position[i, 1], position[i, 2], 0.0
+        for k in range(start[i + 1] - 1, start[i] - 1, -1):
             j = neighbour[k]
-            length = rest_length = 0.0
-            for a in range(3):
-                length += (position[j, a] - position[i, a]) ** 2
-                rest_length += rest[k, a] ** 2
-            ring += (sqrt(length / max(rest_length, 1e-30)) - 1.0) ** 2
-        total += ring
-        squared[i] = ring / max(start[i + 1] - start[i], 1)
+            if j < i:  # ascending: the others had their part in this one's ring before
+                break
+            length = sqrt((position[j, 0] - x) ** 2 + (position[j, 1] - y) ** 2 + (position[j, 2] - z) ** 2)
+            strain = length / max(rest_length[k], 1e-15) - 1.0
+            ring += strain * strain
+            squared[j] += strain * strain
+        squared[i] += ring
+    total = squared.sum()
+    for i in range(position.shape[0]):
+        squared[i] /= max(start[i + 1] - start[i], 1)
     return total / max(len(neighbour), 1)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def along_normals(normal, covariance):
+    """Sum of n' P n over (V, 3) normals and (V, 3, 3) symmetric covariances."""
+    total = 0.0
+    for i in range(normal.shape[0]):
+        x, y, z, P = normal[i, 0], normal[i, 1], normal[i, 2], covariance[i]
+        total += x * x * P[0, 0] + y * y * P[1, 1] + z * z * P[2, 2]
+        total += 2.0 * (x * y * P[0, 1] + x * z * P[0, 2] + y * z * P[1, 2])
+    return total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def surprise(innovation, R, found):
+    """Sum of |y|^2 / trace(R) over the ``found`` (V,) of (V, 3) innovations and (V, 3, 3) covariances."""
+    total = 0.0
+    for i in range(innovation.shape[0]):
+        if found[i]:
+            y = innovation[i]
+            total += (y[0] * y[0] + y[1] * y[1] + y[2] * y[2]) / (R[i, 0, 0] + R[i, 1, 1] + R[i, 2, 2])
+    return total

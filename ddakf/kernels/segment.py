@@ -1,6 +1,16 @@
 """Which points lie apart from the garment."""
 
+import numpy as np
 from numba import njit
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def touches(vertices, first, last, x, y, z, squared):
+    """Whether one of the vertices first..last - 1 of (3, V) is nearer to a point than a squared radius."""
+    for k in range(first, last):
+        if (vertices[0, k] - x) ** 2 + (vertices[1, k] - y) ** 2 + (vertices[2, k] - z) ** 2 < squared:
+            return True
+    return False
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -14,24 +24,24 @@ def apart(points, vertices, start, origin, cell, dims, radius, out):
         radius: metres.
         out: (N,) bool out.
     """
-    inverse = 1.0 / cell
+    inverse, squared = 1.0 / cell, radius * radius
+    nx, ny, nz = dims[0], dims[1], dims[2]
     for n in range(points.shape[0]):
         out[n] = True
-        px, py, pz = points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2]
-        if px < -radius or py < -radius or pz < -radius:
+        x, y, z = points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2]
+        if min(x, y, z) < -radius or x > nx * cell + radius or y > ny * cell + radius or z > nz * cell + radius:
             continue
-        z0, z1 = max(int((pz - radius) * inverse), 0), min(int((pz + radius) * inverse), dims[2] - 1)
+        ix, iy, iz = int(np.floor(x * inverse)), int(np.floor(y * inverse)), int(np.floor(z * inverse))
+        if 0 <= ix < nx and 0 <= iy < ny and 0 <= iz < nz:  # most often there is one in the same cell
+            c = (ix * ny + iy) * nz + iz
+            if touches(vertices, start[c], start[c + 1], x, y, z, squared):
+                out[n] = False
+                continue
+        z0, z1 = max(int(np.floor((z - radius) * inverse)), 0), min(int(np.floor((z + radius) * inverse)), nz - 1)
         if z0 > z1:
             continue
-        for jx in range(max(int((px - radius) * inverse), 0), min(int((px + radius) * inverse), dims[0] - 1) + 1):
-            for jy in range(max(int((py - radius) * inverse), 0), min(int((py + radius) * inverse), dims[1] - 1) + 1):
-                row = (jx * dims[1] + jy) * dims[2]
-                for k in range(start[row + z0], start[row + z1 + 1]):
-                    d2 = (vertices[0, k] - px) ** 2 + (vertices[1, k] - py) ** 2 + (vertices[2, k] - pz) ** 2
-                    if d2 < radius * radius:
-                        out[n] = False
-                        break
-                if not out[n]:
-                    break
-            if not out[n]:
-                break
+        for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+            for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                row = (jx * ny + jy) * nz
+                if out[n] and touches(vertices, start[row + z0], start[row + z1 + 1], x, y, z, squared):
+                    out[n] = False

@@ -8,20 +8,21 @@ from ddakf.kernels.fuse import invert3
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def gather(
-    position, last, prior, patch, start, neighbour, rest_edge, weight, normal, variance, isotropic,
+    position, last, prior, patch, ring_strain, weight, normal, variance, isotropic,
     size, observed, information, facing, motion, innovation, strain,
 ):  # fmt: skip
     """Sums over the vertices of each patch.
 
     Args:
         position, last, prior: (V, 3) m; ``last`` is where the vertex would be had it not moved.
-        patch, start, neighbour, rest_edge: of the model.
+        patch: (V,) of the model.
+        ring_strain: (V,) mean squared strain of the edges at each vertex.
         weight, normal, variance, isotropic: of the measurements; isotropic ones are known as well across as along.
         size, observed: (L,) out, vertices and measured ones.
         information: (L, 6) out, 1/m^2, xx yy zz xy xz yz.
         facing: (L, 3) out, normals of the measurements.
         motion, innovation: (L, 4) out, the vectors and their squares; the innovation of measured vertices alone, m and m^2.
-        strain: (L,) out, squared strain of the edges, mean of each one-ring.
+        strain: (L,) out, of ``ring_strain``.
     """
     size[:], observed[:], strain[:] = 0.0, 0.0, 0.0
     information[:], facing[:], motion[:], innovation[:] = 0.0, 0.0, 0.0, 0.0
@@ -32,16 +33,7 @@ def gather(
             d = position[i, a] - last[i, a]
             motion[c, a] += d
             motion[c, 3] += d * d
-        total = 0.0
-        for e in range(start[i], start[i + 1]):
-            j = neighbour[e]
-            now = rest = 0.0
-            for a in range(3):
-                d, r = position[j, a] - position[i, a], rest_edge[e, a]
-                now += d * d
-                rest += r * r
-            total += (np.sqrt(now / rest) - 1.0) ** 2
-        strain[c] += total / max(start[i + 1] - start[i], 1)
+        strain[c] += ring_strain[i]
         w = weight[i]
         if w <= 0.0:
             continue
@@ -64,22 +56,27 @@ def gather(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def couple(B, start, neighbour, patch, coarse):
-    """coarse (3L, 3L) float32 out: what couples the patches, P' A P without what holds a vertex on its own.
+def couple(B, crossing, information, smallest, coarse):
+    """coarse (3L, 3L) float32 out: what couples the patches, P' A P without what holds a vertex on its own, and what holds each,
+    the ``information`` (L, 6), xx yy zz xy xz yz, and the ``smallest``, 1/m^2.
 
-    No energy that couples vertices changes when all move alike: each row of blocks adds up to nothing.
+    No energy that couples vertices changes when all move alike: each row of blocks adds up to nothing. ``crossing`` (C, 3) are
+    the rows of B from patch to patch, and the two patches.
     """
     coarse[:] = 0.0
-    for i in range(start.shape[0] - 1):
-        p = 3 * patch[i]
-        for e in range(start[i], start[i + 1]):
-            q = 3 * patch[neighbour[e]]
-            if p == q:
-                continue
-            for a in range(3):
-                for b in range(3):
-                    coarse[p + a, q + b] += B[e, 4 * b + a]
-                    coarse[p + a, p + b] -= B[e, 4 * b + a]
+    for k in range(crossing.shape[0]):
+        e, p, q = crossing[k, 0], 3 * crossing[k, 1], 3 * crossing[k, 2]
+        for a in range(3):
+            for b in range(3):
+                coarse[p + a, q + b] += B[e, 4 * b + a]
+                coarse[p + a, p + b] -= B[e, 4 * b + a]
+    for k in range(information.shape[0]):
+        p = 3 * k
+        for a in range(3):
+            coarse[p + a, p + a] += information[k, a] + smallest
+        for m, a, b in ((3, 0, 1), (4, 0, 2), (5, 1, 2)):
+            coarse[p + a, p + b] += information[k, m]
+            coarse[p + b, p + a] += information[k, m]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -106,35 +103,36 @@ def conditioned(shared, bend, patch, weight, normal, variance, isotropic, scale2
     squared difference of two normals) where the patch may slide: the plane that was found is then a neighbour's.
     ``scale2`` (V,) multiplies the result.
     """
-    P = np.empty((3, 3))
-    g = np.empty(3)
     for i in range(patch.shape[0]):
-        c = patch[i]
-        P[:] = shared[c]
-        w = weight[i]
+        P = shared[patch[i]]
+        a, b, c, d, e, f = P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2]
+        w, k = weight[i], scale2[i]
         if w > 0.0 and not isotropic:
-            along = 0.0
-            for a in range(3):
-                g[a] = P[a, 0] * normal[i, 0] + P[a, 1] * normal[i, 1] + P[a, 2] * normal[i, 2]
-                along += g[a] * normal[i, a]
-            noise = variance[i] / w + bend[c] * (P[0, 0] + P[1, 1] + P[2, 2] - along)
-            s = 1.0 / (along + noise)
-            for a in range(3):
-                for b in range(3):
-                    P[a, b] -= s * g[a] * g[b]
+            x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
+            gx, gy, gz = a * x + d * y + e * z, d * x + b * y + f * z, e * x + f * y + c * z
+            along = gx * x + gy * y + gz * z
+            s = 1.0 / (along + variance[i] / w + bend[patch[i]] * (a + b + c - along))
+            a, b, c = a - s * gx * gx, b - s * gy * gy, c - s * gz * gz
+            d, e, f = d - s * gx * gy, e - s * gx * gz, f - s * gy * gz
         elif w > 0.0:
-            k = w / variance[i]
-            a, b, c0, d, e, f = invert3(P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2])
-            a, b, c0, d, e, f = invert3(a + k, b + k, c0 + k, d, e, f)
-            P[0, 0], P[1, 1], P[2, 2] = a, b, c0
-            P[0, 1] = P[1, 0] = d
-            P[0, 2] = P[2, 0] = e
-            P[1, 2] = P[2, 1] = f
-        covariance[i] = scale2[i] * P
+            added = w / variance[i]
+            a, b, c, d, e, f = invert3(a, b, c, d, e, f)
+            a, b, c, d, e, f = invert3(a + added, b + added, c + added, d, e, f)
+        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = k * a, k * b, k * c
+        covariance[i, 0, 1] = covariance[i, 1, 0] = k * d
+        covariance[i, 0, 2] = covariance[i, 2, 0] = k * e
+        covariance[i, 1, 2] = covariance[i, 2, 1] = k * f
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def along_cloth(seen, start, neighbour, rest_edge, most, distance):
+def traces(covariance, trace):
+    """trace (V,) out, of (V, 3, 3)."""
+    for i in range(covariance.shape[0]):
+        trace[i] = covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def along_cloth(seen, start, neighbour, rest_length, most, distance):
     """distance (V,) out: length of the shortest path along edges at rest to a vertex that is ``seen`` (V,), m, at most ``most``.
 
     A queue of the vertices whose distance has changed, each in it at most once (Moore 1959).
@@ -155,8 +153,7 @@ def along_cloth(seen, start, neighbour, rest_edge, most, distance):
         waiting[i] = False
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
-            x, y, z = rest_edge[e, 0], rest_edge[e, 1], rest_edge[e, 2]
-            d = distance[i] + np.sqrt(x * x + y * y + z * z)
+            d = distance[i] + rest_length[e]
             if d < distance[j]:
                 distance[j] = d
                 if not waiting[j]:

@@ -138,8 +138,11 @@ class BodyContact:
 
         A signed distance changes by no more than the vertex has moved since it was asked for.
         """
-        moved = np.sqrt(np.einsum("va,va->v", position - self._asked_at, position - self._asked_at))
+        step = position - self._asked_at
+        moved = np.sqrt(np.einsum("va,va->v", step, step))
         near = np.flatnonzero(self.held.distance - moved < thickness)
+        if len(near) == 0:
+            return self.held
         found = proximity.closest_points(
             self._body, self._surface, position[near], self._reach, self.held.face[near]
         )
@@ -158,8 +161,7 @@ class BodyContact:
         closest = self.nearest(position)
         least = np.full(len(position), config.thickness) if self.gap is None else self.gap
         point = closest.point + least[:, None] * closest.normal
-        near = (closest.face >= 0)[:, None]
-        return np.where(near, point, 0.0), np.where(near, closest.normal, 0.0)
+        return point, closest.normal  # of a vertex with nothing near both are 0
 
     def within(self, points: np.ndarray, radius: float) -> np.ndarray:
         """(N,) bool: (N, 3) points that lie within ``radius`` metres of the body's surface, on either side."""

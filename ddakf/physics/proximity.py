@@ -99,7 +99,7 @@ def closest_points(
     """
     n = len(points)
     if out is None:
-        out = Contact(np.full(n, -1, np.int32), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n))
+        out = Contact(np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
     if hint is None:
         hint = np.full(n, -1, np.int32)
     kernels.nearest_faces(

@@ -183,7 +183,7 @@ def test_strain_is_that_of_the_edges():
     mesh = tube()
     garment = model.build(mesh, 0.003)
     for stretched in (1.0, 1.2):
-        rings, edges = np.empty(mesh.n_vertices), (garment.start, garment.neighbour, garment.rest_edge)
+        rings, edges = np.empty(mesh.n_vertices), (garment.start, garment.neighbour, garment.rest_length)
         mean = kernels.strains(stretched * mesh.vertices, *edges, rings)
         assert mean == pytest.approx((stretched - 1.0) ** 2, abs=1e-6)
         assert rings == pytest.approx(np.full(len(rings), mean), abs=1e-6)

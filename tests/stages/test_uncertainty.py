@@ -157,7 +157,9 @@ class Solved(NamedTuple):
 def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     rng = np.random.default_rng(seed)
     garment, n = model.build(mesh, 0.003), mesh.n_vertices
-    garment = garment._replace(patch=np.arange(n, dtype=np.int32), likeness=likeness(mesh.vertices))  # nothing is averaged
+    alone = np.arange(n, dtype=np.int32)  # nothing is averaged
+    ends = np.column_stack([np.repeat(alone, np.diff(garment.start.astype(int))), garment.neighbour])
+    garment = garment._replace(patch=alone, crossing=model.crossings(ends, alone), likeness=likeness(mesh.vertices))
     prior = random_state(scale * mesh.vertices + rng.uniform(-0.002, 0.002, (n, 3)), rng)
     normal = np.array([0.0, 0.0, 1.0]) + rng.normal(scale=0.3, size=(n, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
@@ -328,9 +330,9 @@ def test_distances_along_the_cloth_are_those_of_shortest_paths(seed, most):
     n = garment.mesh.n_vertices
     seen = rng.random(n) < rng.choice([0.0, 0.02, 0.5])
     distance = np.empty(n)
-    kernels.along_cloth(seen, garment.start, garment.neighbour, garment.rest_edge, most, distance)
+    kernels.along_cloth(seen, garment.start, garment.neighbour, garment.rest_length, most, distance)
     row = np.repeat(np.arange(n), np.diff(garment.start.astype(int)))
-    graph = csr_array((np.linalg.norm(garment.rest_edge, axis=1), (row, garment.neighbour.astype(int))), (n, n))
+    graph = csr_array((garment.rest_length.astype(float), (row, garment.neighbour.astype(int))), (n, n))
     expected = dijkstra(graph, indices=np.flatnonzero(seen), min_only=True) if seen.any() else np.full(n, np.inf)
     np.testing.assert_allclose(distance, np.minimum(expected, most), rtol=1e-5, atol=1e-7)
 
