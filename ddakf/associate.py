@@ -129,7 +129,10 @@ def _visible(position, normal, cloud: Cloud, body_vertices, model: Model, config
     if cloud.oriented:
         body = np.empty((0, 3)) if body_vertices is None else body_vertices
         cell = OCCLUDER_CELL * model.edge_length
-        kernels.seen(position, normal, body, cloud.sensor, cell, config.hidden_depth, config.facing_cosine, found)
+        kernels.seen(
+            position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, cell, config.hidden_depth, config.facing_cosine,
+            found,
+        )  # fmt: skip
     return found
 
 

@@ -31,7 +31,7 @@ SPACING, NORMAL_RADIUS = 0.012, 0.03  # m: a cloud is thinned to one point in a 
 CELL_BITS = 21  # of a cell's number along an axis
 MOST_POINTS, MOST_SENSORS = 30_000, 8  # of a cloud, that are looked at
 HIDDEN_DEPTH, FACING = 0.03, 0.1  # m, cosine: what a sensor sees, as in stage B
-NO_BODY = np.empty((0, 3))
+NO_BODY, NO_SURFELS, NO_ORIGIN = np.empty((0, 3)), np.empty((6, 0), np.float32), np.zeros(3)
 VIEW_CELL, VIEW_DEPTH = 0.03, 0.02  # m: of the grids in which a cloud's outside is looked for
 VIEWS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or z], float)  # not through the neck
 VIEWS /= np.linalg.norm(VIEWS, axis=1, keepdims=True)
@@ -120,7 +120,7 @@ def follow(
         progress = step / max(steps - 1, 1)
         turned = np.einsum("vab,vb->va", rotation[patch], normal)
         if target.sensors is not None:
-            seen(estimate, turned, NO_BODY, target.sensors, cell, HIDDEN_DEPTH, FACING, visible)
+            seen(estimate, turned, NO_BODY, NO_SURFELS, NO_ORIGIN, target.sensors, cell, HIDDEN_DEPTH, FACING, visible)
         correspond(
             rows(estimate), rows(turned), visible * area, point, point_normal, signed,
             reach * (LAST_REACH / reach) ** progress, balancing, OUTLIER, pair, mass, goal,

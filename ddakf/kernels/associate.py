@@ -246,16 +246,19 @@ def nearest_planes(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def seen(position, normal, body, sensor, cell, depth_margin, min_cosine, visible):
+def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, min_cosine, visible):
     """Marks the vertices that a sensor may see: turned to it, and with nothing in front.
 
     From each sensor the vertices of garment and body are sorted into a grid of directions, as wide as ``cell`` at the garment's
     distance, that keeps the least depth. A vertex is hidden when something in its cell is nearer by more than
-    ``depth_margin`` plus what its own slope explains across the cell.
+    ``depth_margin`` plus what its own slope explains across the cell. The garment's other layers are estimates as well: they
+    hide only where the cloud shows something as near.
 
     Args:
         position, normal: (V, 3) metres, unit.
         body: (B, 3) metres, B may be 0.
+        surfels: (6, S) float32, what the cloud shows: points (relative to origin) and normals; where S is 0 all layers hide.
+        origin: (3,) metres.
         sensor: (S, 3) metres.
         cell: metres, about an edge and a half of the meshes.
         depth_margin: metres.
@@ -264,8 +267,8 @@ def seen(position, normal, body, sensor, cell, depth_margin, min_cosine, visible
     """
     n = position.shape[0]
     visible[:] = False
-    nearest = np.empty((DIRECTIONS, DIRECTIONS))
-    center = np.zeros(3)
+    nearest, shown = np.empty((DIRECTIONS, DIRECTIONS)), np.empty((DIRECTIONS, DIRECTIONS))
+    center, point = np.zeros(3), np.empty(3)
     for v in range(n):
         for a in range(3):
             center[a] += position[v, a] / n
@@ -291,11 +294,17 @@ def seen(position, normal, body, sensor, cell, depth_margin, min_cosine, visible
         axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[2, 1] * axes[0, 0]
         focal = distance / cell
         nearest[:] = np.inf
-        for v in range(n + body.shape[0]):
-            p = position[v] if v < n else body[v - n]
-            column, row, depth = direction(p, sensor[s], axes, focal)
-            if column >= 0 and depth < nearest[row, column]:
-                nearest[row, column] = depth
+        shown[:] = np.inf
+        for k in range(surfels.shape[1]):
+            for a in range(3):
+                point[a] = surfels[a, k] + origin[a]
+            keep_depth(point, sensor[s], axes, focal, shown)
+        for v in range(n):
+            keep_depth(position[v], sensor[s], axes, focal, nearest)
+        if surfels.shape[1] > 0:
+            np.maximum(nearest, shown, nearest)
+        for v in range(body.shape[0]):
+            keep_depth(body[v], sensor[s], axes, focal, nearest)
         for v in range(n):
             if visible[v]:
                 continue
@@ -308,6 +317,14 @@ def seen(position, normal, body, sensor, cell, depth_margin, min_cosine, visible
             slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-3)
             if column < 0 or nearest[row, column] >= depth - depth_margin - 1.5 * cell * slope:
                 visible[v] = True
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def keep_depth(p, eye, axes, focal, nearest):
+    """The least depth of its direction, in place in the grid."""
+    column, row, depth = direction(p, eye, axes, focal)
+    if column >= 0 and depth < nearest[row, column]:
+        nearest[row, column] = depth
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")

@@ -196,6 +196,21 @@ def test_vertices_hidden_behind_the_garment_take_no_measurement():
     assert measurement.found[front.n_vertices :][inner].mean() < 0.05
 
 
+def test_a_layer_that_the_cloud_does_not_show_hides_nothing():
+    """The same two sheets, the front one estimated where there is none: the camera sees the other through it."""
+    front = wavy(0)
+    both = Mesh(
+        np.concatenate([front.vertices, front.vertices - [0, 0, 0.06]]),
+        np.concatenate([front.faces, front.faces + front.n_vertices]),
+    )
+    points = scan(front.vertices, front, 5000, 0.002, 0) - [0, 0, 0.06]
+    garment, cloud = prepared(both, points, np.array([0.3, 0.3, 2.0]))
+    measurement = associated(both.vertices, cloud, garment, 0.05, CONFIG.associate)
+    inner = ~front.boundary_vertices
+    assert measurement.found[front.n_vertices :][inner].mean() > 0.95
+    assert not measurement.found[: front.n_vertices].any()
+
+
 def test_vertices_hidden_behind_the_body_take_no_measurement():
     """An arm's breadth in front of the garment hides what lies behind it, and nothing else."""
     mesh, sensor = wavy(0), np.array([0.3, 0.3, 2.0])
