@@ -22,6 +22,7 @@ from ddakf.types import State
 
 BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
 LONGEST_SECANT = 3.0  # passes that the secant may leap over
+LATER_TOLERANCE = 2.0  # times the solver's after the first pass: corrections are a few times smaller by then
 
 
 class Planes(NamedTuple):
@@ -121,7 +122,8 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     system = normal_equations(rows, prior.position, update.information, planes, energies, (update.rest, update.motion), model)
     # the coarse level of the first pass preconditions the later ones as well
     coarse = coarse_inverse(system, model) if update.coarse is None else update.coarse
-    step, delta = solve(system, coarse, model, config.fuse), np.empty_like(update.position)
+    tolerance = config.fuse.solver_tolerance * (1.0 if update.before is None else LATER_TOLERANCE)
+    step, delta = solve(system, coarse, tolerance, model, config.fuse), np.empty_like(update.position)
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):
         return update._replace(position=prior.position, planes=planes, system=system, settled=True, rejected=True)
@@ -214,15 +216,18 @@ def coarse_inverse(system: System, model: Model) -> np.ndarray:
     return invert(coarse)
 
 
-def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
-    """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner."""
+def solve(system: System, coarse_inverse: np.ndarray, tolerance: float, model: Model, config: MapUpdate) -> np.ndarray:
+    """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner.
+
+    The residual's norm, as the preconditioner measures it, falls by ``tolerance``.
+    """
     n, k = len(system.D), len(coarse_inverse)
     delta, work = np.empty((n, 4), np.float32), np.empty((4, n, 4), np.float32)
     D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
     kernels.pack(system.D, D, inverse)
     kernels.conjugate_gradients(
         D, system.B, model.start, model.neighbour, inverse, model.aggregate, coarse_inverse, system.force,
-        config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
+        config.solver_iterations, tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta
 

@@ -121,7 +121,7 @@ REASONS = {
     "Physics.strain_followed": "tuned: nearly all; a little is left so that an even strain does not wander",
     "Physics.fabric": "the paper's single normalised setting (section 2.4)",
     "MapUpdate.solver_iterations": "what is left over is corrected by the next pass; tuned for time",
-    "MapUpdate.solver_tolerance": "share of the force's norm; what is left over is corrected by the next pass",
+    "MapUpdate.solver_tolerance": "share of the force's norm, later twice that; the next pass corrects what is left over",
     "MapUpdate.prior_sd": "tuned: vertices share the error of their prediction, so that alone each is known no better",
     "DecoupledUpdate.longest_correction": "not in the paper, which says nothing of crumpled cloth; chosen",
     "Reliability.half_error": "chosen",

@@ -128,7 +128,7 @@ def test_passes_converge_to_where_the_total_energy_is_stationary(seed):
     function = lambda x, held: dense.residuals(x, held, problem, rigid)  # noqa: E731
     start = dense.gradient(*dense.linearised(function, problem.prior.position))
     end = dense.gradient(*dense.linearised(function, update.position))
-    assert np.linalg.norm(end) < 5e-3 * np.linalg.norm(start)
+    assert np.linalg.norm(end) < 1e-2 * np.linalg.norm(start)  # not to rounding: a secant may leap anew
 
 
 @pytest.mark.parametrize("seed", range(3))
