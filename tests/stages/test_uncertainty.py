@@ -75,6 +75,11 @@ def test_trace_is_bounded_for_a_thousand_steps_of_any_missing_data(preset, patte
                     assert np.isfinite(result.vertices).all()
 
 
+def clearance(tracker):
+    """(V,) distance from the body, 0 without one."""
+    return np.zeros(GARMENT.n_vertices) if tracker.body is None else tracker._clearance()
+
+
 @PRESETS
 @pytest.mark.parametrize("worn", [False, True], ids=["cloth alone", "body"])
 def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
@@ -83,15 +88,18 @@ def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     more = {"body_vertices": body.vertices} if worn else {}
     for k in range(1, 11):
         result = tracker.step(CLOUDS[k % 6], timestamp=k / 30, **more)
-    sizes = [traces(result.covariance)]
+    sizes, clearances = [traces(result.covariance)], [clearance(tracker)]
     for k in range(11, 50):
         result = tracker.step(CLOUDS[0][:0], timestamp=k / 30, **more)
         sizes.append(traces(result.covariance))
+        clearances.append(clearance(tracker))
         assert not result.observed.any()
     stride = 10 if worn else 1  # for a while a new touch of the body may tell more than time takes away
     before, after = np.array(sizes)[:-stride], np.array(sizes)[stride:]
     growing = before < 0.9 * 3 * CONFIGS[preset].uncertainty.ceiling_sd ** 2
-    assert (after > before)[growing].all()
+    approached = np.array(clearances)[stride:] < np.array(clearances)[:-stride] - 0.005  # a body close by holds cloth
+    assert (after > before)[growing & ~approached].all()
+    assert approached.mean() < 0.3
     again = tracker.step(CLOUDS[0], timestamp=50 / 30, **more)
     assert (traces(again.covariance)[again.observed] < sizes[-1][again.observed]).all()
 
