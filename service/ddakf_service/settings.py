@@ -52,7 +52,7 @@ class Settings(BaseSettings):
 
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     grpc_port: int = Field(7701, ge=0, le=65535, description="port of gRPC; 0 takes a free one")
-    http_port: int = Field(7702, ge=0, le=65535, description="port of REST and metrics; 0 takes a free one")
+    http_port: int = Field(7702, ge=0, le=65535, description="port of REST, WebSocket and metrics; 0 takes a free one")
     cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
         (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
     )

@@ -376,6 +376,7 @@ def test_every_answer_has_security_headers(http):
         assert headers["x-content-type-options"] == "nosniff"
         assert headers["x-frame-options"] == "DENY"
         assert headers["referrer-policy"] == "no-referrer"
+        assert headers["cross-origin-resource-policy"] == "same-origin"
         assert headers["cache-control"] == "no-store"
         assert "default-src 'none'; frame-ancestors 'none'" in headers["content-security-policy"]
         assert "server" not in headers
