@@ -18,6 +18,10 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
         ("grpc.keepalive_time_ms", int(1000 * KEEPALIVE_SECONDS)),
         ("grpc.keepalive_timeout_ms", int(1000 * KEEPALIVE_TIMEOUT_SECONDS)),
         ("grpc.keepalive_permit_without_calls", 0),
+        # A server that starts again is found within seconds; left to itself gRPC looks every two minutes in the end.
+        ("grpc.initial_reconnect_backoff_ms", 200),
+        ("grpc.min_reconnect_backoff_ms", 200),
+        ("grpc.max_reconnect_backoff_ms", 2000),
         # Streams are silent while no frames come: without this, pings stop after two.
         ("grpc.http2.max_pings_without_data", 0),
     ]

@@ -11,6 +11,7 @@ from time import monotonic
 from ddakf_api.errors import ServiceError, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .records import Records, beginning
 from .session import Session
 from .telemetry import Metrics
 from .workers import WorkerPool, worker_lost
@@ -38,8 +39,16 @@ class Durability:
         give_up: told which session cannot be had back, and why.
     """
 
-    def __init__(self, pool: WorkerPool, metrics: Metrics, every: int, give_up: Callable[[Session, ServiceError], None]):
-        self._pool, self._metrics, self._every, self._give_up = pool, metrics, every, give_up
+    def __init__(
+        self,
+        pool: WorkerPool,
+        records: Records,
+        metrics: Metrics,
+        every: int,
+        give_up: Callable[[Session, ServiceError], None],
+    ):
+        self._pool, self._records, self._metrics = pool, records, metrics
+        self._every, self._give_up = every, give_up
         self._tasks: set[asyncio.Task] = set()
         self._placed = 0
 
@@ -82,6 +91,8 @@ class Durability:
         if number > session.checkpoint_number:
             session.checkpoint_number, session.checkpoint_time = number, time.time()
             session.checkpoint = pb.SessionSnapshot(session=message, data=data)
+            if not session.closed:
+                self._records.checkpoint(session, session.checkpoint)
 
     # The way back ---------------------------------------------------------------------------------------------------
 
@@ -126,25 +137,49 @@ class Durability:
 
     async def _restore(self, session: Session) -> None:
         """From the newest checkpoint, or, where there is none, from the beginning."""
+        if session.asleep:
+            await self._wake(session)
         checkpoint = session.checkpoint
         if checkpoint is not None:
             request = pb.RestoreSessionRequest(data=checkpoint.data)
-            await self._pool.restore(session.id, request.SerializeToString(), session.memory)
+            answer = await self._pool.restore(session.id, request.SerializeToString(), session.memory)
         else:
-            beginning = pb.Session(config_json=session.opened.config_json)
-            beginning.MergeFrom(session.meshes)
-            request = pb.CreateSessionRequest(session=beginning)
-            await self._pool.open(session.id, request.SerializeToString(), session.memory)
+            answer = await self._pool.open(session.id, beginning(session).SerializeToString(), session.memory)
             if session.last_reset:
                 await self._pool.reset(session.id, session.last_reset)
+        if session.asleep:
+            session.meshes, session.asleep = taken_meshes(pb.Session.FromString(answer)), False
         forgotten = session.forget_since(checkpoint.session.statistics if checkpoint else pb.SessionStatistics())
         session.placed = session.statistics.frames_applied
         session.seated = True
-        log.warning("the session goes on in another worker", extra={"session": session.id, "frames_lost": forgotten})
         self._metrics.recoveries.inc()
-        notice = pb.Notice(
-            kind=pb.NOTICE_KIND_RESUMED,
-            message=f"the session's worker was replaced; {forgotten} applied frames were forgotten",
-            value=forgotten,
-        )
-        session.tell(notice)
+        log.warning("the session goes on in another worker", extra={"session": session.id, "frames_lost": forgotten})
+        message = f"the session's worker was replaced; {forgotten} applied frames were forgotten"
+        session.tell(pb.Notice(kind=pb.NOTICE_KIND_RESUMED, message=message, value=forgotten))
+
+    async def _wake(self, session: Session) -> None:
+        """Brings a session from the store.
+
+        Raises:
+            Irrecoverable: the store cannot be read now, which leaves the session as it is; or it has nothing.
+        """
+        try:
+            kept = await self._records.newest(session)
+        except Unavailable as error:
+            raise Irrecoverable(error) from error
+        if kept is None:
+            self._end(session, WorkerLost(f"{session.name} was lost with its server, before its first checkpoint"))
+        if isinstance(kept, pb.SessionSnapshot):
+            session.checkpoint = kept
+        else:
+            session.meshes = taken_meshes(kept.session)
+
+
+def taken_meshes(opened: pb.Session) -> pb.Session:
+    """Garment and body of a worker's answer, which loses them."""
+    meshes = pb.Session(garment=opened.garment)
+    if opened.HasField("body"):
+        meshes.body.CopyFrom(opened.body)
+    opened.ClearField("garment")
+    opened.ClearField("body")
+    return meshes

@@ -68,7 +68,7 @@ class TrackingService(rpc.TrackingServiceServicer):
 
     @_answering_errors
     async def GetSession(self, request, context):
-        return self._sessions.get(request.name, request.view)
+        return await self._sessions.get(request.name, request.view)
 
     @_answering_errors
     async def ListSessions(self, request, context):

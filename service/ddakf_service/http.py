@@ -224,7 +224,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     ) -> SessionOut:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
         wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
-        return SessionOut.of(sessions.get(f"sessions/{session_id}", wanted))
+        return SessionOut.of(await sessions.get(f"sessions/{session_id}", wanted))
 
     @app.patch(
         "/v1/sessions/{session_id:session}",

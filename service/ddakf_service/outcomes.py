@@ -10,6 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from .flow import Waiting
 from .session import Session
+from .store import History
 from .telemetry import Metrics
 
 log = logging.getLogger(__name__)
@@ -18,8 +19,8 @@ log = logging.getLogger(__name__)
 class Outcomes:
     """Counts frames by outcome."""
 
-    def __init__(self, metrics: Metrics):
-        self._metrics = metrics
+    def __init__(self, metrics: Metrics, history: History):
+        self._metrics, self._history = metrics, history
 
     def applied(self, session: Session, result: pb.Result, waiting: Waiting, started: float) -> None:
         """A frame was tracked; its work was ``started`` then (monotonic clock). Completes the result."""
@@ -27,17 +28,22 @@ class Outcomes:
         result.timings["queue"] = started - waiting.arrived
         result.timings["server"] = monotonic() - waiting.arrived
         self._metrics.observe(result)
+        self._history.applied(session.uid, result, result.timings["server"])
+        self._history.state(session.uid, session.state)
 
     def dropped(self, session: Session, count: int) -> None:
         """Frames were overtaken by newer ones, or came faster than they may."""
         session.statistics.frames_dropped += count
         self._metrics.frames.labels("dropped").inc(count)
+        self._history.count(session.uid, "dropped", count)
 
     def refused(self, session: Session, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
         """A frame was not tracked: its answer."""
         session.touch()  # who sends frames, if bad ones, is there
         statistics = session.statistics
-        if isinstance(error, DeadlineExceeded):
+        late = isinstance(error, DeadlineExceeded)
+        self._history.count(session.uid, "late" if late else "rejected")
+        if late:
             statistics.frames_late += 1
             self._metrics.frames.labels("late").inc()
         else:

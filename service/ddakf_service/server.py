@@ -69,7 +69,7 @@ class Server:
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
         )
-        self._sessions = Sessions(self._pool, settings, self._metrics)
+        self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         self._keys = KeyRing(StoredKeys(self._store.database))
         guard = Guard(self._keys, anonymous=_anonymous(settings))
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
@@ -97,6 +97,7 @@ class Server:
             loop.add_signal_handler(number, self._on_signal)
         try:
             await self._open_doors()
+            await self._sessions.load()
             addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
             warming = asyncio.create_task(self._start_pool(progress))
             stopping = asyncio.create_task(self._stopping.wait())

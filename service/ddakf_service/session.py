@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import secrets
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 from ddakf_api.errors import SessionExpired
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .store import new_uid
 from .watch import Watchers
 from .workers import Memory
 
@@ -39,6 +39,7 @@ class Session:
         request_id: of its creation, if there was one.
         uid: a number that no other session has, or ever had.
         seated: its tracker is in a worker.
+        asleep: it is known from the store alone, not even its meshes are here.
         checkpoint: the newest snapshot, from which it goes on when its worker is lost.
         checkpoint_time: when that was taken, seconds since 1970.
         checkpoint_number: of that one; later ones have larger numbers.
@@ -63,8 +64,9 @@ class Session:
     last_active: float = field(default_factory=monotonic)
     owner: str | None = None
     request_id: str = ""
-    uid: int = field(default_factory=lambda: secrets.randbits(63))
+    uid: int = field(default_factory=new_uid)
     seated: bool = True
+    asleep: bool = False
     checkpoint: pb.SessionSnapshot | None = None
     checkpoint_time: float | None = None
     checkpoint_number: int = 0

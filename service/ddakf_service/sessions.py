@@ -28,10 +28,12 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
-from .durability import Durability, Irrecoverable
+from .durability import Durability, Irrecoverable, taken_meshes
 from .outcomes import Outcomes
+from .records import Records
 from .session import Session
 from .settings import Settings
+from .store import Store
 from .stream import Stream
 from .telemetry import Metrics
 from .watch import Watcher
@@ -47,6 +49,7 @@ _REMEMBERED = 1024  # ids of ended sessions, and of requests, that are kept for 
 _MAX_LABELS, _MAX_TEXT = 64, 256  # labels of a session; characters of a label, its value or a request id
 _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
 _RETRY_WHEN_FULL = 5.0  # seconds
+_LOAD_PAUSE = 3.0  # seconds between attempts to read the earlier sessions
 _LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
 _RESTORED = 4  # bytes that a restored tracker takes per byte of its snapshot, at most
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
@@ -69,10 +72,11 @@ class Sessions:
         pool: where they are computed. Its ``on_lost`` should be :meth:`lose`.
     """
 
-    def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics):
+    def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics, store: Store):
         self._pool, self._settings, self._metrics = pool, settings, metrics
-        self._durability = Durability(pool, metrics, settings.checkpoint_every, self._end)
-        self._outcomes = Outcomes(metrics)
+        self._records = Records(store)
+        self._durability = Durability(pool, self._records, metrics, settings.checkpoint_every, self._end)
+        self._outcomes = Outcomes(metrics, store.history)
         self._sessions: dict[str, Session] = {}
         self._opening: dict[str, str | None] = {}  # id to owner
         self._ended: OrderedDict[str, ServiceError] = OrderedDict()
@@ -95,8 +99,40 @@ class Sessions:
         memory = Memory(_RESTORED * len(request.data), 0)
         return await self._once(request, owner, lambda *args: self._pool.restore(*args, memory))
 
-    def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
-        return self._find(name).message(view)
+    async def load(self) -> None:
+        """Takes the sessions back that this server had before its process ended; tries again, in the background, for as long
+        as the database cannot be reached."""
+        if not await self._load():
+            self._durability.background(self._load_later())
+
+    async def _load(self) -> bool:
+        try:
+            sessions = await self._records.alive()
+        except Unavailable as error:
+            log.error("earlier sessions cannot be had back yet: %s", error)
+            return False
+        for session in sessions:
+            if session.id not in self._sessions and session.id not in self._opening:
+                self._sessions[session.id] = session
+                if session.request_id:
+                    self._remember(self._requests, session.request_id, _done(session.id))
+        if sessions:
+            log.info("sessions of before the start wait for their clients", extra={"sessions": len(sessions)})
+        self._durability.background(self._records.clean(sessions + list(self._sessions.values())))
+        self._count()
+        return True
+
+    async def _load_later(self) -> None:
+        await asyncio.sleep(_LOAD_PAUSE)
+        while not await self._load():
+            await asyncio.sleep(_LOAD_PAUSE)
+
+    async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
+        session = await self._known(name)
+        if view == pb.SESSION_VIEW_FULL and session.asleep:
+            async with self._using(session):
+                pass
+        return session.message(view)
 
     def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
         """Oldest first, one page; the token is the id of the last session of the page before."""
@@ -127,6 +163,7 @@ class Sessions:
                 await self._configure(session, change, paths)
             session.labels, session.limits = labels, limits
             session.revision += 1
+        self._records.save(session)
         return session.message()
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
@@ -176,7 +213,7 @@ class Sessions:
     async def open_stream(self, start: pb.Start) -> Stream:
         """The stream of a session; the caller closes it with :meth:`close_stream`."""
         require_compatible(start.api_version, peer="client")
-        session = self._find(start.name)
+        session = await self._known(start.name)
         if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
@@ -193,6 +230,7 @@ class Sessions:
             session.departed = None
             parts = self._pool, self._durability, self._outcomes
             session.stream = Stream(session, start, mode, *parts, self._settings.reader_timeout, self._settings.max_image_pixels)
+        self._records.save(session)
         self._count()
         return session.stream
 
@@ -202,6 +240,8 @@ class Sessions:
         if stream.session.stream is stream:
             stream.session.stream = None
             stream.session.departed = monotonic()
+            if not stream.session.closed:
+                self._records.save(stream.session)
         stream.gone.set()
         self._count()
 
@@ -225,12 +265,14 @@ class Sessions:
                 await self._durability.seat(session)
 
     async def expire_idle(self) -> None:
-        """Ends sessions whose time is over; runs until it is cancelled."""
+        """Ends sessions whose time is over, and registers what has changed of the others; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             for session in list(self._sessions.values()):
                 try:
                     await self._expire(session)
+                    if not session.closed:
+                        self._records.save(session)
                 except Exception:  # one session's trouble shall not keep the others for ever
                     log.exception("a session could not be ended as it should", extra={"session": session.id})
 
@@ -261,7 +303,8 @@ class Sessions:
             await self._last_checkpoint(session)
         await self._durability.settle(_LAST_CHECKPOINTS)
         for session in list(self._sessions.values()):
-            self._end(session, Draining("the server has stopped; connect again later or elsewhere"))
+            self._records.save(session)
+            self._forsake(session, Draining("the server has stopped; connect again later or elsewhere"))
 
     def _reconnect(self) -> pb.Notice:
         where = self._settings.successor
@@ -310,11 +353,12 @@ class Sessions:
         limits, labels = self._limits(request.session.limits), _labels(request.session)
         opened = pb.Session.FromString(await open_(session_id, request.SerializeToString()))
         session = Session(
-            session_id, opened, _taken_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
+            session_id, opened, taken_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
         )
         self._sessions[session_id] = session
         self._ended.pop(session_id, None)
         self._count()
+        self._records.create(session)
         self._durability.checkpoint(session)
         log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
         return session
@@ -377,13 +421,29 @@ class Sessions:
             raise self._ended[session_id]
         raise SessionNotFound(f"there is no session {name[:80]!r}")
 
+    async def _known(self, name: str) -> Session:
+        """As :meth:`_find`, which knows why a session ended even if that was before the start."""
+        try:
+            return self._find(name)
+        except SessionNotFound:
+            session_id = name.removeprefix("sessions/")
+            reason = None if session_id in self._ended else await self._records.reason(session_id)
+            if reason is not None:
+                raise reason from None
+            raise
+
     def _existing(self, session_ids: Iterable[str]) -> list[Session]:
         return [self._sessions[i] for i in session_ids if i in self._sessions]
 
     def _end(self, session: Session, reason: ServiceError) -> None:
-        """The session is gone; whoever asks for it, and its stream, is told why."""
-        if self._sessions.pop(session.id, None) is None:
-            return
+        """The session is gone for good; whoever asks for it, and its stream, is told why."""
+        if not session.closed:
+            self._forsake(session, reason)
+            self._records.end(session, reason)
+
+    def _forsake(self, session: Session, reason: ServiceError) -> None:
+        """This process has the session no more; it may live on in the store."""
+        self._sessions.pop(session.id, None)
         session.closed = True
         self._remember(self._ended, session.id, reason)
         if session.stream:
@@ -425,14 +485,10 @@ def _busy(session: Session) -> SessionBusy:
     return SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
 
 
-def _taken_meshes(opened: pb.Session) -> pb.Session:
-    """Garment and body of a worker's answer, which loses them."""
-    meshes = pb.Session(garment=opened.garment)
-    if opened.HasField("body"):
-        meshes.body.CopyFrom(opened.body)
-    opened.ClearField("garment")
-    opened.ClearField("body")
-    return meshes
+def _done(session_id: str) -> asyncio.Future[str]:
+    outcome = asyncio.get_running_loop().create_future()
+    outcome.set_result(session_id)
+    return outcome
 
 
 def _memory_of(session: pb.Session, limits: pb.SessionLimits) -> Memory:

@@ -1,7 +1,31 @@
+import socket
+import time
+
 import numpy as np
 import pytest
 
 from . import fake_server
+
+
+class Outage:
+    """A service behind one port, whose server can be killed and started again."""
+
+    def __init__(self, service):
+        self.service = service
+        with socket.create_server(("127.0.0.1", 0)) as free:
+            self.port = free.getsockname()[1]
+        self.start()
+
+    def start(self):
+        self.server, self.target = fake_server.start(self.service, self.port)
+
+    def strike(self, seconds=0.3, forget=0):
+        """Cuts every connection, forgets the last frames, and comes back."""
+        self.server.stop(0).wait()
+        for session in self.service.sessions.values():
+            session.statistics.last_sequence_number -= forget
+        time.sleep(seconds)
+        self.start()
 
 
 class Broken:
@@ -63,3 +87,10 @@ def frames():
         return [(points + np.array([i / 100, 0, 0]), i / 30) for i in range(n)]
 
     return make
+
+
+@pytest.fixture
+def outage():
+    outage = Outage(fake_server.FakeService())
+    yield outage
+    outage.server.stop(0).wait()

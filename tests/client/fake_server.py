@@ -51,6 +51,7 @@ class FakeService(rpc.TrackingServiceServicer):
         silent_from: number of the first frame that is never answered.
         ends_at: number of the frame at which the stream ends without an error.
         lost_from: number of the first frame that ends the stream with WorkerLost.
+        drains_at: number of the frame at which the stream ends with Draining.
         refused: numbers of frames that are refused.
         notice: sent after the first result.
         most_waiting: largest number of frames that waited at once.
@@ -59,7 +60,7 @@ class FakeService(rpc.TrackingServiceServicer):
     def __init__(self):
         self.api_version, self.codecs = API_VERSION, list(CODECS.values())
         self.delay, self.refused = 0.0, set()
-        self.silent_from = self.ends_at = self.lost_from = 2**63
+        self.silent_from = self.ends_at = self.lost_from = self.drains_at = 2**63
         self.notice = None
         self.starts = True
         self.sessions: dict[str, pb.Session] = {}
@@ -181,6 +182,8 @@ class FakeService(rpc.TrackingServiceServicer):
                 time.sleep(0.01)
             if frame.sequence_number >= self.ends_at:
                 return
+            if frame.sequence_number >= self.drains_at:
+                raise errors.Draining("the server has stopped")
             if frame.sequence_number >= self.lost_from:
                 raise errors.WorkerLost("the worker was killed", retry_after=1.5)
             if frame.sequence_number in self.refused:
@@ -234,10 +237,10 @@ class FakeService(rpc.TrackingServiceServicer):
         return self.sessions[name]
 
 
-def start(service: FakeService) -> tuple[grpc.Server, str]:
-    """Serves on a free loopback port; returns the server and its address."""
+def start(service: FakeService, port: int = 0) -> tuple[grpc.Server, str]:
+    """Serves on a loopback port, by default a free one; returns the server and its address."""
     server = grpc.server(futures.ThreadPoolExecutor(8), options=server_options())
     rpc.add_TrackingServiceServicer_to_server(service, server)
-    port = server.add_insecure_port("127.0.0.1:0")
+    port = server.add_insecure_port(f"127.0.0.1:{port}")
     server.start()
     return server, f"127.0.0.1:{port}"

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import FrameError, aconnect, errors
 
 
@@ -167,3 +168,42 @@ async def test_no_server_and_another_version(service):
     with pytest.raises(errors.VersionMismatch, match=r"'7\.0'"):
         async with aconnect(service.target):
             pass
+
+
+@pytest.mark.parametrize("forget", [0, 3])
+async def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, mesh, frames, forget):
+    outage.service.delay = 0.01
+    notices, sequences = [], []
+    async with aconnect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        async for result in session.track(frames(40), on_notice=notices.append):
+            sequences.append(result.sequence)
+            if result.sequence in (10, 25):
+                await asyncio.to_thread(outage.strike, forget=forget)
+    assert sequences == sorted(sequences)
+    assert sequences[-1] == 40
+    assert {frame.sequence_number for frame in outage.service.frames} == set(range(1, 41))
+    assert [notice.kind for notice in notices] == ["resumed"] * 2
+
+
+async def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, mesh, frames):
+    async with aconnect(outage.target) as client:
+        session = await client.create_session(*mesh, flow="lossless")
+        stream = session.track(frames(1000), resume=0.5)
+        await anext(stream)
+        outage.server.stop(0).wait()
+        with pytest.raises(errors.Unavailable):
+            await collected(stream)
+        outage.start()
+
+
+async def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
+    async with aconnect(outage.target) as client:
+        session = await client.create_session(*mesh, flow="lossless")
+        moved = service.sessions[session.name] = pb.Session()
+        moved.CopyFrom(outage.service.sessions[session.name])
+        moved.statistics.last_sequence_number = 2
+        outage.service.drains_at = 3
+        outage.service.notice = pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message="elsewhere", target=service.target)
+        results = await collected(session.track(frames(6), on_notice=lambda _: None))
+        assert client.target == service.target
+    assert [result.sequence for result in results] == [1, 2, 3, 4, 5, 6]

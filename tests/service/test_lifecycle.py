@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import queue
 import signal
 import socket
 import subprocess
@@ -73,78 +72,6 @@ def test_a_port_in_use_ends_with_status_two(flag):
     assert ended.returncode == 2
     assert flag.removeprefix("--").replace("-", "_") in ended.stderr
     assert port in ended.stderr
-
-
-@pytest.fixture(scope="module")
-def durable(tmp_path_factory):
-    """A service whose workers tests may kill."""
-    arguments = ["--workers", "2", "--checkpoint-every", "4"]
-    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("durable") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield process
-    finally:
-        status = process.stop()
-    assert status == 0
-
-
-def spare_is_ready(service) -> bool:
-    metrics = httpx.get(service.http + "/metrics").text
-    return "ddakf_workers_ready 2.0" in metrics and "ddakf_workers_spare 1.0" in metrics
-
-
-class Talk:
-    """An open stream: what is sent is decided while the answers come."""
-
-    def __init__(self, api: Api, name: str, **start):
-        self._requests = queue.Queue()
-        self.answers = api.track(name, iter(self._requests.get, None), **start)
-        self.started = next(self.answers).started
-
-    def send(self, frame: pb.Frame) -> None:
-        self._requests.put(request_of(frame))
-
-    def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
-        """What comes back up to the answer to this frame."""
-        self.send(frame)
-        seen = []
-        while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
-            seen.append(next(self.answers))
-        return seen
-
-    def end(self) -> None:
-        self._requests.put(None)
-        assert list(self.answers) == []
-
-
-def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
-    """Both workers are killed in turn, between frames and while one is tracked; nobody's stream ends."""
-    until(lambda: spare_is_ready(durable), 100)
-    api = Api(durable.grpc)
-    names = [api.create(sheet).name for _ in range(2)]
-    talks = [Talk(api, name) for name in names]
-    for number in range(1, 7):
-        for talk in talks:
-            assert talk.ask(frame_of(sheet, number))[-1].result.sequence_number == number
-    until(lambda: all(api.get(name).HasField("checkpoint_time") for name in names))
-    for victim in sorted(children(durable.pid))[:2]:  # the spare is the youngest
-        os.kill(victim, signal.SIGKILL)
-    begun = time.monotonic()
-    notices = [[r.notice for r in talk.ask(frame_of(sheet, 7)) if r.HasField("notice")] for talk in talks]
-    assert [api.get(name).statistics.last_sequence_number for name in names] == [7, 7]
-    assert time.monotonic() - begun < 30
-    for name, (notice,) in zip(names, notices, strict=True):
-        assert notice.kind == pb.NOTICE_KIND_RESUMED
-        statistics = api.get(name).statistics
-        assert (statistics.recoveries, statistics.frames_lost) == (1, notice.value)
-        assert notice.value == 2, "frames since the checkpoint at the fourth"
-        assert statistics.frames_applied == 7
-    for talk in talks:
-        talk.end()
-    for name in names:
-        api.delete(name)
-    assert httpx.get(durable.http + "/readyz").status_code == 200
-    api.channel.close()
 
 
 @pytest.mark.slow

@@ -28,6 +28,7 @@ from ddakf_client import Frame
 from ddakf_service import sessions
 from ddakf_service.child import ServiceProcess
 from ddakf_service.settings import Settings
+from ddakf_service.store import Store
 from ddakf_service.telemetry import Metrics
 
 import ddakf
@@ -386,7 +387,9 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
             revived.touch()
             raise RuntimeError("no")
 
-    mine = sessions.Sessions(Pool(), Settings(), Metrics())
+    settings, metrics = Settings(data_dir="none"), Metrics()
+    store = Store(settings, metrics)
+    mine = sessions.Sessions(Pool(), settings, metrics, store)
     for name in ("first", "other", "revived"):
         await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
     revived = mine._find("sessions/revived")
@@ -398,8 +401,9 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
     expiry.cancel()
     for name in ("first", "other"):
         with pytest.raises(SessionExpired):
-            mine.get(f"sessions/{name}")
-    assert mine.get("sessions/revived").name == "sessions/revived"
+            await mine.get(f"sessions/{name}")
+    assert (await mine.get("sessions/revived")).name == "sessions/revived"
+    await asyncio.to_thread(store.close)
 
 
 def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):

@@ -51,13 +51,15 @@ def aconnect(
 ) -> Opening[AsyncClient]:
     """As :func:`ddakf_client.connect`: ``async with aconnect(...) as client``, or ``client = await aconnect(...)``."""
 
-    async def opened() -> AsyncClient:
-        options = client_options(max_message_bytes)
+    options = client_options(max_message_bytes)
+
+    def open_channel(target: str) -> grpc.aio.Channel:
         if credentials is None:
-            channel = grpc.aio.insecure_channel(target, options)
-        else:
-            channel = grpc.aio.secure_channel(target, credentials, options)
-        client = AsyncClient(channel, target, timeout=timeout, api_key=api_key)
+            return grpc.aio.insecure_channel(target, options)
+        return grpc.aio.secure_channel(target, credentials, options)
+
+    async def opened() -> AsyncClient:
+        client = AsyncClient(open_channel, target, timeout=timeout, api_key=api_key)
         try:
             client.server = await client.server_info()
         except ServiceError:
@@ -73,10 +75,13 @@ class AsyncClient:
 
     server: ServerInfo
 
-    def __init__(self, channel: grpc.aio.Channel, target: str, *, timeout: float, api_key: str | None):
-        self._channel, self.target, self.timeout = channel, target, timeout
-        self._stub = TrackingServiceStub(channel)
+    def __init__(
+        self, open_channel: Callable[[str], grpc.aio.Channel], target: str, *, timeout: float, api_key: str | None
+    ):
+        self._open_channel, self.timeout = open_channel, timeout
+        self._channels: list[grpc.aio.Channel] = []
         self._metadata = calls.metadata_for(api_key)
+        self.move(target)
 
     async def __aenter__(self) -> AsyncClient:
         return self
@@ -86,7 +91,14 @@ class AsyncClient:
 
     async def close(self) -> None:
         """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
-        await self._channel.close()
+        for channel in self._channels:
+            await channel.close()
+
+    def move(self, target: str) -> None:
+        """As :meth:`ddakf_client.Client.move`."""
+        self.target = target
+        self._channels.append(self._open_channel(target))
+        self._stub = TrackingServiceStub(self._channels[-1])
 
     async def server_info(self) -> ServerInfo:
         """What the server is and allows; raises VersionMismatch when it does not fit."""
@@ -192,7 +204,7 @@ class AsyncSession:
         """As :meth:`ddakf_client.Session.track`, with the same options; an ordinary iterator runs in a thread."""
         plan = replace(self._plan, **options)
         calls.require_codec(plan.codec, self._client.server)
-        return track(self._client.open_track, frames, plan, self._client.target)
+        return track(self._client, frames, plan)
 
     def watch(
         self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterable
+from typing import Protocol
 
 import grpc
 from ddakf_api.errors import ServiceError
@@ -19,30 +20,47 @@ _LOST_STATUS = "Internal error from Core"
 _STATUS_SECONDS = 1.0
 
 
+class Connection(Protocol):
+    """What a stream needs of its client."""
+
+    target: str
+
+    def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
+        """Opens the stream's call."""
+
+    def move(self, target: str) -> None:
+        """The server is at another address from now on."""
+
+
 async def track(
-    open_call: Callable[[AsyncIterator[pb.TrackRequest]], grpc.aio.StreamStreamCall],
-    frames: AsyncIterable[object] | Iterable[object],
-    plan: Plan,
-    target: str,
+    connection: Connection, frames: AsyncIterable[object] | Iterable[object], plan: Plan
 ) -> AsyncIterator[Result | FrameError]:
     """Streams frames and yields what comes back; returns when every frame has its answer, or raises why not."""
     stream = _Stream(plan, frames)
-    stream.run(open_call(stream.requests()))
     try:
-        while (response := await stream.read()) is not grpc.aio.EOF:
-            for answer in stream.receive(response):
-                if isinstance(answer, Notice):
-                    plan.on_notice(answer)
-                else:
-                    yield answer
-        for refused in stream.ended():
-            yield refused
-    except grpc.RpcError as error:
-        status = await stream.servers_status() or error
-        # The server ended the stream in order, while this side was still writing.
-        if status.code() is grpc.StatusCode.OK:
-            stream.ended()
-        raise (stream.failure or failure(status, target, plan.timeout)) from None
+        while True:
+            stream.open(connection.open_track)
+            try:
+                while (response := await stream.read()) is not grpc.aio.EOF:
+                    for answer in stream.receive(response):
+                        if not isinstance(answer, Notice):
+                            yield answer
+                            continue
+                        if answer.kind == "reconnect" and answer.target:
+                            connection.move(answer.target)
+                        plan.on_notice(answer)
+                for refused in stream.ended():
+                    yield refused
+                return
+            except grpc.RpcError as error:
+                status = await stream.servers_status() or error
+                # The server ended the stream in order, while this side was still writing.
+                if status.code() is grpc.StatusCode.OK:
+                    stream.ended()
+                failed = stream.failure or failure(status, connection.target, plan.timeout)
+                if not stream.may_resume(failed):
+                    raise failed from None
+            await stream.pause()
     except asyncio.CancelledError:
         # What a read raises when the call was cancelled from this side, too.
         if stream.failure:
@@ -60,14 +78,23 @@ class _Stream:
         self._frames = frames
         self._changed = asyncio.Event()
         self._statuses: list[grpc.aio.AioRpcError] = []
+        self._call: grpc.aio.StreamStreamCall | None = None
+        self._calls = 0
+        self._tasks: list[asyncio.Task] = []
 
     @property
     def failure(self) -> BaseException | None:
         return self._exchange.failure
 
-    def run(self, call: grpc.aio.StreamStreamCall) -> None:
-        self._call = call
-        call.add_done_callback(lambda call: self._statuses.append(_status_of(call)))
+    def open(self, open_call: Callable[[AsyncIterator[pb.TrackRequest]], grpc.aio.StreamStreamCall]) -> None:
+        """The first call of the stream, or the next one after that was lost."""
+        self._calls += 1
+        self._statuses = statuses = []
+        self._call = open_call(self.requests(self._calls))
+        self._call.add_done_callback(lambda call: statuses.append(_status_of(call)))
+        self._changed.set()
+        if self._tasks:
+            return
         self._tasks = [asyncio.create_task(self._pull()), asyncio.create_task(self._watch())]
 
     async def servers_status(self) -> grpc.aio.AioRpcError | None:
@@ -84,8 +111,19 @@ class _Stream:
             await asyncio.sleep(0.01)
         return None
 
+    def may_resume(self, error: ServiceError) -> bool:
+        """Whether the stream shall be opened once more; from now on nothing is sent by the call that ended."""
+        self._calls += 1
+        self._changed.set()
+        return self._exchange.may_resume(error, time.monotonic())
+
+    async def pause(self) -> None:
+        """Waits until the next attempt is due."""
+        await asyncio.sleep(self._exchange.pause(time.monotonic()))
+
     def close(self) -> None:
-        self._call.cancel()
+        if self._call:
+            self._call.cancel()
         for task in self._tasks:
             task.cancel()
 
@@ -104,11 +142,14 @@ class _Stream:
     def ended(self) -> list[FrameError]:
         return self._exchange.ended()
 
-    async def requests(self) -> AsyncIterator[pb.TrackRequest]:
+    async def requests(self, number: int) -> AsyncIterator[pb.TrackRequest]:
+        """What the call of this number sends, for as long as it is the present one."""
         exchange = self._exchange
-        yield exchange.plan.start()
+        yield exchange.plan.start(again=number > 1)
         while True:
-            await self._until(lambda: exchange.is_done() or exchange.can_take())
+            await self._until(lambda: exchange.is_done() or self._calls != number or exchange.can_take())
+            if self._calls != number:
+                return
             if exchange.is_done():
                 exchange.finish(time.monotonic())
                 return

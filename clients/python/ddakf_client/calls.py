@@ -118,8 +118,9 @@ def update_request(
     config: object = None,
     fabric: str | None = None,
     limits: Limits | None = None,
+    etag: str = "",
 ) -> pb.UpdateSessionRequest:
-    request = pb.UpdateSessionRequest(session=pb.Session(name=name))
+    request = pb.UpdateSessionRequest(session=pb.Session(name=name, etag=_text("etag", etag)))
     given = {"labels": labels, "config_json": config, "fabric": fabric, "limits": limits}
     request.update_mask.paths.extend(path for path, value in given.items() if value is not None)
     request.session.labels.update(_labels(labels))

@@ -16,7 +16,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ddakf_client import calls
-from ddakf_client.exchange import Plan, log_notice
+from ddakf_client.exchange import RESUME, Plan, log_notice
 from ddakf_client.results import (
     FrameError,
     Limits,
@@ -53,11 +53,13 @@ def connect(
         VersionMismatch: client and server do not fit together.
     """
     options = client_options(max_message_bytes)
-    if credentials is None:
-        channel = grpc.insecure_channel(target, options)
-    else:
-        channel = grpc.secure_channel(target, credentials, options)
-    client = Client(channel, target, timeout=timeout, api_key=api_key)
+
+    def open_channel(target: str) -> grpc.Channel:
+        if credentials is None:
+            return grpc.insecure_channel(target, options)
+        return grpc.secure_channel(target, credentials, options)
+
+    client = Client(open_channel, target, timeout=timeout, api_key=api_key)
     try:
         client.server = client.server_info()
     except ServiceError:
@@ -70,17 +72,20 @@ class Client:
     """A connection to a server, made by :func:`connect`; use it as a context, or call :meth:`close`.
 
     Attributes:
-        target: "host:port".
+        target: "host:port"; another one once the server has said that it continues there.
         timeout: seconds that each call may take.
         server: what the server said when the connection was made.
     """
 
     server: ServerInfo
 
-    def __init__(self, channel: grpc.Channel, target: str, *, timeout: float, api_key: str | None):
-        self._channel, self.target, self.timeout = channel, target, timeout
-        self._stub = TrackingServiceStub(channel)
+    def __init__(
+        self, open_channel: Callable[[str], grpc.Channel], target: str, *, timeout: float, api_key: str | None
+    ):
+        self._open_channel, self.timeout = open_channel, timeout
+        self._channels: list[grpc.Channel] = []
         self._metadata = calls.metadata_for(api_key)
+        self.move(target)
 
     def __enter__(self) -> Client:
         return self
@@ -90,7 +95,14 @@ class Client:
 
     def close(self) -> None:
         """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
-        self._channel.close()
+        for channel in self._channels:
+            channel.close()
+
+    def move(self, target: str) -> None:
+        """Sends everything from now on to the server at another address; streams that are open stay where they are."""
+        self.target = target
+        self._channels.append(self._open_channel(target))
+        self._stub = TrackingServiceStub(self._channels[-1])
 
     def server_info(self) -> ServerInfo:
         """What the server is and allows; raises VersionMismatch when it does not fit."""
@@ -253,6 +265,7 @@ class Session:
         compact: bool = False,
         every_nth: int = 1,
         timeout: float | None = None,
+        resume: float = RESUME,
     ) -> Iterator[Result | FrameError]:
         """Streams frames and yields their results in order, until every frame has been answered.
 
@@ -270,6 +283,10 @@ class Session:
             compact: vertices, sigma and reliability in 9 bytes per vertex rather than 20; docs/protocol.md says how exact.
             every_nth: arrays only in every n-th result of the session; those of the others are empty.
             timeout: seconds that the answer to a frame may take.
+            resume: seconds for which a connection that was lost, or whose server stops, is tried to be had again, with
+                growing pauses. The session then goes on after the last frame that it has; frames without an answer are
+                sent again, in realtime flow the newest alone, and ``on_notice`` is told ("resumed"; ``value`` is the number
+                of answered frames that the server has forgotten). 0: such a stream raises.
 
         Raises:
             SessionBusy: the session has another stream.
@@ -288,9 +305,10 @@ class Session:
             depth_codec=depth_codec,
             compact=compact,
             every_nth=every_nth,
+            resume=resume,
         )
         calls.require_codec(plan.codec, self._client.server)
-        return track(self._client.open_track, frames, plan, self._client.target)
+        return track(self._client, frames, plan)
 
     def watch(
         self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
@@ -326,9 +344,20 @@ class Session:
         config: Mapping[str, Any] | object = None,
         fabric: str | None = None,
         limits: Limits | None = None,
+        etag: str = "",
     ) -> SessionInfo:
-        """Changes what is given."""
-        request = calls.update_request(self.name, labels=labels, config=config, fabric=fabric, limits=limits)
+        """Changes what is given, while frames are tracked too: the tracker goes on where it is.
+
+        Args:
+            config: stages of fields, over the defaults; the session's fabric stays, unless another one is given.
+            etag: of the session as you saw it: it is changed only if nobody has changed it since.
+
+        Raises:
+            FailedPrecondition: the etag is another one.
+        """
+        request = calls.update_request(
+            self.name, labels=labels, config=config, fabric=fabric, limits=limits, etag=etag
+        )
         return session_info_from(self._client.call("UpdateSession", request))
 
     def snapshot(self) -> bytes:

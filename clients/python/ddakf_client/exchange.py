@@ -3,18 +3,23 @@
 Frames go through a slot for one. In lossless flow the slot has to be free before a frame is offered; in realtime flow a
 newer frame replaces the one in the slot. The slot is emptied while fewer than :data:`IN_FLIGHT` frames are unanswered,
 so that neither a slow server nor a slow line makes frames pile up in buffers that nobody sees.
+
+A stream survives its connection: what is unanswered is kept, and sent again to the server that answers next, as far as that
+has not tracked it. In realtime flow only the newest such frame is.
 """
 
 from __future__ import annotations
 
 import logging
+import random
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
-from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, ServiceError, Unavailable
+from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.frames import Frame, to_message
@@ -30,6 +35,9 @@ IN_FLIGHT = 8
 """Frames unanswered at most: enough to keep a server busy over a line of 200 ms at 30 frames per second."""
 
 ON_ERROR = ("raise", "yield")
+RESUME = 30.0
+"""Seconds for which a lost connection is tried to be had again, unless the caller says otherwise."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0  # seconds between attempts
 
 log = logging.getLogger("ddakf_client")
 
@@ -60,6 +68,7 @@ class Plan:
     depth_codec: str = DEFAULT_DEPTH_CODEC
     compact: bool = False
     every_nth: int = 1
+    resume: float = RESUME
 
     def __post_init__(self) -> None:
         for field, allowed in (("flow", FLOWS), ("codec", CODECS), ("on_error", ON_ERROR), ("depth_codec", DEPTH_CODECS)):
@@ -71,8 +80,11 @@ class Plan:
                 raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
         if not isinstance(self.every_nth, int) or isinstance(self.every_nth, bool) or not 1 <= self.every_nth < 2**32:
             raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(self.every_nth)[:80])
+        if isinstance(self.resume, bool) or not isinstance(self.resume, (int, float)) or not self.resume >= 0:
+            raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
 
-    def start(self) -> pb.TrackRequest:
+    def start(self, again: bool = False) -> pb.TrackRequest:
+        """The first request; ``again`` takes the session over from the stream that was lost, should the server still have it."""
         options = pb.ResultOptions(
             include_velocities=self.velocities, include_covariance=self.covariance, every_nth=self.every_nth
         )
@@ -84,7 +96,7 @@ class Plan:
                 api_version=API_VERSION,
                 flow_mode=FLOWS[self.flow],
                 result_options=options,
-                takeover=self.takeover,
+                takeover=self.takeover or again,
             )
         )
 
@@ -97,18 +109,26 @@ class Offered(NamedTuple):
     handed_over: float
 
 
+class Sent(NamedTuple):
+    """A frame without an answer, and when it was sent."""
+
+    offered: Offered
+    at: float
+
+
 class Exchange:
     """Frames in, answers out. Times are given in, on the monotonic clock; the caller guards against concurrent use.
 
     Attributes:
         started: the server has opened the stream.
+        lost: the connection was lost, and has not been had again yet.
         exhausted: no more frames will be offered.
         failure: why the stream has to end before its time, to be raised to the caller.
     """
 
     def __init__(self, plan: Plan, now: float):
         self.plan = plan
-        self.started = self.exhausted = False
+        self.started = self.exhausted = self.lost = False
         self.failure: BaseException | None = None
         self._lossless = plan.flow == "lossless"
         self._in_flight = IN_FLIGHT
@@ -116,9 +136,13 @@ class Exchange:
         self._slot: Offered | None = None
         self._dropped = 0
         self._refused: list[FrameError] = []
-        # Frames without an answer: number to (handed over, sent). In realtime those up to _passed count as answered.
-        self._unanswered: dict[int, tuple[float, float]] = {}
+        # Frames without an answer, by number. In realtime those up to _passed count as answered.
+        self._unanswered: dict[int, Sent] = {}
         self._passed = 0
+        self._last_answered = 0
+        self._again: deque[Offered] = deque()  # frames to send again, before the one in the slot
+        self._attempts = 0  # to have the connection again, without a frame answered since
+        self._lost_since = now
         self._owed_since = now  # since when the server owes what is no answer to a frame: opening, closing
         self._reading_since: float | None = None
 
@@ -135,17 +159,20 @@ class Exchange:
 
     def can_take(self) -> bool:
         waiting = sum(sequence > self._passed for sequence in self._unanswered)
-        return self._slot is not None and waiting < self._in_flight
+        return self.started and bool(self._slot or self._again) and waiting < self._in_flight
 
     def take(self, now: float) -> Offered:
-        """Empties the slot, to send what was in it."""
-        offered, self._slot = self._slot, None
-        self._unanswered[offered.sequence] = offered.handed_over, now
+        """Empties the slot, to send what was in it; what has to be sent again goes first."""
+        if self._again:
+            offered = self._again.popleft()
+        else:
+            offered, self._slot = self._slot, None
+        self._unanswered[offered.sequence] = Sent(offered, now)
         return offered
 
     def is_done(self) -> bool:
         """Nothing more will be sent."""
-        return self.failure is not None or (self.exhausted and self._slot is None)
+        return self.failure is not None or (self.exhausted and self._slot is None and not self._again and not self.lost)
 
     def finish(self, now: float) -> None:
         """Says that the end has been sent: the server owes its own."""
@@ -177,7 +204,7 @@ class Exchange:
         """
         kind = response.WhichOneof("message")
         if kind == "started":
-            self._start(response.started)
+            return self._start(response.started)
         elif kind == "notice":
             return [notice_from(response.notice)]
         elif kind == "result":
@@ -207,11 +234,48 @@ class Exchange:
         refused, self._refused = self._refused, []
         return refused
 
+    # A lost connection ----------------------------------------------------------------------------------------------
+
+    def may_resume(self, error: ServiceError, now: float) -> bool:
+        """Whether to open the stream once more, after it ended with this error."""
+        if self.failure or not (self.started or self.lost) or type(error) not in (Unavailable, Draining):
+            return False
+        if not self.lost:
+            self.lost, self.started = True, False
+            self._lost_since = now if self._attempts == 0 else self._lost_since
+        return now - self._lost_since < self.plan.resume
+
+    def pause(self, now: float) -> float:
+        """Seconds to wait before the next attempt: longer each time, by chance so that clients do not come all at once."""
+        self._attempts += 1
+        self._owed_since = now
+        return random.uniform(0.5, 1.0) * min(_FIRST_PAUSE * 2**self._attempts, _LONGEST_PAUSE)
+
+    def _start(self, started: pb.Started) -> list[Notice]:
+        """The stream is open: the first time, or once more."""
+        last, resumed = started.last_sequence_number, self.lost
+        self.started, self.lost = True, False
+        self._next_sequence = max(self._next_sequence, last + 1)
+        self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
+        if not resumed:
+            return []
+        kept = [sent.offered for sequence, sent in sorted(self._unanswered.items()) if sequence > max(last, self._passed)]
+        unanswered = len(self._unanswered)
+        self._unanswered.clear()
+        if not self._lossless:
+            kept = kept[-1:] if self._slot is None else []
+        self._again = deque(kept)
+        forgotten = max(self._last_answered - last, 0)
+        message = f"connected again: the session goes on after frame {last}; {len(kept)} of {unanswered} frames are sent again"
+        return [Notice("resumed", message, float(forgotten), "")]
+
     def deadline(self, now: float) -> float:
         """When the server has to have said something; the plan's timeout from now when it owes nothing."""
         if self._reading_since is None or not (self._unanswered or self._owes_more()):
             return now + self.plan.timeout
-        oldest = min((sent for _, sent in self._unanswered.values()), default=self._owed_since)
+        oldest = min((sent.at for sent in self._unanswered.values()), default=self._owed_since)
+        if not self.started:
+            oldest = self._owed_since
         return max(oldest, self._reading_since) + self.plan.timeout
 
     def overdue(self) -> DeadlineExceeded:
@@ -224,26 +288,23 @@ class Exchange:
     def _owes_more(self) -> bool:
         return not self.started or self.is_done()
 
-    def _start(self, started: pb.Started) -> None:
-        self.started = True
-        self._next_sequence = started.last_sequence_number + 1
-        self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
-
     def _answered(self, sequence: int, now: float) -> float:
         """Results come in order, so every earlier frame has been answered or dropped."""
-        handed_over, _ = self._unanswered.get(sequence, (now, now))
-        self._unanswered = {other: times for other, times in self._unanswered.items() if other > sequence}
-        return now - handed_over
+        sent = self._unanswered.get(sequence)
+        self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > sequence}
+        self._last_answered, self._attempts = sequence, 0
+        return now - sent.offered.handed_over if sent else 0.0
 
     def _rejected(self, refused: FrameError) -> FrameError:
         """A refusal may overtake the results of earlier frames; in realtime they may also have been dropped."""
         if self.plan.on_error == "raise":
             raise refused.error
         self._unanswered.pop(refused.sequence, None)
+        self._attempts = 0
         if not self._lossless:
             self._passed = max(self._passed, refused.sequence)
             oldest = refused.sequence - 2 * IN_FLIGHT
-            self._unanswered = {other: times for other, times in self._unanswered.items() if other > oldest}
+            self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
         return refused
 
 

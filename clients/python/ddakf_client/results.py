@@ -37,6 +37,7 @@ class Result:
         dropped: frames that a newer one overtook: of the session in the server, of this stream before they were sent.
         rejected: frames of the session that the server refused.
         applied: frames of the session that the server tracked, this one included.
+        late: frames of the session that the server did not track, because their deadline had passed.
         timings: seconds per stage of the tracker and of the server.
         display_time: that the arrays hold for, seconds of the caller's clock: the timestamp, or the frame's display time.
         latency: seconds from the moment the frame was handed over to the moment the result arrived.
@@ -60,6 +61,7 @@ class Result:
     timings: dict[str, float]
     display_time: float
     latency: float
+    late: int
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,10 @@ class Notice:
     """What the server says between results.
 
     Attributes:
-        kind: "draining", "slow_down" or "reconnect".
+        kind: "draining", "slow_down", "reconnect" or "resumed".
         message: one sentence.
-        value: draining: seconds left; slow_down: frames per second that can be tracked.
+        value: draining: seconds left; slow_down: frames per second that can be tracked; resumed: tracked frames that the
+            server has forgotten.
         target: reconnect: where to, may be empty.
     """
 
@@ -98,7 +101,7 @@ class Limits(NamedTuple):
     """Bounds of a session; 0: the server's default in a request, not bounded in an answer.
 
     Points per frame, frames per second, seconds without a frame, seconds since creation, unanswered frames in lossless
-    flow.
+    flow, seconds that the session waits for its client once a stream has ended.
     """
 
     max_points: int = 0
@@ -106,6 +109,7 @@ class Limits(NamedTuple):
     idle_timeout: float = 0.0
     max_lifetime: float = 0.0
     max_frames_in_flight: int = 0
+    departure_timeout: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +122,10 @@ class SessionInfo:
         config: the whole configuration in force.
         frame_rate: frames per second over the last few seconds.
         last_sequence, last_timestamp: of the last frame that was applied; 0 when none was.
+        etag: changes with every update; see ``Session.update``.
+        expire_time: when it expires if nothing more comes.
+        recoveries, lost: times that it went on from a checkpoint, and tracked frames that were forgotten by that.
+        memory: estimate for its worker, bytes.
     """
 
     name: str
@@ -140,6 +148,12 @@ class SessionInfo:
     coverage: float
     last_sequence: int
     last_timestamp: float
+    etag: str
+    expire_time: datetime | None
+    late: int
+    recoveries: int
+    lost: int
+    memory: int
 
 
 @dataclass(frozen=True)
@@ -179,6 +193,7 @@ def result_from(message: pb.Result, *, dropped_before_sending: int, latency: flo
         timings=dict(message.timings),
         display_time=message.display_time or message.capture_time,
         latency=latency,
+        late=message.frames_late,
     )
 
 
@@ -215,6 +230,12 @@ def session_info_from(message: pb.Session) -> SessionInfo:
         coverage=statistics.coverage,
         last_sequence=statistics.last_sequence_number,
         last_timestamp=statistics.last_capture_time,
+        etag=message.etag,
+        expire_time=message.expire_time.ToDatetime(UTC) if message.HasField("expire_time") else None,
+        late=statistics.frames_late,
+        recoveries=statistics.recoveries,
+        lost=statistics.frames_lost,
+        memory=statistics.memory_bytes,
     )
 
 

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 import grpc
 from ddakf_api.errors import ServiceError
@@ -19,22 +20,40 @@ _JOIN_SECONDS = 1.0
 _NO_MORE = object()
 
 
-def track(
-    open_call: Callable[[Iterator[pb.TrackRequest]], grpc.Call], frames: Iterable[object], plan: Plan, target: str
-) -> Iterator[Result | FrameError]:
+class Connection(Protocol):
+    """What a stream needs of its client."""
+
+    target: str
+
+    def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
+        """Opens the stream's call."""
+
+    def move(self, target: str) -> None:
+        """The server is at another address from now on."""
+
+
+def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Iterator[Result | FrameError]:
     """Streams frames and yields what comes back; returns when every frame has its answer, or raises why not."""
     stream = _Stream(plan, frames)
-    stream.run(open_call(stream.requests()))
     try:
-        while (response := stream.read()) is not None:
-            for answer in stream.receive(response):
-                if isinstance(answer, Notice):
-                    plan.on_notice(answer)
-                else:
-                    yield answer
-        yield from stream.ended()
-    except grpc.RpcError as error:
-        raise (stream.failure or failure(error, target, plan.timeout)) from None
+        while True:
+            stream.open(connection.open_track)
+            try:
+                while (response := stream.read()) is not None:
+                    for answer in stream.receive(response):
+                        if not isinstance(answer, Notice):
+                            yield answer
+                            continue
+                        if answer.kind == "reconnect" and answer.target:
+                            connection.move(answer.target)
+                        plan.on_notice(answer)
+                yield from stream.ended()
+                return
+            except grpc.RpcError as error:
+                failed = stream.failure or failure(error, connection.target, plan.timeout)
+                if not stream.may_resume(failed):
+                    raise failed from None
+            stream.pause()
     finally:
         stream.close()
 
@@ -47,13 +66,21 @@ class _Stream:
         self._frames = frames
         self._changed = threading.Condition()
         self._closed = threading.Event()
+        self._call: grpc.Call | None = None
+        self._calls = 0
+        self._threads: list[threading.Thread] = []
 
     @property
     def failure(self) -> BaseException | None:
         return self._exchange.failure
 
-    def run(self, call: grpc.Call) -> None:
-        self._call = call
+    def open(self, open_call: Callable[[Iterator[pb.TrackRequest]], grpc.Call]) -> None:
+        """The first call of the stream, or the next one after that was lost."""
+        with self._change():
+            self._calls += 1
+        self._call = open_call(self.requests(self._calls))
+        if self._threads:
+            return
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._pull, self._watch)]
         for thread in self._threads:
             thread.start()
@@ -85,14 +112,29 @@ class _Stream:
         with self._changed:
             return self._exchange.ended()
 
+    def may_resume(self, error: ServiceError) -> bool:
+        """Whether the stream shall be opened once more; from now on nothing is sent by the call that ended."""
+        with self._change():
+            self._calls += 1
+            return self._exchange.may_resume(error, time.monotonic())
+
+    def pause(self) -> None:
+        """Waits until the next attempt is due."""
+        with self._changed:
+            seconds = self._exchange.pause(time.monotonic())
+        self._closed.wait(seconds)
+
     # gRPC's thread --------------------------------------------------------------------------------------------------
 
-    def requests(self) -> Iterator[pb.TrackRequest]:
+    def requests(self, number: int) -> Iterator[pb.TrackRequest]:
+        """What the call of this number sends, for as long as it is the present one."""
         exchange = self._exchange
-        yield exchange.plan.start()
+        yield exchange.plan.start(again=number > 1)
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._over() or exchange.can_take())
+                self._changed.wait_for(lambda: self._over() or self._calls != number or exchange.can_take())
+                if self._calls != number:
+                    return
                 if self._over():
                     exchange.finish(time.monotonic())
                     return

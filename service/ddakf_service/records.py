@@ -1,0 +1,126 @@
+"""What of the sessions outlives the process, and how they are had back from it."""
+
+from __future__ import annotations
+
+import logging
+from time import monotonic
+
+from ddakf_api.errors import ServiceError, SessionExpired, Unavailable, from_detail, to_detail
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from .session import Session
+from .store import SessionRecord, Store
+
+log = logging.getLogger(__name__)
+
+_RETRY_AFTER = 5.0  # seconds, told to who asks for a session whose checkpoint cannot be read
+# Of a registered session: what is made anew from what else is known whenever it is shown.
+_SHOWN = ("name", "labels", "state", "create_time", "limits", "statistics", "etag", "expire_time", "checkpoint_time")
+
+
+class Records:
+    """The sessions of this server in its store. Nothing here waits but what is a coroutine."""
+
+    def __init__(self, store: Store):
+        self._store = store
+        self._saved: dict[int, tuple] = {}  # of each session, by uid: what its record says of it
+
+    def create(self, session: Session) -> None:
+        """A new session, and what it begins with, until there is a checkpoint of it."""
+        self.save(session)
+        self._store.registry.save_request(session.uid, beginning(session).SerializeToString())
+
+    def save(self, session: Session) -> None:
+        """What has changed of a session, if anything has."""
+        now = session.state, session.revision, session.checkpoint_number, session.statistics.SerializeToString()
+        if self._saved.get(session.uid) != now:
+            self._saved[session.uid] = now
+            self._store.registry.save(self._record(session))
+            self._store.history.state(session.uid, session.state)
+
+    def checkpoint(self, session: Session, snapshot: pb.SessionSnapshot) -> None:
+        if self._store.checkpoints is not None:
+            self._store.checkpoints.save(session.uid, snapshot)
+
+    def end(self, session: Session, reason: ServiceError) -> None:
+        """The session is no more; its history stays."""
+        self._saved.pop(session.uid, None)
+        state = pb.SESSION_STATE_EXPIRED if isinstance(reason, SessionExpired) else pb.SESSION_STATE_CLOSED
+        self._store.registry.end(self._record(session), to_detail(reason))
+        self._store.history.close(session.uid, state)
+        if self._store.checkpoints is not None:
+            self._store.checkpoints.delete(session.uid)
+
+    async def reason(self, session_id: str) -> ServiceError | None:
+        """Why the last session of this id has ended; None: nothing is remembered of it, or not now."""
+        try:
+            record = await self._store.registry.newest(session_id)
+        except Unavailable:
+            return None
+        return from_detail(record.reason) if record and record.reason else None
+
+    async def alive(self) -> list[Session]:
+        """The sessions that this server had when its process ended; their trackers are in no worker. Their clients may come
+        back from now on, for as long as they might have after leaving a stream.
+
+        Raises:
+            Unavailable: the database cannot be reached.
+        """
+        records = await self._store.registry.alive(self._store.server_id)
+        return [_session(record) for record in records]
+
+    async def clean(self, sessions: list[Session]) -> None:
+        """Has checkpoints deleted that belong to none of these."""
+        if self._store.checkpoints is not None:
+            try:
+                await self._store.checkpoints.keep_only(session.uid for session in sessions)
+            except OSError as error:
+                log.warning("old checkpoints could not be deleted: %s", error)
+
+    async def newest(self, session: Session) -> pb.SessionSnapshot | pb.CreateSessionRequest | None:
+        """What a session is had back from: its newest checkpoint, else its beginning; None: neither is there.
+
+        Raises:
+            Unavailable: it cannot be read now.
+        """
+        try:
+            snapshot = await self._store.checkpoints.newest(session.uid) if self._store.checkpoints is not None else None
+            request = await self._store.registry.request(session.uid) if snapshot is None else None
+        except OSError as error:
+            raise Unavailable(
+                f"the checkpoints of {session.name} cannot be read now: {error}; try again later", retry_after=_RETRY_AFTER
+            ) from error
+        return snapshot if request is None else pb.CreateSessionRequest.FromString(request)
+
+    def _record(self, session: Session) -> SessionRecord:
+        return SessionRecord(self._store.server_id, session.message(), session.request_id, session.uid)
+
+
+def beginning(session: Session) -> pb.CreateSessionRequest:
+    """The request that opens the session again as it was opened."""
+    start = pb.Session(config_json=session.opened.config_json)
+    start.MergeFrom(session.meshes)
+    return pb.CreateSessionRequest(session=start)
+
+
+def _session(record: SessionRecord) -> Session:
+    message = record.session
+    opened = pb.Session()
+    opened.CopyFrom(message)
+    for field in _SHOWN:
+        opened.ClearField(field)
+    return Session(
+        record.id,
+        opened,
+        pb.Session(),
+        message.limits,
+        labels=dict(message.labels),
+        statistics=message.statistics,
+        revision=int(message.etag),
+        created=record.create_time,
+        request_id=record.request_id,
+        uid=record.uid,
+        seated=False,
+        asleep=True,
+        departed=monotonic(),
+    )

@@ -1,0 +1,226 @@
+"""What survives: killed workers, a killed server, an orderly restart. Real processes, real signals, real files."""
+
+from __future__ import annotations
+
+import os
+import queue
+import signal
+import socket
+import time
+
+import httpx
+import pytest
+from ddakf_api.errors import SessionNotFound, WorkerLost
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.child import ServiceProcess
+from ddakf_service.durability import Durability, Irrecoverable
+from ddakf_service.session import Session
+from ddakf_service.telemetry import Metrics
+
+from .conftest import Api, children, frame_of, request_of
+
+pytestmark = pytest.mark.slow
+
+
+def until(condition, seconds: float = 100.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def has_spare(service) -> bool:
+    return "ddakf_workers_spare 1.0" in httpx.get(service.http + "/metrics").text
+
+
+class Talk:
+    """An open stream: what is sent is decided while the answers come."""
+
+    def __init__(self, api: Api, name: str, **start):
+        self._requests = queue.Queue()
+        self.answers = api.track(name, iter(self._requests.get, None), **start)
+        self.started = next(self.answers).started
+
+    def send(self, frame: pb.Frame) -> None:
+        self._requests.put(request_of(frame))
+
+    def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
+        """What comes back up to the answer to this frame."""
+        self.send(frame)
+        seen = []
+        while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
+            seen.append(next(self.answers))
+        return seen
+
+    def end(self) -> None:
+        self._requests.put(None)
+        assert list(self.answers) == []
+
+
+class Restartable:
+    """A service that comes back with its data and its ports."""
+
+    def __init__(self, folder):
+        with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
+            ports = [str(taken.getsockname()[1]) for taken in (one, other)]
+        self._arguments = ["--workers", "1", "--spare-workers", "0", "--checkpoint-every", "4", "--drain-grace", "1"]
+        self._arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(folder / "data")]
+        self._log = folder / "service.log"
+        self.start()
+
+    def start(self) -> None:
+        self.process = ServiceProcess(self._arguments, log=self._log)
+        self.process.wait_until_ready()
+
+    def restart(self, number: int) -> None:
+        self.process.stop(number)
+        self.start()
+
+
+@pytest.fixture(scope="module")
+def durable(tmp_path_factory):
+    """A service whose workers tests may kill."""
+    arguments = ["--workers", "1", "--checkpoint-every", "4"]
+    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("durable") / "service.log")
+    try:
+        process.wait_until_ready()
+        yield process
+    finally:
+        status = process.stop()
+    assert status == 0
+
+
+@pytest.fixture(scope="module")
+def restartable(tmp_path_factory):
+    service = Restartable(tmp_path_factory.mktemp("restartable"))
+    yield service
+    service.process.stop()
+
+
+def worker_of(service) -> int:
+    return min(children(service.pid))  # the spare is younger
+
+
+def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
+    """Their streams stay open; what was tracked since the checkpoint is forgotten, and said to be."""
+    until(lambda: has_spare(durable))
+    api = Api(durable.grpc)
+    names = [api.create(sheet).name for _ in range(3)]
+    talks = [Talk(api, name) for name in names[:2]]
+    for number in range(1, 7):
+        for talk in talks:
+            assert talk.ask(frame_of(sheet, number))[-1].result.sequence_number == number
+    os.kill(worker_of(durable), signal.SIGKILL)
+    killed = time.monotonic()
+    answers = [talk.ask(frame_of(sheet, 7)) for talk in talks]
+    assert time.monotonic() - killed < 10  # 2 s on a machine that does nothing else
+    for name, seen in zip(names, answers, strict=False):
+        (notice,) = (response.notice for response in seen if response.HasField("notice"))
+        statistics = api.get(name).statistics
+        assert notice.kind == pb.NOTICE_KIND_RESUMED
+        assert notice.value == statistics.frames_lost == 2, "frames since the checkpoint at the fourth"
+        assert (statistics.recoveries, statistics.frames_applied, statistics.last_sequence_number) == (1, 7, 7)
+    assert list(api.track(names[2], [request_of(frame_of(sheet, 1))]))[-1].result.frames_applied == 1, "one without a stream"
+    for talk in talks:
+        talk.end()
+    for name in names:
+        api.delete(name)
+    api.channel.close()
+
+
+def test_the_frame_that_a_killed_worker_had_is_tracked_again(durable, sheet):
+    until(lambda: has_spare(durable))
+    api = Api(durable.grpc)
+    name = api.create(sheet).name
+    talk = Talk(api, name)
+    for number in range(1, 6):
+        talk.ask(frame_of(sheet, number))
+    victim = worker_of(durable)
+    os.kill(victim, signal.SIGSTOP)
+    talk.send(frame_of(sheet, 6))
+    time.sleep(0.3)
+    os.kill(victim, signal.SIGKILL)
+    notice, result = next(talk.answers), next(talk.answers)
+    assert notice.notice.value == 1
+    assert result.result.sequence_number == 6
+    talk.end()
+    api.delete(name)
+    api.channel.close()
+
+
+def test_a_session_that_takes_worker_after_worker_down_ends():
+    given_up = []
+    durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)))
+    session = Session("deadly", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
+    for _ in range(3):
+        durability.lost(session)
+    assert not session.seated
+    with pytest.raises(Irrecoverable, match="4 workers were lost over its frames"):
+        durability.lost(session)
+    ((name, reason),) = given_up
+    assert name == "sessions/deadly"
+    assert isinstance(reason, WorkerLost)
+
+
+def test_sessions_of_a_killed_server_go_on_after_its_restart(restartable, sheet):
+    api = Api(restartable.process.grpc)
+    name = api.create(sheet, "survivor", labels={"who": "me"}, limits=pb.SessionLimits(max_points=500)).name
+    ended = api.create(sheet, "ended").name
+    api.delete(ended)
+    request = pb.CreateSessionRequest(api_version="1.0", session_id="again", request_id="the-same")
+    request.session.garment.CopyFrom(api.call("GetSession", pb.GetSessionRequest(name=name, view=pb.SESSION_VIEW_FULL)).garment)
+    again = api.call("CreateSession", request).name
+    talk = Talk(api, name)
+    for number in range(1, 7):
+        talk.ask(frame_of(sheet, number))
+    before = api.get(name)
+    time.sleep(1.5)  # statistics are registered once a second
+    restartable.restart(signal.SIGKILL)
+    api = Api(restartable.process.grpc)
+    listed = {session.name: session for session in api.call("ListSessions", pb.ListSessionsRequest()).sessions}
+    assert set(listed) == {name, again}
+    after = listed[name]
+    assert (after.state, after.limits, dict(after.labels)) == (pb.SESSION_STATE_IDLE, before.limits, {"who": "me"})
+    assert (after.create_time, after.config_json, after.etag) == (before.create_time, before.config_json, before.etag)
+    assert after.statistics.frames_applied == 6
+    talk = Talk(api, name)
+    assert talk.started.last_sequence_number == 4, "the checkpoint's"
+    assert talk.started.last_capture_time == frame_of(sheet, 4).capture_time
+    assert talk.ask(frame_of(sheet, 7))[-1].result.sequence_number == 7
+    statistics = api.get(name).statistics
+    assert (statistics.frames_applied, statistics.frames_lost, statistics.recoveries) == (7, 2, 1)
+    talk.end()
+    assert api.call("CreateSession", request).name == again, "the same request creates once, restart or not"
+    full = api.call("GetSession", pb.GetSessionRequest(name=again, view=pb.SESSION_VIEW_FULL))
+    assert full.garment == request.session.garment
+    with pytest.raises(SessionNotFound, match="deleted"):
+        api.get(ended)
+    for one in (name, again):
+        api.delete(one)
+    api.channel.close()
+
+
+def test_an_orderly_restart_forgets_nothing(restartable, sheet):
+    """Tracked through the restart and without one: the same to the bit."""
+    api = Api(restartable.process.grpc)
+    names = [api.create(sheet).name for _ in range(2)]
+    snapshot = None
+    for name in names:
+        talk = Talk(api, name)
+        for number in range(1, 6):
+            talk.ask(frame_of(sheet, number, shift=(0.001 * number, 0, 0)))
+        talk.end()
+    snapshot = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=names[1])).data
+    restartable.restart(signal.SIGTERM)
+    api = Api(restartable.process.grpc)
+    undisturbed = api.call("RestoreSession", pb.RestoreSessionRequest(api_version="1.0", data=snapshot)).name
+    talks = [Talk(api, name) for name in (names[0], undisturbed)]
+    assert talks[0].started.last_sequence_number == 5
+    results = [talk.ask(frame_of(sheet, 6, shift=(0.006, 0, 0)))[-1].result for talk in talks]
+    assert results[0].vertices == results[1].vertices
+    assert results[0].sigma == results[1].sigma
+    for talk in talks:
+        talk.end()
+    for name in [*names, undisturbed]:
+        api.delete(name)
+    api.channel.close()
