@@ -52,7 +52,8 @@ def test_exposed_ports_are_the_defaults():
 
 
 def test_variables_are_settings():
-    known = {f"DDAKF_{name.upper()}" for name in _settings()} | {"DDAKF_CONFIG", "DDAKF_KERNEL_CACHE", "DDAKF_PUBLISH"}
+    others = {"DDAKF_CONFIG", "DDAKF_KERNEL_CACHE", "DDAKF_PUBLISH", "DDAKF_BUILD"}
+    known = {f"DDAKF_{name.upper()}" for name in _settings()} | others
     for text in (DOCKERFILE, COMPOSE.read_text(encoding="utf-8"), DOCUMENT):
         assert set(re.findall(r"DDAKF_[A-Z_]*[A-Z]", text)) <= known
 

@@ -147,7 +147,7 @@ class Overload:
         self._missed += count
         if now - self._since < _SPAN:
             return 0.0
-        share, rate = self._missed / (self._applied + self._missed), self._applied / (now - self._since)
+        share, rate = self._missed / (self._applied + self._missed), max(self._applied, 1) / (now - self._since)
         self._since, self._applied, self._missed = now, 0, 0
         if share < _OVER:
             self._told_at = -math.inf

@@ -7,7 +7,7 @@ import functools
 import logging
 
 import grpc
-from ddakf_api.errors import FailedPrecondition, ServiceError, class_of, to_detail
+from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, ServiceError, class_of, to_detail
 from ddakf_api.transport import server_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
@@ -97,7 +97,12 @@ class TrackingService(rpc.TrackingServiceServicer):
 
     @_answering_errors
     async def Track(self, request_iterator, context):
-        first = await context.read()
+        patience = self._settings.reader_timeout
+        try:
+            async with asyncio.timeout(patience):
+                first = await context.read()
+        except TimeoutError:
+            raise DeadlineExceeded(f"no start came within {patience:g} s") from None
         if first is grpc.aio.EOF or first.WhichOneof("message") != "start":
             raise FailedPrecondition("the first message of a Track stream has to be start", field="start")
         stream = await self._sessions.open_stream(first.start)

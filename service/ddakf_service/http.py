@@ -261,7 +261,7 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
     @app.get("/v1/sessions/{session_id:session}/statistics", tags=["state"], responses=_NAMED)
     async def statistics(session_id: SessionId) -> Statistics:
         """Counters, and the numbers of the last frame."""
-        return Statistics.of(sessions.get(f"sessions/{session_id}").statistics)
+        return Statistics.of((await sessions.get(f"sessions/{session_id}")).statistics)
 
     @app.post(
         "/v1/sessions/{session_id:session}:reset",

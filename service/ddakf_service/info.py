@@ -9,6 +9,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 import ddakf
 from ddakf.physics.fabric import PRESETS
 
+from .build import build
 from .messages import RESULT_ENCODINGS
 from .settings import Settings
 
@@ -33,4 +34,5 @@ def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
         ),
         max_vertices=settings.max_vertices,
         draining=draining,
+        build=build(),
     )

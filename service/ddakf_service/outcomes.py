@@ -33,6 +33,7 @@ class Outcomes:
 
     def dropped(self, session: Session, count: int) -> None:
         """Frames were overtaken by newer ones, or came faster than they may."""
+        session.touch()  # who sends too many frames is there
         session.statistics.frames_dropped += count
         self._metrics.frames.labels("dropped").inc(count)
         self._history.count(session.uid, "dropped", count)

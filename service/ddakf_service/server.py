@@ -9,6 +9,7 @@ import signal
 from collections.abc import Callable
 from typing import NamedTuple
 
+from .build import build
 from .grpc_service import GrpcServer
 from .http import HttpServer, create_app
 from .sessions import Sessions
@@ -105,7 +106,7 @@ class Server:
             if warming.done():
                 await warming
                 ready(addresses)
-                log.info("ready", extra={"grpc": addresses.grpc, "http": addresses.http})
+                log.info("ready", extra={"grpc": addresses.grpc, "http": addresses.http, "build": build()})
                 await self._serve()
             else:
                 warming.cancel()

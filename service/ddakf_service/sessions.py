@@ -51,7 +51,7 @@ _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
 _RETRY_WHEN_FULL = 5.0  # seconds
 _LOAD_PAUSE = 3.0  # seconds between attempts to read the earlier sessions
 _LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
-_RESTORED = 4  # bytes that a restored tracker takes per byte of its snapshot, at most
+_RESTORED = 8  # bytes that a restored tracker takes per byte of its snapshot, at most
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
 _REAL_LIMITS = {
     "max_frame_rate": "frames per second",
@@ -381,7 +381,7 @@ class Sessions:
         s = self._settings
         for whose, count, most in (
             ("the server", len(owners), s.max_sessions),
-            ("the key", 0 if owner is None else owners.count(owner), s.max_sessions_per_key or s.max_sessions),
+            ("the key", 0 if owner is None else owners.count(owner), s.max_sessions_per_key),
         ):
             if count >= most:
                 raise ResourceExhausted(

@@ -63,7 +63,6 @@ class Settings(BaseSettings):
         le=256,
         description=f"worker processes; the default is one per core, at most {DEFAULT_MAX_WORKERS}",
     )
-
     spare_workers: int = Field(1, ge=0, le=16, description="warm processes that take the place of a lost worker at once")
     recycle_frames: int = Field(0, ge=0, description="frames after which a worker is replaced in order; 0: never")
     recycle_memory_bytes: int = Field(
@@ -71,7 +70,6 @@ class Settings(BaseSettings):
     )
 
     max_sessions: int = Field(64, ge=1, description="sessions at a time")
-    max_sessions_per_key: int = Field(0, ge=0, description="sessions at a time of one key; 0: as many as the server may have")
     max_memory_bytes: int = Field(
         4 << 30, ge=1 << 20, description="estimated bytes of a worker's sessions, above which it takes no more"
     )

@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
-from collections.abc import AsyncIterator
 from typing import Protocol
 
 from ddakf_api.errors import FailedPrecondition, InvalidArgument, ServiceError, class_of, to_detail
@@ -119,7 +118,7 @@ async def _stream(websocket: WebSocket, sessions: Sessions, name: str) -> None:
     stream = await sessions.open_stream(await _start(websocket, mode, name))
     reader = asyncio.create_task(_read(websocket, mode, stream))
     try:
-        await _write(websocket, mode, stream.responses())
+        await stream.deliver(lambda response: _send(websocket, mode, response))
     finally:
         reader.cancel()
         await sessions.close_stream(stream)
@@ -152,7 +151,8 @@ async def _watch(websocket: WebSocket, sessions: Sessions, name: str) -> None:
 
     reader = asyncio.create_task(refuse_messages())
     try:
-        await _write(websocket, mode, watcher.responses())
+        async for response in watcher.responses():
+            await _send(websocket, mode, response)
     finally:
         reader.cancel()
         watcher.leave()
@@ -177,12 +177,11 @@ async def _receive(websocket: WebSocket) -> dict:
     return event
 
 
-async def _write(websocket: WebSocket, mode: Mode, responses: AsyncIterator[pb.TrackResponse]) -> None:
-    async for response in responses:
-        try:
-            await mode.send(websocket, response)
-        except RuntimeError as error:  # the connection was closed beneath: a message too large, no answer to a ping
-            raise WebSocketDisconnect() from error
+async def _send(websocket: WebSocket, mode: Mode, response: pb.TrackResponse) -> None:
+    try:
+        await mode.send(websocket, response)
+    except RuntimeError as error:  # the connection was closed beneath: a message too large, no answer to a ping
+        raise WebSocketDisconnect() from error
 
 
 def _mode(websocket: WebSocket) -> Mode:

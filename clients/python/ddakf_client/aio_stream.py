@@ -8,7 +8,7 @@ from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, I
 from typing import Protocol
 
 import grpc
-from ddakf_api.errors import ServiceError
+from ddakf_api.errors import ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import failure
@@ -57,7 +57,9 @@ async def track(
                 # The server ended the stream in order, while this side was still writing.
                 if status.code() is grpc.StatusCode.OK:
                     stream.ended()
-                failed = stream.failure or failure(status, connection.target, plan.timeout)
+                lost = status.details() == _LOST_STATUS  # the server said nothing: there was no connection any more
+                failed = Unavailable(f"the connection to {connection.target} was lost") if lost else None
+                failed = stream.failure or failed or failure(status, connection.target, plan.timeout)
                 if not stream.may_resume(failed):
                     raise failed from None
             await stream.pause()

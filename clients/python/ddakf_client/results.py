@@ -168,6 +168,7 @@ class ServerInfo:
     max_vertices: int
     max_limits: Limits
     draining: bool
+    build: str
 
 
 def result_from(message: pb.Result, *, dropped_before_sending: int, latency: float) -> Result:
@@ -254,6 +255,7 @@ def server_info_from(message: pb.ServerInfo) -> ServerInfo:
         max_vertices=message.max_vertices,
         max_limits=_limits_from(message.max_limits),
         draining=message.draining,
+        build=message.build,
     )
 
 

@@ -1,0 +1,228 @@
+"""More than can be tracked, later than anybody needs it, answers that nobody reads: one worker, real sockets."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import threading
+import time
+
+import grpc
+import pytest
+from ddakf_api.errors import DeadlineExceeded, from_rpc_error
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.v1 import tracking_pb2_grpc as rpc
+from ddakf_service.child import ServiceProcess
+from websockets.sync.client import connect as connect_websocket
+
+from .conftest import TIMEOUT, Api, children, frame_of, make_sheet, request_of, silence
+
+LARGE = make_sheet(50, 0.01)
+
+
+@pytest.fixture(scope="module")
+def single(tmp_path_factory):
+    """A service of one worker that does not wait long for its readers."""
+    arguments = ["--workers", "1", "--spare-workers", "0", "--reader-timeout", "1"]
+    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("single") / "service.log")
+    try:
+        process.wait_until_ready()
+        yield process
+    finally:
+        status = process.stop()
+    assert status == 0
+
+
+@pytest.fixture(scope="module")
+def api(single):
+    api = Api(single.grpc)
+    with api.channel:
+        yield api
+
+
+class Halted:
+    """The worker does nothing inside this context."""
+
+    def __init__(self, service):
+        (self._worker,) = children(service.pid)
+
+    def __enter__(self):
+        os.kill(self._worker, signal.SIGSTOP)
+
+    def __exit__(self, *_):
+        os.kill(self._worker, signal.SIGCONT)
+
+
+def late_frame(sheet, number: int, deadline: float) -> pb.TrackRequest:
+    frame = frame_of(sheet, number)
+    frame.deadline = deadline
+    return request_of(frame)
+
+
+def test_a_frame_whose_turn_comes_too_late_is_not_tracked(single, api, sheet):
+    name = api.create(sheet).name
+    sent = threading.Event()
+
+    def requests():
+        yield request_of(frame_of(sheet, 1))
+        yield late_frame(sheet, 2, 0.1)
+        yield late_frame(sheet, 3, 60.0)
+        yield late_frame(sheet, 4, -1.0)
+        sent.set()
+
+    stream = api.track(name, requests())
+    with Halted(single):
+        assert next(stream).HasField("started")
+        sent.wait(TIMEOUT)
+        time.sleep(0.4)
+    answers = {}
+    for response in stream:
+        kind = response.WhichOneof("message")
+        answers[getattr(response, kind).sequence_number] = getattr(response, kind)
+    assert answers[2].error.name == "DeadlineExceeded"
+    assert answers[2].frames_late == 1
+    assert (answers[4].error.name, answers[4].error.field) == ("InvalidFrame", "deadline")
+    assert (answers[3].frames_applied, answers[3].frames_late, answers[3].frames_rejected) == (2, 1, 1)
+    statistics = api.get(name).statistics
+    assert (statistics.frames_applied, statistics.frames_late, statistics.frames_rejected) == (2, 1, 1)
+    api.delete(name)
+
+
+def test_frames_beyond_a_realtime_sessions_rate_are_dropped_and_the_client_is_told_once(api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=2.0)).name
+    responses = list(api.track(name, [request_of(frame_of(sheet, i)) for i in range(1, 31)], pb.FLOW_MODE_REALTIME))
+    notices = [response.notice for response in responses if response.HasField("notice")]
+    assert [(notice.kind, notice.value) for notice in notices] == [(pb.NOTICE_KIND_SLOW_DOWN, 2.0)]
+    statistics = api.get(name).statistics
+    assert statistics.frames_applied + statistics.frames_dropped == 30
+    assert statistics.frames_dropped > 20
+    api.delete(name)
+
+
+def test_frames_beyond_a_lossless_sessions_rate_are_held_back(api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=20.0)).name
+    begun = time.monotonic()
+    responses = list(api.track(name, [request_of(frame_of(sheet, i)) for i in range(1, 13)]))
+    assert time.monotonic() - begun > 9 / 20
+    assert [response.result.sequence_number for response in responses[1:]] == list(range(1, 13))
+    api.delete(name)
+
+
+def test_who_sends_more_than_can_be_tracked_is_told_how_much_can_be(single, api, sheet):
+    name = api.create(sheet).name
+
+    def too_many():
+        for number in range(1, 200):
+            time.sleep(0.01)
+            yield request_of(frame_of(sheet, number))
+
+    stream = api.track(name, too_many(), pb.FLOW_MODE_REALTIME)
+    assert next(stream).HasField("started")
+    with Halted(single):
+        time.sleep(1.5)
+    notices = [response.notice for response in stream if response.HasField("notice")]
+    assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_SLOW_DOWN]
+    assert 0 < notices[0].value < 100
+    api.delete(name)
+
+
+def test_a_greedy_session_starves_no_other_of_its_worker(api, sheet):
+    """Both have all their frames ready; while the modest one has its twenty, the greedy one has not many more."""
+    greedy, modest = api.create(LARGE).name, api.create(sheet).name
+    counts, at_the_end = {greedy: 0, modest: 0}, {}
+
+    def run(name, sheet, count):
+        for response in api.track(name, [request_of(frame_of(sheet, i)) for i in range(1, count + 1)]):
+            counts[name] += response.HasField("result")
+        at_the_end[name] = dict(counts)
+
+    threads = [threading.Thread(target=run, args=args) for args in ((greedy, LARGE, 90), (modest, sheet, 20))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(TIMEOUT)
+    assert at_the_end[modest][greedy] <= 45
+    assert at_the_end[greedy] == {greedy: 90, modest: 20}
+    for name in (greedy, modest):
+        api.delete(name)
+
+
+def test_a_stream_that_never_starts_ends(single):
+    stub = rpc.TrackingServiceStub(grpc.insecure_channel(single.grpc))
+    with pytest.raises(grpc.RpcError) as caught:
+        list(stub.Track(silence(threading.Event())))
+    assert isinstance(from_rpc_error(caught.value), DeadlineExceeded)
+
+
+def is_free(api, name: str, seconds: float = 20.0) -> bool:
+    """Whether the session's stream ends by itself."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        try:
+            next(api.track(name, []))
+            return True
+        except Exception:
+            time.sleep(0.2)
+    return False
+
+
+ALL = pb.ResultOptions(include_covariance=True, include_velocities=True, vertex_encoding=pb.ARRAY_ENCODING_FLOAT64)
+
+
+def test_a_reader_that_stalls_loses_its_stream_and_nobody_elses(single, api, sheet):
+    """Its unread answers fill the line; then the stream ends, while the worker has time for others throughout."""
+    stalled, other = api.create(LARGE).name, api.create(sheet).name
+    start = pb.TrackRequest(start=pb.Start(name=stalled, api_version="1.0", flow_mode=pb.FLOW_MODE_LOSSLESS, result_options=ALL))
+
+    def requests():
+        yield start
+        for number in range(1, 2000):
+            yield request_of(frame_of(LARGE, number))
+
+    channel = grpc.insecure_channel(single.grpc, [("grpc.use_local_subchannel_pool", 1)])
+    unread = rpc.TrackingServiceStub(channel).Track(requests())
+    next(unread)
+    for number in range(1, 21):
+        assert list(api.track(other, [request_of(frame_of(sheet, number))]))[-1].result.frames_applied == number
+    assert is_free(api, stalled)
+    applied = api.get(stalled).statistics.frames_applied
+    assert 0 < applied < 1999
+    with pytest.raises(grpc.RpcError) as caught:
+        list(unread)
+    assert isinstance(from_rpc_error(caught.value), DeadlineExceeded)
+    channel.close()
+    for name in (stalled, other):
+        api.delete(name)
+
+
+def test_a_websocket_reader_that_stalls_loses_its_stream(single, api):
+    name = api.create(LARGE).name
+    url = single.http.replace("http", "ws", 1) + f"/v1/{name}/stream"
+    narrow = socket.create_connection(tuple(single.http.removeprefix("http://").split(":")))
+    narrow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    start = pb.Start(name=name, api_version="1.0", flow_mode=pb.FLOW_MODE_LOSSLESS, result_options=ALL)
+    with connect_websocket(url, sock=narrow, max_queue=1, compression=None, close_timeout=0.1) as websocket:
+        websocket.send(pb.TrackRequest(start=start).SerializeToString())
+        stop = threading.Event()
+
+        def send():
+            for number in range(1, 2000):
+                if stop.is_set():
+                    return
+                websocket.send(request_of(frame_of(LARGE, number)).SerializeToString())
+
+        sender = threading.Thread(target=lambda: swallow(send), daemon=True)
+        sender.start()
+        assert is_free(api, name, 40)
+        stop.set()
+    assert 0 < api.get(name).statistics.frames_applied < 1999
+    api.delete(name)
+
+
+def swallow(work) -> None:
+    """The connection ends beneath the sender: that is what the test is about."""
+    try:
+        work()
+    except Exception:
+        return
