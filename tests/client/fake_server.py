@@ -14,7 +14,7 @@ import grpc
 import numpy as np
 from ddakf_api import API_VERSION, errors
 from ddakf_api.arrays import pack, unpack_mesh
-from ddakf_api.codec import CODECS, decode, sensor_origins
+from ddakf_api.codec import CODECS, DracoDecoder, decode, sensor_origins
 from ddakf_api.transport import server_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
@@ -60,6 +60,7 @@ class FakeService(rpc.TrackingServiceServicer):
     def __init__(self):
         self.api_version, self.codecs = API_VERSION, list(CODECS.values())
         self.delay, self.refused = 0.0, set()
+        self.draco = DracoDecoder(100_000)
         self.silent_from = self.ends_at = self.lost_from = self.drains_at = 2**63
         self.notice = None
         self.starts = True
@@ -205,7 +206,7 @@ class FakeService(rpc.TrackingServiceServicer):
         )
 
     def _result(self, frame, vertices, statistics, options):
-        points = decode(frame.point_cloud, max_points=100_000)
+        points = decode(frame.point_cloud, max_points=100_000, draco_decoder=self.draco)
         origins = sensor_origins(frame.sensors, len(points))
         body = np.frombuffer(frame.body_vertices, "<f4").reshape(-1, 3)
         count = len(vertices)
