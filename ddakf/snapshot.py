@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import struct
 import zipfile
 import zlib
 from typing import get_args
@@ -20,7 +21,7 @@ from ddakf.types import State, TrackerState
 from ddakf.uncertainty import Drift
 
 MAGIC = b"DDAKFSNP"
-MAX_BYTES = 1 << 30  # of an unpacked snapshot: 100,000 vertices over as large a body take a tenth of it
+MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 5
 
 
@@ -146,10 +147,35 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         body = reader.decompress(data[16:], MAX_BYTES)
         if reader.unconsumed_tail:
             raise InvalidSnapshot("snapshot", f"at most {MAX_BYTES} bytes when unpacked", "more")
-        with np.load(io.BytesIO(body), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+        arrays = _members(body)
         return json.loads(arrays.pop("numbers").tobytes()), arrays
     except InvalidSnapshot:
         raise
-    except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError) as error:
+    except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, RuntimeError, struct.error) as error:
         raise InvalidSnapshot("snapshot", "an archive of arrays", str(error) or type(error).__name__) from None
+
+
+def _members(body: bytes) -> dict[str, np.ndarray]:
+    """The arrays of an uncompressed archive, each as long as its own header says; numpy would take memory for what that declares.
+
+    Raises:
+        InvalidSnapshot, ValueError, OSError, BadZipFile: it is none.
+    """
+    with zipfile.ZipFile(io.BytesIO(body)) as archive:
+        members = archive.infolist()
+        size = sum(member.file_size for member in members)
+        if size > len(body) or any(member.compress_type != zipfile.ZIP_STORED for member in members):
+            raise InvalidSnapshot("snapshot", "an archive that is not compressed", f"one that grows to {size} bytes")
+        return {member.filename.removesuffix(".npy"): _array(archive.read(member)) for member in members}
+
+
+def _array(data: bytes) -> np.ndarray:
+    stream = io.BytesIO(data)
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError("an array of another version than 1.0")
+    shape, column_major, dtype = np.lib.format.read_array_header_1_0(stream)
+    held = len(data) - stream.tell()
+    if dtype.hasobject or math.prod(shape) * dtype.itemsize != held or min(shape, default=0) < 0:
+        raise ValueError(f"an array of {dtype} and shape {shape} in {held} bytes")
+    array = np.frombuffer(data, dtype, offset=stream.tell())
+    return array.reshape(shape, order="F" if column_major else "C").copy()

@@ -1,5 +1,8 @@
 """Snapshots: the next step is exact to the bit, and bytes that are none are refused by name."""
 
+import io
+import tracemalloc
+import zipfile
 import zlib
 
 import numpy as np
@@ -270,3 +273,39 @@ def test_content_of_another_shape_is_refused(what):
 
 def test_repacking_is_the_identity():
     assert rewritten(lambda numbers, arrays: None) == DATA
+
+
+def archived(kind: int, **members: bytes) -> bytes:
+    """A snapshot whose archive holds these members."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", kind) as archive:
+        for name, data in members.items():
+            archive.writestr(f"{name}.npy", data)
+    body = zlib.compress(stream.getvalue(), 1)
+    return snapshot.MAGIC + snapshot.VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body
+
+
+def declared(shape: tuple[int, ...], data: bytes) -> bytes:
+    """An array's file whose header says this shape."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": shape})
+    return stream.getvalue() + data
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (archived(zipfile.ZIP_STORED, garment_V=declared((10**9, 3), b"")), "in 0 bytes"),
+        (archived(zipfile.ZIP_STORED, garment_V=declared((-1, -1), bytes(8))), "in 8 bytes"),
+        (archived(zipfile.ZIP_DEFLATED, garment_V=declared((10**6, 3), bytes(24 * 10**6))), "not compressed"),
+    ],
+    ids=["a shape of gigabytes", "a shape below zero", "a member that grows"],
+)
+def test_memory_is_not_taken_for_what_a_snapshot_declares(data, said):
+    tracemalloc.start()
+    try:
+        with pytest.raises(InvalidSnapshot, match=said):
+            Tracker.restore(data)
+        assert tracemalloc.get_traced_memory()[1] < 1_000_000
+    finally:
+        tracemalloc.stop()
