@@ -96,6 +96,10 @@ class TrackingService(rpc.TrackingServiceServicer):
         return await self._sessions.restore(request)
 
     @_answering_errors
+    async def GetSessionHistory(self, request, context):
+        return await self._sessions.history(request)
+
+    @_answering_errors
     async def Track(self, request_iterator, context):
         patience = self._settings.reader_timeout
         try:

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import socket
 from collections.abc import Callable
+from datetime import datetime
 from http import HTTPStatus
 from typing import Annotated, Literal
 
@@ -45,6 +46,7 @@ from ddakf import errors as library
 from .info import server_info
 from .openapi import binary_answer, binary_body, document_of, errors, json_body
 from .origins import SecurityHeaders, add_origins
+from .rest_history import HistoryOut, history_request
 from .rest_models import (
     EXAMPLE_ID,
     KEY_VALUES,
@@ -248,6 +250,18 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         """Changes labels, limits, configuration and fabric. What the mask names and the body lacks goes back to its default."""
         change = UpdateSession.model_validate_json(await _body(request, _most_json(settings)))
         return SessionOut.of(await sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
+
+    @app.get("/v1/sessions/{session_id:session}/history", tags=["sessions"], responses={**_NAMED, **errors(Unavailable)})
+    async def get_session_history(
+        session_id: SessionId,
+        start: Annotated[datetime | None, Query(alias="from", description="without it the session's creation")] = None,
+        end: Annotated[datetime | None, Query(alias="to", description="without it now, or the session's end")] = None,
+        resolution: Annotated[float, Query(ge=0, lt=2**32, description="seconds per sample; 0: the finest that fits")] = 0,
+        max_samples: Annotated[int, Query(ge=0, lt=2**32, description="at most this many; 0: 500; lowered to 10000")] = 0,
+    ) -> HistoryOut:
+        """Reliability, coverage, latency, frames by outcome and changes of state over time, of a live or a past session."""
+        request = history_request(session_id, start, end, resolution, max_samples)
+        return HistoryOut.of(await sessions.history(request))
 
     @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_NAMED)
     async def delete_session(session_id: SessionId) -> None:

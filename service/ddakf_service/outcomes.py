@@ -11,25 +11,29 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from .flow import Waiting
 from .session import Session
 from .store import History
-from .telemetry import Metrics
+from .telemetry import Metrics, codec_of, flow_of
+from .tracing import Tracer
 
 log = logging.getLogger(__name__)
 
 
 class Outcomes:
-    """Counts frames by outcome."""
+    """Counts frames by outcome, and keeps what became of them over time."""
 
-    def __init__(self, metrics: Metrics, history: History):
-        self._metrics, self._history = metrics, history
+    def __init__(self, metrics: Metrics, history: History, tracer: Tracer):
+        self._metrics, self._history, self._tracer = metrics, history, tracer
 
-    def applied(self, session: Session, result: pb.Result, waiting: Waiting, started: float) -> None:
+    def applied(self, session: Session, result: pb.Result, waiting: Waiting, started: float, mode: pb.FlowMode) -> None:
         """A frame was tracked; its work was ``started`` then (monotonic clock). Completes the result."""
         session.record_result(result, waiting.arrived)
         result.timings["queue"] = started - waiting.arrived
         result.timings["server"] = monotonic() - waiting.arrived
-        self._metrics.observe(result)
+        codec, flow = codec_of(waiting.frame), flow_of(mode)
+        self._metrics.observe(result, codec, flow)
         self._history.applied(session.uid, result, result.timings["server"])
-        self._history.state(session.uid, session.state)
+        if not session.closed:  # a frame may come out of the worker after its session's end
+            self._history.state(session.uid, session.state)
+        self._tracer.applied(session.id, waiting.frame, result, codec, flow)
 
     def dropped(self, session: Session, count: int) -> None:
         """Frames were overtaken by newer ones, or came faster than they may."""
@@ -38,8 +42,8 @@ class Outcomes:
         self._metrics.frames.labels("dropped").inc(count)
         self._history.count(session.uid, "dropped", count)
 
-    def refused(self, session: Session, frame: pb.Frame, error: ServiceError) -> pb.TrackResponse:
-        """A frame was not tracked: its answer."""
+    def refused(self, session: Session, frame: pb.Frame, error: ServiceError, arrived: float) -> pb.TrackResponse:
+        """A frame that ``arrived`` then (monotonic clock) was not tracked: its answer."""
         session.touch()  # who sends frames, if bad ones, is there
         statistics = session.statistics
         late = isinstance(error, DeadlineExceeded)
@@ -51,6 +55,7 @@ class Outcomes:
             statistics.frames_rejected += 1
             self._metrics.frames.labels("failed" if isinstance(error, (Internal, WorkerLost)) else "rejected").inc()
             log.info("a frame was rejected: %s", error, extra={"session": session.id, "sequence": frame.sequence_number})
+        self._tracer.refused(session.id, frame, error, monotonic() - arrived)
         return pb.TrackResponse(
             frame_error=pb.FrameError(
                 sequence_number=frame.sequence_number,

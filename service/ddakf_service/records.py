@@ -93,7 +93,7 @@ class Records:
         return snapshot if request is None else pb.CreateSessionRequest.FromString(request)
 
     def _record(self, session: Session) -> SessionRecord:
-        return SessionRecord(self._store.server_id, session.message(), session.request_id, session.uid)
+        return SessionRecord(self._store.server_id, session.message(), session.request_id, session.uid, owner=session.owner)
 
 
 def beginning(session: Session) -> pb.CreateSessionRequest:
@@ -119,6 +119,7 @@ def _session(record: SessionRecord) -> Session:
         revision=int(message.etag),
         created=record.create_time,
         request_id=record.request_id,
+        owner=record.owner,
         uid=record.uid,
         seated=False,
         asleep=True,

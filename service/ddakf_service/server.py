@@ -16,6 +16,7 @@ from .sessions import Sessions
 from .settings import Settings
 from .store import Store
 from .telemetry import Metrics
+from .tracing import tracer_for
 from .trust.guard import Guard, HttpGuard
 from .trust.keys import KeyRing
 from .trust.stored import StoredKeys
@@ -51,6 +52,7 @@ class Server:
     def __init__(self, settings: Settings):
         self._settings = settings
         self._metrics = Metrics()
+        self._tracer = tracer_for(settings.trace_sample, settings.server_id)
         self._store = Store(settings, self._metrics)
         self._pool = LocalPool(
             settings.workers,
@@ -70,7 +72,7 @@ class Server:
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
         )
-        self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
+        self._sessions = Sessions(self._pool, settings, self._metrics, self._store, self._tracer)
         self._keys = KeyRing(StoredKeys(self._store.database))
         guard = Guard(self._keys, anonymous=_anonymous(settings))
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
@@ -146,6 +148,7 @@ class Server:
         await self._keys.stop()
         await self._pool.stop()
         await asyncio.to_thread(self._store.close)
+        await asyncio.to_thread(self._tracer.close)
         log.info("stopped")
 
     def _on_signal(self) -> None:

@@ -36,6 +36,7 @@ from .settings import Settings
 from .store import Store
 from .stream import Stream
 from .telemetry import Metrics
+from .tracing import Tracer
 from .watch import Watcher
 from .workers import Memory, WorkerPool
 
@@ -70,14 +71,17 @@ class Sessions:
 
     Args:
         pool: where they are computed. Its ``on_lost`` should be :meth:`lose`.
+        store: what outlives this object, opened.
+        tracer: told about every frame.
     """
 
-    def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics, store: Store):
-        self._pool, self._settings, self._metrics = pool, settings, metrics
+    def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics, store: Store, tracer: Tracer):
+        self._pool, self._settings, self._metrics, self._store = pool, settings, metrics, store
         self._records = Records(store)
         self._durability = Durability(pool, self._records, metrics, settings.checkpoint_every, self._end)
-        self._outcomes = Outcomes(metrics, store.history)
+        self._outcomes = Outcomes(metrics, store.history, tracer)
         self._sessions: dict[str, Session] = {}
+        metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._sessions.values()))
         self._opening: dict[str, str | None] = {}  # id to owner
         self._ended: OrderedDict[str, ServiceError] = OrderedDict()
         self._requests: OrderedDict[str, asyncio.Future[str]] = OrderedDict()
@@ -250,6 +254,22 @@ class Sessions:
         require_compatible(request.api_version, peer="client")
         session = self._find(request.name)
         return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
+
+    async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
+        """What happened in a session over time, a live one or the last past one of the name.
+
+        Raises:
+            SessionNotFound: none is remembered. InvalidArgument: a time or number that makes no sense.
+            Unavailable: the database cannot be reached.
+        """
+        session_id = request.name.removeprefix("sessions/")
+        session = self._sessions.get(session_id)
+        if session is not None:
+            return await self._store.history.query(request, session.uid, session.created)
+        record = await self._store.registry.newest(session_id)
+        if record is None:
+            raise SessionNotFound(f"no session {request.name[:80]!r} is remembered")
+        return await self._store.history.query(request, record.uid, record.create_time, record.end_time)
 
     def lose(self, session_ids: Sequence[str]) -> None:
         """Has the sessions whose worker is gone go on in another one, those with a stream first."""

@@ -125,6 +125,9 @@ class Settings(BaseSettings):
     tls_key: str = Field("", description="PEM file with its private key")
     tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate of theirs")
 
+    trace_sample: float = Field(
+        0.01, ge=0, le=1, description="share of the frames whose spans are exported where OTEL_EXPORTER_OTLP_ENDPOINT is set"
+    )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
     log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
 

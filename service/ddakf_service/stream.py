@@ -141,7 +141,7 @@ class Stream:
         try:
             self._check(frame)
         except InvalidFrame as error:
-            await self._outbox.put(self._outcomes.refused(self.session, frame, error))
+            await self._outbox.put(self._outcomes.refused(self.session, frame, error, arrived))
             return
         if await self._may_come(arrived):
             self._count_dropped(await self._mailbox.put(frame, arrived))
@@ -260,15 +260,15 @@ class Stream:
                 result = await self._submit(waiting)
             except WorkerLost as error:
                 self._durability.lost(session)
-                response = self._outcomes.refused(session, waiting.frame, error)
+                response = self._outcomes.refused(session, waiting.frame, error, waiting.arrived)
                 await self._durability.seat(session)
                 return response
             except ServiceError as error:
-                response = self._outcomes.refused(session, waiting.frame, error)
+                response = self._outcomes.refused(session, waiting.frame, error, waiting.arrived)
                 if isinstance(error, DeadlineExceeded):
                     self._count_missed(1)
                 return response
-            self._outcomes.applied(session, result, waiting, started)
+            self._outcomes.applied(session, result, waiting, started, self._mode)
             self._overload.applied()
             self._durability.tracked(session)
         response = pb.TrackResponse(result=result)

@@ -25,9 +25,9 @@ def configure_logging(level: str, format: str) -> None:
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # The service says itself when it starts and stops.
-    for chatty in ("uvicorn", "alembic"):
-        logging.getLogger(chatty).setLevel(max(logging.WARNING, root.level))
+    # The service says itself when it starts and stops; OpenTelemetry would warn of every span that finds no room.
+    for chatty, lowest in (("uvicorn", logging.WARNING), ("alembic", logging.WARNING), ("opentelemetry", logging.ERROR)):
+        logging.getLogger(chatty).setLevel(max(lowest, root.level))
 
 
 def _add_session(record: logging.LogRecord) -> bool:
@@ -69,37 +69,29 @@ _STAGE_BUCKETS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.033
 
 
 class Metrics:
-    """What ``/metrics`` exports. Labels are few and bounded: never a session's id.
-
-    ddakf_frames_total{outcome}: frames by what became of them: applied, dropped (a newer one came first), rejected (bad
-        input), late (its deadline had passed) or failed (worker lost or internal error).
-    ddakf_frame_stage_seconds{stage}: time of each of the tracker's stages in a worker.
-    ddakf_frame_seconds: from the arrival of a frame to its result, seconds.
-    ddakf_frame_reliability: reliability of each applied frame, 0 to 1.
-    ddakf_sessions: sessions that exist. ddakf_streams: sessions with an open stream.
-    ddakf_workers_ready: workers that take frames. ddakf_worker_restarts_total: workers that were lost and
-        replaced. ddakf_workers_spare: warm ones that wait. ddakf_workers_recycled_total: workers that were replaced in order.
-    ddakf_session_recoveries_total: times that a session went on from a checkpoint.
-    """
+    """What ``/metrics`` exports; the meaning of each is in its description here. Labels are few and bounded: never a
+    session's id."""
 
     def __init__(self):
         disable_created_metrics()  # a second time series for each, which nobody reads
         self.registry = CollectorRegistry()
         add = {"registry": self.registry}
         self.frames = Counter("ddakf_frames_total", "Frames by outcome", ["outcome"], **add)
-        self.stage_seconds = Histogram(
-            "ddakf_frame_stage_seconds", "Time of a stage of the tracker", ["stage"], buckets=_STAGE_BUCKETS, **add
-        )
+        by_way = ["codec", "flow"]
         self.frame_seconds = Histogram(
-            "ddakf_frame_seconds", "From the arrival of a frame to its result", buckets=_LATENCY_BUCKETS, **add
+            "ddakf_frame_seconds", "From the arrival of a frame to its result", by_way, buckets=_LATENCY_BUCKETS, **add
+        )
+        self.stage_seconds = Histogram(
+            "ddakf_frame_stage_seconds", "Time of a part of that", ["stage", *by_way], buckets=_STAGE_BUCKETS, **add
         )
         self.reliability = Histogram(
             "ddakf_frame_reliability", "Reliability of a frame", buckets=[i / 10 for i in range(1, 11)], **add
         )
         self.sessions = Gauge("ddakf_sessions", "Sessions that exist", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
+        self.watchers = Gauge("ddakf_watchers", "Readers of sessions beside their clients", **add)
         self.workers_ready = Gauge("ddakf_workers_ready", "Workers that take frames", **add)
-        self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were replaced", **add)
+        self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were lost and replaced", **add)
         self.store_up = Gauge("ddakf_store_up", "Whether a part of the store works: 1 or 0", ["part"], **add)
         self.store_errors = Counter("ddakf_store_errors_total", "Failed attempts to reach or write the store", ["part"], **add)
         self.store_dropped = Counter(
@@ -116,11 +108,32 @@ class Metrics:
         for outcome in ("applied", "dropped", "late", "rejected", "failed"):
             self.frames.labels(outcome)
 
-    def observe(self, result: pb.Result) -> None:
-        """Counts an applied frame."""
+    def observe(self, result: pb.Result, codec: str, flow: str) -> None:
+        """Counts an applied frame; see :func:`codec_of` and :func:`flow_of`."""
         self.frames.labels("applied").inc()
-        self.frame_seconds.observe(result.timings["server"])
+        self.frame_seconds.labels(codec, flow).observe(result.timings["server"])
         self.reliability.observe(result.reliability)
         for stage, seconds in result.timings.items():
             if stage != "server":
-                self.stage_seconds.labels(stage).observe(seconds)
+                self.stage_seconds.labels(stage, codec, flow).observe(seconds)
+
+
+def codec_of(frame: pb.Frame) -> str:
+    """How a frame's measurements are encoded, as a label: "morton_zstd", "depth_png", ..., or "none"."""
+    kind = frame.WhichOneof("payload")
+    if kind == "point_cloud":
+        return _label(pb.PointCodec, frame.point_cloud.codec, pb.POINT_CODEC_MORTON_ZSTD, "POINT_CODEC_")
+    if kind == "depth_image":
+        compression = frame.depth_image.compression
+        return "depth_" + _label(pb.DepthCompression, compression, pb.DEPTH_COMPRESSION_NONE, "DEPTH_COMPRESSION_")
+    return "none"
+
+
+def flow_of(mode: pb.FlowMode) -> str:
+    """A flow mode as a label: "realtime" or "lossless"."""
+    return _label(pb.FlowMode, mode, pb.FLOW_MODE_REALTIME, "FLOW_MODE_")
+
+
+def _label(enum, value: int, default: int, prefix: str) -> str:
+    value = value or default
+    return enum.Name(value).removeprefix(prefix).lower() if value in enum.values() else "unknown"

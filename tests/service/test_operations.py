@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import grpc
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.tracing import STAGES
 from google.protobuf import descriptor_pb2
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection_pb2, reflection_pb2_grpc
@@ -69,12 +72,28 @@ def test_metrics_follow_the_frames(api, http, session, sheet):
 
     assert grown("ddakf_frames_total", "applied") == 2
     assert grown("ddakf_frames_total", "rejected") == 1
-    assert grown("ddakf_frame_seconds_count") == 2
+    assert grown("ddakf_frame_seconds_count", "lossless", "morton_zstd") == 2
     assert grown("ddakf_frame_reliability_count") == 2
-    for stage in ("queue", "decode", "encode", "total"):
-        assert grown("ddakf_frame_stage_seconds_count", stage) == 2
+    for stage in ("queue", "decode", *STAGES, "encode", "total"):
+        assert grown("ddakf_frame_stage_seconds_count", *sorted(("lossless", "morton_zstd", stage))) == 2
     assert after["ddakf_sessions",] >= 1
     assert after["ddakf_workers_ready",] == 2
+
+
+def test_the_documented_metrics_are_those_that_are_exported(http):
+    """Names, types and labels, both ways; process metrics apart, which are Prometheus' own."""
+    text = (Path(__file__).parents[2] / "docs/operations.md").read_text()
+    table = text.partition("<!-- metrics: begin -->")[2].partition("<!-- metrics: end -->")[0]
+    documented = {}
+    for line in table.strip().splitlines()[2:]:
+        name, kind, labels, meaning = (cell.strip() for cell in line.strip("|").split("|"))
+        documented[name.strip("`").removesuffix("_total")] = kind, {x.strip() for x in labels.split(",") if x}, meaning
+    families = {f.name: f for f in text_string_to_metric_families(http.get("/metrics").text) if not f.name.startswith("process_")}
+    assert set(documented) == set(families)
+    for name, (kind, labels, meaning) in documented.items():
+        assert (kind, meaning) == (families[name].type, families[name].documentation)
+        for sample in families[name].samples:
+            assert set(sample.labels) - {"le"} == labels, name
 
 
 def test_metrics_never_name_a_session(http, session):

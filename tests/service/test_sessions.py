@@ -30,6 +30,7 @@ from ddakf_service.child import ServiceProcess
 from ddakf_service.settings import Settings
 from ddakf_service.store import Store
 from ddakf_service.telemetry import Metrics
+from ddakf_service.tracing import NoTracer
 
 import ddakf
 from ddakf import data
@@ -371,7 +372,7 @@ def test_the_sample_is_tracked(client):
     assert rmse_mm(results[-1].vertices, sequence.garment_vertices[5]) < 15
 
 
-async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch):
+async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch, request):
     """A worker that fails at the end of a session, and a session that comes back to life meanwhile."""
     monkeypatch.setattr(sessions, "_EXPIRY_INTERVAL", 0.01)
 
@@ -389,7 +390,8 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
 
     settings, metrics = Settings(data_dir="none"), Metrics()
     store = Store(settings, metrics)
-    mine = sessions.Sessions(Pool(), settings, metrics, store)
+    request.addfinalizer(store.close)
+    mine = sessions.Sessions(Pool(), settings, metrics, store, NoTracer())
     for name in ("first", "other", "revived"):
         await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
     revived = mine._find("sessions/revived")

@@ -46,7 +46,7 @@ class Store:
             self.database = Database(database_url(settings), metrics)
             keep = _KEPT_IN_MEMORY if self.database.in_memory else settings.history_days * _DAY
             self.registry = Registry(self.database, keep)
-            self.history = History(self.database, self.registry, keep)
+            self.history = History(self.database, keep)
             url = _checkpoint_url(settings)
             folder = re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
             self.checkpoints = Checkpoints(url, folder, settings.checkpoint_keep, metrics) if url else None

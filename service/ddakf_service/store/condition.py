@@ -41,6 +41,6 @@ class Condition:
 
 
 def sentence_of(error: Exception) -> str:
-    """What is wrong, on one line; without SQL and without values."""
+    """What is wrong: its first line, without SQL and without values."""
     cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
-    return (" ".join(str(cause).split()) or type(cause).__name__)[:_LONGEST]
+    return (str(cause).strip().partition("\n")[0] or type(cause).__name__)[:_LONGEST]

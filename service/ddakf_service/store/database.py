@@ -21,7 +21,7 @@ import sqlalchemy as sa
 from alembic.util.exc import CommandError
 from ddakf_api.errors import Unavailable
 from sqlalchemy.dialects import postgresql, sqlite
-from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError, ProgrammingError
 from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from ddakf.errors import InvalidConfig
@@ -210,6 +210,8 @@ class Database:
                 raise Unavailable("the database has not been reached yet; try again later", retry_after=_RETRY_AFTER)
             with self._engine.begin() as connection:
                 return query(connection)
+        except (DataError, IntegrityError, ProgrammingError):
+            raise  # a defect of the query
         except (DBAPIError, PoolTimeout, OSError) as error:
             self.condition.fails(error)
             self._wake()

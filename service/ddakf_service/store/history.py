@@ -9,12 +9,11 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import sqlalchemy as sa
-from ddakf_api.errors import InvalidArgument, SessionNotFound
+from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from .database import Database
-from .registry import Registry
 from .tables import history, state_changes
 
 _CAPACITY = 50_000  # rows that wait for a database that cannot be reached; about half a kilobyte each
@@ -90,13 +89,12 @@ class History:
     """Frames and states of all sessions. Recording costs some microseconds and never waits.
 
     Args:
-        registry: where the ids of sessions are looked up.
         keep: seconds for which rows are kept.
         clock: seconds since 1970.
     """
 
-    def __init__(self, database: Database, registry: Registry, keep: float, clock=time.time):
-        self._database, self._registry, self._keep, self._clock = database, registry, keep, clock
+    def __init__(self, database: Database, keep: float, clock=time.time):
+        self._database, self._keep, self._clock = database, keep, clock
         self._rows = database.queue(_CAPACITY, self._write_rows)
         self._changes = database.queue(_CAPACITY, self._write_changes)
         self._live: dict[int, _Live] = {}
@@ -106,7 +104,8 @@ class History:
     def applied(self, uid: int, result: pb.Result, latency: float) -> None:
         """A frame was tracked; ``latency`` is the time from its arrival to its result, seconds."""
         with self._lock:
-            row = self._second(uid)
+            if (row := self._second(uid)) is None:
+                return
             row.applied += 1
             row.reliability_sum += result.reliability
             row.least_reliability = min(row.least_reliability, result.reliability)
@@ -118,11 +117,13 @@ class History:
     def count(self, uid: int, outcome: str, frames: int = 1) -> None:
         """Frames that were not tracked; ``outcome`` is "dropped", "late" or "rejected"."""
         with self._lock:
-            row = self._second(uid)
-            setattr(row, outcome, getattr(row, outcome) + frames)
+            if (row := self._second(uid)) is not None:
+                setattr(row, outcome, getattr(row, outcome) + frames)
 
     def state(self, uid: int, state: pb.SessionState) -> None:
-        """The state of a session as of now; the same as before is not recorded again."""
+        """The state of a session as of now; the same as before is not recorded again.
+
+        A session's first state begins its history in this process: frames of others are not recorded."""
         with self._lock:
             live = self._live.setdefault(uid, _Live(uid))
             if state != live.state:
@@ -145,33 +146,37 @@ class History:
                 if live.second is not None:
                     self._put(live.second)
 
-    async def query(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
-        """The history of the last session of a name, live or past, up to the last frame.
+    async def query(
+        self, request: pb.GetSessionHistoryRequest, uid: int, create_time: float, end_time: float | None = None
+    ) -> pb.SessionHistory:
+        """The history of a session, up to the last frame.
+
+        Args:
+            request: which span, in what detail; without a start from ``create_time``, without an end up to now.
+            create_time, end_time: seconds since 1970; no end: it lives.
 
         Raises:
             InvalidArgument: a time or number that makes no sense.
-            SessionNotFound: no session of this name is remembered.
             Unavailable: the database cannot be reached.
         """
-        record = await self._registry.newest(request.name.removeprefix("sessions/"))
-        if record is None:
-            raise SessionNotFound(f"no session {request.name[:80]!r} is remembered")
         now = self._clock()
-        start = _seconds(request, "start_time", record.create_time)
-        end = _seconds(request, "end_time", min(now, record.end_time or now) + 1)
+        start = _seconds(request, "start_time", create_time)
+        end = _seconds(request, "end_time", max(min(now, end_time or now), start) + 1)
         if end < start:
             raise InvalidArgument(field="end_time", expected="a time after start_time", got=f"{start - end:g} s before it")
         step = _resolution(request, start, end)
-        rows, changes = self._in_memory(record.uid)
-        samples = await self._samples(record.uid, int(start), end, step, rows)
-        answer = pb.SessionHistory(name=f"sessions/{record.id}", resolution=step, samples=samples)
-        for change in await self._state_changes(record.uid, start, end, changes):
+        rows, changes = self._in_memory(uid)
+        samples = await self._samples(uid, int(start), end, step, rows)
+        answer = pb.SessionHistory(name=request.name, resolution=step, samples=samples)
+        for change in await self._state_changes(uid, start, end, changes):
             answer.state_changes.add(state=change.state).time.FromNanoseconds(int(change.time * 1e9))
         return answer
 
-    def _second(self, uid: int) -> Aggregate:
-        """The row of the present second; the one before is left to the database."""
-        live = self._live.setdefault(uid, _Live(uid))
+    def _second(self, uid: int) -> Aggregate | None:
+        """The row of the present second; the one before is left to the database. None: the session has none."""
+        live = self._live.get(uid)
+        if live is None:
+            return None
         second = int(self._clock())
         if live.second is None or second > live.second.second:  # a clock that is set back makes a longer second
             if live.second is not None:

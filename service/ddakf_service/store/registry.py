@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -30,6 +30,7 @@ class SessionRecord:
         session: the resource without its meshes: name, state, labels, limits, configuration, fabric, counts, vertex map,
             times, statistics, etag. Whoever saves it leaves it alone afterwards.
         request_id: the one that it was created with, if any.
+        owner: the key that it was created with; None: none was needed.
         uid: see :func:`new_uid`.
         reason: why it is no more; None while it lives.
         end_time: when it ended, seconds since 1970; None while it lives.
@@ -41,6 +42,7 @@ class SessionRecord:
     uid: int = field(default_factory=new_uid)
     reason: pb.ErrorDetail | None = None
     end_time: float | None = None
+    owner: str | None = None
 
     @property
     def id(self) -> str:
@@ -80,7 +82,7 @@ class Registry:
     def end(self, record: SessionRecord, reason: pb.ErrorDetail) -> None:
         """Registers the end of a session; its history stays."""
         self._requests.discard(record.uid)
-        self.save(SessionRecord(record.server_id, record.session, record.request_id, record.uid, reason, time.time()))
+        self.save(replace(record, reason=reason, end_time=time.time()))
 
     async def alive(self, server_id: str) -> list[SessionRecord]:
         """The sessions of a server that have not ended, oldest first; whether one has expired meanwhile is for the
@@ -142,6 +144,7 @@ def _row(record: SessionRecord) -> dict:
         "id": record.id,
         "server_id": record.server_id,
         "request_id": record.request_id,
+        "owner": record.owner,
         "state": session.state,
         "labels": dict(session.labels),
         "create_time": record.create_time,
@@ -154,4 +157,12 @@ def _row(record: SessionRecord) -> dict:
 
 def _record(row: sa.Row) -> SessionRecord:
     reason = None if row.reason is None else pb.ErrorDetail.FromString(row.reason)
-    return SessionRecord(row.server_id, pb.Session.FromString(row.message), row.request_id, row.uid, reason, row.end_time)
+    return SessionRecord(
+        row.server_id,
+        pb.Session.FromString(row.message),
+        request_id=row.request_id,
+        uid=row.uid,
+        reason=reason,
+        end_time=row.end_time,
+        owner=row.owner,
+    )

@@ -15,6 +15,7 @@ sessions = Table(
     Column("id", String(63), nullable=False),
     Column("server_id", String(255), nullable=False),
     Column("request_id", String(256), nullable=False),
+    Column("owner", String(64)),
     Column("state", Integer, nullable=False),
     Column("labels", JSON, nullable=False),
     Column("create_time", Double, nullable=False),

@@ -41,7 +41,7 @@ def test_migrations_lead_to_the_tables_of_the_code(opened, url):
 
 def test_an_opened_database_is_left_as_it_was(opened, url):
     first = opened(url)
-    key = {"hash": b"h", "prefix": "dk_1", "name": "n", "scopes": "read", "create_time": 1.0}
+    key = {"hash": b"h", "prefix": "dk_1", "name": "n", "scopes": "read", "max_sessions": 1, "create_time": 1.0}
     first.read_now(lambda c: c.execute(sa.insert(api_keys).values(key)))
     first.close()
     names = opened(url).read_now(lambda c: list(c.execute(sa.select(api_keys.c.name)).scalars()))

@@ -29,6 +29,7 @@ def open_registry(opened, url):
 async def test_sessions_come_back_as_they_were(open_registry):
     registry = open_registry()
     first = record("first", labels={"who": "me\0 ünïcode"}, config_json='{"a": 1}', fabric="silk", etag="3")
+    first = dataclasses.replace(first, owner="key-1", request_id="request-1")
     second, other = record("second"), record("other", server_id="there")
     for each in (second, other, first):
         registry.save(each)

@@ -14,6 +14,7 @@ def upgrade() -> None:
         sa.Column("id", sa.String(63), nullable=False),
         sa.Column("server_id", sa.String(255), nullable=False),
         sa.Column("request_id", sa.String(256), nullable=False),
+        sa.Column("owner", sa.String(64)),
         sa.Column("state", sa.Integer, nullable=False),
         sa.Column("labels", sa.JSON, nullable=False),
         sa.Column("create_time", sa.Double, nullable=False),
