@@ -56,7 +56,7 @@ def test_both_sides_tell_the_same_about_the_server(api, http):
     over_rest = http.get("/v1/info").json()
     assert over_grpc.api_version == over_rest["api_version"] == API_VERSION
     assert over_grpc.max_limits.max_points == over_rest["max_limits"]["max_points"] == 500_000
-    assert over_rest["point_codecs"] == ["raw_float32", "quantised_16", "morton_zstd", "morton_deflate"]
+    assert over_rest["point_codecs"] == ["raw_float32", "quantised_16", "morton_zstd", "morton_deflate", "draco"]
     assert "cotton" in over_rest["fabrics"]
 
 
