@@ -62,6 +62,8 @@ def ahead(
         seconds: since the frame.
         config: of stage A.
     """
+    if seconds == 0.0:
+        return result
     prior = predict(state, seconds, None if carrying is None else seconds * carrying, config)
     if speed2 > 0.0:
         grown = speed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ddakf import Mesh, Tracker
+from ddakf import Config, Mesh, Tracker
 from ddakf.errors import InvalidArgument
 from tests.stages.scenes import FPS, rms
-from tests.tracker_runs import ARRAYS, BODY, EYE, PRESETS, TUBE, assert_finite, assert_same, cloud, swaying, tracked
+from tests.tracker_runs import ACCELERATED, ARRAYS, BODY, EYE, PRESETS, TUBE, assert_finite, assert_same, cloud, swaying, tracked
 
 
 @pytest.fixture
@@ -16,9 +16,12 @@ def steady():
     return tracker, tracker.step(cloud(20), timestamp=20 / FPS, sensor_origin=EYE)
 
 
-def test_nothing_ahead_is_the_result_itself(steady):
-    tracker, result = steady
+@pytest.mark.parametrize("config", [Config(), Config.paper(), ACCELERATED], ids=["default", "paper", "accelerated"])
+def test_nothing_ahead_is_the_result_itself(config):
+    tracker = tracked(2, config=config)
+    result = tracker.step(cloud(2), timestamp=2 / FPS, sensor_origin=EYE)
     assert_same(tracker.predicted(result, 0.0), result)
+    assert_finite(tracker.predicted(result, 0.1))
 
 
 @pytest.mark.parametrize("frames", [1, 3])

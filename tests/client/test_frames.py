@@ -1,0 +1,91 @@
+"""Frames of the caller as messages, and what cannot be one."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from ddakf_api.codec import CODECS, decode_depth
+from ddakf_api.errors import CodecError, InvalidArgument, InvalidFrame
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import Frame
+from ddakf_client.exchange import Plan
+from ddakf_client.frames import to_message
+
+DEPTH = np.arange(12, dtype=np.uint16).reshape(3, 4)
+LENS = (100.0, 101.0, 1.5, 1.0)
+POSE = np.array([[0.0, 0, 1, 4], [0, 1, 0, 5], [-1, 0, 0, 6]])
+
+
+def message(frame: object, **options) -> pb.Frame:
+    return to_message(Frame.of(frame), 1, "morton-zstd", 0.0005, **options)
+
+
+@pytest.mark.parametrize("codec", ["none", "zstd", "png", "rvl"])
+def test_a_depth_image_goes_as_it_is(codec):
+    mask, confidence = DEPTH > 3, (20 * DEPTH).astype(np.uint8)
+    more = {"mask": mask, "confidence": confidence, "min_confidence": 120, "depth_scale": 0.01}
+    sent = message(Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, pose=POSE, **more), depth_codec=codec)
+    assert sent.WhichOneof("payload") == "depth_image"
+    assert not sent.sensors
+    back = decode_depth(sent.depth_image, max_pixels=12)
+    assert np.allclose(back.depth, DEPTH * 0.01)
+    assert np.array_equal(back.keep, mask & (confidence >= 120))
+    assert (back.intrinsics, back.pose.tolist()) == (LENS, POSE.tolist())
+
+
+def test_a_homogeneous_pose_will_do():
+    square = np.vstack([POSE, [0, 0, 0, 1]])
+    sent = message(Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, pose=square))
+    assert np.array_equal(np.reshape(sent.depth_image.pose.matrix, (3, 4)), POSE)
+
+
+def test_an_object_may_have_any_of_the_attributes():
+    camera = SimpleNamespace(timestamp=2.0, depth=DEPTH, intrinsics=LENS, display_time=2.1, exposure=0.01)
+    assert message(camera).display_time == 2.1
+    cloud = SimpleNamespace(timestamp=2.0, points=np.zeros((1, 3)), body_vertices=np.zeros((2, 3)))
+    assert len(message(cloud).body_vertices) == 24
+
+
+@pytest.mark.parametrize("codec", CODECS)
+def test_without_a_display_time_none_is_asked_for(codec):
+    sent = to_message(Frame(np.zeros((3, 3)), 1.0), 1, codec, 0.0005)
+    assert (sent.display_time, sent.point_cloud.point_count) == (0.0, 3)
+
+
+@pytest.mark.parametrize(
+    ("frame", "error", "field"),
+    [
+        (Frame(timestamp=1.0), CodecError, "points"),
+        (Frame(np.zeros((1, 3))), InvalidFrame, "timestamp"),
+        (Frame(np.zeros((1, 3)), 1.0, depth=DEPTH, intrinsics=LENS), InvalidFrame, "points"),
+        (Frame(None, 1.0, np.zeros(3), depth=DEPTH, intrinsics=LENS), InvalidFrame, "sensor_origin"),
+        (Frame(timestamp=1.0, depth=DEPTH), CodecError, "intrinsics"),
+        (Frame(timestamp=1.0, depth=DEPTH[0], intrinsics=LENS), CodecError, "depth"),
+        (Frame(np.zeros((1, 3)), 1.0, display_time=float("nan")), InvalidFrame, "display_time"),
+        (Frame(np.zeros((1, 3)), 1.0, display_time="soon"), InvalidFrame, "display_time"),
+    ],
+)
+def test_what_is_no_frame_is_refused_by_its_field(frame, error, field):
+    with pytest.raises(error) as refusal:
+        message(frame)
+    assert refusal.value.field == field
+
+
+def test_neither_points_nor_depth_is_no_frame():
+    with pytest.raises(InvalidFrame, match="frame: expected a Frame"):
+        Frame.of(SimpleNamespace(timestamp=1.0))
+
+
+@pytest.mark.parametrize("change", [{"depth_codec": "jpeg"}, {"compact": 1}, {"every_nth": 0}, {"every_nth": True}])
+def test_a_plan_with_unknown_options_is_refused(change):
+    with pytest.raises(InvalidArgument) as refusal:
+        Plan("sessions/a", 10.0, **change)
+    assert refusal.value.field == next(iter(change))
+
+
+def test_a_plan_asks_for_compact_results_and_every_nth():
+    options = Plan("sessions/a", 10.0, compact=True, every_nth=4).start().start.result_options
+    assert options.vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16
+    assert options.sigma_encoding == pb.ARRAY_ENCODING_FLOAT16
+    assert options.reliability_encoding == pb.ARRAY_ENCODING_QUANTISED_8
+    assert options.every_nth == 4
