@@ -15,6 +15,7 @@ SAYS = {
     "03_stream_to_a_service": "11 frames tracked, 0 dropped, 0 refused",
     "04_async_client": "7 frames",
     "05_your_own_mesh": "2658 of the file's vertices have a new place",
+    "06_depth_camera": "the prediction is nearer than the truth of the image",
 }
 
 
