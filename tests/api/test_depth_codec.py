@@ -269,3 +269,45 @@ def test_intrinsics_are_four_numbers():
         encode_depth(np.ones((2, 2)), (1.0, 2.0))
     with pytest.raises(CodecError, match="intrinsics"):
         encode_depth(np.ones((2, 2)), None)
+
+
+def _alternating(shape):
+    """Every other pixel: the most runs that an image can have."""
+    return np.where(np.indices(shape).sum(axis=0) % 2, 1, 0).astype(np.uint16)
+
+
+def _leaping(shape):
+    """The largest differences."""
+    return np.where(np.indices(shape)[1] % 2, 65535, 1).astype(np.uint16)
+
+
+SHAPE = (300, 400)
+
+
+@pytest.mark.parametrize("codec", DEPTH_CODECS)
+@pytest.mark.parametrize("image", [_alternating, _leaping, np.zeros])
+def test_memory_stays_within_what_is_said_per_pixel(codec, image):
+    depth = image(SHAPE).astype(np.uint16)
+    message = encode_depth(depth, LENS, mask=depth > 0, confidence=depth.astype(np.uint8), codec=codec)
+    decode_depth(message, max_pixels=depth.size)
+    tracemalloc.start()
+    try:
+        back = decode_depth(message, max_pixels=depth.size)
+        assert tracemalloc.get_traced_memory()[1] < 200 * depth.size
+    finally:
+        tracemalloc.stop()
+    assert np.array_equal(back.depth, depth * np.float32(0.001))
+
+
+@pytest.mark.parametrize("word", [0x00000000, 0x11111111, 0x08080808, 0xFFFFFFFF, 0x01010101])
+def test_memory_stays_within_it_whatever_the_runs_are(word):
+    count = SHAPE[0] * SHAPE[1]
+    data = np.full(3 * count // 4, word, "<u4").tobytes()
+    image = of(data, "rvl", width=SHAPE[1], height=SHAPE[0])
+    tracemalloc.start()
+    try:
+        with pytest.raises(CodecError):
+            decode_depth(image, max_pixels=count)
+        assert tracemalloc.get_traced_memory()[1] < 200 * count
+    finally:
+        tracemalloc.stop()

@@ -119,7 +119,7 @@ def decode_depth(image: pb.DepthImage, *, max_pixels: int) -> Depth:
 
     Args:
         image: the message; anything may have happened to it.
-        max_pixels: the largest width x height that is accepted; memory stays below about 100 bytes per pixel of it.
+        max_pixels: the largest width x height that is accepted; memory stays below 200 bytes per pixel of it.
 
     Raises:
         CodecError: too many pixels, unknown encodings, payloads that are not what they should be.

@@ -8,6 +8,7 @@ with little memory and time; if that dies, it costs one cloud and is started aga
 from __future__ import annotations
 
 import contextlib
+import functools
 import importlib.util
 import os
 import struct
@@ -35,6 +36,8 @@ _MAGIC, _VERSIONS, _POINT_CLOUD, _METHODS = b"DRACO", ((2, 2), (2, 3)), 0, (0, 1
 # One attribute: position, float32, three components, not normalised.
 _GEOMETRY = bytes([1, 1, 0, 9, 3, 0])
 
+
+@functools.cache
 def installed() -> bool:
     """Whether DracoPy is there."""
     return importlib.util.find_spec("DracoPy") is not None

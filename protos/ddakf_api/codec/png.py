@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib.util
 import io
 import struct
@@ -16,6 +17,7 @@ _HEADER = struct.Struct(">IIBBBBB")  # width, height, bits, colour type, compres
 _KEPT = (b"IHDR", b"IDAT", b"IEND")  # all others, which may unfold to anything, are left out
 
 
+@functools.cache
 def installed() -> bool:
     """Whether Pillow is there."""
     return importlib.util.find_spec("PIL") is not None

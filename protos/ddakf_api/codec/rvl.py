@@ -13,7 +13,8 @@ from ddakf_api.errors import CodecError
 
 _WORD = np.dtype("<u4")
 _MAX_NIBBLES = 10  # of one number: 30 bits, more than any run or difference has
-_BYTES_PER_PIXEL = 4  # most that an image takes: a difference of six nibbles, and two runs
+_BYTES_PER_PIXEL, _NUMBERS_PER_PIXEL = 3, 2  # most that an image takes: six nibbles of a difference, or runs of one pixel
+_BEGIN, _FILL = 16, 8  # bytes and numbers more that a small image takes
 
 
 def compress(image: np.ndarray) -> bytes:
@@ -50,12 +51,12 @@ def decompress(data: bytes, shape: tuple[int, int], field: str) -> np.ndarray:
         CodecError: runs that do not fill the image exactly, numbers that are no depth, or more data than that.
     """
     count = shape[0] * shape[1]
-    if len(data) % 4 or len(data) > _BYTES_PER_PIXEL * count + 8:
-        expected = f"whole 32-bit words, at most {_BYTES_PER_PIXEL * count + 8} bytes"
-        raise CodecError(field=field, expected=expected, got=f"{len(data)} bytes")
-    numbers = _from_words(data, field)
+    most = _BYTES_PER_PIXEL * count + _BEGIN
+    if len(data) % 4 or len(data) > most:
+        raise CodecError(field=field, expected=f"whole 32-bit words, at most {most} bytes", got=f"{len(data)} bytes")
+    numbers = _from_words(data, _NUMBERS_PER_PIXEL * count + _FILL, field)
     starts, lengths, used = _runs(numbers, count, field)
-    if len(numbers) - used > 8:  # nibbles that fill the last word read as zeros
+    if len(numbers) - used > _FILL:  # nibbles that fill the last word read as zeros
         raise CodecError(field=field, expected=f"runs of {count} pixels", got="more after them")
     is_difference = np.ones(used, bool)
     is_difference[starts] = is_difference[starts + 1] = False
@@ -98,13 +99,16 @@ def _to_words(numbers: np.ndarray) -> bytes:
     return (padded[0::2] << 4 | padded[1::2]).view(">u4").astype(_WORD).tobytes()
 
 
-def _from_words(data: bytes, field: str) -> np.ndarray:
-    """(n,) int64 numbers; nibbles at the end that are part of none are left out."""
+def _from_words(data: bytes, most: int, field: str) -> np.ndarray:
+    """(n,) int64 numbers, n at most ``most``; nibbles at the end that are part of none are left out."""
     packed = np.frombuffer(data, _WORD).astype(">u4").view(np.uint8)
     nibbles = np.empty(2 * len(packed), np.uint8)
     nibbles[0::2], nibbles[1::2] = packed >> 4, packed & 15
+    count = int(np.count_nonzero(nibbles < 8))
+    if count > most:
+        raise CodecError(field=field, expected=f"at most {most} numbers", got=str(count))
     ends = np.flatnonzero(nibbles < 8)
-    if len(ends) == 0:
+    if count == 0:
         return np.empty(0, np.int64)
     starts = np.concatenate([[0], ends[:-1] + 1])
     digits = ends - starts + 1
