@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from time import monotonic
 
-from ddakf_api.errors import ServiceError, SessionExpired, Unavailable, from_detail, to_detail
+from ddakf_api.errors import ServiceError, SessionExpired, Unavailable, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .session import Session
@@ -51,13 +51,13 @@ class Records:
         if self._store.checkpoints is not None:
             self._store.checkpoints.delete(session.uid)
 
-    async def reason(self, session_id: str) -> ServiceError | None:
-        """Why the last session of this id has ended; None: nothing is remembered of it, or not now."""
+    async def past(self, session_id: str) -> SessionRecord | None:
+        """The last session of this id, if it has ended; None: nothing is remembered of one, or not now."""
         try:
             record = await self._store.registry.newest(session_id)
         except Unavailable:
             return None
-        return from_detail(record.reason) if record and record.reason else None
+        return record if record and record.reason else None
 
     async def alive(self) -> list[Session]:
         """The sessions that this server had when its process ended; their trackers are in no worker. Their clients may come

@@ -16,6 +16,7 @@ from ddakf_api.errors import (
     Draining,
     FailedPrecondition,
     InvalidArgument,
+    PermissionDenied,
     ResourceExhausted,
     ServiceError,
     SessionBusy,
@@ -24,6 +25,7 @@ from ddakf_api.errors import (
     StreamTakenOver,
     Unavailable,
     WorkerLost,
+    from_detail,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
@@ -37,6 +39,7 @@ from .store import Store
 from .stream import Stream
 from .telemetry import Metrics
 from .tracing import Tracer
+from .trust.principal import Principal, current_principal
 from .watch import Watcher
 from .workers import Memory, WorkerPool
 
@@ -84,24 +87,20 @@ class Sessions:
         metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._sessions.values()))
         self._opening: dict[str, str | None] = {}  # id to owner
         self._ended: OrderedDict[str, ServiceError] = OrderedDict()
-        self._requests: OrderedDict[str, asyncio.Future[str]] = OrderedDict()
+        self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
         self.draining = False
 
-    async def create(self, request: pb.CreateSessionRequest, owner: str | None = None) -> pb.Session:
-        """Creates a session, or answers the one that the same request id created.
-
-        Args:
-            owner: the key that asks; None: none was needed.
-        """
+    async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
+        """Creates a session, or answers the one that the same request id created. It belongs to the key of the call."""
         require_compatible(request.api_version, peer="client")
         memory = _memory_of(request.session, self._limits(request.session.limits))
-        return await self._once(request, owner, lambda *args: self._pool.open(*args, memory))
+        return await self._once(request, lambda *args: self._pool.open(*args, memory))
 
-    async def restore(self, request: pb.RestoreSessionRequest, owner: str | None = None) -> pb.Session:
-        """Creates a session from a snapshot; ``owner`` as in :meth:`create`."""
+    async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
+        """Creates a session from a snapshot."""
         require_compatible(request.api_version, peer="client")
         memory = Memory(_RESTORED * len(request.data), 0)
-        return await self._once(request, owner, lambda *args: self._pool.restore(*args, memory))
+        return await self._once(request, lambda *args: self._pool.restore(*args, memory))
 
     async def load(self) -> None:
         """Takes the sessions back that this server had before its process ended; tries again, in the background, for as long
@@ -119,7 +118,7 @@ class Sessions:
             if session.id not in self._sessions and session.id not in self._opening:
                 self._sessions[session.id] = session
                 if session.request_id:
-                    self._remember(self._requests, session.request_id, _done(session.id))
+                    self._remember(self._requests, (session.owner, session.request_id), _done(session.id))
         if sessions:
             log.info("sessions of before the start wait for their clients", extra={"sessions": len(sessions)})
         self._durability.background(self._records.clean(sessions + list(self._sessions.values())))
@@ -141,7 +140,9 @@ class Sessions:
     def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
         """Oldest first, one page; the token is the id of the last session of the page before."""
         size = min(request.page_size or _PAGE_SIZE, _MAX_PAGE_SIZE)
-        wanted = [s for s in self._sessions.values() if _matches(s, request)]
+        principal = current_principal.get()
+        mine = (s for s in self._sessions.values() if principal.may_read(s.owner or ""))
+        wanted = [s for s in mine if _matches(s, request)]
         wanted.sort(key=_token)
         if request.page_token:
             wanted = [s for s in wanted if _token(s) > request.page_token]
@@ -151,7 +152,7 @@ class Sessions:
 
     async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
         """Changes labels, limits, configuration and fabric, all of them or, when one cannot be used, none."""
-        change, session = request.session, self._find(request.session.name)
+        change, session = request.session, self._mine(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
             raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
@@ -183,7 +184,7 @@ class Sessions:
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
         """Starts the tracker again."""
-        session = self._find(request.name)
+        session = self._mine(request.name)
         payload = request.SerializeToString()
         async with self._using(session):
             await self._pool.reset(session.id, payload)
@@ -192,7 +193,7 @@ class Sessions:
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
-        session = self._find(name)
+        session = self._mine(name)
         async with self._using(session):
             data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
@@ -210,14 +211,15 @@ class Sessions:
             yield
 
     async def delete(self, name: str) -> None:
-        session = self._find(name)
+        session = self._mine(name)
         self._end(session, SessionNotFound(f"{session.name} was deleted"))
         await self._forget(session)
 
     async def open_stream(self, start: pb.Start) -> Stream:
         """The stream of a session; the caller closes it with :meth:`close_stream`."""
         require_compatible(start.api_version, peer="client")
-        session = await self._known(start.name)
+        await self._known(start.name)
+        session = self._mine(start.name)
         if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
@@ -252,7 +254,7 @@ class Sessions:
     def watch(self, request: pb.WatchSessionRequest) -> Watcher:
         """A reader of the session's answers, with or without a stream; the caller has it ``leave``."""
         require_compatible(request.api_version, peer="client")
-        session = self._find(request.name)
+        session = self._readable(request.name)
         return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
@@ -263,11 +265,11 @@ class Sessions:
             Unavailable: the database cannot be reached.
         """
         session_id = request.name.removeprefix("sessions/")
-        session = self._sessions.get(session_id)
-        if session is not None:
+        if session_id in self._sessions:
+            session = self._readable(request.name)
             return await self._store.history.query(request, session.uid, session.created)
         record = await self._store.registry.newest(session_id)
-        if record is None:
+        if record is None or not current_principal.get().may_read(record.owner or ""):
             raise SessionNotFound(f"no session {request.name[:80]!r} is remembered")
         return await self._store.history.query(request, record.uid, record.create_time, record.end_time)
 
@@ -345,22 +347,24 @@ class Sessions:
             async with asyncio.timeout(_ENDING_PATIENCE):
                 await stream.gone.wait()
 
-    async def _once(self, request, owner: str | None, open_: _Open) -> pb.Session:
+    async def _once(self, request, open_: _Open) -> pb.Session:
         """Runs a creation, or waits for the same request's first run."""
-        request_id = request.request_id
+        principal = current_principal.get()
+        owner, request_id = principal.id or None, request.request_id
         if len(request_id) > _MAX_TEXT:
             raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
-        if request_id in self._requests:
-            return self._find("sessions/" + await asyncio.shield(self._requests[request_id])).message()
-        session_id = self._new_id(request.session_id, owner)
+        asked = owner, request_id
+        if asked in self._requests:
+            return self._find("sessions/" + await asyncio.shield(self._requests[asked])).message()
+        session_id = self._new_id(request.session_id, principal)
         outcome: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
-            self._remember(self._requests, request_id, outcome)
+            self._remember(self._requests, asked, outcome)
         self._opening[session_id] = owner
         try:
             session = await self._open(session_id, request, owner, open_)
         except BaseException as error:
-            self._requests.pop(request_id, None)
+            self._requests.pop(asked, None)
             outcome.set_exception(error if isinstance(error, ServiceError) else Unavailable("the first call was cut off"))
             outcome.exception()  # seen, even where nobody else waits for it
             raise
@@ -383,10 +387,10 @@ class Sessions:
         log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
         return session
 
-    def _new_id(self, wanted: str, owner: str | None) -> str:
+    def _new_id(self, wanted: str, principal: Principal) -> str:
         if self.draining:
             raise Draining("the server is about to stop and takes no new sessions")
-        self._require_room(owner)
+        self._require_room(principal)
         if not wanted:
             return "s-" + secrets.token_hex(8)
         if not _SESSION_ID.fullmatch(wanted):
@@ -395,13 +399,13 @@ class Sessions:
             raise SessionExists(f"sessions/{wanted} exists already")
         return wanted
 
-    def _require_room(self, owner: str | None) -> None:
-        """Refuses a session beyond the server's number, or beyond its owner's."""
+    def _require_room(self, principal: Principal) -> None:
+        """Refuses a session beyond the server's number, or beyond its key's."""
         owners = [*(session.owner for session in self._sessions.values()), *self._opening.values()]
         s = self._settings
         for whose, count, most in (
             ("the server", len(owners), s.max_sessions),
-            ("the key", 0 if owner is None else owners.count(owner), s.max_sessions_per_key),
+            ("the key", owners.count(principal.id), principal.max_sessions or s.max_sessions_per_key),
         ):
             if count >= most:
                 raise ResourceExhausted(
@@ -439,18 +443,33 @@ class Sessions:
             return self._sessions[session_id]
         if session_id in self._ended:
             raise self._ended[session_id]
-        raise SessionNotFound(f"there is no session {name[:80]!r}")
+        raise _not_found(name)
 
     async def _known(self, name: str) -> Session:
-        """As :meth:`_find`, which knows why a session ended even if that was before the start."""
+        """As :meth:`_readable`, which knows why a session ended even if that was before the start."""
         try:
-            return self._find(name)
+            return self._readable(name)
         except SessionNotFound:
             session_id = name.removeprefix("sessions/")
-            reason = None if session_id in self._ended else await self._records.reason(session_id)
-            if reason is not None:
-                raise reason from None
+            there = session_id in self._ended or session_id in self._sessions
+            past = None if there else await self._records.past(session_id)
+            if past is not None and current_principal.get().may_read(past.owner or ""):
+                raise from_detail(past.reason) from None
             raise
+
+    def _readable(self, name: str) -> Session:
+        """A session that the key of this call may read; of another's it is not even said that it is there."""
+        session = self._find(name)
+        if not current_principal.get().may_read(session.owner or ""):
+            raise _not_found(name)
+        return session
+
+    def _mine(self, name: str) -> Session:
+        """A session that the key of this call may use and change."""
+        session = self._readable(name)
+        if not current_principal.get().may_change(session.owner or ""):
+            raise PermissionDenied(f"{session.name} belongs to another key")
+        return session
 
     def _existing(self, session_ids: Iterable[str]) -> list[Session]:
         return [self._sessions[i] for i in session_ids if i in self._sessions]
@@ -476,7 +495,7 @@ class Sessions:
             with contextlib.suppress(WorkerLost):  # a lost worker took the session with it
                 await self._pool.close(session.id)
 
-    def _remember(self, memory: OrderedDict, key: str, value) -> None:
+    def _remember(self, memory: OrderedDict, key, value) -> None:
         memory[key] = value
         while len(memory) > _REMEMBERED:
             memory.popitem(last=False)
@@ -499,6 +518,10 @@ def _labels(session: pb.Session) -> dict[str, str]:
 def _lower(asked: float, most: float) -> float:
     """The smaller one of two bounds, where 0 is none."""
     return min(asked or most, most or asked)
+
+
+def _not_found(name: str) -> SessionNotFound:
+    return SessionNotFound(f"there is no session {name[:80]!r}")
 
 
 def _busy(session: Session) -> SessionBusy:

@@ -20,7 +20,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import PermissionDenied, Unauthenticated, from_rpc_error
+from ddakf_api.errors import PermissionDenied, ResourceExhausted, SessionNotFound, Unauthenticated, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
@@ -346,9 +346,67 @@ def test_keys_command_refuses_what_it_cannot_do(tmp_path):
     assert "0123456789ab" in done.stderr
 
 
-def test_a_session_is_made_with_a_key(guarded):
-    request = pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*make_sheet())))
-    with grpc.insecure_channel(guarded.grpc) as channel:
-        stub = rpc.TrackingServiceStub(channel)
-        session = stub.CreateSession(request, metadata=metadata(guarded.keys["stream"]), timeout=TIMEOUT)
-        stub.DeleteSession(pb.DeleteSessionRequest(name=session.name), metadata=metadata(guarded.keys["admin"]), timeout=TIMEOUT)
+class As:
+    """The calls of whoever has a key."""
+
+    def __init__(self, service, key: str):
+        self._channel = grpc.insecure_channel(service.grpc)
+        self._stub, self._metadata = rpc.TrackingServiceStub(self._channel), metadata(service.keys[key])
+
+    def __getattr__(self, method: str):
+        def called(request):
+            try:
+                answer = getattr(self._stub, method)(request, timeout=TIMEOUT, metadata=self._metadata)
+                return next(answer) if METHODS[method].server_streaming else answer
+            except grpc.RpcError as error:
+                raise from_rpc_error(error) from None
+
+        return called
+
+    def create(self, **request) -> pb.Session:
+        session = pb.Session(garment=pack_mesh(*make_sheet()))
+        return self.CreateSession(pb.CreateSessionRequest(api_version=API_VERSION, session=session, **request))
+
+    def names(self) -> set[str]:
+        return {session.name for session in self.ListSessions(pb.ListSessionsRequest()).sessions}
+
+
+def test_a_session_belongs_to_its_key(guarded):
+    mine, other, reader, admin = (As(guarded, key) for key in ("stream", "other", "read", "admin"))
+    name = mine.create(request_id="same").name
+    theirs = other.create(request_id="same").name
+    assert theirs != name, "a request id is its key's own"
+    assert (mine.names(), other.names()) == ({name}, {theirs})
+    assert reader.names() == admin.names() == {name, theirs}
+    assert reader.GetSession(pb.GetSessionRequest(name=name)).name == name
+    watching = pb.WatchSessionRequest(name=name, api_version=API_VERSION)
+    assert reader.WatchSession(watching).started.name == name
+    start = pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION))
+    for call in (
+        lambda: other.GetSession(pb.GetSessionRequest(name=name)),
+        lambda: other.WatchSession(watching),
+        lambda: other.UpdateSession(pb.UpdateSessionRequest(session=pb.Session(name=name, labels={"a": "b"}))),
+        lambda: other.ResetSession(pb.ResetSessionRequest(name=name)),
+        lambda: other.SnapshotSession(pb.SnapshotSessionRequest(name=name)),
+        lambda: other.GetSessionHistory(pb.GetSessionHistoryRequest(name=name)),
+        lambda: other.Track(iter([start])),
+        lambda: other.DeleteSession(pb.DeleteSessionRequest(name=name)),
+    ):
+        with pytest.raises(SessionNotFound, match="no session"):
+            call()
+    assert mine.Track(iter([start])).started.name == name
+    admin.DeleteSession(pb.DeleteSessionRequest(name=name))
+    other.DeleteSession(pb.DeleteSessionRequest(name=theirs))
+
+
+def test_a_key_has_as_many_sessions_as_it_may(guarded):
+    other, mine = As(guarded, "other"), As(guarded, "stream")
+    first = other.create().name
+    with pytest.raises(ResourceExhausted, match="the key has its 1 already") as caught:
+        other.create()
+    assert caught.value.retry_after > 0
+    second = mine.create().name
+    other.DeleteSession(pb.DeleteSessionRequest(name=first))
+    third = other.create().name
+    for who, name in ((mine, second), (other, third)):
+        who.DeleteSession(pb.DeleteSessionRequest(name=name))
