@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 import pytest
 from ddakf_api.errors import InvalidArgument, SessionNotFound, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import aconnect
 from ddakf_service.child import ServiceProcess
 from ddakf_service.tracing import STAGES
 
@@ -126,6 +127,22 @@ def test_unknown_sessions_have_none(api, http, session):
     assert http.get("/v1/sessions/nobody-there/history").status_code == 404
     with pytest.raises(InvalidArgument):
         history(api, session, resolution=-1)
+
+
+async def test_the_client_library_has_it_in_columns(api, client, service, session, sheet):
+    track(api, session, sheet, 1, 10)
+    message = history(api, session)
+    async with aconnect(service.grpc, timeout=TIMEOUT) as other:
+        for columns in (client.history(session), await other.history(session, max_samples=1000)):
+            assert columns.applied.tolist() == [sample.frames_applied for sample in message.samples]
+            assert columns.reliability.tolist() == [sample.reliability for sample in message.samples]
+            assert columns.start.tolist() == [sample.start_time.seconds for sample in message.samples]
+            assert columns.states[-1].time == message.state_changes[len(columns.states) - 1].time.ToDatetime(UTC)
+    none = client.history(session, end=datetime(2020, 1, 2, tzinfo=UTC), start=datetime(2020, 1, 1, tzinfo=UTC), resolution=3600)
+    assert (len(none.start), none.applied.dtype, none.resolution) == (0, int, 3600)
+    for bad in ({"start": datetime(2020, 1, 1)}, {"resolution": "fine"}, {"max_samples": -1}):
+        with pytest.raises(InvalidArgument):
+            client.history(session, **bad)
 
 
 def test_past_sessions_keep_theirs(api, sheet):

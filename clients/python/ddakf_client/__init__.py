@@ -12,6 +12,7 @@ from ddakf_api.errors import ServiceError
 from ddakf_client.aio import AsyncClient, AsyncSession, aconnect
 from ddakf_client.client import Client, Session, connect
 from ddakf_client.frames import Frame
+from ddakf_client.history import History, StateChange
 from ddakf_client.results import FrameError, Limits, Notice, Result, ServerInfo, SessionInfo
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Client",
     "Frame",
     "FrameError",
+    "History",
     "Limits",
     "Notice",
     "Result",
@@ -30,6 +32,7 @@ __all__ = [
     "ServiceError",
     "Session",
     "SessionInfo",
+    "StateChange",
     "aconnect",
     "connect",
     "errors",

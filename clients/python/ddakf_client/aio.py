@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable
 from dataclasses import replace
+from datetime import datetime
 from typing import Any, Generic, TypeVar
 
 import grpc
@@ -18,6 +19,7 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_client import calls
 from ddakf_client.aio_stream import track
 from ddakf_client.exchange import Plan, log_notice
+from ddakf_client.history import History, history_from, history_request
 from ddakf_client.results import FrameError, Notice, Result, ServerInfo, SessionInfo, session_info_from, vertex_map_from
 from ddakf_client.watch import awatch, watch_request
 
@@ -148,6 +150,19 @@ class AsyncClient:
             page_token = page.next_page_token
             if not page_token:
                 return
+
+    async def history(
+        self,
+        session_id: str,
+        *,
+        start: datetime | None = None,
+        end: datetime | None = None,
+        resolution: float = 0.0,
+        max_samples: int = 0,
+    ) -> History:
+        """As :meth:`ddakf_client.Client.history`."""
+        request = history_request(session_id, start, end, resolution, max_samples)
+        return history_from(await self.call("GetSessionHistory", request))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: Any) -> Opening[AsyncSession]:
         plan = Plan("", self.timeout, **options)

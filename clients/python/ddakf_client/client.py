@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from datetime import datetime
 from typing import Any
 
 import grpc
@@ -17,6 +18,7 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ddakf_client import calls
 from ddakf_client.exchange import RESUME, Plan, log_notice
+from ddakf_client.history import History, history_from, history_request
 from ddakf_client.results import (
     FrameError,
     Limits,
@@ -195,6 +197,29 @@ class Client:
             page_token = page.next_page_token
             if not page_token:
                 return
+
+    def history(
+        self,
+        session_id: str,
+        *,
+        start: datetime | None = None,
+        end: datetime | None = None,
+        resolution: float = 0.0,
+        max_samples: int = 0,
+    ) -> History:
+        """What happened in a session over time, a live one or the last past one of this id.
+
+        Args:
+            start, end: with a time zone; without them from its creation up to now, or to its end.
+            resolution: seconds per sample; 0: as fine as fits into `max_samples`.
+            max_samples: 0: 500.
+
+        Raises:
+            SessionNotFound: none is remembered.
+            Unavailable: the server's database cannot be reached now.
+        """
+        request = history_request(session_id, start, end, resolution, max_samples)
+        return history_from(self.call("GetSessionHistory", request))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: object) -> Session:
         plan = Plan("", self.timeout, **options)

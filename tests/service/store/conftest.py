@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
+import subprocess
 import uuid
+from pathlib import Path
 
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -51,3 +54,20 @@ def record(session_id: str = "some-session", server_id: str = "here", **session)
     message = pb.Session(name=f"sessions/{session_id}", state=pb.SESSION_STATE_IDLE, **session)
     message.create_time.FromSeconds(next(_times))
     return SessionRecord(server_id, message)
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A file system of 2 MiB."""
+    folder = tmp_path / "small"
+    folder.mkdir()
+    if os.geteuid() or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", folder], capture_output=True).returncode:
+        pytest.skip("only root can make a small file system here")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def fill(disk: Path) -> None:
+    """Leaves no room on a file system, in a file "ballast"."""
+    subprocess.run(["dd", "if=/dev/zero", f"of={disk}/ballast", "bs=4096"], capture_output=True)
+    assert os.statvfs(disk).f_bavail == 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,7 +14,7 @@ from hypothesis import strategies as st
 
 from ddakf.errors import InvalidConfig
 
-from .conftest import PATIENCE
+from .conftest import PATIENCE, fill
 
 
 def snapshot(number: int, size: int = 1000) -> pb.SessionSnapshot:
@@ -146,27 +145,14 @@ def test_unknown_urls_are_refused(metrics):
         Checkpoints("nothing://there", "here", 2, metrics)
 
 
-@pytest.fixture
-def small_disk(tmp_path):
-    """A file system of 1 MiB."""
-    folder = tmp_path / "small"
-    folder.mkdir()
-    if os.geteuid() or subprocess.run(["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", folder], capture_output=True).returncode:
-        pytest.skip("only root can make a small file system here")
-    yield folder
-    subprocess.run(["umount", folder], check=True)
-
-
-async def test_a_full_disk_keeps_the_last_snapshot_in_memory(opened, small_disk, metrics):
+async def test_a_full_disk_keeps_the_last_snapshot_in_memory(small_disk, opened, metrics):
     def up():
         return metrics.registry.get_sample_value("ddakf_store_up", {"part": "checkpoints"})
 
     checkpoints = opened(str(small_disk))
     checkpoints.save(7, snapshot(1, size=300_000))
     assert checkpoints.flush(PATIENCE)
-    ballast = small_disk / "ballast"
-    subprocess.run(["dd", "if=/dev/zero", f"of={ballast}", "bs=4096"], capture_output=True)
-    assert os.statvfs(small_disk).f_bavail == 0
+    fill(small_disk)
     checkpoints.save(7, snapshot(2, size=300_000))
     while not checkpoints.condition.problem:
         assert not checkpoints.flush(0.05)
@@ -174,7 +160,7 @@ async def test_a_full_disk_keeps_the_last_snapshot_in_memory(opened, small_disk,
     assert "No space" in checkpoints.condition.problem
     assert await checkpoints.newest(7) == snapshot(2, size=300_000)
     assert len(files(small_disk)) == 2  # the first checkpoint is whole, and nothing unfinished is left
-    ballast.unlink()
+    (small_disk / "ballast").unlink()
     assert checkpoints.flush(PATIENCE)
     assert up() == 1
     assert checkpoints.condition.problem == ""

@@ -15,7 +15,7 @@ from ddakf_service.store.tables import api_keys, metadata, state_changes
 
 from ddakf.errors import InvalidConfig
 
-from .conftest import PATIENCE
+from .conftest import PATIENCE, fill
 
 
 def changes_queue(database: Database, capacity: int = 100):
@@ -157,3 +157,18 @@ def test_closing_writes_what_waits(opened, url):
     changes_queue(database).put(1, change(1))
     database.close()
     assert stored(opened(url)) == {1.0: 1}
+
+
+def test_rows_wait_while_the_disk_of_sqlite_is_full(small_disk, opened, metrics):
+    database = opened(f"sqlite:///{small_disk}/test.sqlite")
+    queue = changes_queue(database, capacity=20_000)
+    fill(small_disk)
+    for number in range(20_000):  # more than fits into what the database has already
+        queue.put(number, change(number))
+    while not database.condition.problem:
+        assert not database.flush(0.05)
+    assert "full" in database.condition.problem
+    (small_disk / "ballast").unlink()
+    assert database.flush(PATIENCE)
+    assert len(stored(database)) == 20_000
+    assert metrics.registry.get_sample_value("ddakf_store_dropped_total") == 0

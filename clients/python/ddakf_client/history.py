@@ -1,0 +1,99 @@
+"""``Client.history``: what happened in a session over time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+import numpy as np
+from ddakf_api.errors import InvalidArgument
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from ddakf_client.calls import session_name
+
+
+class StateChange(NamedTuple):
+    """The state of the session from this time on."""
+
+    time: datetime
+    state: str
+
+
+@dataclass(frozen=True, eq=False)
+class History:
+    """What happened in n spans of time, in order; spans without frames are left out. Times are the server's.
+
+    Attributes:
+        name: "sessions/{session_id}".
+        resolution: length of a span, seconds.
+        start: (n,) when it begins, seconds since 1970.
+        applied, dropped, late, rejected: (n,) frames.
+        reliability, least_reliability: (n,) mean and least of the applied frames, in [0, 1].
+        paper_score, coverage: (n,) means.
+        latency, greatest_latency: (n,) seconds from arrival to answer, mean and greatest.
+        states: the changes of state; the first one may lie before the first span.
+    """
+
+    name: str
+    resolution: float
+    start: np.ndarray
+    applied: np.ndarray
+    dropped: np.ndarray
+    late: np.ndarray
+    rejected: np.ndarray
+    reliability: np.ndarray
+    least_reliability: np.ndarray
+    paper_score: np.ndarray
+    coverage: np.ndarray
+    latency: np.ndarray
+    greatest_latency: np.ndarray
+    states: tuple[StateChange, ...]
+
+
+def history_request(
+    session_id: str, start: datetime | None, end: datetime | None, resolution: float, max_samples: int
+) -> pb.GetSessionHistoryRequest:
+    """The request of ``Client.history``.
+
+    Raises:
+        InvalidArgument: an argument of another type or out of its range.
+    """
+    request = pb.GetSessionHistoryRequest(name=session_name(session_id))
+    for field, value in (("resolution", resolution), ("max_samples", max_samples)):
+        try:
+            setattr(request, field, value)
+        except (TypeError, ValueError, OverflowError):
+            whole = field == "max_samples"
+            expected = "a whole number from 0 to 4294967295" if whole else "a number of seconds"
+            raise InvalidArgument(field=field, expected=expected, got=repr(value)[:80]) from None
+    for field, value in (("start_time", start), ("end_time", end)):
+        if value is None:
+            continue
+        if not isinstance(value, datetime) or value.tzinfo is None:
+            raise InvalidArgument(field=field, expected="a datetime with a time zone", got=repr(value)[:80])
+        getattr(request, field).FromDatetime(value.astimezone(UTC))
+    return request
+
+
+def history_from(message: pb.SessionHistory) -> History:
+    """The columns of a history."""
+    samples = message.samples
+
+    def column(name: str) -> np.ndarray:
+        return np.array([getattr(sample, name) for sample in samples])
+
+    return History(
+        name=message.name,
+        resolution=message.resolution,
+        start=np.array([sample.start_time.ToNanoseconds() / 1e9 for sample in samples]),
+        **{name: column(f"frames_{name}").astype(int) for name in ("applied", "dropped", "late", "rejected")},
+        **{name: column(name) for name in ("reliability", "least_reliability", "paper_score", "coverage")},
+        **{name: column(name) for name in ("latency", "greatest_latency")},
+        states=tuple(StateChange(c.time.ToDatetime(UTC), _state(c.state)) for c in message.state_changes),
+    )
+
+
+def _state(state: int) -> str:
+    known = state in pb.SessionState.values()
+    return pb.SessionState.Name(state).removeprefix("SESSION_STATE_").lower() if known else str(state)
