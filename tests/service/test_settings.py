@@ -1,7 +1,7 @@
 """Flags win over the environment, it over the file, it over the defaults; what is wrong is named."""
 
 import pytest
-from ddakf_service.settings import Settings, load
+from ddakf_service.settings import Settings, load, shown
 
 from ddakf.errors import InvalidConfig
 
@@ -66,6 +66,18 @@ def test_a_bad_file_is_named(tmp_path, text):
 def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(InvalidConfig, match="No such"):
         load({}, tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("url", "without"),
+    [
+        ("postgresql+psycopg://me:s3cr@t@host/db", "postgresql+psycopg://me:***@host/db"),
+        ("postgresql+psycopg://host/db?user=me&password=s3cr@t&x=1", "postgresql+psycopg://host/db?user=me&password=***&x=1"),
+        ("sqlite:////var/ddakf.sqlite", "sqlite:////var/ddakf.sqlite"),
+    ],
+)
+def test_passwords_are_not_shown(url, without):
+    assert shown("database_url", url) == without
 
 
 def test_every_setting_says_what_it_means():
