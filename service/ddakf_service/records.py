@@ -13,6 +13,7 @@ from .store import SessionRecord, Store
 
 log = logging.getLogger(__name__)
 
+_WRITE_PATIENCE = 1.0  # seconds that a creation waits to be registered
 _RETRY_AFTER = 5.0  # seconds, told to who asks for a session whose checkpoint cannot be read
 # Of a registered session: what is made anew from what else is known whenever it is shown.
 _SHOWN = ("name", "labels", "state", "create_time", "limits", "statistics", "etag", "expire_time", "checkpoint_time")
@@ -29,6 +30,12 @@ class Records:
         """A new session, and what it begins with, until there is a checkpoint of it."""
         self.save(session)
         self._store.registry.save_request(session.uid, beginning(session).SerializeToString())
+
+    async def written(self, session: Session) -> None:
+        """Returns when a restart would know of the session, or when that takes too long: nobody waits for a database that
+        does not work."""
+        if not await self._store.registry.written(session.uid, _WRITE_PATIENCE):
+            log.warning("the session is not registered yet", extra={"session": session.id})
 
     def save(self, session: Session) -> None:
         """What has changed of a session, if anything has."""

@@ -371,6 +371,7 @@ class Sessions:
         finally:
             del self._opening[session_id]
         outcome.set_result(session_id)
+        await self._records.written(session)
         return session.message()
 
     async def _open(self, session_id: str, request, owner: str | None, open_: _Open) -> Session:

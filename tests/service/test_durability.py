@@ -12,6 +12,7 @@ import httpx
 import pytest
 from ddakf_api.errors import SessionNotFound, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import Frame, connect
 from ddakf_service.child import ServiceProcess
 from ddakf_service.durability import Durability, Irrecoverable
 from ddakf_service.session import Session
@@ -198,6 +199,27 @@ def test_sessions_of_a_killed_server_go_on_after_its_restart(restartable, sheet)
     for one in (name, again):
         api.delete(one)
     api.channel.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_the_client_library_comes_back_by_itself(restartable, sheet, number):
+    """The server ends in the middle of a stream and is started again; the client's loop goes on."""
+    notices, sequences = [], []
+    service = restartable.process
+    with connect(service.grpc, timeout=60) as client, client.create_session(sheet, flow="lossless") as session:
+        frames = (Frame(sheet.vertices, i / 30) for i in range(1, 31))
+        for result in session.track(frames, resume=110, on_notice=notices.append):
+            sequences.append(result.sequence)
+            if result.sequence == 14:
+                restartable.restart(number)
+        info = session.info()
+    assert sequences == sorted(sequences)
+    assert sequences[-1] == 30
+    assert {*range(1, 15), *range(24, 31)} <= set(sequences), "all but those that were in flight"
+    resumed = [notice.value for notice in notices if notice.kind == "resumed"]
+    assert len(resumed) == 1
+    assert resumed[0] <= (4 if number == signal.SIGKILL else 0)
+    assert info.recoveries == 1
 
 
 def test_an_orderly_restart_forgets_nothing(restartable, sheet):

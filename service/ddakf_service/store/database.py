@@ -7,10 +7,11 @@ reached the rows wait there, up to the queue's capacity, and are written when it
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from pathlib import Path
 from time import monotonic
 from typing import Generic, TypeVar
@@ -80,6 +81,11 @@ class Queue(Generic[Row]):
 
     def __len__(self) -> int:
         return len(self._rows) + len(self._flying)
+
+    def __contains__(self, key: Hashable) -> bool:
+        """Whether a row of this key is not known to be written."""
+        with self._changed:
+            return key in self._rows or key in self._flying
 
     def _flush(self, engine: sa.Engine) -> None:
         """Writes everything that waits, in the calling thread."""
@@ -152,6 +158,7 @@ class Database:
         self._chores: list[Callable[[sa.Connection], None]] = []
         self._changed = threading.Condition()
         self._hurry, self._closing = threading.Event(), threading.Event()
+        self._hurrying = 0
         self._migrated = False
         self._chores_due = 0.0
         self._thread = threading.Thread(target=self._run, name="database", daemon=True)
@@ -219,13 +226,23 @@ class Database:
 
     def flush(self, timeout: float) -> bool:
         """Waits until everything left so far is written; False where it was not within ``timeout`` seconds."""
-        self._hurry.set()
+        with self.hurried(), self._changed:
+            self._changed.notify_all()
+            return self._changed.wait_for(lambda: not self.waiting(), timeout)
+
+    @contextlib.contextmanager
+    def hurried(self) -> Iterator[None]:
+        """Inside, rows are written as they come rather than gathered."""
+        with self._changed:
+            self._hurrying += 1
+            self._hurry.set()
         try:
-            with self._changed:
-                self._changed.notify_all()
-                return self._changed.wait_for(lambda: not self.waiting(), timeout)
+            yield
         finally:
-            self._hurry.clear()
+            with self._changed:
+                self._hurrying -= 1
+                if not self._hurrying:
+                    self._hurry.clear()
 
     def waiting(self) -> int:
         """Rows that are not known to be written."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import secrets
 import time
 from dataclasses import dataclass, field, replace
+from time import monotonic
 
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -13,6 +15,7 @@ from .database import Database
 from .tables import requests, sessions
 
 _CAPACITY = 10_000  # sessions that wait for a database that cannot be reached
+_LOOK_INTERVAL = 0.005  # seconds between looks whether something is written
 _MAX_REQUESTS = 256  # creation requests that wait likewise; each may have megabytes of meshes
 
 
@@ -73,6 +76,16 @@ class Registry:
         Only the newest record of a session is written, a few times per second at most; to save at every change is fine.
         """
         self._records.put(record.uid, record)
+
+    async def written(self, uid: int, timeout: float) -> bool:
+        """Whether what was saved of a session is in the database: as soon as it is, or after ``timeout`` seconds."""
+        deadline = monotonic() + timeout
+        with self._database.hurried():
+            while uid in self._records:
+                if monotonic() > deadline or self._database.condition.problem:
+                    return False
+                await asyncio.sleep(_LOOK_INTERVAL)
+        return True
 
     def save_request(self, uid: int, request: bytes) -> None:
         """Keeps what a session was created from (a serialised CreateSessionRequest or RestoreSessionRequest), while it
