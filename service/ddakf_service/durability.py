@@ -24,7 +24,7 @@ _MOST_BLAMES, _BLAME_SPAN = 3, 60.0  # workers lost over a session's own frames 
 
 
 class Irrecoverable(Exception):
-    """A session cannot be had back; ``reason`` is what everyone is told."""
+    """A session cannot be had back, or not now; ``reason`` is what everyone is told."""
 
     def __init__(self, reason: ServiceError):
         super().__init__(str(reason))
@@ -121,6 +121,8 @@ class Durability:
             try:
                 await self._restore(session)
             except (WorkerLost, Unavailable) as error:
+                if session.asleep and isinstance(error, Unavailable):  # at the start, before the workers are warm: nobody has waited for it yet
+                    raise Irrecoverable(error) from error
                 if monotonic() - began > _PATIENCE:
                     self._end(session, worker_lost(session.id))
                 log.debug("the session waits for a worker: %s", error, extra={"session": session.id})
@@ -137,7 +139,7 @@ class Durability:
 
     async def _restore(self, session: Session) -> None:
         """From the newest checkpoint, or, where there is none, from the beginning."""
-        if session.asleep:
+        if session.asleep and session.checkpoint is None:
             await self._wake(session)
         checkpoint = session.checkpoint
         if checkpoint is not None:

@@ -206,7 +206,7 @@ def test_the_client_library_comes_back_by_itself(restartable, sheet, number):
     """The server ends in the middle of a stream and is started again; the client's loop goes on."""
     notices, sequences = [], []
     service = restartable.process
-    with connect(service.grpc, timeout=60) as client, client.create_session(sheet, flow="lossless") as session:
+    with connect(service.grpc) as client, client.create_session(sheet, flow="lossless") as session:
         frames = (Frame(sheet.vertices, i / 30) for i in range(1, 31))
         for result in session.track(frames, resume=110, on_notice=notices.append):
             sequences.append(result.sequence)
