@@ -121,7 +121,7 @@ class Durability:
             try:
                 await self._restore(session)
             except (WorkerLost, Unavailable) as error:
-                if session.asleep and isinstance(error, Unavailable):  # at the start, before the workers are warm: nobody has waited for it yet
+                if session.asleep and isinstance(error, Unavailable):  # at the start, before the workers are warm
                     raise Irrecoverable(error) from error
                 if monotonic() - began > _PATIENCE:
                     self._end(session, worker_lost(session.id))
