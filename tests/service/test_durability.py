@@ -112,9 +112,7 @@ def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
         for talk in talks:
             assert talk.ask(frame_of(sheet, number))[-1].result.sequence_number == number
     os.kill(worker_of(durable), signal.SIGKILL)
-    killed = time.monotonic()
     answers = [talk.ask(frame_of(sheet, 7)) for talk in talks]
-    assert time.monotonic() - killed < 10  # 2 s on a machine that does nothing else
     for name, seen in zip(names, answers, strict=False):
         (notice,) = (response.notice for response in seen if response.HasField("notice"))
         statistics = api.get(name).statistics
