@@ -133,8 +133,10 @@ class Proxy:
         self._flowing.set()
 
     async def stop(self) -> None:
-        self.cut()
         self._server.close()
+        self.cut()
+        while self._pairs:
+            await asyncio.sleep(0.01)
 
     async def _carry(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         try:
@@ -315,7 +317,7 @@ class Postgres:
         self.url = f"postgresql+psycopg://ddakf@127.0.0.1:{self._port}/postgres"
         self._data.mkdir()
         if user:
-            shutil.chown(self._data, user, user)
+            shutil.chown(self._data, user)
         self._run("initdb", "-D", str(self._data), "-U", "ddakf", "-A", "trust", "--no-sync")
 
     def start(self) -> None:
