@@ -342,6 +342,22 @@ def test_a_draco_decoder_that_dies_costs_one_cloud(damaged_source):
     assert decoder.process_id() is None
 
 
+def test_answers_belong_to_their_draco_clouds_after_thousands_of_damaged_ones(cloud):
+    """The decoder prints about some of them, into whatever its standard output is."""
+    rng, decoder = np.random.default_rng(7), DracoDecoder(200)
+    sources = [encode(cloud[:200], "draco").cloud.data]
+    sources += [DracoPy.encode(cloud[:200].astype(np.float32), quantization_bits=11, compression_level=n) for n in (7, 1)]
+    expected = decoder.decode(sources[0], 200)
+    for number in range(3000):
+        data = bytearray(sources[number % 3])
+        for place in rng.integers(21, len(data), rng.integers(1, 6)):
+            data[place] = rng.integers(256)
+        with contextlib.suppress(CodecError):
+            decoder.decode(bytes(data), 200)
+    assert np.array_equal(decoder.decode(sources[0], 200), expected)
+    decoder.close()
+
+
 def test_a_draco_cloud_that_takes_too_long_ends_its_decoder_alone():
     """A tenth of a second of work; the clock of CPU time ticks every few milliseconds."""
     points = np.random.default_rng(0).normal(size=(300_000, 3)).astype(np.float32)

@@ -30,6 +30,8 @@ MEMORY, MEMORY_PER_POINT = 64 << 20, 160  # bytes that decoding may take; an hon
 
 _PATIENCE = 1.0  # seconds that the child has to end once its input has ended
 
+_REQUEST, _ANSWER = struct.Struct("<QI"), struct.Struct("<Qq")
+
 # Magic, version 2.2 or 2.3, a point cloud, sequential or k-d tree, no flags (no metadata); the number of points.
 _HEADER = struct.Struct("<5sBBBBHi")
 _MAGIC, _VERSIONS, _POINT_CLOUD, _METHODS = b"DRACO", ((2, 2), (2, 3)), 0, (0, 1)
@@ -107,6 +109,7 @@ class Decoder:
     def __init__(self, max_points: int, seconds: float = SECONDS):
         self._memory, self._seconds = MEMORY + MEMORY_PER_POINT * max_points, seconds
         self._process: subprocess.Popen | None = None
+        self._asked = 0
         self._lock = threading.Lock()
 
     def decode(self, data: bytes, count: int) -> np.ndarray:
@@ -120,7 +123,7 @@ class Decoder:
         if not installed():
             raise Unimplemented("point_cloud.codec: Draco needs the package dracopy here", field="point_cloud.codec")
         with self._lock:
-            points = self._ask(data)
+            points = self._ask(data, count)
         if points is None or len(points) != count or not np.isfinite(points).all():
             got = "none that can be decoded" if points is None else f"{len(points)}, or numbers that are not finite"
             raise CodecError(field=FIELD, expected=f"{count} finite positions", got=got)
@@ -135,13 +138,16 @@ class Decoder:
         with self._lock:
             self._end()
 
-    def _ask(self, data: bytes) -> np.ndarray | None:
+    def _ask(self, data: bytes, expected: int) -> np.ndarray | None:
         if self.process_id() is None:
             self._start()
         try:
-            self._process.stdin.write(struct.pack("<I", len(data)) + data)
+            self._asked += 1
+            self._process.stdin.write(_REQUEST.pack(self._asked, len(data)) + data)
             self._process.stdin.flush()
-            (count,) = struct.unpack("<q", self._read(8))
+            number, count = _ANSWER.unpack(self._read(_ANSWER.size))
+            if number != self._asked or count > expected:
+                raise EOFError  # the two processes are out of step: none of what follows can be believed
             return None if count < 0 else np.frombuffer(self._read(12 * count), "<f4").reshape(count, 3)
         except (OSError, EOFError):
             status = self._end()

@@ -1,9 +1,11 @@
 """What runs in the process of :class:`~ddakf_api.codec.draco.Decoder`, started by the path of this file.
 
-Reads ``<size u32><data>`` from standard input and writes ``<count i64><count * 12 bytes of float32>`` to standard output,
-count -1 where the data cannot be decoded, until its input ends. Imports nothing of this package: it has to be up at once.
+Reads ``<number u64><size u32><data>`` from standard input and writes ``<the same number u64><count i64><count * 12 bytes of
+float32>`` to standard output, count -1 where the data cannot be decoded, until its input ends. Imports nothing of this package:
+it has to be up at once.
 """
 
+import os
 import resource
 import signal
 import struct
@@ -13,7 +15,7 @@ from pathlib import Path
 import DracoPy
 import numpy as np
 
-_SIZE, _COUNT = struct.Struct("<I"), struct.Struct("<q")
+_REQUEST, _ANSWER = struct.Struct("<QI"), struct.Struct("<Qq")
 
 
 def main(memory: int, seconds: float) -> None:
@@ -26,14 +28,16 @@ def main(memory: int, seconds: float) -> None:
     limit = _address_space() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    source, sink = sys.stdin.buffer, sys.stdout.buffer
-    while len(head := source.read(_SIZE.size)) == _SIZE.size:
-        data = source.read(_SIZE.unpack(head)[0])
+    source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the decoder prints where it meets what it does not know
+    while len(head := source.read(_REQUEST.size)) == _REQUEST.size:
+        number, size = _REQUEST.unpack(head)
+        data = source.read(size)
         # The default action ends the process even while the decoder keeps the interpreter locked.
         signal.setitimer(signal.ITIMER_PROF, seconds)
         points = _decoded(data)
         signal.setitimer(signal.ITIMER_PROF, 0)
-        sink.write(_COUNT.pack(-1 if points is None else len(points)))
+        sink.write(_ANSWER.pack(number, -1 if points is None else len(points)))
         if points is not None:
             sink.write(points.data)
         sink.flush()
