@@ -59,7 +59,7 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
     tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")
-    tracker.add_argument("--server", metavar="HOST:PORT", help="track on a server, through its client")
+    tracker.add_argument("--server", metavar="HOST:PORT", help="track on a server, through its client; DDAKF_API_KEY has its key")
     tracker.add_argument("--codec", metavar="NAME", help="of the clouds that are sent to the server")
 
     output = parser.add_argument_group("output")

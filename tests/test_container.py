@@ -52,7 +52,7 @@ def test_exposed_ports_are_the_defaults():
 
 
 def test_variables_are_settings():
-    others = {"DDAKF_CONFIG", "DDAKF_KERNEL_CACHE", "DDAKF_PUBLISH", "DDAKF_BUILD"}
+    others = {"DDAKF_CONFIG", "DDAKF_KERNEL_CACHE", "DDAKF_PUBLISH", "DDAKF_BUILD", "DDAKF_API_KEY"}
     known = {f"DDAKF_{name.upper()}" for name in _settings()} | others
     for text in (DOCKERFILE, COMPOSE.read_text(encoding="utf-8"), DOCUMENT):
         assert set(re.findall(r"DDAKF_[A-Z_]*[A-Z]", text)) <= known

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 import time
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ import ddakf
 from ddakf.errors import DdakfError, MissingDependency
 from ddakf.evaluation.source import Frame, Source
 
+KEY_VARIABLE = "DDAKF_API_KEY"  # the key that a server asks for
 WAIT = 0.1  # s between looks at whether the stream has ended
 
 
@@ -57,7 +59,7 @@ def remote(
     sent: list[Frame] = []
     try:
         with (
-            client.connect(target) as connection,
+            client.connect(target, api_key=os.environ.get(KEY_VARIABLE)) as connection,
             connection.create_session(source.garment, body=source.body, config=config, flow="lossless", **options) as session,
         ):
             if source.start is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import json
+import os
 import socket
 import ssl
 import subprocess
@@ -337,6 +338,17 @@ def test_files_that_cannot_be_used_are_refused_by_name(flags, named):
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert named in done.stderr
+
+
+def test_a_recording_is_tracked_with_the_key_of_the_environment(guarded):
+    sample = Path(__file__).parents[2] / "ddakf/data/sample.npz"
+    command = [sys.executable, "-m", "ddakf.cli", "track", str(sample), "--frames", "0:3", "--server", guarded.grpc]
+    for key, status in ((guarded.keys["stream"], 0), ("", 2)):
+        done = subprocess.run(
+            command, env={**os.environ, "DDAKF_API_KEY": key}, capture_output=True, text=True, timeout=100, check=False
+        )
+        assert done.returncode == status, done.stderr
+    assert "key" in done.stderr
 
 
 def test_keys_command_refuses_what_it_cannot_do(tmp_path):
