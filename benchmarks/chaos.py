@@ -50,7 +50,7 @@ console = Console(stderr=True, highlight=False)
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
     a = _parser().parse_args(argv)
-    run = inputs.run_of(data.sample(), 149, "full", a.points)
+    run = inputs.run_of(data.sample(), a.frames, "full", a.points)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         disk = stack.enter_context(_small_disk(folder))
@@ -179,7 +179,7 @@ class Seen:
 
 async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     console.print("without any trouble ...")
-    calm = await _stream(a, run, f"127.0.0.1:{fleet.grpc_port}", 30.0, "calm-1")
+    calm = await _stream(a, run, f"127.0.0.1:{fleet.grpc_port}", 2 * len(run.clouds) / a.rate, "calm-1")
     if calm.gave_up:
         raise SystemExit(f"the undisturbed stream ended: {calm.gave_up}")
     proxy = Proxy(fleet.grpc_port)
@@ -189,7 +189,7 @@ async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     await _trouble(a, fleet, proxy, log)
     seen = await asyncio.gather(*streams)
     await proxy.stop()
-    rows = [_judged(a, k, calm, one) for k, one in enumerate(seen)]
+    rows = [_judged(a, k, 2 * len(run.clouds), calm, one) for k, one in enumerate(seen)]
     failed = [f"session {row['session']}: {row['verdict']}" for row in rows if row["verdict"] != "as undisturbed"]
     left_out = [name for name, part in (("PostgreSQL", fleet.database), ("a small disk", fleet.disk)) if part is None]
     return {"seconds": a.seconds, "seed": a.seed, "troubles": log, "left_out": left_out, "sessions": rows, "failed": failed}
@@ -290,10 +290,9 @@ async def _stop_database(database: Postgres) -> None:
     await asyncio.to_thread(database.start)
 
 
-def _judged(a: argparse.Namespace, number: int, calm: Seen, seen: Seen) -> dict:
-    """The errors of the last seconds against those of the same places without trouble."""
+def _judged(a: argparse.Namespace, number: int, period: int, calm: Seen, seen: Seen) -> dict:
+    """The errors of the last seconds against those of the same places without trouble, of so many frames there and back."""
     first = round((a.seconds - QUIET / 2) * a.rate)
-    period = 2 * 149
     pairs = [(error, calm.error[k % period]) for k, error in seen.error.items() if k >= first and k % period in calm.error]
     row = {"session": number, "frames": len(seen.error), "state": seen.state, "notices": _counted(seen.notices)}
     if seen.gave_up or not pairs:
@@ -392,6 +391,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--clients", type=int, default=2)
     parser.add_argument("--rate", type=float, default=10.0, help="frames per second of each client")
     parser.add_argument("--points", type=int, default=3_000)
+    parser.add_argument("--frames", type=int, default=149, help="of the sample, which are played there and back")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=RESULT)
     return parser

@@ -93,10 +93,10 @@ async def _visit(stub: TrackingServiceStub, script: traffic.Script, way: str) ->
     await call.write(pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=pb.FLOW_MODE_LOSSLESS)))
     for number in range(1, FRAMES + 1):
         await call.write(script.frame(number, 30.0))
-    if way == "gone":
-        return  # the channel is closed above the stream's head; nobody deletes the session
     for _ in range(2):
         await call.read()
+    if way == "gone":
+        return  # the channel is closed above the stream's head; nobody deletes the session
     if way == "cancelled":
         call.cancel()
     elif way == "half closed":

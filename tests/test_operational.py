@@ -1,0 +1,55 @@
+"""Load, soak and chaos, short: that they run, what they find, and that they can find something. Nothing is said about speed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+
+def run(script: str, out: Path, *arguments: str) -> tuple[dict, int]:
+    """The part of the result file, and the exit status."""
+    command = [sys.executable, ROOT / f"benchmarks/{script}.py", "--out", out, *arguments]
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("DDAKF_")}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=110, check=False)
+    assert ended.returncode in (0, 1), ended.stderr
+    return json.loads(out.read_text())[script], ended.returncode
+
+
+def test_load_is_counted(tmp_path):
+    size = ("--vertices", "400", "--points", "1000")
+    arguments = ("--clients", "2", "--seconds", "2", "--rate", "10", "--flow", "lossless", *size)
+    part, status = run("load", tmp_path / "load.json", *arguments)
+    assert status == 0
+    assert part["sent"] == part["answered"] == 40
+    assert part["dropped"] == 0
+    assert part["refused"] == {}
+    assert 0 < part["latency_ms"]["p50"] <= part["latency_ms"]["p99"] <= part["latency_ms"]["p99.9"]
+    assert part["cores"] > 0
+    assert part["rmse_mm"] > 0
+
+
+@pytest.mark.slow
+def test_nothing_is_left_of_clients_that_come_and_leave(tmp_path):
+    arguments = ("--seconds", "10", "--cycles", "16", "--clients", "1", "--rate", "5", "--vertices", "400", "--points", "1000")
+    part, _ = run("soak", tmp_path / "soak.json", *arguments)
+    assert part["cycles"] == 16
+    assert part["errors"] == {}
+    assert part["sessions_left"] == 0
+    assert part["descriptors"] <= part["descriptors_at_start"]
+    # ten seconds say nothing about growth: a worker's memory has not settled by then
+
+
+@pytest.mark.slow
+def test_sessions_outlive_what_goes_wrong(tmp_path):
+    arguments = ("--seconds", "32", "--clients", "1", "--frames", "20", "--rate", "5", "--points", "1000", "--workers", "1")
+    part, status = run("chaos", tmp_path / "chaos.json", *arguments)
+    assert part["troubles"], "nothing went wrong"
+    assert part["failed"] == []
+    assert status == 0
