@@ -208,8 +208,8 @@ class Usage:
         return sum(sum(map(int, stat[11:13])) for pid in self.tree() if (stat := _stat(pid))) / _TICKS
 
     def memory(self) -> dict[int, int]:
-        """Private and shared memory of each, bytes: a page that several have is counted in shares (PSS)."""
-        return {pid: size for pid in self.tree() if (size := _pss(pid))}
+        """What each has allocated, bytes: its anonymous pages. Pages of files come and go with whoever else maps them."""
+        return {pid: size for pid in self.tree() if (size := _anonymous(pid))}
 
     def descriptors(self) -> dict[int, int]:
         """Open files, pipes and sockets of each."""
@@ -224,12 +224,12 @@ def _stat(pid: int) -> list[str] | None:
         return None
 
 
-def _pss(pid: int) -> int:
+def _anonymous(pid: int) -> int:
     try:
         lines = (Path("/proc") / str(pid) / "smaps_rollup").read_text().splitlines()
     except OSError:
         return 0
-    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
+    return next((1024 * int(line.split()[1]) for line in lines if line.startswith("Anonymous:")), 0)
 
 
 def _descriptors(pid: int) -> int | None:
