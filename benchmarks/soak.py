@@ -88,7 +88,7 @@ async def _come_and_leave(a: argparse.Namespace, script, address: str, record: t
 
 
 async def _visit(stub: TrackingServiceStub, script: traffic.Script, way: str) -> None:
-    name = await traffic.created(stub, script, pb.SessionLimits(departure_timeout=DEPARTURE, idle_timeout=10 * DEPARTURE))
+    name = await traffic.created(stub, script, pb.SessionLimits(idle_timeout=DEPARTURE))
     call = stub.Track()
     await call.write(pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=pb.FLOW_MODE_LOSSLESS)))
     for number in range(1, FRAMES + 1):

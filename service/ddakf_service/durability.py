@@ -61,8 +61,9 @@ class Durability:
 
     async def settle(self, timeout: float) -> None:
         """Returns when nothing runs in the background any more, or after ``timeout`` seconds."""
-        if self._tasks:
-            await asyncio.wait(set(self._tasks), timeout=timeout)
+        end = monotonic() + timeout
+        while self._tasks and (left := end - monotonic()) > 0:  # some begin others
+            await asyncio.wait(set(self._tasks), timeout=left)
 
     # Checkpoints ----------------------------------------------------------------------------------------------------
 

@@ -38,7 +38,9 @@ class Records:
             log.warning("the session is not registered yet", extra={"session": session.id})
 
     def save(self, session: Session) -> None:
-        """What has changed of a session, if anything has."""
+        """What has changed of a session that lives, if anything has."""
+        if session.closed:
+            return
         now = session.state, session.revision, session.checkpoint_number, session.statistics.SerializeToString()
         if self._saved.get(session.uid) != now:
             self._saved[session.uid] = now

@@ -26,6 +26,7 @@ from ddakf_api.errors import (
     Unavailable,
     WorkerLost,
     from_detail,
+    to_detail,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
@@ -86,9 +87,10 @@ class Sessions:
         self._sessions: dict[str, Session] = {}
         metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._sessions.values()))
         self._opening: dict[str, str | None] = {}  # id to owner
-        self._ended: OrderedDict[str, ServiceError] = OrderedDict()
+        self._leaving: dict[str, asyncio.Task[None]] = {}  # ended ones that are in a worker still
+        self._ended: OrderedDict[str, pb.ErrorDetail] = OrderedDict()  # an exception would keep what it was raised through
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
-        self.draining = False
+        self.draining = self._loaded = False
 
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
         """Creates a session, or answers the one that the same request id created. It belongs to the key of the call."""
@@ -114,6 +116,7 @@ class Sessions:
         except Unavailable as error:
             log.error("earlier sessions cannot be had back yet: %s", error)
             return False
+        self._loaded = True
         for session in sessions:
             if session.id not in self._sessions and session.id not in self._opening:
                 self._sessions[session.id] = session
@@ -127,7 +130,7 @@ class Sessions:
 
     async def _load_later(self) -> None:
         await asyncio.sleep(_LOAD_PAUSE)
-        while not await self._load():
+        while not (self.draining or await self._load()):
             await asyncio.sleep(_LOAD_PAUSE)
 
     async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
@@ -213,11 +216,13 @@ class Sessions:
     async def delete(self, name: str) -> None:
         session = self._mine(name)
         self._end(session, SessionNotFound(f"{session.name} was deleted"))
-        await self._forget(session)
+        await asyncio.shield(self._leaving[session.id])
 
     async def open_stream(self, start: pb.Start) -> Stream:
         """The stream of a session; the caller closes it with :meth:`close_stream`."""
         require_compatible(start.api_version, peer="client")
+        if self.draining:  # the last checkpoint would not know of its frames
+            raise Draining("the server is about to stop and takes no new streams")
         await self._known(start.name)
         session = self._mine(start.name)
         if session.stream is not None and start.takeover:
@@ -246,8 +251,7 @@ class Sessions:
         if stream.session.stream is stream:
             stream.session.stream = None
             stream.session.departed = monotonic()
-            if not stream.session.closed:
-                self._records.save(stream.session)
+            self._records.save(stream.session)
         stream.gone.set()
         self._count()
 
@@ -292,20 +296,17 @@ class Sessions:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             for session in list(self._sessions.values()):
                 try:
-                    await self._expire(session)
-                    if not session.closed:
-                        self._records.save(session)
+                    self._expire(session)
+                    self._records.save(session)
                 except Exception:  # one session's trouble shall not keep the others for ever
                     log.exception("a session could not be ended as it should", extra={"session": session.id})
 
-    async def _expire(self, session: Session) -> None:
-        """Ends a session if its time is over, and it is still there: others may have ended while this was waited for."""
+    def _expire(self, session: Session) -> None:
+        """Ends a session if its time is over."""
         moment, reason = session.expiry()
-        if monotonic() <= moment or self._sessions.get(session.id) is not session:
-            return
-        log.info("the session expired", extra={"session": session.id})
-        self._end(session, reason)
-        await self._forget(session)
+        if monotonic() > moment:
+            log.info("the session expired", extra={"session": session.id})
+            self._end(session, reason)
 
     async def drain(self, grace: float) -> None:
         """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds, and the last
@@ -321,8 +322,8 @@ class Sessions:
             if session.stream:
                 session.stream.notify(self._reconnect())
                 session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
-        for session in list(self._sessions.values()):
-            await self._last_checkpoint(session)
+        for session in self._sessions.values():
+            self._durability.background(self._last_checkpoint(session))
         await self._durability.settle(_LAST_CHECKPOINTS)
         for session in list(self._sessions.values()):
             self._records.save(session)
@@ -376,6 +377,8 @@ class Sessions:
 
     async def _open(self, session_id: str, request, owner: str | None, open_: _Open) -> Session:
         limits, labels = self._limits(request.session.limits), _labels(request.session)
+        if leaving := self._leaving.get(session_id):  # the one before of this id
+            await asyncio.wait({leaving})
         opened = pb.Session.FromString(await open_(session_id, request.SerializeToString()))
         session = Session(
             session_id, opened, taken_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
@@ -443,7 +446,12 @@ class Sessions:
         if session_id in self._sessions:
             return self._sessions[session_id]
         if session_id in self._ended:
-            raise self._ended[session_id]
+            raise from_detail(self._ended[session_id])
+        if not self._loaded:
+            raise Unavailable(
+                f"whether there is a session {name[:80]!r} is not known before the database can be read; try again later",
+                retry_after=_LOAD_PAUSE,
+            )
         raise _not_found(name)
 
     async def _known(self, name: str) -> Session:
@@ -476,16 +484,19 @@ class Sessions:
         return [self._sessions[i] for i in session_ids if i in self._sessions]
 
     def _end(self, session: Session, reason: ServiceError) -> None:
-        """The session is gone for good; whoever asks for it, and its stream, is told why."""
+        """The session is gone for good; whoever asks for it, and its stream, is told why. Its worker forgets it in the
+        background, so that it does even where whoever ended the session has left."""
         if not session.closed:
             self._forsake(session, reason)
             self._records.end(session, reason)
+            leaving = self._leaving[session.id] = self._durability.background(self._forget(session))
+            leaving.add_done_callback(lambda _: self._leaving.pop(session.id))
 
     def _forsake(self, session: Session, reason: ServiceError) -> None:
         """This process has the session no more; it may live on in the store."""
         self._sessions.pop(session.id, None)
         session.closed = True
-        self._remember(self._ended, session.id, reason)
+        self._remember(self._ended, session.id, to_detail(reason))
         if session.stream:
             session.stream.end(reason)
         session.watchers.close(reason)

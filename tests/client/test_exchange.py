@@ -117,3 +117,29 @@ def test_a_result_holds_what_the_message_leaves_out_as_empty():
     assert answer.vertices.shape == (0, 3)
     assert answer.observed.dtype == np.bool_
     assert answer.state == "unspecified"
+
+
+def test_what_was_to_be_sent_again_when_the_connection_was_lost_once_more_is_sent():
+    exchange = opened("lossless")
+    for _ in range(3):
+        exchange.offer(object(), 0.0)
+        exchange.take(0.0)
+    lose = errors.Unavailable("lost")
+    sent = []
+    for count in (1, 3):
+        assert exchange.may_resume(lose, 1.0)
+        exchange.receive(pb.TrackResponse(started=pb.Started(last_sequence_number=0)), 1.0)
+        sent.append([exchange.take(1.0).sequence for _ in range(count)])
+    assert sent == [[1], [1, 2, 3]]
+    assert not exchange.can_take()
+
+
+def test_a_frame_that_turns_out_bad_after_its_connection_was_lost_is_refused_once():
+    exchange = opened("lossless")
+    exchange.offer(object(), 0.0)
+    offered = exchange.take(0.0)
+    assert exchange.may_resume(errors.Unavailable("lost"), 1.0)
+    exchange.receive(pb.TrackResponse(started=pb.Started(last_sequence_number=0)), 1.0)
+    exchange.refuse(offered, errors.InvalidFrame("bad"))
+    exchange.refuse(exchange.take(1.0), errors.InvalidFrame("bad"))
+    assert [refused.sequence for refused in exchange.refused()] == [1]

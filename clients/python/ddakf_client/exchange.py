@@ -180,7 +180,8 @@ class Exchange:
 
     def refuse(self, offered: Offered, error: ServiceError) -> None:
         """Notes that a frame could not be made a message."""
-        del self._unanswered[offered.sequence]
+        if self._unanswered.pop(offered.sequence, None) is None:
+            return  # the connection was lost meanwhile: it will be tried again
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
             self.failure = self.failure or error
@@ -259,14 +260,16 @@ class Exchange:
         self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
         if not resumed:
             return []
-        kept = [sent.offered for sequence, sent in sorted(self._unanswered.items()) if sequence > max(last, self._passed)]
-        unanswered = len(self._unanswered)
+        # The connection may have been lost before all were sent that the one before it had lost.
+        unanswered = [*(sent.offered for _, sent in sorted(self._unanswered.items())), *self._again]
+        kept = [offered for offered in unanswered if offered.sequence > max(last, self._passed)]
         self._unanswered.clear()
         if not self._lossless:
             kept = kept[-1:] if self._slot is None else []
         self._again = deque(kept)
         forgotten = max(self._last_answered - last, 0)
-        message = f"connected again: the session goes on after frame {last}; {len(kept)} of {unanswered} frames are sent again"
+        sent_again = f"{len(kept)} of {len(unanswered)}"
+        message = f"connected again: the session goes on after frame {last}; {sent_again} frames are sent again"
         return [Notice("resumed", message, float(forgotten), "")]
 
     def deadline(self, now: float) -> float:

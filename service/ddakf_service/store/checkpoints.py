@@ -13,7 +13,6 @@ import os
 import re
 import struct
 import threading
-import time
 from collections.abc import Iterable
 from time import monotonic
 
@@ -98,7 +97,6 @@ class Checkpoints:
         self._waiting: dict[int, pb.SessionSnapshot] = {}
         self._writing: tuple[int, pb.SessionSnapshot] | None = None
         self._deleted: set[int] = set()
-        self._times: dict[int, float] = {}
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
 
@@ -117,10 +115,6 @@ class Checkpoints:
                 self._waiting[uid] = snapshot
                 self._changed.notify_all()
 
-    def time_of(self, uid: int) -> float | None:
-        """When the session's newest written checkpoint was written, seconds since 1970; None: none was, by this process."""
-        return self._times.get(uid)
-
     async def newest(self, uid: int) -> pb.SessionSnapshot | None:
         """The newest whole checkpoint of a session, written or not; None where there is none.
 
@@ -138,7 +132,6 @@ class Checkpoints:
         """Has all checkpoints of a session deleted; it has ended."""
         with self._changed:
             self._waiting.pop(uid, None)
-            self._times.pop(uid, None)
             self._deleted.add(uid)
             self._changed.notify_all()
 
@@ -175,8 +168,10 @@ class Checkpoints:
                 self._changed.wait_for(lambda: self._waiting or self._deleted or self._closing.is_set())
             last = self._closing.is_set()
             try:
-                self._delete_ended()
-                self._write_waiting()
+                try:
+                    self._delete_ended()  # first, for what may be a full disk
+                finally:
+                    self._write_waiting()
             except Exception as error:
                 if not isinstance(error, OSError):
                     log.exception("writing checkpoints failed")
@@ -219,7 +214,6 @@ class Checkpoints:
             _write_atomically(path, data)
         else:
             self._files.pipe_file(path, data)  # object stores show an object when it is whole
-        self._times[uid] = time.time()
         self._metrics.checkpoint_seconds.observe(monotonic() - started)
         self._metrics.checkpoint_bytes.inc(len(data))
         for old in [*before, path][: -self._keep]:

@@ -12,6 +12,7 @@ import logging
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic
 from typing import Generic, TypeVar
@@ -41,6 +42,7 @@ _GATHER = 0.25  # seconds for which rows are gathered before they are written to
 _BATCH = 1000  # rows per transaction
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database does not work
 _CHORE_INTERVAL = 3600.0  # seconds between runs of the chores, such as retention
+_READERS = 4  # threads
 _READ_PATIENCE = 5.0  # seconds that a reader waits for a connection, and a connection attempt may take
 _RETRY_AFTER = 5.0  # seconds, told to who wanted to read
 _MIGRATION_LOCK = 0x6464616B66  # of PostgreSQL's advisory locks; "ddakf"
@@ -162,6 +164,8 @@ class Database:
         self._migrated = False
         self._chores_due = 0.0
         self._thread = threading.Thread(target=self._run, name="database", daemon=True)
+        # Of its own, for who waits for an unreachable database shall not keep others from a thread.
+        self._readers = ThreadPoolExecutor(_READERS, "database-reader")
 
     def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> Queue:
         """A queue whose rows ``write`` brings into the database.
@@ -208,7 +212,7 @@ class Database:
         Raises:
             Unavailable: the database cannot be reached.
         """
-        return await asyncio.to_thread(self.read_now, query)
+        return await asyncio.get_running_loop().run_in_executor(self._readers, self.read_now, query)
 
     def read_now(self, query: Callable[[sa.Connection], T]) -> T:
         """As :meth:`read`, in the calling thread."""
@@ -257,6 +261,7 @@ class Database:
         if left := self.waiting():
             log.error("%d rows could not be written to the database before the end", left)
             self._dropped.inc(left)
+        self._readers.shutdown(wait=False)
         self._engine.dispose()
 
     def _wake(self) -> None:

@@ -288,6 +288,9 @@ class LocalPool:
                     return
                 data = await self._call(old, wire.Kind.SNAPSHOT, session_id)
                 await self._call(new, wire.Kind.RESTORE, session_id, pb.RestoreSessionRequest(data=data).SerializeToString())
+                if self._homes.get(session_id) is not home:  # it was lost with the old worker meanwhile
+                    new.tell(wire.Kind.CLOSE, session_id)
+                    return
                 home.worker = new
                 new.sessions[session_id] = old.sessions.pop(session_id)
                 old.tell(wire.Kind.CLOSE, session_id)
@@ -339,12 +342,16 @@ class _Worker:
             reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
             # Not the event loop's own way to start a process: it forks, which gRPC's threads forbid, while this one
             # goes straight to the new program.
-            process = subprocess.Popen(
-                [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],
-                pass_fds=(theirs.fileno(),),
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, **ONE_THREAD},
-            )
+            try:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],
+                    pass_fds=(theirs.fileno(),),
+                    stdin=subprocess.DEVNULL,
+                    env={**os.environ, **ONE_THREAD},
+                )
+            except OSError:
+                writer.close()
+                raise
         worker = cls(process, reader, writer)
         try:
             async with asyncio.timeout(timeout):

@@ -1,0 +1,141 @@
+"""What happens to a session while something else does. The pool is one of a few lines; everything else is the service's."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.errors import Draining, SessionNotFound, Unavailable
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service import sessions
+from ddakf_service.settings import Settings
+from ddakf_service.store import Store
+from ddakf_service.telemetry import Metrics
+from ddakf_service.tracing import NoTracer
+
+START = pb.Start(name="sessions/some", api_version=API_VERSION)
+
+
+class Pool:
+    """Notes what is opened and closed; ``busy`` keeps calls of a session waiting."""
+
+    def __init__(self):
+        self.calls = []
+        self.busy = asyncio.Event()
+
+    async def open(self, session_id, request, memory):
+        self.calls.append(("open", session_id))
+        return pb.Session().SerializeToString()
+
+    async def configure(self, session_id, request):
+        await self.busy.wait()
+        return pb.Session().SerializeToString()
+
+    async def snapshot(self, session_id, compressed=False):
+        return b""
+
+    async def close(self, session_id):
+        self.calls.append(("close", session_id))
+
+
+@pytest.fixture
+async def pool():
+    return Pool()
+
+
+@pytest.fixture
+async def store():
+    store = Store(Settings(data_dir="none"), Metrics())
+    yield store
+    await asyncio.to_thread(store.close)
+
+
+@pytest.fixture
+async def server(pool, store):
+    """All sessions of a server, of which one is there: "some"."""
+    server = sessions.Sessions(pool, Settings(data_dir="none"), Metrics(), store, NoTracer())
+    await server.load()
+    await create(server)
+    return server
+
+
+async def create(server) -> None:
+    await server.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id="some"))
+
+
+async def test_nothing_is_kept_of_a_session_that_ended_under_its_stream(server):
+    session = weakref.ref(server._find("sessions/some"))
+
+    async def serve() -> None:
+        stream = await server.open_stream(START)
+        opened.set()
+        try:
+            await stream.deliver(lambda response: asyncio.sleep(0))
+        finally:
+            await server.close_stream(stream)
+
+    opened = asyncio.Event()
+    serving = asyncio.create_task(serve())
+    await opened.wait()
+    await server.delete("sessions/some")
+    with pytest.raises(SessionNotFound, match="was deleted"):
+        await serving
+    del serving
+    await server._durability.settle(1.0)
+    gc.collect()
+    assert session() is None
+
+
+async def test_a_worker_forgets_a_session_whose_deletion_was_cut_off(server, pool):
+    session = server._find("sessions/some")
+    async with session.lock:  # a frame is in the worker
+        deletion = asyncio.create_task(server.delete("sessions/some"))
+        await asyncio.sleep(0)
+        deletion.cancel()
+        await asyncio.wait({deletion})
+    await server._durability.settle(1.0)
+    assert pool.calls == [("open", "some"), ("close", "some")]
+
+
+async def test_an_id_is_free_once_the_worker_has_forgotten_it(server, pool):
+    async with server._find("sessions/some").lock:
+        deletion = asyncio.create_task(server.delete("sessions/some"))
+        await asyncio.sleep(0)
+        creation = asyncio.create_task(create(server))
+        await asyncio.sleep(0)
+    await asyncio.gather(deletion, creation)
+    assert pool.calls == [("open", "some"), ("close", "some"), ("open", "some")]
+
+
+async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, pool, store):
+    session = server._find("sessions/some")
+    change = pb.Session(name="sessions/some", fabric="denim")
+    update = asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change)))
+    await asyncio.sleep(0.01)
+    deletion = asyncio.create_task(server.delete("sessions/some"))
+    await asyncio.sleep(0.01)
+    pool.busy.set()
+    await asyncio.gather(update, deletion)
+    assert (await store.registry.newest("some")).reason.name == "SessionNotFound"
+    assert session.uid not in server._records._saved
+
+
+async def test_a_stop_does_not_wait_for_a_session_on_its_way_back(server, monkeypatch):
+    monkeypatch.setattr(sessions, "_LAST_CHECKPOINTS", 0.05)
+    async with server._find("sessions/some").lock:
+        await asyncio.wait_for(server.drain(0.0), 30.0)
+
+
+async def test_a_server_that_stops_opens_no_stream(server):
+    server.draining = True
+    with pytest.raises(Draining):
+        await server.open_stream(START)
+
+
+async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_not_exist(server):
+    server._loaded = False
+    with pytest.raises(Unavailable, match="not known before the database can be read"):
+        await server.open_stream(pb.Start(name="sessions/earlier", api_version=API_VERSION))
