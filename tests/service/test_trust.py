@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import datetime
 import json
 import os
@@ -21,12 +22,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import PermissionDenied, ResourceExhausted, SessionNotFound, Unauthenticated, from_rpc_error
+from ddakf_api.errors import PermissionDenied, ResourceExhausted, SessionNotFound, Unauthenticated, Unavailable, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
 from ddakf_service.child import ServiceProcess
+from ddakf_service.trust import keys
 from ddakf_service.trust.guard import GRPC_SCOPES, STREAM
+from ddakf_service.trust.principal import Scope
 
 from .conftest import TIMEOUT, make_sheet
 
@@ -422,3 +425,36 @@ def test_a_key_has_as_many_sessions_as_it_may(guarded):
     third = other.create().name
     for who, name in ((mine, second), (other, third)):
         who.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+class UnreachableKeys:
+    """A database that is away, until it is ``there``."""
+
+    def __init__(self):
+        self.there, self.looks = False, 0
+
+    def all(self):
+        self.looks += 1
+        if not self.there:
+            raise OSError("away")
+        return []
+
+
+async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(monkeypatch):
+    store, (_, presented) = UnreachableKeys(), keys.generate("somebody", [Scope.STREAM], 0.0)
+    ring = keys.KeyRing(store)
+    with pytest.raises(Unavailable, match="the keys cannot be read now"):
+        await ring.principal(presented)
+    store.there = True
+    monkeypatch.setattr(keys, "_UNKNOWN_REFRESH", 0.0)
+    with pytest.raises(Unauthenticated):
+        await ring.principal(presented)
+
+
+async def test_many_who_come_with_unknown_keys_share_one_look():
+    ring = keys.KeyRing(store := UnreachableKeys())
+    store.there = True
+    unknown = [keys.generate("nobody", [Scope.STREAM], 0.0)[1] for _ in range(20)]
+    outcomes = await asyncio.gather(*(ring.principal(key) for key in unknown), return_exceptions=True)
+    assert {type(outcome) for outcome in outcomes} == {Unauthenticated}
+    assert store.looks == 1

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import Protocol
 
-from ddakf_api.errors import Unauthenticated
+from ddakf_api.errors import Unauthenticated, Unavailable
 
 from .principal import Principal, Scope
 
@@ -89,7 +89,8 @@ class KeyRing:
     def __init__(self, store: KeyStore):
         self._store = store
         self._keys: dict[str, Key] = {}
-        self._loaded = -_REFRESH
+        self._read = False
+        self._loaded = -_REFRESH  # when that was tried last (monotonic clock)
         self._loading: asyncio.Lock = asyncio.Lock()
         self._task: asyncio.Task | None = None
 
@@ -109,11 +110,14 @@ class KeyRing:
 
         Raises:
             Unauthenticated: nobody's, or a revoked one's. Which of the two is not said.
+            Unavailable: the keys could not be read yet.
         """
         matched = _PATTERN.fullmatch(presented)
         key_id, secret = matched.groups() if matched else ("", "")
-        if matched and key_id not in self._keys and monotonic() - self._loaded > _UNKNOWN_REFRESH:
-            await self._load()  # perhaps it is new
+        if matched and key_id not in self._keys:
+            await self._load(_UNKNOWN_REFRESH)  # perhaps it is new
+            if not self._read:
+                raise Unavailable("the keys cannot be read now; try again later", retry_after=_REFRESH)
         key = self._keys.get(key_id)
         # the comparison takes as long for unknown keys as for known ones
         right = hmac.compare_digest(_digest(secret), key.digest if key else _NOBODY)
@@ -129,9 +133,12 @@ class KeyRing:
             await asyncio.sleep(_REFRESH)
             await self._load()
 
-    async def _load(self) -> None:
-        """What is known stays in force while the store cannot be read."""
+    async def _load(self, older: float = 0.0) -> None:
+        """Reads the keys, unless that was tried less than ``older`` seconds ago. What is known stays in force while the store
+        cannot be read."""
         async with self._loading:
+            if monotonic() - self._loaded < older:  # by whoever this waited for
+                return
             try:
                 keys = await asyncio.to_thread(lambda: list(self._store.all()))
             except Exception as error:  # of any database driver
@@ -139,4 +146,4 @@ class KeyRing:
                 return
             finally:
                 self._loaded = monotonic()
-            self._keys = {key.id: key for key in keys if key.revoked is None}
+            self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
