@@ -248,8 +248,9 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         ] = "",
     ) -> SessionOut:
         """Changes labels, limits, configuration and fabric. What the mask names and the body lacks goes back to its default."""
-        change = UpdateSession.model_validate_json(await _body(request, _most_json(settings)))
-        return SessionOut.of(await sessions.update(change.to_message(f"sessions/{session_id}", update_mask)))
+        body, name = await _body(request, _most_json(settings)), f"sessions/{session_id}"
+        message = await asyncio.to_thread(lambda: UpdateSession.model_validate_json(body).to_message(name, update_mask))
+        return SessionOut.of(await sessions.update(message))
 
     @app.get("/v1/sessions/{session_id:session}/history", tags=["sessions"], responses={**_NAMED, **errors(Unavailable)})
     async def get_session_history(
@@ -285,9 +286,8 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
     )
     async def reset_session(session_id: SessionId, request: Request) -> SessionOut:
         """Starts the tracker again, from given vertices or from the rest shape; without a body from the latter."""
-        body = await _body(request, _most_json(settings))
-        reset = ResetSession.model_validate_json(body) if body else ResetSession()
-        message = await asyncio.to_thread(reset.to_message, f"sessions/{session_id}")
+        body, name = await _body(request, _most_json(settings)) or b"{}", f"sessions/{session_id}"
+        message = await asyncio.to_thread(lambda: ResetSession.model_validate_json(body).to_message(name))
         return SessionOut.of(await sessions.reset(message))
 
     @app.get(

@@ -7,6 +7,7 @@ import time
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
+import grpc
 import numpy as np
 import pytest
 from ddakf_api import transport
@@ -512,3 +513,14 @@ def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
         assert client.target == service.target
         assert session.info().applied == 4
     assert sequences == [1, 2, 3, 4, 5, 6]
+
+
+def test_one_connection_per_server_however_often_a_client_is_moved(outage, service, monkeypatch):
+    """As every stream of a client is told where to go on."""
+    opened, open_channel = [], grpc.insecure_channel
+    monkeypatch.setattr(grpc, "insecure_channel", lambda target, options: opened.append(target) or open_channel(target, options))
+    with connect(outage.target) as client:
+        for target in (service.target, service.target, outage.target, service.target):
+            client.move(target)
+            assert client.server_info()
+    assert opened == [outage.target, service.target]

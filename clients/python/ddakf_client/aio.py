@@ -81,7 +81,7 @@ class AsyncClient:
         self, open_channel: Callable[[str], grpc.aio.Channel], target: str, *, timeout: float, api_key: str | None
     ):
         self._open_channel, self.timeout = open_channel, timeout
-        self._channels: list[grpc.aio.Channel] = []
+        self._channels: dict[str, grpc.aio.Channel] = {}  # by target
         self._metadata = calls.metadata_for(api_key)
         self.move(target)
 
@@ -93,14 +93,15 @@ class AsyncClient:
 
     async def close(self) -> None:
         """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
-        for channel in self._channels:
+        for channel in self._channels.values():
             await channel.close()
 
     def move(self, target: str) -> None:
         """As :meth:`ddakf_client.Client.move`."""
         self.target = target
-        self._channels.append(self._open_channel(target))
-        self._stub = TrackingServiceStub(self._channels[-1])
+        if target not in self._channels:
+            self._channels[target] = self._open_channel(target)
+        self._stub = TrackingServiceStub(self._channels[target])
 
     async def server_info(self) -> ServerInfo:
         """What the server is and allows; raises VersionMismatch when it does not fit."""

@@ -85,7 +85,7 @@ class Client:
         self, open_channel: Callable[[str], grpc.Channel], target: str, *, timeout: float, api_key: str | None
     ):
         self._open_channel, self.timeout = open_channel, timeout
-        self._channels: list[grpc.Channel] = []
+        self._channels: dict[str, grpc.Channel] = {}  # by target
         self._metadata = calls.metadata_for(api_key)
         self.move(target)
 
@@ -97,14 +97,15 @@ class Client:
 
     def close(self) -> None:
         """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
-        for channel in self._channels:
+        for channel in self._channels.values():
             channel.close()
 
     def move(self, target: str) -> None:
         """Sends everything from now on to the server at another address; streams that are open stay where they are."""
         self.target = target
-        self._channels.append(self._open_channel(target))
-        self._stub = TrackingServiceStub(self._channels[-1])
+        if target not in self._channels:
+            self._channels[target] = self._open_channel(target)
+        self._stub = TrackingServiceStub(self._channels[target])
 
     def server_info(self) -> ServerInfo:
         """What the server is and allows; raises VersionMismatch when it does not fit."""
