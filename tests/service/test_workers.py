@@ -6,6 +6,7 @@ import asyncio
 import json
 import os
 import signal
+import subprocess
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.workers import Limits, Memory, wire
-from ddakf_service.workers.local import LocalPool, WorkerStartFailed
+from ddakf_service.workers.local import LocalPool, WorkerStartFailed, _Home
 
 from ddakf import Tracker
 
@@ -324,6 +325,46 @@ async def test_without_a_ready_worker_sessions_are_refused(sheet):
     with pytest.raises(Unavailable) as caught:
         await local().open("one", creation(sheet))
     assert caught.value.retry_after > 0
+
+
+async def test_a_session_that_is_lost_while_it_moves_stays_nowhere(monkeypatch):
+    """Its worker dies once it has answered the snapshot; whoever has the session had back must not find the moved one."""
+
+    class Worker:
+        def __init__(self):
+            self.sessions, self.told = {}, []
+
+        def tell(self, kind, session_id):
+            self.told.append((kind, session_id))
+
+    pool, old, new = local(), Worker(), Worker()
+    old.sessions["one"] = Memory(1, 1)
+    home = pool._homes["one"] = _Home(old)
+
+    async def call(worker, kind, session_id, payload=b""):
+        if worker is new:
+            del pool._homes["one"]
+        return b""
+
+    monkeypatch.setattr(pool, "_call", call)
+    await pool._move("one", old, new)
+    assert home.worker is old
+    assert new.sessions == {}
+    assert new.told == [(wire.Kind.CLOSE, "one")]
+
+
+async def test_a_process_that_cannot_be_started_leaves_no_descriptor(monkeypatch):
+    def refuse(*_, **__):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    pool, counts = local(), []
+    for _ in range(3):
+        with pytest.raises(OSError, match="no more processes"):
+            await pool.start(lambda *_: None)
+        await asyncio.sleep(0)  # a transport closes its socket a moment later
+        counts.append(len(os.listdir("/proc/self/fd")))
+    assert counts[0] == counts[2]
 
 
 async def test_a_worker_that_is_not_ready_in_time_fails_the_start():

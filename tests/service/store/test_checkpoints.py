@@ -167,6 +167,24 @@ async def test_a_full_disk_keeps_the_last_snapshot_in_memory(small_disk, opened,
     assert await checkpoints.newest(7) == snapshot(2, size=300_000)
 
 
+def test_what_cannot_be_deleted_keeps_nothing_from_being_written(opened, tmp_path, monkeypatch):
+    checkpoints = opened(str(tmp_path))
+
+    def refuse(*_, **__):
+        raise PermissionError("not yours")
+
+    monkeypatch.setattr(checkpoints._files, "rm", refuse)
+    checkpoints.delete(7)
+    while "not yours" not in checkpoints.condition.problem:
+        assert not checkpoints.flush(0.01)
+    checkpoints.save(8, snapshot(1))
+    while not files(tmp_path):
+        assert not checkpoints.flush(0.01)
+    monkeypatch.undo()
+    assert checkpoints.flush(PATIENCE)
+    assert [unpack(path.read_bytes()) for path in files(tmp_path)] == [snapshot(1)]
+
+
 def test_a_process_killed_while_it_writes_leaves_a_whole_checkpoint(tmp_path):
     """Over and over, at whatever moment the kill comes."""
     program = f"""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
 
 import pytest
@@ -172,3 +173,11 @@ def test_rows_wait_while_the_disk_of_sqlite_is_full(small_disk, opened, metrics)
     assert database.flush(PATIENCE)
     assert len(stored(database)) == 20_000
     assert metrics.registry.get_sample_value("ddakf_store_dropped_total") == 0
+
+
+async def test_who_waits_for_the_database_keeps_nobody_else_from_a_thread(opened):
+    database, answered = opened(IN_MEMORY), threading.Event()
+    reads = [asyncio.create_task(database.read(lambda _: answered.wait(PATIENCE))) for _ in range(64)]
+    await asyncio.sleep(0)  # they begin
+    await asyncio.to_thread(answered.set)
+    assert all(await asyncio.gather(*reads))
