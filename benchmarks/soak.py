@@ -1,9 +1,9 @@
 """Hours in minutes: ``python benchmarks/soak.py [--seconds 600] [--cycles 1000] [--clients 2]``.
 
 A few clients stream without a pause while others connect, create a session, track a few frames, and leave: in order, by half
-closing, by cancelling, or with the socket simply gone. Memory (anonymous pages) and open descriptors of the server and of each worker are
-read all the while. Exit status 1 where the memory at the end is more than 3 % above that after the warm-up, a descriptor
-is left over, a session is, or a stream ended with an error. Writes benchmarks/results/soak.json.
+closing, by cancelling, or with the socket simply gone. Memory (anonymous pages) and open descriptors of the server and of
+each worker are read all the while. Exit status 1 where the memory at the end is more than 3 % above that after the warm-up,
+a descriptor is left over, a session is, or a stream ended with an error. Writes benchmarks/results/soak.json.
 """
 
 from __future__ import annotations
