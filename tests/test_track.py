@@ -150,7 +150,7 @@ def _fake_client(tracker_of, fail_at=None):
             puller.join()
 
     @contextmanager
-    def connect(target):
+    def connect(target, *, api_key):
         def create_session(garment, *, body, config, **options):
             return contextmanager(lambda: (yield Session(garment, body, config, **options)))()
 
