@@ -72,28 +72,40 @@ class Durability:
         if session.statistics.frames_applied - session.placed >= self._every:
             self.checkpoint(session)
 
-    def checkpoint(self, session: Session) -> None:
-        """Takes one of this moment; the answer comes later, and nobody waits for it."""
+    async def secure(self, session: Session) -> None:
+        """Takes one of this moment, and returns when it is there.
+
+        Raises:
+            WorkerLost: it could not be taken; the session goes on from the one before.
+        """
+        keeping = self.checkpoint(session)
+        if keeping is None or not await asyncio.shield(keeping):
+            raise worker_lost(session.id)
+
+    def checkpoint(self, session: Session) -> asyncio.Task[bool] | None:
+        """Takes one of this moment; the answer comes later. None: the worker is gone, and the session on its way back from the
+        one before."""
         session.placed = session.statistics.frames_applied
         message = session.message()
         try:
             answer = self._pool.snapshot(session.id)
         except WorkerLost:
-            return  # it is on its way back from the one before
+            return None
         self._placed += 1
-        self.background(self._keep(session, message, answer, self._placed))
+        return self.background(self._keep(session, message, answer, self._placed))
 
-    async def _keep(self, session: Session, message: pb.Session, answer: Awaitable[bytes], number: int) -> None:
+    async def _keep(self, session: Session, message: pb.Session, answer: Awaitable[bytes], number: int) -> bool:
         try:
             data = await answer
         except ServiceError as error:
             log.warning("no checkpoint could be taken: %s", error, extra={"session": session.id})
-            return
+            return False
         if number > session.checkpoint_number:
             session.checkpoint_number, session.checkpoint_time = number, time.time()
             session.checkpoint = pb.SessionSnapshot(session=message, data=data)
             if not session.closed:
                 self._records.checkpoint(session, session.checkpoint)
+        return True
 
     # The way back ---------------------------------------------------------------------------------------------------
 

@@ -182,8 +182,8 @@ class Sessions:
             fabric=change.fabric if "fabric" in paths else opened.fabric,
         )
         answer = pb.Session.FromString(await self._pool.configure(session.id, wanted.SerializeToString()))
+        await self._durability.secure(session)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
-        self._durability.checkpoint(session)
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
         """Starts the tracker again."""
@@ -192,7 +192,7 @@ class Sessions:
         async with self._using(session):
             await self._pool.reset(session.id, payload)
             session.restarted(payload)
-            self._durability.checkpoint(session)
+            await self._durability.secure(session)
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:

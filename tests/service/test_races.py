@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Draining, SessionNotFound, Unavailable
+from ddakf_api.errors import Draining, SessionNotFound, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service import sessions
 from ddakf_service.settings import Settings
@@ -25,6 +25,7 @@ class Pool:
     def __init__(self):
         self.calls = []
         self.busy = asyncio.Event()
+        self.lost = False
 
     async def open(self, session_id, request, memory):
         self.calls.append(("open", session_id))
@@ -35,7 +36,12 @@ class Pool:
         return pb.Session().SerializeToString()
 
     async def snapshot(self, session_id, compressed=False):
+        if self.lost:
+            raise WorkerLost("lost")
         return b""
+
+    async def reset(self, session_id, request):
+        self.lost = True  # right after it
 
     async def close(self, session_id):
         self.calls.append(("close", session_id))
@@ -139,3 +145,8 @@ async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_no
     server._loaded = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
         await server.open_stream(pb.Start(name="sessions/earlier", api_version=API_VERSION))
+
+
+async def test_a_reset_is_answered_once_a_lost_worker_does_not_undo_it(server):
+    with pytest.raises(WorkerLost):
+        await server.reset(pb.ResetSessionRequest(name="sessions/some"))
