@@ -33,6 +33,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI, Path, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, PlainTextResponse
+from google.protobuf.message import Message
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from pydantic import ValidationError
 from starlette.convertors import Convertor, register_url_convertor
@@ -77,6 +78,7 @@ from .websocket import WebSocketProtocol, add_websockets
 log = logging.getLogger(__name__)
 
 _MAX_JSON_BYTES = 32 << 20  # lists of the largest meshes fit; larger ones travel as base64 or over gRPC
+_MAX_MEMBERS = 1 << 16  # of the objects in a body, all together; labels of the longest texts have room
 _STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
 # Bytes that the kernel keeps for one connection. Left alone it keeps megabytes for a slow watcher: seconds that are past.
 _SEND_BUFFER = 1 << 19
@@ -135,7 +137,7 @@ def create_app(
     _add_server_routes(app, sessions, settings, metrics, not_ready, store)
     _add_session_routes(app, sessions, settings)
     _add_state_routes(app, sessions, settings)
-    add_websockets(app, sessions)
+    add_websockets(app, sessions, settings.reader_timeout)
     app.openapi = lambda: document_of(app)
     return app
 
@@ -185,9 +187,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     )
     async def create_session(request: Request, response: Response) -> SessionOut:
         """Creates a session; frames are then streamed to it over gRPC or a WebSocket."""
-        # In a thread, because parsing some hundred thousand numbers would hold up every stream.
-        body = await _body(request, _most_json(settings))
-        message = await asyncio.to_thread(lambda: CreateSession.model_validate_json(body).to_message())
+        message = await _parsed(request, settings, lambda body: CreateSession.model_validate_json(body).to_message())
         return _created(await sessions.create(message), response)
 
     @app.get("/v1/sessions", tags=["sessions"], responses=errors(InvalidArgument))
@@ -248,8 +248,10 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         ] = "",
     ) -> SessionOut:
         """Changes labels, limits, configuration and fabric. What the mask names and the body lacks goes back to its default."""
-        body, name = await _body(request, _most_json(settings)), f"sessions/{session_id}"
-        message = await asyncio.to_thread(lambda: UpdateSession.model_validate_json(body).to_message(name, update_mask))
+        name = f"sessions/{session_id}"
+        message = await _parsed(
+            request, settings, lambda body: UpdateSession.model_validate_json(body).to_message(name, update_mask)
+        )
         return SessionOut.of(await sessions.update(message))
 
     @app.get("/v1/sessions/{session_id:session}/history", tags=["sessions"], responses={**_NAMED, **errors(Unavailable)})
@@ -286,8 +288,10 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
     )
     async def reset_session(session_id: SessionId, request: Request) -> SessionOut:
         """Starts the tracker again, from given vertices or from the rest shape; without a body from the latter."""
-        body, name = await _body(request, _most_json(settings)) or b"{}", f"sessions/{session_id}"
-        message = await asyncio.to_thread(lambda: ResetSession.model_validate_json(body).to_message(name))
+        name = f"sessions/{session_id}"
+        message = await _parsed(
+            request, settings, lambda body: ResetSession.model_validate_json(body or b"{}").to_message(name)
+        )
         return SessionOut.of(await sessions.reset(message))
 
     @app.get(
@@ -426,5 +430,22 @@ async def _body(request: Request, most: int) -> bytes:
     return b"".join(chunks)
 
 
-def _most_json(settings: Settings) -> int:
-    return min(_MAX_JSON_BYTES, settings.max_message_bytes)
+async def _parsed(request: Request, settings: Settings, parse: Callable[[bytes], Message]) -> Message:
+    """What a JSON body says, read in a thread: some hundred thousand numbers would hold up every stream.
+
+    Whatever is in it, pydantic makes one object of each of its parts, and one error of each that is wrong, so the parts are
+    counted before: every member of an object has a colon, every row of a mesh a bracket.
+    """
+    body = await _body(request, min(_MAX_JSON_BYTES, settings.max_message_bytes))
+    most_rows = settings.max_vertices + settings.max_body_vertices + 2 * settings.max_faces
+
+    def checked() -> Message:
+        for sign, most, what in ((b":", _MAX_MEMBERS, "members"), (b"[", most_rows + _MAX_MEMBERS, "lists")):
+            if (count := body.count(sign)) > most:
+                raise MessageTooLarge(field="body", expected=f"at most {most} {what}", got=f"up to {count}")
+        try:
+            return parse(body)
+        except ValidationError as error:  # which may show much of the body
+            raise invalid_argument(error) from None
+
+    return await asyncio.to_thread(checked)

@@ -7,7 +7,7 @@ import json
 import math
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
 from ddakf_api.arrays import unpack
@@ -24,7 +24,18 @@ KEY_VALUES = {"items": {"type": "string", "pattern": "="}}
 STATES = {"items": {"type": "string", "enum": list(get_args(StateName))}}
 _BASE64 = {"contentEncoding": "base64", "pattern": "^([A-Za-z0-9+/]{4})*([A-Za-z0-9+/]{2}==|[A-Za-z0-9+/]{3}=)?$"}
 _FABRICS = {"enum": ["", *PRESETS]}
-Rows = list[tuple[float, float, float]]
+
+
+class _FirstWrong:
+    """Of a list: its first wrong row is the error. Otherwise each one is, of a kilobyte. (pydantic's FailFast has no hash,
+    which unions want.)"""
+
+    def __get_pydantic_core_schema__(self, source, handler):
+        return {**handler(source), "fail_fast": True}
+
+
+Rows = Annotated[list[tuple[float, float, float]], _FirstWrong()]
+IndexRows = Annotated[list[tuple[int, int, int]], _FirstWrong()]
 
 _FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
 _INTEGERS = {"uint32": pb.ARRAY_ENCODING_UINT32}
@@ -56,7 +67,7 @@ class MeshIn(_Strict):
     """A triangle mesh; metres."""
 
     vertices: Rows | PackedFloats = Field(description="(V, 3) positions, metres")
-    faces: list[tuple[int, int, int]] | PackedIndices = Field(
+    faces: IndexRows | PackedIndices = Field(
         description="(F, 3) vertex indices, counter-clockwise seen from outside"
     )
 

@@ -7,11 +7,12 @@ with the close code 4000 plus the error's HTTP status, and its sentence as the r
 from __future__ import annotations
 
 import asyncio
+import functools
 import logging
 import re
 from typing import Protocol
 
-from ddakf_api.errors import FailedPrecondition, InvalidArgument, ServiceError, class_of, to_detail
+from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, InvalidArgument, ServiceError, class_of, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 from google.protobuf import json_format
@@ -82,12 +83,16 @@ class Json:
 MODES: dict[str, Mode] = {"binary": Binary(), "json": Json()}
 
 
-def add_websockets(app: FastAPI, sessions: Sessions) -> None:
-    """The routes ``/v1/sessions/{id}/stream`` and ``/v1/sessions/{id}/watch``; ``?mode=json`` for text frames."""
+def add_websockets(app: FastAPI, sessions: Sessions, patience: float) -> None:
+    """The routes ``/v1/sessions/{id}/stream`` and ``/v1/sessions/{id}/watch``; ``?mode=json`` for text frames.
+
+    Args:
+        patience: seconds that a stream's client has to send Start.
+    """
 
     @app.websocket("/v1/sessions/{session_id}/stream")
     async def stream(websocket: WebSocket, session_id: str) -> None:
-        await _answering_errors(websocket, _stream, sessions, f"sessions/{session_id}")
+        await _answering_errors(websocket, functools.partial(_stream, patience=patience), sessions, f"sessions/{session_id}")
 
     @app.websocket("/v1/sessions/{session_id}/watch")
     async def watch(websocket: WebSocket, session_id: str) -> None:
@@ -113,9 +118,14 @@ async def _answering_errors(websocket: WebSocket, converse, sessions: Sessions, 
         log.debug("the client had left before it was told %s", code)
 
 
-async def _stream(websocket: WebSocket, sessions: Sessions, name: str) -> None:
+async def _stream(websocket: WebSocket, sessions: Sessions, name: str, *, patience: float) -> None:
     mode = _mode(websocket)
-    stream = await sessions.open_stream(await _start(websocket, mode, name))
+    try:
+        async with asyncio.timeout(patience):
+            start = await _start(websocket, mode, name)
+    except TimeoutError:
+        raise DeadlineExceeded(f"no start came within {patience:g} s") from None
+    stream = await sessions.open_stream(start)
     reader = asyncio.create_task(_read(websocket, mode, stream))
     try:
         await stream.deliver(lambda response: _send(websocket, mode, response))

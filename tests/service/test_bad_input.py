@@ -13,6 +13,8 @@ from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import ERRORS, ResourceExhausted, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.rest_models import CreateSession, ResetSession
+from pydantic import ValidationError
 
 from .conftest import TIMEOUT, Sheet, frame_of, make_sheet, request_of
 
@@ -315,6 +317,28 @@ def test_text_that_is_no_json_is_refused_in_a_sentence(http):
 )
 def test_a_bad_query_is_refused_in_a_sentence(http, path, sentence):
     assert http.get(f"/v1/{path}").json()["error"]["message"] == sentence
+
+
+@pytest.mark.parametrize(
+    "body",
+    [b'{"labels":{' + b",".join(b'"%x":1' % i for i in range(70_000)) + b"}}", b'{"config":{"a":' + b"[" * (1 << 20)],
+    ids=["members", "lists"],
+)
+def test_a_body_of_countless_parts_is_refused_before_they_are_made(http, body):
+    answer = http.patch("/v1/sessions/nobody", content=body)
+    assert (answer.status_code, answer.json()["error"]["name"]) == (413, "MessageTooLarge")
+
+
+@pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])
+def test_of_wrong_rows_the_first_is_the_only_error(row):
+    """An error is a kilobyte; a body has room for millions of rows."""
+    for model, body in (
+        (ResetSession, {"vertices": [row] * 1000}),
+        (CreateSession, {"garment": {"vertices": [[0.0, 0.0, 0.0]], "faces": [row] * 1000}}),
+    ):
+        with pytest.raises(ValidationError) as refused:
+            model.model_validate_json(json.dumps(body))
+        assert refused.value.error_count() < 10
 
 
 def test_a_body_above_the_limit_is_cut_off(http):
