@@ -58,6 +58,10 @@ class Tls(NamedTuple):
             raise InvalidConfig("tls_certificate", "a PEM certificate with its key", got) from None
         if self.client_ca:
             context.verify_mode = ssl.CERT_REQUIRED
+            # No session is resumed: one brings no certificate, so the clients of an authority that is gone would come in for
+            # hours. Of TLS 1.2 that cannot be had.
+            context.minimum_version = ssl.TLSVersion.TLSv1_3
+            context.num_tickets = 0
             try:
                 context.load_verify_locations(self.client_ca)
             except (ssl.SSLError, OSError) as error:
@@ -79,8 +83,9 @@ class Tls(NamedTuple):
                 if now == seen[0]:
                     return None
                 self.context()  # a half-written pair is not taken
+                changed = self._grpc_configuration()
                 seen[0] = now
-                return self._grpc_configuration()
+                return changed
             except (InvalidConfig, OSError):
                 return None
 
