@@ -73,10 +73,16 @@ class OriginCheck:
 def _is_own(origin: str, host: str) -> bool:
     """Whether a page is of this server itself. By a name it might also be of one whose name was made to point here."""
     try:
-        parts = urlsplit(origin)
-        if parts.netloc != host.lower():
-            return False
-        return parts.hostname == "localhost" or bool(ipaddress.ip_address(parts.hostname or ""))
+        return urlsplit(origin).netloc == host.lower() and is_own_name(host)
+    except ValueError:
+        return False
+
+
+def is_own_name(host: str) -> bool:
+    """Whether a Host header has an address or "localhost", rather than a name that anybody may have made to point here."""
+    try:
+        name = urlsplit("//" + host).hostname or ""
+        return name == "localhost" or bool(ipaddress.ip_address(name))
     except ValueError:
         return False
 

@@ -73,8 +73,8 @@ class Server:
             on_change=self._follow_workers,
         )
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store, self._tracer)
-        self._keys = KeyRing(StoredKeys(self._store.database))
-        guard = Guard(self._keys, anonymous=_anonymous(settings))
+        self._keys = KeyRing(StoredKeys(self._store.database), on_revoked=self._sessions.shut_out)
+        guard = Guard(self._keys, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
         self._grpc = GrpcServer(self._sessions, settings, guard, tls)
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)

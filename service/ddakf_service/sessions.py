@@ -9,7 +9,7 @@ import math
 import re
 import secrets
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence, Set
 from time import monotonic
 
 from ddakf_api.errors import (
@@ -23,6 +23,7 @@ from ddakf_api.errors import (
     SessionExists,
     SessionNotFound,
     StreamTakenOver,
+    Unauthenticated,
     Unavailable,
     WorkerLost,
     from_detail,
@@ -88,7 +89,8 @@ class Sessions:
         metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._sessions.values()))
         self._opening: dict[str, str | None] = {}  # id to owner
         self._leaving: dict[str, asyncio.Task[None]] = {}  # ended ones that are in a worker still
-        self._ended: OrderedDict[str, pb.ErrorDetail] = OrderedDict()  # an exception would keep what it was raised through
+        # Owner and reason, by id; an exception would keep what it was raised through.
+        self._ended: OrderedDict[str, tuple[str | None, pb.ErrorDetail]] = OrderedDict()
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
         self.draining = self._loaded = False
 
@@ -205,7 +207,8 @@ class Sessions:
     async def _using(self, session: Session) -> AsyncIterator[None]:
         """For a call of the session in its worker, which it is given back before if it has lost it."""
         async with session.lock:
-            self._find(session.name)  # it may have ended while this waited
+            if self._find(session.name) is not session:  # it has ended while this waited, and another one has its name
+                raise _not_found(session.name)
             try:
                 await self._durability.seat(session)
             except Irrecoverable as error:
@@ -231,7 +234,7 @@ class Sessions:
             await self.close_stream(before)
         elif session.stream is not None:
             await self._ended_by_itself(session.stream)
-        session = self._find(start.name)
+        session = self._mine(start.name)  # it may have been deleted, and made by another key, meanwhile
         if session.stream is not None:
             raise _busy(session)
         mode = self._mode(start.flow_mode)
@@ -274,8 +277,16 @@ class Sessions:
             return await self._store.history.query(request, session.uid, session.created)
         record = await self._store.registry.newest(session_id)
         if record is None or not current_principal.get().may_read(record.owner or ""):
-            raise SessionNotFound(f"no session {request.name[:80]!r} is remembered")
+            raise _not_found(request.name)
         return await self._store.history.query(request, record.uid, record.create_time, record.end_time)
+
+    def shut_out(self, key_ids: Set[str]) -> None:
+        """Ends the streams and watchers of keys that were revoked; their sessions end as those that were left do."""
+        reason = Unauthenticated("the key was revoked")
+        for session in self._sessions.values():
+            if session.stream is not None and session.stream.key_id in key_ids:
+                session.stream.end(reason)
+            session.watchers.shut_out(key_ids, reason)
 
     def lose(self, session_ids: Sequence[str]) -> None:
         """Has the sessions whose worker is gone go on in another one, those with a stream first."""
@@ -356,7 +367,7 @@ class Sessions:
             raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
         asked = owner, request_id
         if asked in self._requests:
-            return self._find("sessions/" + await asyncio.shield(self._requests[asked])).message()
+            return self._mine("sessions/" + await asyncio.shield(self._requests[asked])).message()
         session_id = self._new_id(request.session_id, principal)
         outcome: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
@@ -445,8 +456,9 @@ class Sessions:
         session_id = name.removeprefix("sessions/")
         if session_id in self._sessions:
             return self._sessions[session_id]
-        if session_id in self._ended:
-            raise from_detail(self._ended[session_id])
+        owner, reason = self._ended.get(session_id, (None, None))
+        if reason is not None and current_principal.get().may_read(owner or ""):
+            raise from_detail(reason)
         if not self._loaded:
             raise Unavailable(
                 f"whether there is a session {name[:80]!r} is not known before the database can be read; try again later",
@@ -496,7 +508,7 @@ class Sessions:
         """This process has the session no more; it may live on in the store."""
         self._sessions.pop(session.id, None)
         session.closed = True
-        self._remember(self._ended, session.id, to_detail(reason))
+        self._remember(self._ended, session.id, (session.owner, to_detail(reason)))
         if session.stream:
             session.stream.end(reason)
         session.watchers.close(reason)

@@ -19,6 +19,7 @@ from .outcomes import Outcomes
 from .payload import require_payload_within
 from .session import Session
 from .telemetry import current_session
+from .trust.principal import current_principal
 from .watch import without_arrays
 from .workers import WorkerPool
 
@@ -91,6 +92,7 @@ class Stream:
         reader_timeout: seconds that the client may not read before the stream ends.
 
     Attributes:
+        key_id: of the key that it was opened with; empty: none.
         ending: set once nothing more is tracked, though a frame may still be in the worker.
         gone: set by whoever closed the stream, once its session is free for another one.
     """
@@ -106,7 +108,7 @@ class Stream:
         reader_timeout: float,
         max_image_pixels: int,
     ):
-        self.session = session
+        self.session, self.key_id = session, current_principal.get().id
         self._pool, self._durability, self._outcomes = pool, durability, outcomes
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)

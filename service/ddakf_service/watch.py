@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Set
 
 from ddakf_api.errors import ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
+
+from .trust.principal import current_principal
 
 # Answers that wait for one watcher. They are shared between the watchers, so this bounds what a session's answers take.
 _CAPACITY = 4
@@ -28,11 +30,12 @@ class Watcher:
         every_nth: arrays only in results whose count of applied frames is a multiple of it.
 
     Attributes:
+        key_id: of the key that it reads with; empty: none.
         skipped: results that it was too slow for.
     """
 
     def __init__(self, hub: Watchers, started: pb.Started, every_nth: int):
-        self._hub = hub
+        self._hub, self.key_id = hub, current_principal.get().id
         self._waiting = deque([pb.TrackResponse(started=started)])
         self._every_nth = max(every_nth, 1)
         self._changed = asyncio.Event()
@@ -110,6 +113,12 @@ class Watchers:
         numbers = without_arrays(response)
         for watcher in self._watchers:
             watcher.put(response, numbers)
+
+    def shut_out(self, key_ids: Set[str], error: Exception) -> None:
+        """Those who read with one of these keys are told why they may no more."""
+        for watcher in self._watchers:
+            if watcher.key_id in key_ids:
+                watcher.close(error)
 
     def close(self, error: Exception | None) -> None:
         """The session is gone; every watcher is told why."""

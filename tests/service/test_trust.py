@@ -10,6 +10,7 @@ import socket
 import ssl
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -337,7 +338,7 @@ def test_changed_files_are_used_by_new_connections_and_a_broken_one_is_not(encry
     ],
 )
 def test_files_that_cannot_be_used_are_refused_by_name(flags, named):
-    command = [sys.executable, "-m", "ddakf_service", "--http-port", "0", "--grpc-port", "0", *flags]
+    command = [sys.executable, "-m", "ddakf_service", "--data-dir", "none", "--http-port", "0", "--grpc-port", "0", *flags]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert named in done.stderr
@@ -442,7 +443,7 @@ class UnreachableKeys:
 
 async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(monkeypatch):
     store, (_, presented) = UnreachableKeys(), keys.generate("somebody", [Scope.STREAM], 0.0)
-    ring = keys.KeyRing(store)
+    ring = keys.KeyRing(store, on_revoked=set)
     with pytest.raises(Unavailable, match="the keys cannot be read now"):
         await ring.principal(presented)
     store.there = True
@@ -452,9 +453,143 @@ async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(mo
 
 
 async def test_many_who_come_with_unknown_keys_share_one_look():
-    ring = keys.KeyRing(store := UnreachableKeys())
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
     store.there = True
     unknown = [keys.generate("nobody", [Scope.STREAM], 0.0)[1] for _ in range(20)]
     outcomes = await asyncio.gather(*(ring.principal(key) for key in unknown), return_exceptions=True)
     assert {type(outcome) for outcome in outcomes} == {Unauthenticated}
     assert store.looks == 1
+
+
+def tell_apart(who: As, name: str, nobody: str) -> list[str]:
+    """What the calls of a key answer about a name, where that is not what they answer about a name that never was."""
+
+    def answers(about: str) -> list[str]:
+        found = []
+        for method, request in (
+            ("GetSession", pb.GetSessionRequest(name=about)),
+            ("DeleteSession", pb.DeleteSessionRequest(name=about)),
+            ("GetSessionHistory", pb.GetSessionHistoryRequest(name=about)),
+            ("WatchSession", pb.WatchSessionRequest(name=about, api_version=API_VERSION)),
+        ):
+            with pytest.raises(SessionNotFound) as refused:
+                getattr(who, method)(request)
+            found.append(f"{method}: {type(refused.value).__name__} {str(refused.value).replace(about, '')}")
+        return found
+
+    return [one for one, other in zip(answers(name), answers(nobody), strict=True) if one != other]
+
+
+def test_of_another_keys_session_nothing_is_said_while_it_lives_or_when_it_has_ended(guarded):
+    mine, other = As(guarded, "stream"), As(guarded, "other")
+    name = mine.create(session_id="of-mine").name
+    assert tell_apart(other, name, "sessions/nobodys") == []
+    mine.DeleteSession(pb.DeleteSessionRequest(name=name))
+    assert tell_apart(other, name, "sessions/nobodys") == []
+    with pytest.raises(SessionNotFound, match="was deleted"):
+        mine.GetSession(pb.GetSessionRequest(name=name))
+
+
+def test_a_repeated_request_does_not_answer_with_the_session_that_another_key_has_under_the_name_now(guarded):
+    mine, other = As(guarded, "stream"), As(guarded, "other")
+    name = mine.create(session_id="passed-on", request_id="first").name
+    mine.DeleteSession(pb.DeleteSessionRequest(name=name))
+    assert other.create(session_id="passed-on").name == name
+    with pytest.raises(SessionNotFound):
+        mine.create(request_id="first")
+    other.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+def test_a_line_feed_at_the_end_of_a_path_does_not_change_its_scope(guarded):
+    headers = {"authorization": f"Bearer {guarded.keys['read']}"}
+    for path in ("/v1/sessions/nobody/snapshot", "/v1/sessions/nobody/snapshot%0A", "/v1/sessions/nobody/snapshot/%0A"):
+        assert httpx.get(guarded.http + path, headers=headers).status_code == 403, path
+
+
+def test_a_refused_call_of_grpc_is_not_read(guarded):
+    """What would be too large for anybody is refused for the want of a key, before it has come."""
+    sent = bytes(65 << 20)
+    with grpc.insecure_channel(guarded.grpc) as channel:
+        for kind, request in ((channel.unary_unary, sent), (channel.stream_stream, iter([sent]))):
+            method = "CreateSession" if request is sent else "Track"
+            with pytest.raises(grpc.RpcError) as refused:
+                list(kind(f"/ddakf_api.v1.TrackingService/{method}")(request, timeout=TIMEOUT))
+            assert isinstance(from_rpc_error(refused.value), Unauthenticated), method
+
+
+def test_a_revoked_key_loses_its_streams_and_watchers(guarded):
+    guarded.keys["leaked"] = new_key(guarded.data, "leaked", "stream", "read")
+    leaked, mine = As(guarded, "leaked"), As(guarded, "stream")
+    name, kept = leaked.create().name, mine.create().name
+    held = threading.Event()
+
+    def requests(of: str):
+        yield pb.TrackRequest(start=pb.Start(name=of, api_version=API_VERSION))
+        held.wait(TIMEOUT)
+
+    with grpc.insecure_channel(guarded.grpc) as channel:
+        stub = rpc.TrackingServiceStub(channel)
+        streams = [
+            stub.Track(requests(of), timeout=TIMEOUT, metadata=metadata(guarded.keys[key]))
+            for of, key in ((name, "leaked"), (kept, "stream"))
+        ]
+        watching = pb.WatchSessionRequest(name=kept, api_version=API_VERSION)
+        readers = (metadata(guarded.keys[key]) for key in ("leaked", "read"))
+        watches = [stub.WatchSession(watching, timeout=TIMEOUT, metadata=reader) for reader in readers]
+        for opened in (*streams, *watches):
+            assert next(opened).HasField("started")
+        keys_command(guarded.data, "revoke", guarded.keys["leaked"])
+        for opened in (streams[0], watches[0]):
+            with pytest.raises(grpc.RpcError) as ended:
+                list(opened)
+            assert isinstance(from_rpc_error(ended.value), Unauthenticated)
+        assert streams[1].is_active()
+        assert watches[1].is_active()
+        held.set()
+        list(streams[1])
+        watches[1].cancel()
+    admin = As(guarded, "admin")
+    for of in (name, kept):
+        admin.DeleteSession(pb.DeleteSessionRequest(name=of))
+
+
+def test_on_loopback_a_key_is_asked_of_whom_a_proxy_forwards_and_of_names_that_point_here(service):
+    port = service.http.rsplit(":", 1)[1]
+    for headers, status in (
+        ({}, 200),
+        ({"host": f"localhost:{port}"}, 200),
+        ({"host": f"[::1]:{port}"}, 200),
+        ({"host": f"rebound.example:{port}"}, 401),
+        ({"host": "127.0.0.1.example"}, 401),
+        ({"x-forwarded-for": "192.0.2.1"}, 401),
+        ({"forwarded": "for=192.0.2.1"}, 401),
+    ):
+        assert httpx.get(service.http + "/v1/sessions", headers=headers).status_code == status, headers
+        assert httpx.get(service.http + "/healthz", headers=headers).status_code == 200, headers
+    with grpc.insecure_channel(service.grpc) as channel:
+        list_sessions = rpc.TrackingServiceStub(channel).ListSessions
+        list_sessions(pb.ListSessionsRequest(), timeout=TIMEOUT)
+        with pytest.raises(grpc.RpcError) as refused:
+            list_sessions(pb.ListSessionsRequest(), timeout=TIMEOUT, metadata=(("x-forwarded-for", "192.0.2.1"),))
+    assert isinstance(from_rpc_error(refused.value), Unauthenticated)
+
+
+def test_a_session_of_tls_outlives_no_authority(encrypted):
+    """A client that shows its certificate once is asked for it again by each connection."""
+    certificate, key = encrypted.authority.issue("client")
+    (encrypted.folder / "r.pem").write_bytes(certificate)
+    (encrypted.folder / "r.key").write_bytes(key)
+    context = ssl.create_default_context(cadata=encrypted.authority.pem.decode())
+    context.load_cert_chain(encrypted.folder / "r.pem", encrypted.folder / "r.key")
+    host, port = encrypted.http.rsplit("/", 1)[1].rsplit(":", 1)
+    session = None
+    for _ in range(2):
+        plain = socket.create_connection((host, int(port)), timeout=10)
+        with context.wrap_socket(plain, server_hostname=host, session=session) as connection:
+            connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+            assert connection.recv(1000).startswith(b"HTTP/1.1 200")
+            assert not connection.session_reused
+            session = connection.session
+    context.maximum_version = ssl.TLSVersion.TLSv1_2  # whose sessions could be resumed whatever the server does
+    with pytest.raises((ssl.SSLError, ConnectionError)), socket.create_connection((host, int(port)), timeout=10) as plain:
+        context.wrap_socket(plain, server_hostname=host).close()

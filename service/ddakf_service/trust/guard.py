@@ -5,12 +5,14 @@ What is not named in a table here needs the scope ``admin``: a new call is close
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from http import HTTPStatus
 
 import grpc
 from ddakf_api.errors import PermissionDenied, ServiceError, Unauthenticated, class_of, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..origins import is_own_name
 from ..rest_models import error_response
 from ..status_details import trailers
 from .keys import KeyRing
@@ -33,6 +35,7 @@ GRPC_SCOPES: dict[str, frozenset[Scope]] = {
 
 OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v1/info", "/docs", "/docs/oauth2-redirect", "/redoc", "/openapi.json"})
 _SUBPROTOCOL = "ddakf.key."
+_FORWARDING = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
 
 
 class Guard:
@@ -41,26 +44,42 @@ class Guard:
     Args:
         keys: those in force.
         anonymous: calls without a key are anyone's, and allowed everything.
+        local: but only those of this machine, not what a proxy forwards, nor a page whose name was made to point here.
     """
 
-    def __init__(self, keys: KeyRing, *, anonymous: bool):
-        self._keys, self._anonymous = keys, anonymous
+    def __init__(self, keys: KeyRing, *, anonymous: bool, local: bool):
+        self._keys, self._anonymous, self._local = keys, anonymous, local
 
-    async def admit(self, presented: str | None, enough: frozenset[Scope]) -> Principal:
+    async def admit(self, presented: str | None, enough: frozenset[Scope], headers: Mapping[str, str]) -> Principal:
         """Who presents this key, if they have one of the scopes that are enough; what is theirs is known to the sessions.
+
+        Args:
+            presented: the key; None: no key.
+            headers: of the call, in lower case.
 
         Raises:
             Unauthenticated: no key where one is needed, or one that is not known, even where none is needed.
             PermissionDenied: the key's scopes do not include this.
         """
         if presented is None:
-            if self._anonymous or not enough:
+            elsewhere = _elsewhere(headers) if self._local else ""
+            if not enough or (self._anonymous and not elsewhere):
                 return ANONYMOUS
-            raise Unauthenticated("a key is needed: send it as 'authorization: Bearer KEY'")
+            raise Unauthenticated(f"a key is needed{elsewhere}: send it as 'authorization: Bearer KEY'")
         principal = await self._keys.principal(presented)
         if enough and not any(principal.allows(scope) for scope in enough):
             raise PermissionDenied(f"this needs a key with the scope {' or '.join(sorted(enough))}")
         return principal
+
+
+def _elsewhere(headers: Mapping[str, str]) -> str:
+    """Why a call that comes over loopback may be of somebody elsewhere; empty: it is not."""
+    if proxied := next((name for name in _FORWARDING if name in headers), ""):
+        return f", as a proxy has forwarded this ({proxied})"
+    host = headers.get("host", "")
+    if not host or "origin" in headers:  # of a page that says whose it is; see OriginCheck
+        return ""
+    return "" if is_own_name(host) else f", as this was sent to {host[:80]!r} (allow_anonymous lets it in)"
 
 
 def _bearer(value: str | None) -> str | None:
@@ -81,35 +100,25 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
         handler = await continuation(details)
         if handler is None:
             return None
-        presented = _bearer(dict(details.invocation_metadata or ()).get("authorization"))
+        headers = dict(details.invocation_metadata or ())
+        enough = GRPC_SCOPES.get(details.method, ADMIN)
         try:
-            principal = await self._guard.admit(presented, GRPC_SCOPES.get(details.method, ADMIN))
+            principal = await self._guard.admit(_bearer(headers.get("authorization")), enough, headers)
         except ServiceError as error:
-            return _refusing(handler, error)
+            return _refusing(error)
         current_principal.set(principal)
         return handler
 
 
-def _refusing(handler: grpc.RpcMethodHandler, error: ServiceError) -> grpc.RpcMethodHandler:
-    """A handler of the same kind that says why not."""
+def _refusing(error: ServiceError) -> grpc.RpcMethodHandler:
+    """A handler for a method of any kind that says why not. As one of streams it reads nothing of what was sent."""
     detail, cls = to_detail(error), class_of(error)
 
-    async def unary(request, context):
-        await context.abort(cls.status, detail.message, trailers(detail, cls))
-
-    async def stream(request, context):
+    async def refuse(requests, context):
         await context.abort(cls.status, detail.message, trailers(detail, cls))
         yield
 
-    kinds = {
-        (False, False): grpc.unary_unary_rpc_method_handler,
-        (False, True): grpc.unary_stream_rpc_method_handler,
-        (True, False): grpc.stream_unary_rpc_method_handler,
-        (True, True): grpc.stream_stream_rpc_method_handler,
-    }
-    make = kinds[handler.request_streaming, handler.response_streaming]
-    behaviour = stream if handler.response_streaming else unary
-    return make(behaviour, handler.request_deserializer, handler.response_serializer)
+    return grpc.stream_stream_rpc_method_handler(refuse)
 
 
 class HttpGuard:
@@ -130,7 +139,7 @@ class HttpGuard:
         if presented is None and scope["type"] == "websocket":
             presented = next((p.removeprefix(_SUBPROTOCOL) for p in scope["subprotocols"] if p.startswith(_SUBPROTOCOL)), None)
         try:
-            principal = await self._guard.admit(presented, http_scopes(scope))
+            principal = await self._guard.admit(presented, http_scopes(scope), headers)
         except ServiceError as error:
             await _refuse(scope, receive, send, error)
             return
@@ -143,7 +152,7 @@ class HttpGuard:
 
 def http_scopes(scope) -> frozenset[Scope]:
     """The scopes of which one is enough: reading is for GET and for watchers, what changes something for those who stream."""
-    path = scope["path"].rstrip("/") or "/"
+    path = scope["path"].rstrip("/\n") or "/"  # the patterns of routes let one line feed pass at the end
     if path in OPEN_PATHS:
         return OPEN
     sessions = path == "/v1/sessions" or path.startswith(("/v1/sessions/", "/v1/sessions:"))

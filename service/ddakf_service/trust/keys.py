@@ -13,7 +13,7 @@ import hmac
 import logging
 import re
 import secrets
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Set
 from dataclasses import dataclass
 from time import monotonic
 from typing import Protocol
@@ -84,10 +84,11 @@ class KeyRing:
 
     Args:
         store: where they are kept.
+        on_revoked: told the ids of keys that are not in force any more.
     """
 
-    def __init__(self, store: KeyStore):
-        self._store = store
+    def __init__(self, store: KeyStore, on_revoked: Callable[[Set[str]], None]):
+        self._store, self._on_revoked = store, on_revoked
         self._keys: dict[str, Key] = {}
         self._read = False
         self._loaded = -_REFRESH  # when that was tried last (monotonic clock)
@@ -146,4 +147,7 @@ class KeyRing:
                 return
             finally:
                 self._loaded = monotonic()
-            self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
+            before, self._read = self._keys, True
+            self._keys = {key.id: key for key in keys if key.revoked is None}
+            if gone := before.keys() - self._keys.keys():
+                self._on_revoked(gone)
