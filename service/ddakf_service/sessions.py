@@ -92,6 +92,7 @@ class Sessions:
         # Owner and reason, by id; an exception would keep what it was raised through.
         self._ended: OrderedDict[str, tuple[str | None, pb.ErrorDetail]] = OrderedDict()
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
+        self._shut_out: Set[str] = frozenset()
         self.draining = self._loaded = False
 
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
@@ -239,6 +240,7 @@ class Sessions:
             raise _busy(session)
         mode = self._mode(start.flow_mode)
         async with self._using(session):
+            self._mine(start.name)  # the key may have been revoked while this waited
             if session.stream is not None:  # opened while this waited
                 raise _busy(session)
             session.departed = None
@@ -282,7 +284,10 @@ class Sessions:
 
     def shut_out(self, key_ids: Set[str]) -> None:
         """Ends the streams and watchers of keys that were revoked; their sessions end as those that were left do."""
-        reason = Unauthenticated("the key was revoked")
+        self._shut_out = key_ids
+        if not key_ids:
+            return
+        reason = _revoked()
         for session in self._sessions.values():
             if session.stream is not None and session.stream.key_id in key_ids:
                 session.stream.end(reason)
@@ -480,6 +485,8 @@ class Sessions:
 
     def _readable(self, name: str) -> Session:
         """A session that the key of this call may read; of another's it is not even said that it is there."""
+        if current_principal.get().id in self._shut_out:  # since the guard let it pass
+            raise _revoked()
         session = self._find(name)
         if not current_principal.get().may_read(session.owner or ""):
             raise _not_found(name)
@@ -546,6 +553,10 @@ def _lower(asked: float, most: float) -> float:
 
 def _not_found(name: str) -> SessionNotFound:
     return SessionNotFound(f"there is no session {name[:80]!r}")
+
+
+def _revoked() -> Unauthenticated:
+    return Unauthenticated("the key was revoked")
 
 
 def _busy(session: Session) -> SessionBusy:

@@ -536,10 +536,21 @@ def test_a_revoked_key_loses_its_streams_and_watchers(guarded):
         watching = pb.WatchSessionRequest(name=kept, api_version=API_VERSION)
         readers = (metadata(guarded.keys[key]) for key in ("leaked", "read"))
         watches = [stub.WatchSession(watching, timeout=TIMEOUT, metadata=reader) for reader in readers]
+        late, begun = threading.Event(), threading.Event()
+
+        def later():
+            begun.set()
+            late.wait(TIMEOUT)
+            yield pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION))
+
+        waiting = stub.Track(later(), timeout=TIMEOUT, metadata=metadata(guarded.keys["leaked"]))
+        begun.wait(TIMEOUT)
         for opened in (*streams, *watches):
             assert next(opened).HasField("started")
         keys_command(guarded.data, "revoke", guarded.keys["leaked"])
-        for opened in (streams[0], watches[0]):
+        for opened in (streams[0], watches[0], waiting):
+            if opened is waiting:  # that passed the guard before
+                late.set()
             with pytest.raises(grpc.RpcError) as ended:
                 list(opened)
             assert isinstance(from_rpc_error(ended.value), Unauthenticated)

@@ -84,12 +84,13 @@ class KeyRing:
 
     Args:
         store: where they are kept.
-        on_revoked: told the ids of keys that are not in force any more.
+        on_revoked: told the ids of all keys that were in force since the start and are not any more, each time they are read.
     """
 
     def __init__(self, store: KeyStore, on_revoked: Callable[[Set[str]], None]):
         self._store, self._on_revoked = store, on_revoked
         self._keys: dict[str, Key] = {}
+        self._seen: set[str] = set()
         self._read = False
         self._loaded = -_REFRESH  # when that was tried last (monotonic clock)
         self._loading: asyncio.Lock = asyncio.Lock()
@@ -147,7 +148,6 @@ class KeyRing:
                 return
             finally:
                 self._loaded = monotonic()
-            before, self._read = self._keys, True
-            self._keys = {key.id: key for key in keys if key.revoked is None}
-            if gone := before.keys() - self._keys.keys():
-                self._on_revoked(gone)
+            self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
+            self._seen |= self._keys.keys()
+            self._on_revoked(self._seen - self._keys.keys())
