@@ -327,15 +327,35 @@ async def test_without_a_ready_worker_sessions_are_refused(sheet):
     assert caught.value.retry_after > 0
 
 
+class Worker:
+    """Notes what it has and is told."""
+
+    def __init__(self):
+        self.sessions, self.told = {}, []
+
+    def tell(self, kind, session_id):
+        self.told.append((kind, session_id))
+
+    def memory_with(self, more):
+        return 0
+
+
+async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(monkeypatch):
+    pool, old, new = local(), Worker(), Worker()
+    pool._workers.append(new)
+    pool._homes["one"], old.sessions["one"] = _Home(old), Memory(1, 1)
+
+    async def call(worker, kind, session_id, payload=b""):
+        return b""
+
+    monkeypatch.setattr(pool, "_call", call)
+    await pool.open("one", b"", Memory(2, 2))
+    assert (old.sessions, old.told) == ({}, [(wire.Kind.CLOSE, "one")])
+    assert (new.sessions, new.told) == ({"one": Memory(2, 2)}, [])
+
+
 async def test_a_session_that_is_lost_while_it_moves_stays_nowhere(monkeypatch):
     """Its worker dies once it has answered the snapshot; whoever has the session had back must not find the moved one."""
-
-    class Worker:
-        def __init__(self):
-            self.sessions, self.told = {}, []
-
-        def tell(self, kind, session_id):
-            self.told.append((kind, session_id))
 
     pool, old, new = local(), Worker(), Worker()
     old.sessions["one"] = Memory(1, 1)

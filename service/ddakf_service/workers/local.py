@@ -150,6 +150,9 @@ class LocalPool:
                 f"memory: no worker has {sum(memory) >> 20} MiB left for the session; try again later, or with fewer points",
                 retry_after=_RETRY_WHEN_FULL,
             )
+        if before := self._homes.get(session_id):  # whoever had it opened left before it was complete
+            before.worker.sessions.pop(session_id, None)
+            before.worker.tell(wire.Kind.CLOSE, session_id)
         worker.sessions[session_id] = memory
         home = self._homes[session_id] = _Home(worker)
         try:
