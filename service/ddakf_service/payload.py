@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ddakf_api.codec import require_image_within
+from ddakf_api.codec import require_few_sensors, require_image_within
 from ddakf_api.errors import InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -12,6 +12,7 @@ _BYTES_PER_POINT, _HEADER_BYTES = 12, 1 << 16
 
 def require_payload_within(frame: pb.Frame, max_points: int, max_pixels: int) -> None:
     """Raises :class:`InvalidFrame` for a payload that no frame within the limits has; nothing is decoded."""
+    require_few_sensors(frame.sensors)
     if frame.WhichOneof("payload") == "depth_image":
         require_image_within(frame.depth_image, max_pixels)
         return

@@ -42,6 +42,7 @@ def _origin(text: str) -> str:
 
 
 _ORIGIN_FORM = re.compile(r"https?://[a-z0-9.:\[\]-]+")
+_SECRET = re.compile(r"(://[^:@/]*:).*@|(\b[\w-]*(?:password|secret|token|key)[\w-]*=)[^&]*", re.IGNORECASE)
 _Origin = Annotated[str, AfterValidator(_origin)]
 
 
@@ -179,10 +180,10 @@ def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None 
 
 
 def shown(name: str, value: Any) -> str:
-    """A value as text, without the password that a URL may hold."""
+    """A value as text, without the password, key or token that a URL may hold."""
     if not name.endswith("_url"):
         return str(value)
-    return re.sub(r"(://[^:@/]*:).*@|(\bpassword=)[^&]*", lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", str(value))
+    return _SECRET.sub(lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", str(value))
 
 
 def flag_of(name: str) -> str:

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import ERRORS, ResourceExhausted, from_rpc_error
+from ddakf_api.errors import ERRORS, InvalidFrame, ResourceExhausted, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.payload import require_payload_within
 from ddakf_service.rest_models import CreateSession, ResetSession
 from pydantic import ValidationError
 
@@ -327,6 +328,14 @@ def test_a_bad_query_is_refused_in_a_sentence(http, path, sentence):
 def test_a_body_of_countless_parts_is_refused_before_they_are_made(http, body):
     answer = http.patch("/v1/sessions/nobody", content=body)
     assert (answer.status_code, answer.json()["error"]["name"]) == (413, "MessageTooLarge")
+
+
+def test_a_frame_of_countless_sensors_is_refused_at_the_door():
+    frame = pb.Frame(sensors=[pb.Sensor()] * 65)
+    with pytest.raises(InvalidFrame, match="sensors: expected at most 64, got 65"):
+        require_payload_within(frame, 10, 10)
+    del frame.sensors[64:]
+    require_payload_within(frame, 10, 10)
 
 
 @pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])

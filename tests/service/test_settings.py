@@ -73,6 +73,9 @@ def test_a_missing_file_is_named(tmp_path):
     [
         ("postgresql+psycopg://me:s3cr@t@host/db", "postgresql+psycopg://me:***@host/db"),
         ("postgresql+psycopg://host/db?user=me&password=s3cr@t&x=1", "postgresql+psycopg://host/db?user=me&password=***&x=1"),
+        ("postgresql+psycopg://host/db?sslpassword=s3cret&x=1", "postgresql+psycopg://host/db?sslpassword=***&x=1"),
+        ("s3://bucket/folder?AWS_Secret_Access_Key=s3cret", "s3://bucket/folder?AWS_Secret_Access_Key=***"),
+        ("s3://bucket/folder?session-token=s3cret", "s3://bucket/folder?session-token=***"),
         ("sqlite:////var/ddakf.sqlite", "sqlite:////var/ddakf.sqlite"),
     ],
 )

@@ -21,7 +21,7 @@ from ddakf_api.codec.depth import (
 )
 from ddakf_api.codec.draco import Decoder as DracoDecoder
 from ddakf_api.codec.quantise import DEFAULT_STEP
-from ddakf_api.codec.sensors import group_by_sensor, sensor_origins
+from ddakf_api.codec.sensors import group_by_sensor, require_few_sensors, sensor_origins
 
 __all__ = [
     "CODECS",
@@ -38,6 +38,7 @@ __all__ = [
     "encode",
     "encode_depth",
     "group_by_sensor",
+    "require_few_sensors",
     "require_image_within",
     "sensor_origins",
 ]

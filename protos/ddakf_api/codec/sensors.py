@@ -34,6 +34,12 @@ def group_by_sensor(origins: np.ndarray) -> tuple[np.ndarray, list[int], np.ndar
     return np.argsort(sensor, kind="stable"), np.bincount(sensor, minlength=len(different)).tolist(), different
 
 
+def require_few_sensors(sensors: Sequence[pb.Sensor]) -> None:
+    """Raises :class:`InvalidFrame` for more than 64: two bytes of a message are a sensor, which takes twenty times as much."""
+    if len(sensors) > MAX_SENSORS:
+        raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(len(sensors)))
+
+
 def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | None:
     """Where the points of a frame were seen from.
 
@@ -49,8 +55,7 @@ def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | Non
     """
     if not sensors:
         return None
-    if len(sensors) > MAX_SENSORS:
-        raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(len(sensors)))
+    require_few_sensors(sensors)
     origins = np.array([_origin(sensor, f"sensors[{index}]") for index, sensor in enumerate(sensors)])
     runs = [sensor.point_count for sensor in sensors]
     if len(sensors) == 1 and runs[0] == 0:
