@@ -432,13 +432,13 @@ class UnreachableKeys:
     """A database that is away, until it is ``there``."""
 
     def __init__(self):
-        self.there, self.looks = False, 0
+        self.there, self.looks, self.kept = False, 0, []
 
     def all(self):
         self.looks += 1
         if not self.there:
             raise OSError("away")
-        return []
+        return self.kept
 
 
 async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(monkeypatch):
@@ -450,6 +450,16 @@ async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(mo
     monkeypatch.setattr(keys, "_UNKNOWN_REFRESH", 0.0)
     with pytest.raises(Unauthenticated):
         await ring.principal(presented)
+
+
+async def test_a_key_that_is_made_right_after_the_keys_were_read_counts_at_once():
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
+    store.there = True
+    await ring.start()
+    key, presented = keys.generate("somebody", [Scope.STREAM], 0.0)
+    store.kept.append(key)
+    assert await ring.principal(presented) == key.principal
+    await ring.stop()
 
 
 async def test_many_who_come_with_unknown_keys_share_one_look():

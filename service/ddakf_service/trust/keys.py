@@ -92,7 +92,7 @@ class KeyRing:
         self._keys: dict[str, Key] = {}
         self._seen: set[str] = set()
         self._read = False
-        self._loaded = -_REFRESH  # when that was tried last (monotonic clock)
+        self._began = -_REFRESH  # when that was tried last (monotonic clock)
         self._loading: asyncio.Lock = asyncio.Lock()
         self._task: asyncio.Task | None = None
 
@@ -117,7 +117,7 @@ class KeyRing:
         matched = _PATTERN.fullmatch(presented)
         key_id, secret = matched.groups() if matched else ("", "")
         if matched and key_id not in self._keys:
-            await self._load(_UNKNOWN_REFRESH)  # perhaps it is new
+            await self._look()  # perhaps it is new
             if not self._read:
                 raise Unavailable("the keys cannot be read now; try again later", retry_after=_REFRESH)
         key = self._keys.get(key_id)
@@ -133,21 +133,25 @@ class KeyRing:
     async def _follow(self) -> None:
         while True:
             await asyncio.sleep(_REFRESH)
-            await self._load()
+            async with self._loading:
+                await self._load()
 
-    async def _load(self, older: float = 0.0) -> None:
-        """Reads the keys, unless that was tried less than ``older`` seconds ago. What is known stays in force while the store
-        cannot be read."""
+    async def _look(self) -> None:
+        """Reads the keys, unless others have since this was asked; not more often than every so often, however many ask."""
+        asked = monotonic()
         async with self._loading:
-            if monotonic() - self._loaded < older:  # by whoever this waited for
-                return
-            try:
-                keys = await asyncio.to_thread(lambda: list(self._store.all()))
-            except Exception as error:  # of any database driver
-                log.warning("the keys could not be read: %s", type(error).__name__)
-                return
-            finally:
-                self._loaded = monotonic()
-            self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
-            self._seen |= self._keys.keys()
-            self._on_revoked(self._seen - self._keys.keys())
+            if self._began < asked:
+                await asyncio.sleep(self._began + _UNKNOWN_REFRESH - asked)
+                await self._load()
+
+    async def _load(self) -> None:
+        """What is known stays in force while the store cannot be read. The caller holds the lock."""
+        self._began = monotonic()
+        try:
+            keys = await asyncio.to_thread(lambda: list(self._store.all()))
+        except Exception as error:  # of any database driver
+            log.warning("the keys could not be read: %s", type(error).__name__)
+            return
+        self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
+        self._seen |= self._keys.keys()
+        self._on_revoked(self._seen - self._keys.keys())
