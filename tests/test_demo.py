@@ -15,6 +15,8 @@ import pytest
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
+# a job in the background of a shell ignores SIGINT, and so would its children
+LISTENING = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
 DEMO = [sys.executable, "-c", "import sys; from ddakf.cli import main; sys.exit(main())", "demo"]
 
 
@@ -46,10 +48,8 @@ def test_a_demo_ends_with_a_table_and_pictures(tmp_path):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_demo_leaves_no_process(tmp_path, number):
     log = tmp_path / "service.log"
-    # a job in the background of a shell ignores SIGINT, and so would its children
-    listening = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.default_int_handler)}
-    command = [*DEMO, "--out", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, **listening) as demo:
+    command = [sys.executable, "-c", LISTENING, *DEMO, "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as demo:
         deadline = time.monotonic() + 60
         while len(processes_of(log)) < 2 and time.monotonic() < deadline:
             time.sleep(0.05)

@@ -37,12 +37,12 @@ def test_load_is_counted(tmp_path):
 
 @pytest.mark.slow
 def test_nothing_is_left_of_clients_that_come_and_leave(tmp_path):
-    arguments = ("--seconds", "10", "--cycles", "16", "--clients", "1", "--rate", "5", "--vertices", "400", "--points", "1000")
+    arguments = ("--seconds", "10", "--cycles", "24", "--clients", "1", "--rate", "5", "--vertices", "400", "--points", "1000")
     part, _ = run("soak", tmp_path / "soak.json", *arguments)
-    assert part["cycles"] == 16
+    assert part["cycles"] == 24
     assert part["errors"] == {}
     assert part["sessions_left"] == 0
-    assert part["descriptors"] <= part["descriptors_at_start"]
+    assert not [sentence for sentence in part["failed"] if "descriptors" in sentence]
     # ten seconds say nothing about growth: a worker's memory has not settled by then
 
 

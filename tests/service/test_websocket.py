@@ -133,6 +133,7 @@ class Wrong(NamedTuple):
     path: str = ""
 
 
+FRAME = request_of(frame_of(make_sheet(), 1)).SerializeToString()
 WRONG = {
     "no such session": Wrong([START.SerializeToString()], 4404, "no session", path="sessions/nobody"),
     "no start": Wrong([pb.TrackRequest(ping=pb.Ping()).SerializeToString()], 4409, "has to be start"),
@@ -149,7 +150,8 @@ WRONG = {
         [pb.TrackRequest(start=pb.Start(name="sessions/other", api_version=API_VERSION)).SerializeToString()], 4422, "start.name"
     ),
     "start twice": Wrong([START.SerializeToString()] * 2, 4422, "a frame or a ping, got start"),
-    "more after the end": Wrong([START.SerializeToString(), b"", b""], 4409, "no message may follow"),
+    # the frame keeps the stream from its end until the message after it has come
+    "more after the end": Wrong([START.SerializeToString(), FRAME, b"", b""], 4409, "no message may follow"),
     "a long sentence": Wrong([START.SerializeToString()], 4422, "...", query="mode=" + "é" * 60),
 }
 
