@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 from .build import build
 from .grpc_service import GrpcServer
-from .http import HttpServer, create_app
+from .http import HttpServer
+from .rest import create_app
 from .sessions import Sessions
 from .settings import Settings
 from .store import Store
