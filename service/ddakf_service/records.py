@@ -60,10 +60,18 @@ class Records:
         if self._store.checkpoints is not None:
             self._store.checkpoints.delete(session.uid)
 
+    async def last(self, session_id: str) -> SessionRecord | None:
+        """The last session of this id, live or past; None: nothing is remembered of one.
+
+        Raises:
+            Unavailable: the database cannot be reached.
+        """
+        return await self._store.registry.newest(session_id)
+
     async def past(self, session_id: str) -> SessionRecord | None:
         """The last session of this id, if it has ended; None: nothing is remembered of one, or not now."""
         try:
-            record = await self._store.registry.newest(session_id)
+            record = await self.last(session_id)
         except Unavailable:
             return None
         return record if record and record.reason else None

@@ -1,37 +1,32 @@
-"""The sessions of a server: creation, look-up, expiry, streams. Every transport speaks to this class alone."""
+"""What can be done with the sessions of a server, from creation to end. Every transport speaks to this class alone."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
 import logging
-import math
-import re
-import secrets
 from collections import OrderedDict
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterable, Sequence, Set
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence, Set
 from time import monotonic
 
 from ddakf_api.errors import (
     Draining,
     FailedPrecondition,
     InvalidArgument,
-    PermissionDenied,
-    ResourceExhausted,
     ServiceError,
     SessionBusy,
     SessionExists,
     SessionNotFound,
     StreamTakenOver,
-    Unauthenticated,
     Unavailable,
     WorkerLost,
-    from_detail,
-    to_detail,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
+from . import admission
+from .admission import Admission
+from .directory import LOAD_PAUSE, Directory, not_found, revoked
 from .durability import Durability, Irrecoverable, taken_meshes
 from .outcomes import Outcomes
 from .records import Records
@@ -47,24 +42,12 @@ from .workers import Memory, WorkerPool
 
 log = logging.getLogger(__name__)
 
-_Open = Callable[[str, bytes], Awaitable[bytes]]
+_Open = Callable[[str, bytes, Memory], Awaitable[bytes]]
 
-_SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
-_PAGE_SIZE, _MAX_PAGE_SIZE = 50, 1000
-_REMEMBERED = 1024  # ids of ended sessions, and of requests, that are kept for a precise answer
-_MAX_LABELS, _MAX_TEXT = 64, 256  # labels of a session; characters of a label, its value or a request id
+_REQUESTS = 1024  # that are remembered, for who asks again
 _EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
-_RETRY_WHEN_FULL = 5.0  # seconds
-_LOAD_PAUSE = 3.0  # seconds between attempts to read the earlier sessions
 _LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
-_RESTORED = 8  # bytes that a restored tracker takes per byte of its snapshot, at most
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
-_REAL_LIMITS = {
-    "max_frame_rate": "frames per second",
-    "idle_timeout": "seconds",
-    "max_lifetime": "seconds",
-    "departure_timeout": "seconds",
-}
 # A client that left its stream may ask for the next one before its leaving is noticed here, or before the frame that is
 # in the worker has been tracked.
 _NOTICE_PATIENCE = 0.5  # seconds that a stream has to turn out to be left
@@ -85,27 +68,23 @@ class Sessions:
         self._records = Records(store)
         self._durability = Durability(pool, self._records, metrics, settings.checkpoint_every, self._end)
         self._outcomes = Outcomes(metrics, store.history, tracer)
-        self._sessions: dict[str, Session] = {}
-        metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._sessions.values()))
+        self._admission = Admission(settings)
+        self._directory = Directory(self._records)
+        metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in self._directory))
         self._opening: dict[str, str | None] = {}  # id to owner
         self._leaving: dict[str, asyncio.Task[None]] = {}  # ended ones that are in a worker still
-        # Owner and reason, by id; an exception would keep what it was raised through.
-        self._ended: OrderedDict[str, tuple[str | None, pb.ErrorDetail]] = OrderedDict()
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
-        self._shut_out: Set[str] = frozenset()
-        self.draining = self._loaded = False
+        self.draining = False
 
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
         """Creates a session, or answers the one that the same request id created. It belongs to the key of the call."""
         require_compatible(request.api_version, peer="client")
-        memory = _memory_of(request.session, self._limits(request.session.limits))
-        return await self._once(request, lambda *args: self._pool.open(*args, memory))
+        return await self._once(request, self._pool.open)
 
     async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
         """Creates a session from a snapshot."""
         require_compatible(request.api_version, peer="client")
-        memory = Memory(_RESTORED * len(request.data), 0)
-        return await self._once(request, lambda *args: self._pool.restore(*args, memory))
+        return await self._once(request, self._pool.restore)
 
     async def load(self) -> None:
         """Takes the sessions back that this server had before its process ended; tries again, in the background, for as long
@@ -119,51 +98,42 @@ class Sessions:
         except Unavailable as error:
             log.error("earlier sessions cannot be had back yet: %s", error)
             return False
-        self._loaded = True
+        self._directory.complete = True
         for session in sessions:
-            if session.id not in self._sessions and session.id not in self._opening:
-                self._sessions[session.id] = session
+            if session.id not in self._directory and session.id not in self._opening:
+                self._directory.add(session)
                 if session.request_id:
-                    self._remember(self._requests, (session.owner, session.request_id), _done(session.id))
+                    self._remember((session.owner, session.request_id), _done(session.id))
         if sessions:
             log.info("sessions of before the start wait for their clients", extra={"sessions": len(sessions)})
-        self._durability.background(self._records.clean(sessions + list(self._sessions.values())))
+        self._durability.background(self._records.clean([*sessions, *self._directory]))
         self._count()
         return True
 
     async def _load_later(self) -> None:
-        await asyncio.sleep(_LOAD_PAUSE)
+        await asyncio.sleep(LOAD_PAUSE)
         while not (self.draining or await self._load()):
-            await asyncio.sleep(_LOAD_PAUSE)
+            await asyncio.sleep(LOAD_PAUSE)
 
     async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
-        session = await self._known(name)
+        session = await self._directory.known(name)
         if view == pb.SESSION_VIEW_FULL and session.asleep:
             async with self._using(session):
                 pass
         return session.message(view)
 
     def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
-        """Oldest first, one page; the token is the id of the last session of the page before."""
-        size = min(request.page_size or _PAGE_SIZE, _MAX_PAGE_SIZE)
-        principal = current_principal.get()
-        mine = (s for s in self._sessions.values() if principal.may_read(s.owner or ""))
-        wanted = [s for s in mine if _matches(s, request)]
-        wanted.sort(key=_token)
-        if request.page_token:
-            wanted = [s for s in wanted if _token(s) > request.page_token]
-        page = wanted[:size]
-        more = _token(page[-1]) if len(wanted) > size else ""
-        return pb.ListSessionsResponse(sessions=[s.message() for s in page], next_page_token=more)
+        """Those that the caller may read, oldest first, one page."""
+        return self._directory.page(request)
 
     async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
         """Changes labels, limits, configuration and fabric, all of them or, when one cannot be used, none."""
-        change, session = request.session, self._mine(request.session.name)
+        change, session = request.session, self._directory.mine(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
             raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
-        labels = _labels(change) if "labels" in paths else session.labels
-        limits = self._limits(change.limits) if "limits" in paths else session.limits
+        labels = admission.labels(change) if "labels" in paths else session.labels
+        limits = self._admission.limits(change.limits) if "limits" in paths else session.limits
         async with self._using(session):
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
@@ -190,7 +160,7 @@ class Sessions:
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
         """Starts the tracker again."""
-        session = self._mine(request.name)
+        session = self._directory.mine(request.name)
         payload = request.SerializeToString()
         async with self._using(session):
             await self._pool.reset(session.id, payload)
@@ -199,7 +169,7 @@ class Sessions:
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
-        session = self._mine(name)
+        session = self._directory.mine(name)
         async with self._using(session):
             data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
@@ -208,8 +178,8 @@ class Sessions:
     async def _using(self, session: Session) -> AsyncIterator[None]:
         """For a call of the session in its worker, which it is given back before if it has lost it."""
         async with session.lock:
-            if self._find(session.name) is not session:  # it has ended while this waited, and another one has its name
-                raise _not_found(session.name)
+            if self._directory.readable(session.name) is not session:  # it ended while this waited, and another has its name
+                raise not_found(session.name)
             try:
                 await self._durability.seat(session)
             except Irrecoverable as error:
@@ -218,7 +188,7 @@ class Sessions:
             yield
 
     async def delete(self, name: str) -> None:
-        session = self._mine(name)
+        session = self._directory.mine(name)
         self._end(session, SessionNotFound(f"{session.name} was deleted"))
         await asyncio.shield(self._leaving[session.id])
 
@@ -227,20 +197,20 @@ class Sessions:
         require_compatible(start.api_version, peer="client")
         if self.draining:  # the last checkpoint would not know of its frames
             raise Draining("the server is about to stop and takes no new streams")
-        await self._known(start.name)
-        session = self._mine(start.name)
+        await self._directory.known(start.name)
+        session = self._directory.mine(start.name)
         if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
             await self.close_stream(before)
         elif session.stream is not None:
             await self._ended_by_itself(session.stream)
-        session = self._mine(start.name)  # it may have been deleted, and made by another key, meanwhile
+        session = self._directory.mine(start.name)  # it may have been deleted, and made by another key, meanwhile
         if session.stream is not None:
             raise _busy(session)
-        mode = self._mode(start.flow_mode)
+        mode = self._admission.mode(start.flow_mode)
         async with self._using(session):
-            self._mine(start.name)  # the key may have been revoked while this waited
+            self._directory.mine(start.name)  # the key may have been revoked while this waited
             if session.stream is not None:  # opened while this waited
                 raise _busy(session)
             session.departed = None
@@ -263,7 +233,7 @@ class Sessions:
     def watch(self, request: pb.WatchSessionRequest) -> Watcher:
         """A reader of the session's answers, with or without a stream; the caller has it ``leave``."""
         require_compatible(request.api_version, peer="client")
-        session = self._readable(request.name)
+        session = self._directory.readable(request.name)
         return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
@@ -273,29 +243,23 @@ class Sessions:
             SessionNotFound: none is remembered. InvalidArgument: a time or number that makes no sense.
             Unavailable: the database cannot be reached.
         """
-        session_id = request.name.removeprefix("sessions/")
-        if session_id in self._sessions:
-            session = self._readable(request.name)
-            return await self._store.history.query(request, session.uid, session.created)
-        record = await self._store.registry.newest(session_id)
-        if record is None or not current_principal.get().may_read(record.owner or ""):
-            raise _not_found(request.name)
-        return await self._store.history.query(request, record.uid, record.create_time, record.end_time)
+        found = await self._directory.last(request.name)
+        if isinstance(found, Session):
+            return await self._store.history.query(request, found.uid, found.created)
+        return await self._store.history.query(request, found.uid, found.create_time, found.end_time)
 
     def shut_out(self, key_ids: Set[str]) -> None:
         """Ends the streams and watchers of keys that were revoked; their sessions end as those that were left do."""
-        self._shut_out = key_ids
-        if not key_ids:
-            return
-        reason = _revoked()
-        for session in self._sessions.values():
+        self._directory.shut_out(key_ids)
+        reason = revoked()
+        for session in self._directory if key_ids else ():
             if session.stream is not None and session.stream.key_id in key_ids:
                 session.stream.end(reason)
             session.watchers.shut_out(key_ids, reason)
 
     def lose(self, session_ids: Sequence[str]) -> None:
         """Has the sessions whose worker is gone go on in another one, those with a stream first."""
-        lost = sorted(self._existing(session_ids), key=lambda session: session.stream is None)
+        lost = sorted(self._directory.some(session_ids), key=lambda session: session.stream is None)
         for session in lost:
             session.seated = False
         for session in lost:
@@ -310,7 +274,7 @@ class Sessions:
         """Ends sessions whose time is over, and registers what has changed of the others; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
-            for session in list(self._sessions.values()):
+            for session in self._directory:
                 try:
                     self._expire(session)
                     self._records.save(session)
@@ -329,19 +293,19 @@ class Sessions:
         checkpoints are taken."""
         self.draining = True
         message = f"the server stops in {grace:g} s; connect again later or elsewhere"
-        for session in self._sessions.values():
+        for session in self._directory:
             session.tell(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
         deadline = monotonic() + grace
-        while any(s.stream for s in self._sessions.values()) and monotonic() < deadline:
+        while any(s.stream for s in self._directory) and monotonic() < deadline:
             await asyncio.sleep(0.02)
-        for session in list(self._sessions.values()):
+        for session in self._directory:
             if session.stream:
                 session.stream.notify(self._reconnect())
                 session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
-        for session in self._sessions.values():
+        for session in self._directory:
             self._durability.background(self._last_checkpoint(session))
         await self._durability.settle(_LAST_CHECKPOINTS)
-        for session in list(self._sessions.values()):
+        for session in self._directory:
             self._records.save(session)
             self._forsake(session, Draining("the server has stopped; connect again later or elsewhere"))
 
@@ -368,15 +332,14 @@ class Sessions:
         """Runs a creation, or waits for the same request's first run."""
         principal = current_principal.get()
         owner, request_id = principal.id or None, request.request_id
-        if len(request_id) > _MAX_TEXT:
-            raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
+        admission.require_short(request_id)
         asked = owner, request_id
         if asked in self._requests:
-            return self._mine("sessions/" + await asyncio.shield(self._requests[asked])).message()
+            return self._directory.mine("sessions/" + await asyncio.shield(self._requests[asked])).message()
         session_id = self._new_id(request.session_id, principal)
         outcome: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
-            self._remember(self._requests, asked, outcome)
+            self._remember(asked, outcome)
         self._opening[session_id] = owner
         try:
             session = await self._open(session_id, request, owner, open_)
@@ -392,15 +355,14 @@ class Sessions:
         return session.message()
 
     async def _open(self, session_id: str, request, owner: str | None, open_: _Open) -> Session:
-        limits, labels = self._limits(request.session.limits), _labels(request.session)
+        limits, labels = self._admission.limits(request.session.limits), admission.labels(request.session)
         if leaving := self._leaving.get(session_id):  # the one before of this id
             await asyncio.wait({leaving})
-        opened = pb.Session.FromString(await open_(session_id, request.SerializeToString()))
+        opened = pb.Session.FromString(await open_(session_id, request.SerializeToString(), self._admission.memory(request)))
         session = Session(
             session_id, opened, taken_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
         )
-        self._sessions[session_id] = session
-        self._ended.pop(session_id, None)
+        self._directory.add(session)
         self._count()
         self._records.create(session)
         self._durability.checkpoint(session)
@@ -410,97 +372,11 @@ class Sessions:
     def _new_id(self, wanted: str, principal: Principal) -> str:
         if self.draining:
             raise Draining("the server is about to stop and takes no new sessions")
-        self._require_room(principal)
-        if not wanted:
-            return "s-" + secrets.token_hex(8)
-        if not _SESSION_ID.fullmatch(wanted):
-            raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80]))
-        if wanted in self._sessions or wanted in self._opening:
-            raise SessionExists(f"sessions/{wanted} exists already")
-        return wanted
-
-    def _require_room(self, principal: Principal) -> None:
-        """Refuses a session beyond the server's number, or beyond its key's."""
-        owners = [*(session.owner for session in self._sessions.values()), *self._opening.values()]
-        s = self._settings
-        for whose, count, most in (
-            ("the server", len(owners), s.max_sessions),
-            ("the key", owners.count(principal.id), principal.max_sessions or s.max_sessions_per_key),
-        ):
-            if count >= most:
-                raise ResourceExhausted(
-                    f"sessions: {whose} has its {most} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
-                )
-
-    def _limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
-        """What the client asked for, lowered to what the server allows."""
-        s = self._settings
-        for name, unit in _REAL_LIMITS.items():
-            if not 0 <= getattr(asked, name) < math.inf:
-                raise InvalidArgument(
-                    field=f"limits.{name}", expected=f"a positive number of {unit}", got=f"{getattr(asked, name):g}"
-                )
-        idle = min(asked.idle_timeout or s.idle_timeout, s.idle_timeout)
-        return pb.SessionLimits(
-            max_points=min(asked.max_points or s.max_points, s.max_points),
-            max_frame_rate=_lower(asked.max_frame_rate, s.max_frame_rate),
-            idle_timeout=idle,
-            max_lifetime=_lower(asked.max_lifetime, s.max_lifetime),
-            max_frames_in_flight=min(asked.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
-            departure_timeout=min(asked.departure_timeout or s.departure_timeout, idle),
-        )
-
-    def _mode(self, asked: pb.FlowMode) -> pb.FlowMode:
-        if asked not in pb.FlowMode.values():
-            raise InvalidArgument(field="flow_mode", expected="realtime or lossless", got=f"unknown value {asked}")
-        if asked != pb.FLOW_MODE_UNSPECIFIED:
-            return asked
-        return pb.FLOW_MODE_LOSSLESS if self._settings.default_flow == "lossless" else pb.FLOW_MODE_REALTIME
-
-    def _find(self, name: str) -> Session:
-        session_id = name.removeprefix("sessions/")
-        if session_id in self._sessions:
-            return self._sessions[session_id]
-        owner, reason = self._ended.get(session_id, (None, None))
-        if reason is not None and current_principal.get().may_read(owner or ""):
-            raise from_detail(reason)
-        if not self._loaded:
-            raise Unavailable(
-                f"whether there is a session {name[:80]!r} is not known before the database can be read; try again later",
-                retry_after=_LOAD_PAUSE,
-            )
-        raise _not_found(name)
-
-    async def _known(self, name: str) -> Session:
-        """As :meth:`_readable`, which knows why a session ended even if that was before the start."""
-        try:
-            return self._readable(name)
-        except SessionNotFound:
-            session_id = name.removeprefix("sessions/")
-            there = session_id in self._ended or session_id in self._sessions
-            past = None if there else await self._records.past(session_id)
-            if past is not None and current_principal.get().may_read(past.owner or ""):
-                raise from_detail(past.reason) from None
-            raise
-
-    def _readable(self, name: str) -> Session:
-        """A session that the key of this call may read; of another's it is not even said that it is there."""
-        if current_principal.get().id in self._shut_out:  # since the guard let it pass
-            raise _revoked()
-        session = self._find(name)
-        if not current_principal.get().may_read(session.owner or ""):
-            raise _not_found(name)
-        return session
-
-    def _mine(self, name: str) -> Session:
-        """A session that the key of this call may use and change."""
-        session = self._readable(name)
-        if not current_principal.get().may_change(session.owner or ""):
-            raise PermissionDenied(f"{session.name} belongs to another key")
-        return session
-
-    def _existing(self, session_ids: Iterable[str]) -> list[Session]:
-        return [self._sessions[i] for i in session_ids if i in self._sessions]
+        self._admission.require_room(principal, [*(session.owner for session in self._directory), *self._opening.values()])
+        session_id = admission.session_id(wanted)
+        if session_id in self._directory or session_id in self._opening:
+            raise SessionExists(f"sessions/{session_id} exists already")
+        return session_id
 
     def _end(self, session: Session, reason: ServiceError) -> None:
         """The session is gone for good; whoever asks for it, and its stream, is told why. Its worker forgets it in the
@@ -513,9 +389,8 @@ class Sessions:
 
     def _forsake(self, session: Session, reason: ServiceError) -> None:
         """This process has the session no more; it may live on in the store."""
-        self._sessions.pop(session.id, None)
+        self._directory.remove(session, reason)
         session.closed = True
-        self._remember(self._ended, session.id, (session.owner, to_detail(reason)))
         if session.stream:
             session.stream.end(reason)
         session.watchers.close(reason)
@@ -526,37 +401,14 @@ class Sessions:
             with contextlib.suppress(WorkerLost):  # a lost worker took the session with it
                 await self._pool.close(session.id)
 
-    def _remember(self, memory: OrderedDict, key, value) -> None:
-        memory[key] = value
-        while len(memory) > _REMEMBERED:
-            memory.popitem(last=False)
+    def _remember(self, asked: tuple[str | None, str], outcome: asyncio.Future[str]) -> None:
+        self._requests[asked] = outcome
+        while len(self._requests) > _REQUESTS:
+            self._requests.popitem(last=False)
 
     def _count(self) -> None:
-        self._metrics.sessions.set(len(self._sessions))
-        self._metrics.streams.set(sum(s.stream is not None for s in self._sessions.values()))
-
-
-def _labels(session: pb.Session) -> dict[str, str]:
-    labels = dict(session.labels)
-    if len(labels) > _MAX_LABELS:
-        raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(labels)))
-    longest = max((len(text) for pair in labels.items() for text in pair), default=0)
-    if longest > _MAX_TEXT:
-        raise InvalidArgument(field="labels", expected=f"at most {_MAX_TEXT} characters each", got=str(longest))
-    return labels
-
-
-def _lower(asked: float, most: float) -> float:
-    """The smaller one of two bounds, where 0 is none."""
-    return min(asked or most, most or asked)
-
-
-def _not_found(name: str) -> SessionNotFound:
-    return SessionNotFound(f"there is no session {name[:80]!r}")
-
-
-def _revoked() -> Unauthenticated:
-    return Unauthenticated("the key was revoked")
+        self._metrics.sessions.set(len(self._directory))
+        self._metrics.streams.set(sum(s.stream is not None for s in self._directory))
 
 
 def _busy(session: Session) -> SessionBusy:
@@ -567,22 +419,3 @@ def _done(session_id: str) -> asyncio.Future[str]:
     outcome = asyncio.get_running_loop().create_future()
     outcome.set_result(session_id)
     return outcome
-
-
-def _memory_of(session: pb.Session, limits: pb.SessionLimits) -> Memory:
-    """Estimate for a session whose meshes nobody has read yet."""
-    counts = []
-    for mesh in (session.garment, session.body):
-        double = mesh.vertices.encoding == pb.ARRAY_ENCODING_FLOAT64
-        counts += [len(mesh.vertices.data) // (24 if double else 12), len(mesh.faces.data) // 12]
-    return Memory.of(*counts, limits.max_points)
-
-
-def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:
-    return (not request.states or session.state in request.states) and all(
-        session.labels.get(key) == value for key, value in request.labels.items()
-    )
-
-
-def _token(session: Session) -> str:
-    return f"{int(session.created * 1e6):020d}-{session.id}"

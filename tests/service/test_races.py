@@ -73,7 +73,7 @@ async def create(server) -> None:
 
 
 async def test_nothing_is_kept_of_a_session_that_ended_under_its_stream(server):
-    session = weakref.ref(server._find("sessions/some"))
+    session = weakref.ref(server._directory.readable("sessions/some"))
 
     async def serve() -> None:
         stream = await server.open_stream(START)
@@ -96,7 +96,7 @@ async def test_nothing_is_kept_of_a_session_that_ended_under_its_stream(server):
 
 
 async def test_a_worker_forgets_a_session_whose_deletion_was_cut_off(server, pool):
-    session = server._find("sessions/some")
+    session = server._directory.readable("sessions/some")
     async with session.lock:  # a frame is in the worker
         deletion = asyncio.create_task(server.delete("sessions/some"))
         await asyncio.sleep(0)
@@ -107,7 +107,7 @@ async def test_a_worker_forgets_a_session_whose_deletion_was_cut_off(server, poo
 
 
 async def test_an_id_is_free_once_the_worker_has_forgotten_it(server, pool):
-    async with server._find("sessions/some").lock:
+    async with server._directory.readable("sessions/some").lock:
         deletion = asyncio.create_task(server.delete("sessions/some"))
         await asyncio.sleep(0)
         creation = asyncio.create_task(create(server))
@@ -117,7 +117,7 @@ async def test_an_id_is_free_once_the_worker_has_forgotten_it(server, pool):
 
 
 async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, pool, store):
-    session = server._find("sessions/some")
+    session = server._directory.readable("sessions/some")
     change = pb.Session(name="sessions/some", fabric="denim")
     update = asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change)))
     await asyncio.sleep(0.01)
@@ -131,7 +131,7 @@ async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, poo
 
 async def test_a_stop_does_not_wait_for_a_session_on_its_way_back(server, monkeypatch):
     monkeypatch.setattr(sessions, "_LAST_CHECKPOINTS", 0.05)
-    async with server._find("sessions/some").lock:
+    async with server._directory.readable("sessions/some").lock:
         await asyncio.wait_for(server.drain(0.0), 30.0)
 
 
@@ -142,7 +142,7 @@ async def test_a_server_that_stops_opens_no_stream(server):
 
 
 async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_not_exist(server):
-    server._loaded = False
+    server._directory.complete = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
         await server.open_stream(pb.Start(name="sessions/earlier", api_version=API_VERSION))
 

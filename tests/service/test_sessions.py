@@ -392,7 +392,7 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
     mine = sessions.Sessions(Pool(), settings, metrics, store, NoTracer())
     for name in ("first", "other"):
         await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
-    for session in list(mine._sessions.values()):
+    for session in mine._directory:
         session.last_active -= 1e6
     expiry = asyncio.create_task(mine.expire_idle())
     await asyncio.sleep(0.3)

@@ -36,11 +36,12 @@ class Principal:
     def allows(self, scope: Scope) -> bool:
         return scope in self.scopes or Scope.ADMIN in self.scopes
 
-    def may_read(self, owner: str) -> bool:
-        """A session of ``owner``."""
+    def may_read(self, owner: str | None) -> bool:
+        """A session of ``owner``; None: it was made where no key was asked for."""
         return self.allows(Scope.READ) or (self.id == owner and self.allows(Scope.STREAM))
 
-    def may_change(self, owner: str) -> bool:
+    def may_change(self, owner: str | None) -> bool:
+        """As :meth:`may_read`."""
         return Scope.ADMIN in self.scopes or (self.id == owner and self.allows(Scope.STREAM))
 
 
