@@ -27,7 +27,8 @@ if _version_not_supported:
 
 
 class TrackingServiceStub(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail.
+    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    `grpc-status-details-bin` a google.rpc.Status.
     """
 
     def __init__(self, channel):
@@ -99,7 +100,8 @@ class TrackingServiceStub(object):
 
 
 class TrackingServiceServicer(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail.
+    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    `grpc-status-details-bin` a google.rpc.Status.
     """
 
     def GetServerInfo(self, request, context):
@@ -170,7 +172,7 @@ class TrackingServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def WatchSession(self, request, context):
-        """The answers of a session's stream, for any number of readers who cannot slow it: one who is too slow misses some.
+        """The answers of a session's stream, for readers beside its client who cannot slow it: one who is too slow misses some.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -255,7 +257,8 @@ def add_TrackingServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class TrackingService(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail.
+    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    `grpc-status-details-bin` a google.rpc.Status.
     """
 
     @staticmethod
