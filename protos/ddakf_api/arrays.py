@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ddakf_api.errors import InvalidArgument, InvalidMesh
+from ddakf_api.errors import InvalidArgument, InvalidMesh, first_line
 from ddakf_api.v1 import tracking_pb2 as pb
 
 FLOATS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT64)
@@ -49,7 +49,7 @@ def checked_array(
     try:
         array = np.asarray(values)
     except Exception as cause:  # numpy's, or whatever the object's own conversion raises
-        why = "rows of unequal lengths" if "inhomogeneous" in str(cause) else _first_line(cause)
+        why = "rows of unequal lengths" if "inhomogeneous" in str(cause) else first_line(cause)
         got = f"{type(values).__name__} that is no array ({why})"
         raise error(field=field, expected=expected, got=got) from None
     shaped = columns is None or (array.ndim == 2 and array.shape[1] == columns)
@@ -168,11 +168,6 @@ def _offset(packed: pb.PackedArray, components: int, field: str, error: type[Inv
 
 def _encoding_name(encoding: int) -> str:
     return pb.ArrayEncoding.Name(encoding) if encoding in pb.ArrayEncoding.values() else f"unknown encoding {encoding}"
-
-
-def _first_line(error: Exception) -> str:
-    lines = str(error).splitlines() or [type(error).__name__]
-    return lines[0][:120]
 
 
 def _described(array: np.ndarray) -> str:

@@ -199,6 +199,11 @@ def from_rpc_error(error: grpc.RpcError) -> ServiceError:
     return cls(error.details() or cls.__doc__)
 
 
+def first_line(error: BaseException) -> str:
+    """What an error of another library says, short enough to be part of a sentence."""
+    return (str(error).splitlines() or [type(error).__name__])[0][:120]
+
+
 def _from_state(cls: type[ServiceError], message: str, state: dict) -> ServiceError:
     error = cls(message)
     error.__dict__.update(state)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import zstandard
 
-from ddakf_api.errors import CodecError
+from ddakf_api.errors import CodecError, first_line
 
 LEVEL = 1  # of both compressors: higher ones gain under 3 % and cost several times the time
 MAX_WINDOW_BYTES = 1 << 23  # what every zstd decoder has to support; level 1 writes far smaller ones
@@ -38,7 +38,7 @@ def zstd_decompress(data: bytes, require_size: Callable[[int], object], field: s
             raise CodecError(field=field, expected=f"a zstd window of at most {MAX_WINDOW_BYTES} bytes", got=got)
         return zstandard.ZstdDecompressor(max_window_size=MAX_WINDOW_BYTES).decompress(data, allow_extra_data=False)
     except zstandard.ZstdError as error:
-        raise CodecError(field=field, expected="one whole zstd frame", got=_first_line(error)) from None
+        raise CodecError(field=field, expected="one whole zstd frame", got=first_line(error)) from None
 
 
 def deflate_compress(data: bytes) -> bytes:
@@ -56,7 +56,7 @@ def inflate(data: bytes, most: int, field: str) -> bytes:
     try:
         inflated = inflater.decompress(data, most + 1)
     except zlib.error as error:
-        raise CodecError(field=field, expected="one whole zlib stream", got=_first_line(error)) from None
+        raise CodecError(field=field, expected="one whole zlib stream", got=first_line(error)) from None
     if len(inflated) > most:
         raise CodecError(field=field, expected=f"at most {most} bytes when inflated", got="more")
     if not inflater.eof:
@@ -64,7 +64,3 @@ def inflate(data: bytes, most: int, field: str) -> bytes:
     if inflater.unused_data:
         raise CodecError(field=field, expected="one zlib stream", got=f"{len(inflater.unused_data)} bytes after it")
     return inflated
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:120]

@@ -9,7 +9,7 @@ import struct
 
 import numpy as np
 
-from ddakf_api.errors import CodecError, Unimplemented
+from ddakf_api.errors import CodecError, Unimplemented, first_line
 
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")
@@ -54,8 +54,7 @@ def decompress(data: bytes, shape: tuple[int, int], dtype: np.dtype, field: str)
         with Image.open(io.BytesIO(essential), formats=["PNG"]) as image:
             pixels = np.asarray(image)
     except (OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
-        text = (str(error).splitlines() or [type(error).__name__])[0][:80]
-        raise CodecError(field=field, expected="one whole PNG", got=f"a damaged one ({text})") from None
+        raise CodecError(field=field, expected="one whole PNG", got=f"a damaged one ({first_line(error)})") from None
     return pixels.astype(dtype)
 
 
