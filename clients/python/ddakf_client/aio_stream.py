@@ -12,7 +12,7 @@ from ddakf_api.errors import ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import failure
-from ddakf_client.exchange import Exchange, Plan, encode_request
+from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
 from ddakf_client.results import FrameError, Notice, Result
 
 _NO_MORE = object()
@@ -42,13 +42,8 @@ async def track(
             stream.open(connection.open_track)
             try:
                 while (response := await stream.read()) is not grpc.aio.EOF:
-                    for answer in stream.receive(response):
-                        if not isinstance(answer, Notice):
-                            yield answer
-                            continue
-                        if answer.kind == "reconnect" and answer.target:
-                            connection.move(answer.target)
-                        plan.on_notice(answer)
+                    for answer in without_notices(stream.receive(response), connection.move, plan.on_notice):
+                        yield answer
                 for refused in stream.ended():
                     yield refused
                 return

@@ -61,6 +61,12 @@ def require_codec(codec: str, server: ServerInfo) -> None:
         raise CodecError(field="codec", expected=expected, got=repr(codec))
 
 
+def require_every_nth(every_nth: object) -> None:
+    """Raises :class:`InvalidArgument` unless it is a whole number from 1 on."""
+    if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
+        raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(every_nth)[:80])
+
+
 def create_request(
     garment: object,
     faces: np.ndarray | None,

@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 import random
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +22,7 @@ from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_
 from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ddakf_client.calls import require_every_nth
 from ddakf_client.frames import Frame, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
@@ -78,8 +79,7 @@ class Plan:
         for field in ("velocities", "covariance", "takeover", "compact"):
             if not isinstance(getattr(self, field), bool):
                 raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
-        if not isinstance(self.every_nth, int) or isinstance(self.every_nth, bool) or not 1 <= self.every_nth < 2**32:
-            raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(self.every_nth)[:80])
+        require_every_nth(self.every_nth)
         if isinstance(self.resume, bool) or not isinstance(self.resume, (int, float)) or not self.resume >= 0:
             raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
 
@@ -309,6 +309,19 @@ class Exchange:
             oldest = refused.sequence - 2 * IN_FLIGHT
             self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
         return refused
+
+
+def without_notices(
+    answers: Iterable[Result | FrameError | Notice], move: Callable[[str], None], on_notice: Callable[[Notice], None]
+) -> Iterator[Result | FrameError]:
+    """The answers to frames; notices go to ``on_notice``, and a server that they name as the next one to ``move``."""
+    for answer in answers:
+        if not isinstance(answer, Notice):
+            yield answer
+            continue
+        if answer.kind == "reconnect" and answer.target:
+            move(answer.target)
+        on_notice(answer)
 
 
 def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:

@@ -13,7 +13,7 @@ from ddakf_api.errors import ServiceError
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import failure
-from ddakf_client.exchange import Exchange, Plan, encode_request
+from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
 from ddakf_client.results import FrameError, Notice, Result
 
 _JOIN_SECONDS = 1.0
@@ -40,13 +40,7 @@ def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Itera
             stream.open(connection.open_track)
             try:
                 while (response := stream.read()) is not None:
-                    for answer in stream.receive(response):
-                        if not isinstance(answer, Notice):
-                            yield answer
-                            continue
-                        if answer.kind == "reconnect" and answer.target:
-                            connection.move(answer.target)
-                        plan.on_notice(answer)
+                    yield from without_notices(stream.receive(response), connection.move, plan.on_notice)
                 yield from stream.ended()
                 return
             except grpc.RpcError as error:

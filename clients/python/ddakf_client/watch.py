@@ -7,10 +7,9 @@ from collections.abc import AsyncIterator, Callable, Iterator
 
 import grpc
 from ddakf_api import API_VERSION
-from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import failure
+from ddakf_client.calls import failure, require_every_nth
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
 
@@ -20,8 +19,7 @@ def watch_request(name: str, every_nth: int) -> pb.WatchSessionRequest:
     Raises:
         InvalidArgument: `every_nth` is no whole number from 1 on.
     """
-    if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
-        raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(every_nth)[:80])
+    require_every_nth(every_nth)
     return pb.WatchSessionRequest(name=name, api_version=API_VERSION, every_nth=every_nth)
 
 
