@@ -47,9 +47,9 @@ def test_an_object_may_have_any_of_the_attributes():
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_without_a_display_time_none_is_asked_for(codec):
+def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
     sent = to_message(Frame(np.zeros((3, 3)), 1.0), 1, codec, 0.0005)
-    assert (sent.display_time, sent.point_cloud.point_count) == (0.0, 3)
+    assert (sent.display_time, sent.deadline, sent.point_cloud.point_count) == (0.0, 0.0, 3)
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,8 @@ def test_without_a_display_time_none_is_asked_for(codec):
         (Frame(timestamp=1.0, depth=DEPTH[0], intrinsics=LENS), CodecError, "depth"),
         (Frame(np.zeros((1, 3)), 1.0, display_time=float("nan")), InvalidFrame, "display_time"),
         (Frame(np.zeros((1, 3)), 1.0, display_time="soon"), InvalidFrame, "display_time"),
+        (Frame(np.zeros((1, 3)), 1.0, deadline=0.0), InvalidFrame, "deadline"),
+        (Frame(np.zeros((1, 3)), 1.0, deadline=float("inf")), InvalidFrame, "deadline"),
     ],
 )
 def test_what_is_no_frame_is_refused_by_its_field(frame, error, field):

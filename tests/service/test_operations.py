@@ -51,12 +51,14 @@ def test_health_and_readiness_over_rest(http):
     assert http.get("/readyz").json() == {"status": "ready", "problems": []}
 
 
-def test_both_sides_tell_the_same_about_the_server(api, http):
+def test_both_sides_tell_the_same_about_the_server(api, http, client):
     over_grpc = api.call("GetServerInfo", pb.GetServerInfoRequest(api_version="77.0"))
     over_rest = http.get("/v1/info").json()
     assert over_grpc.api_version == over_rest["api_version"] == API_VERSION
     assert over_grpc.max_limits.max_points == over_rest["max_limits"]["max_points"] == 500_000
     assert over_rest["point_codecs"] == ["raw_float32", "quantised_16", "morton_zstd", "morton_deflate", "draco"]
+    assert client.server.codecs == ("raw", "quantised", "morton-zstd", "morton-deflate", "draco")
+    assert client.server.depth_codecs == tuple(over_rest["depth_compressions"]) == ("none", "zstd", "png", "rvl")
     assert "cotton" in over_rest["fabrics"]
 
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from ddakf_api import codec
 from ddakf_api.arrays import pack_mesh, unpack
+from ddakf_api.errors import DeadlineExceeded
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import Frame
+from ddakf_client import Frame, FrameError
 
 import ddakf
 from ddakf import depth as depths
@@ -47,6 +49,19 @@ def images(**options):
 def tracked(client, frames, **options) -> list:
     with client.create_session(SHEET, flow="lossless") as session:
         return list(session.track(frames, **options))
+
+
+def test_a_frame_that_nobody_needs_any_more_is_late_and_no_other(client):
+    both = [*images(deadline=30.0), *images(deadline=1e-9)]
+    frames = [replace(frame, timestamp=number / 30) for number, frame in enumerate(both, 1)]
+    with client.create_session(SHEET, flow="lossless") as session:
+        answers = list(session.track(frames, on_error="yield"))
+        info = session.info()
+    late = [answer for answer in answers if isinstance(answer, FrameError)]
+    assert [answer.sequence for answer in late] == [*range(FRAMES + 1, 2 * FRAMES + 1)]
+    assert {type(answer.error) for answer in late} == {DeadlineExceeded}
+    assert (info.applied, info.late, info.rejected) == (FRAMES, FRAMES, 0)
+    assert 0 < info.last_latency < (info.last_frame_time - info.create_time).total_seconds()
 
 
 @pytest.mark.parametrize("depth_codec", ["zstd", "none"])

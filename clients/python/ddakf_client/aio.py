@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable
 from dataclasses import replace
-from datetime import datetime
 from typing import Any, Generic, TypeVar
 
 import grpc
@@ -152,18 +151,9 @@ class AsyncClient:
             if not page_token:
                 return
 
-    async def history(
-        self,
-        session_id: str,
-        *,
-        start: datetime | None = None,
-        end: datetime | None = None,
-        resolution: float = 0.0,
-        max_samples: int = 0,
-    ) -> History:
-        """As :meth:`ddakf_client.Client.history`."""
-        request = history_request(session_id, start, end, resolution, max_samples)
-        return history_from(await self.call("GetSessionHistory", request))
+    async def history(self, session_id: str, **which: Any) -> History:
+        """As :meth:`ddakf_client.Client.history`, with the same arguments."""
+        return history_from(await self.call("GetSessionHistory", history_request(session_id, **which)))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: Any) -> Opening[AsyncSession]:
         plan = Plan("", self.timeout, **options)

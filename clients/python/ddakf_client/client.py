@@ -219,7 +219,7 @@ class Client:
             SessionNotFound: none is remembered.
             Unavailable: the server's database cannot be reached now.
         """
-        request = history_request(session_id, start, end, resolution, max_samples)
+        request = history_request(session_id, start=start, end=end, resolution=resolution, max_samples=max_samples)
         return history_from(self.call("GetSessionHistory", request))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: object) -> Session:

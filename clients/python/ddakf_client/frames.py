@@ -12,6 +12,8 @@ from ddakf_api.codec import DEFAULT_DEPTH_CODEC, DEFAULT_SCALE, encode, encode_d
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
+_OF_THE_IMAGE = ("pose", "mask", "confidence", "min_confidence", "depth_scale")
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -32,6 +34,8 @@ class Frame:
         depth_scale: metres per unit of uint16 depth.
         display_time: when the garment will be shown, seconds of the caller's clock, at most half a second after `timestamp`: the
             result is predicted to it. None: as captured.
+        deadline: seconds after its arrival at the server at which nobody needs an answer any more: a frame whose turn comes
+            later is not tracked, but refused (DeadlineExceeded; see `on_error`) and counted as late. None: there is none.
     """
 
     points: np.ndarray | None = None
@@ -46,6 +50,7 @@ class Frame:
     min_confidence: int = 0
     depth_scale: float = DEFAULT_SCALE
     display_time: float | None = None
+    deadline: float | None = None
 
     @classmethod
     def of(cls, frame: object) -> Frame:
@@ -74,6 +79,10 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
     message = pb.Frame(sequence_number=sequence, capture_time=_seconds("timestamp", frame.timestamp))
     if frame.display_time is not None:
         message.display_time = _seconds("display_time", frame.display_time)
+    if frame.deadline is not None:
+        message.deadline = _seconds("deadline", frame.deadline)
+        if message.deadline <= 0:
+            raise InvalidFrame(field="deadline", expected="seconds above 0", got=repr(frame.deadline))
     if frame.body_vertices is not None:
         message.body_vertices = _body(frame.body_vertices).tobytes()
     if frame.depth is None:
@@ -95,14 +104,7 @@ def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
         if getattr(frame, name) is not None:
             raise InvalidFrame(field=name, expected="none beside a depth image", got=type(getattr(frame, name)).__name__)
     image = encode_depth(
-        frame.depth,
-        frame.intrinsics,
-        pose=frame.pose,
-        mask=frame.mask,
-        confidence=frame.confidence,
-        min_confidence=frame.min_confidence,
-        depth_scale=frame.depth_scale,
-        codec=codec,
+        frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _OF_THE_IMAGE}
     )
     message.depth_image.CopyFrom(image)
 

@@ -11,6 +11,7 @@ from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import session_name
+from ddakf_client.results import value_name
 
 
 class StateChange(NamedTuple):
@@ -52,7 +53,12 @@ class History:
 
 
 def history_request(
-    session_id: str, start: datetime | None, end: datetime | None, resolution: float, max_samples: int
+    session_id: str,
+    *,
+    start: datetime | None = None,
+    end: datetime | None = None,
+    resolution: float = 0.0,
+    max_samples: int = 0,
 ) -> pb.GetSessionHistoryRequest:
     """The request of ``Client.history``.
 
@@ -90,10 +96,5 @@ def history_from(message: pb.SessionHistory) -> History:
         **{name: column(f"frames_{name}").astype(int) for name in ("applied", "dropped", "late", "rejected")},
         **{name: column(name) for name in ("reliability", "least_reliability", "paper_score", "coverage")},
         **{name: column(name) for name in ("latency", "greatest_latency")},
-        states=tuple(StateChange(c.time.ToDatetime(UTC), _state(c.state)) for c in message.state_changes),
+        states=tuple(StateChange(c.time.ToDatetime(UTC), value_name(pb.SessionState, c.state)) for c in message.state_changes),
     )
-
-
-def _state(state: int) -> str:
-    known = state in pb.SessionState.values()
-    return pb.SessionState.Name(state).removeprefix("SESSION_STATE_").lower() if known else str(state)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ddakf_api.arrays import unpack
-from ddakf_api.codec import CODECS
+from ddakf_api.codec import CODECS, DEPTH_CODECS
 from ddakf_api.errors import ServiceError, from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -124,6 +124,9 @@ class SessionInfo:
         last_sequence, last_timestamp: of the last frame that was applied; 0 when none was.
         etag: changes with every update; see ``Session.update``.
         expire_time: when it expires if nothing more comes.
+        checkpoint_time: when the checkpoint was written from which it would go on after a loss; None: there is none.
+        last_frame_time: when the last frame was applied, the server's clock; None: none was.
+        last_latency: seconds from arrival at the server to the result, of the last frame.
         recoveries, lost: times that it went on from a checkpoint, and tracked frames that were forgotten by that.
         memory: estimate for its worker, bytes.
     """
@@ -154,6 +157,9 @@ class SessionInfo:
     recoveries: int
     lost: int
     memory: int
+    checkpoint_time: datetime | None
+    last_frame_time: datetime | None
+    last_latency: float
 
 
 @dataclass(frozen=True)
@@ -169,6 +175,7 @@ class ServerInfo:
     max_limits: Limits
     draining: bool
     build: str
+    depth_codecs: tuple[str, ...]
 
 
 def result_from(message: pb.Result, *, dropped_before_sending: int, latency: float) -> Result:
@@ -178,7 +185,7 @@ def result_from(message: pb.Result, *, dropped_before_sending: int, latency: flo
     return Result(
         sequence=message.sequence_number,
         timestamp=message.capture_time,
-        state=_name(pb.TrackerState, message.state),
+        state=value_name(pb.TrackerState, message.state),
         vertices=_array(message, "vertices", 3, np.empty((0, 3), np.float32)),
         sigma=_array(message, "sigma", None, np.empty(0, np.float32)),
         vertex_reliability=_array(message, "vertex_reliability", None, np.empty(0, np.float32)),
@@ -205,7 +212,7 @@ def frame_error_from(message: pb.FrameError) -> FrameError:
 
 
 def notice_from(message: pb.Notice) -> Notice:
-    return Notice(_name(pb.NoticeKind, message.kind), message.message, message.value, message.target)
+    return Notice(value_name(pb.NoticeKind, message.kind), message.message, message.value, message.target)
 
 
 def session_info_from(message: pb.Session) -> SessionInfo:
@@ -213,7 +220,7 @@ def session_info_from(message: pb.Session) -> SessionInfo:
     return SessionInfo(
         name=message.name,
         session_id=message.name.removeprefix("sessions/"),
-        state=_name(pb.SessionState, message.state),
+        state=value_name(pb.SessionState, message.state),
         labels=dict(message.labels),
         create_time=message.create_time.ToDatetime(UTC),
         config=json.loads(message.config_json or "{}"),
@@ -232,11 +239,14 @@ def session_info_from(message: pb.Session) -> SessionInfo:
         last_sequence=statistics.last_sequence_number,
         last_timestamp=statistics.last_capture_time,
         etag=message.etag,
-        expire_time=message.expire_time.ToDatetime(UTC) if message.HasField("expire_time") else None,
+        expire_time=_time(message, "expire_time"),
         late=statistics.frames_late,
         recoveries=statistics.recoveries,
         lost=statistics.frames_lost,
         memory=statistics.memory_bytes,
+        checkpoint_time=_time(message, "checkpoint_time"),
+        last_frame_time=_time(statistics, "last_frame_time"),
+        last_latency=statistics.last_latency,
     )
 
 
@@ -256,11 +266,16 @@ def server_info_from(message: pb.ServerInfo) -> ServerInfo:
         max_limits=_limits_from(message.max_limits),
         draining=message.draining,
         build=message.build,
+        depth_codecs=tuple(name for name, codec in DEPTH_CODECS.items() if codec in message.depth_compressions),
     )
 
 
 def _limits_from(message: pb.SessionLimits) -> Limits:
     return Limits(*(getattr(message, name) for name in Limits._fields))
+
+
+def _time(message, name: str) -> datetime | None:
+    return getattr(message, name).ToDatetime(UTC) if message.HasField(name) else None
 
 
 def _array(message, name: str, components: int | None, missing: np.ndarray | None = None) -> np.ndarray | None:
@@ -269,7 +284,7 @@ def _array(message, name: str, components: int | None, missing: np.ndarray | Non
     return unpack(getattr(message, name), components, field=name, max_items=_MAX_ITEMS)
 
 
-def _name(enum, value: int) -> str:
+def value_name(enum, value: int) -> str:
     """The value's name as the library writes it: without the enum's own name, in lower case."""
     if value not in enum.values():
         return f"unknown_{value}"
