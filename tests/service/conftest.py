@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import grpc
 import httpx
@@ -22,6 +25,7 @@ from ddakf_service.child import ServiceProcess
 from .postgres import Postgres
 
 TIMEOUT = 30.0  # seconds, of every call
+T = TypeVar("T")
 
 
 class Sheet(NamedTuple):
@@ -111,6 +115,27 @@ def is_running(pid: int) -> bool:
         return False
 
 
+def eventually(what: Callable[[], T], seconds: float = TIMEOUT) -> T:
+    """The first true answer."""
+    deadline = time.monotonic() + seconds
+    while not (found := what()):
+        assert time.monotonic() < deadline, "it never came"
+        time.sleep(0.02)
+    return found
+
+
+@contextlib.contextmanager
+def running(arguments: Sequence[str], folder: Path) -> Iterator[ServiceProcess]:
+    """A ready service, which has to end in order; its log is "service.log" in the folder."""
+    process = ServiceProcess(arguments, log=folder / "service.log")
+    try:
+        process.wait_until_ready()
+        yield process
+    finally:
+        status = process.stop()
+    assert status == 0
+
+
 @pytest.fixture(scope="session")
 def sheet() -> Sheet:
     return make_sheet()
@@ -118,13 +143,8 @@ def sheet() -> Sheet:
 
 @pytest.fixture(scope="session")
 def service(tmp_path_factory):
-    process = ServiceProcess(["--workers", "2"], log=tmp_path_factory.mktemp("service") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield process
-    finally:
-        status = process.stop()
-    assert status == 0
+    with running(["--workers", "2"], tmp_path_factory.mktemp("service")) as service:
+        yield service
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,99 @@
+"""A stream that has lost its connection, or is told to go elsewhere, goes on."""
+
+import threading
+import time
+
+import grpc
+import pytest
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import connect, errors
+
+
+@pytest.mark.parametrize("forget", [0, 3])
+def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, mesh, frames, forget):
+    outage.service.delay = 0.01
+    notices, sequences = [], []
+    with connect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        for result in session.track(frames(40), on_notice=notices.append):
+            sequences.append(result.sequence)
+            if result.sequence in (10, 25):
+                outage.strike(forget=forget)
+    assert sequences == sorted(sequences)
+    assert sequences[-1] == 40
+    # what the server tracked without being able to say so is not asked for again
+    tracked = {frame.sequence_number for frame in outage.service.frames}
+    assert tracked == set(range(1, 41))
+    assert [notice.kind for notice in notices] == ["resumed"] * 2
+    assert all(notice.value <= forget for notice in notices)
+
+
+def test_in_realtime_the_newest_frame_alone_is_sent_again(outage, mesh, frames):
+    outage.service.delay = 0.01
+    struck = threading.Event()
+
+    def camera():
+        for i, frame in enumerate(frames(100)):
+            time.sleep(0.01)
+            if i == 30:
+                threading.Thread(target=outage.strike).start()
+                struck.set()
+            yield frame
+
+    with connect(outage.target) as client, client.create_session(*mesh) as session:
+        sequences = [result.sequence for result in session.track(camera(), on_notice=lambda _: None)]
+    assert struck.is_set()
+    assert sequences == sorted(set(sequences))
+    assert sequences[-1] == 100
+
+
+def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, mesh, frames):
+    with connect(outage.target) as client:
+        session = client.create_session(*mesh, flow="lossless")
+        stream = session.track(frames(1000), resume=0.5)
+        next(stream)
+        outage.server.stop(0).wait()
+        with pytest.raises(errors.Unavailable):
+            list(stream)
+    outage.start()
+    with connect(outage.target) as client:
+        stream = client.open_session(session.session_id, flow="lossless").track(frames(1000), resume=0)
+        next(stream)
+        outage.server.stop(0).wait()
+        with pytest.raises(errors.Unavailable):
+            list(stream)
+
+
+def test_a_session_that_is_gone_after_the_outage_is_an_error(outage, mesh, frames):
+    with connect(outage.target) as client:
+        stream = client.create_session(*mesh, flow="lossless").track(frames(1000))
+        next(stream)
+        outage.service.sessions.clear()
+        outage.strike(0)
+        with pytest.raises(errors.SessionNotFound):
+            list(stream)
+
+
+def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
+    """The session waits at the other server, which has tracked its first two frames."""
+    with connect(outage.target) as client:
+        session = client.create_session(*mesh, flow="lossless")
+        moved = service.sessions[session.name] = pb.Session()
+        moved.CopyFrom(outage.service.sessions[session.name])
+        moved.statistics.last_sequence_number = 2
+        outage.service.drains_at = 3
+        outage.service.notice = pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message="elsewhere", target=service.target)
+        sequences = [result.sequence for result in session.track(frames(6), on_notice=lambda _: None)]
+        assert client.target == service.target
+        assert session.info().applied == 4
+    assert sequences == [1, 2, 3, 4, 5, 6]
+
+
+def test_one_connection_per_server_however_often_a_client_is_moved(outage, service, monkeypatch):
+    """As every stream of a client is told where to go on."""
+    opened, open_channel = [], grpc.insecure_channel
+    monkeypatch.setattr(grpc, "insecure_channel", lambda target, options: opened.append(target) or open_channel(target, options))
+    with connect(outage.target) as client:
+        for target in (service.target, service.target, outage.target, service.target):
+            client.move(target)
+            assert client.server_info()
+    assert opened == [outage.target, service.target]

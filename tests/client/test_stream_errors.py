@@ -1,0 +1,126 @@
+"""What goes wrong in a stream: frames, the source, the server; each is an error that says so, and none a hang."""
+
+import time
+
+import numpy as np
+import pytest
+from ddakf_client import Frame, FrameError, connect, errors
+
+
+def test_refused_frames_raise_or_are_yielded(service, mesh, frames):
+    service.refused = {3}
+    with connect(service.target) as client:
+        session = client.create_session(*mesh, flow="lossless")
+        with pytest.raises(errors.InvalidFrame, match="points: expected something else, got this") as refusal:
+            list(session.track(frames(5)))
+        assert refusal.value.sequence == 3
+        with client.create_session(*mesh, flow="lossless") as session:
+            answers = list(session.track(frames(5), on_error="yield"))
+    assert [type(a).__name__ for a in answers] == ["Result", "Result", "FrameError", "Result", "Result"]
+    assert answers[2].sequence == 3
+    assert isinstance(answers[2].error, errors.InvalidFrame)
+
+
+def test_frames_that_cannot_be_sent_raise_or_are_yielded(service, mesh, frames):
+    made = frames(5)
+    made[1] = (np.full((2, 3), np.nan), 0.5)
+    made[3] = "a string"
+    with connect(service.target) as client:
+        session = client.create_session(*mesh, flow="lossless")
+        with pytest.raises(errors.CodecError, match="finite") as refusal:
+            list(session.track(made))
+        assert refusal.value.sequence == 2
+        with client.create_session(*mesh, flow="lossless") as session:
+            answers = list(session.track(made, on_error="yield"))
+    assert {a.sequence for a in answers if isinstance(a, FrameError)} == {2, 4}
+    assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3, 5]
+
+
+def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):
+    made, (bad, field) = frames(3), bad_frame
+    made[1] = bad
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = list(session.track(made, on_error="yield"))
+        with pytest.raises(errors.InvalidFrame, match=rf"^{field}: expected .*, got ") as refusal:
+            list(session.track(made))
+    refused = [a for a in answers if isinstance(a, FrameError)]
+    assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3]
+    assert [(a.sequence, a.error.field, type(a.error)) for a in refused] == [(2, field, type(refusal.value))]
+    assert refusal.value.field == field
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("error", [ValueError("ragged"), errors.InvalidFrame("of the camera"), SystemExit(3)])
+@pytest.mark.parametrize("on_error", ["raise", "yield"])
+def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
+    def source():
+        yield from frames(1)
+        raise error
+
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(type(error)) as raised:
+            list(session.track(source(), on_error=on_error, timeout=3))
+        assert raised.value is error
+
+
+def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, frames):
+    service.refused, service.delay = set(range(1, 100)), 0.002
+    with connect(service.target) as client, client.create_session(*mesh) as session:
+        answers = list(session.track(frames(99), on_error="yield", timeout=2))
+    assert answers[-1].sequence == 99
+
+
+def test_an_error_of_the_source_comes_through(service, mesh, frames):
+    def source():
+        yield from frames(2)
+        raise OSError("the camera was unplugged")
+
+    with (
+        connect(service.target) as client,
+        client.create_session(*mesh, flow="lossless") as session,
+        pytest.raises(OSError, match="unplugged"),
+    ):
+        list(session.track(source()))
+    assert service.sessions == {}
+
+
+def test_a_lost_worker_is_a_retryable_error(service, mesh, frames):
+    service.lost_from = 3
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        with pytest.raises(errors.WorkerLost, match="was killed") as lost:
+            list(session.track(frames(5)))
+        assert lost.value.retryable
+        assert lost.value.retry_after == 1.5
+
+
+def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
+    service.silent_from = 2
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        begun = time.monotonic()
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
+            list(session.track(frames(3), timeout=0.3))
+        assert time.monotonic() - begun < 2
+        service.starts = False
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to the start of the stream within 0\.2 s"):
+            list(session.track(frames(3), timeout=0.2))
+
+
+@pytest.mark.parametrize("flow", ["lossless", "realtime"])
+def test_a_stream_that_ends_early_is_an_error(service, mesh, frames, flow):
+    service.ends_at = 2
+    with (
+        connect(service.target) as client,
+        client.create_session(*mesh, flow=flow) as session,
+        pytest.raises(errors.Unavailable, match="the server ended the stream before"),
+    ):
+        list(session.track(frames(9)))
+
+
+def test_a_message_above_the_limit_is_an_error_not_a_hang(service, mesh):
+    large = [Frame(np.random.default_rng(0).uniform(-1, 1, (400_000, 3)), 0.0)]
+    with (
+        connect(service.target, max_message_bytes=1 << 20) as client,
+        client.create_session(*mesh, codec="raw") as session,
+        pytest.raises(errors.ResourceExhausted),
+    ):
+        list(session.track(large))
