@@ -81,8 +81,9 @@ class Records:
         back from now on, for as long as they might have after leaving a stream.
 
         Raises:
-            Unavailable: the database cannot be reached.
+            Unavailable: the database cannot be reached, or another server may have them.
         """
+        self._store.require_name()
         records = await self._store.registry.alive(self._store.server_id)
         return [_session(record) for record in records]
 

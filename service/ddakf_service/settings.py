@@ -116,7 +116,7 @@ class Settings(BaseSettings):
         default_factory=socket.gethostname,
         min_length=1,
         max_length=255,
-        description="name of this server among those of one database: it restores the sessions of its name alone",
+        description="name of this server among those of one database, its own: it restores the sessions of its name alone",
     )
 
     allow_anonymous: bool = Field(False, description="calls without a key are allowed on addresses other than loopback, too")

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
+from ddakf_api.errors import Unavailable
 
 from .checkpoints import Checkpoints
 from .database import IN_MEMORY, Database
 from .folder import DataFolder
 from .history import History
+from .name import ServerName
 from .registry import Registry, SessionRecord, new_uid
 
 if TYPE_CHECKING:
@@ -23,6 +25,7 @@ __all__ = ["Checkpoints", "Database", "History", "Registry", "SessionRecord", "S
 NOTHING = "none"  # data_dir of a server that keeps nothing
 _DAY = 86400.0
 _KEPT_IN_MEMORY = 3600.0  # seconds of history and of ended sessions, where there is no place for more
+_RETRY_AFTER = 1.0  # seconds
 
 
 class Store:
@@ -36,11 +39,13 @@ class Store:
         checkpoints: None where there is neither a ``data_dir`` nor a ``checkpoint_url``.
 
     Raises:
-        InvalidConfig: naming the setting: ``data_dir`` is another server's or cannot be written; a URL cannot be used.
+        InvalidConfig: naming the setting: ``data_dir`` or, in a PostgreSQL, ``server_id`` is another server's; the folder
+            cannot be written; a URL cannot be used.
     """
 
     def __init__(self, settings: Settings, metrics: Metrics):
         self.server_id = settings.server_id
+        self._name: ServerName | None = None
         self._folder = None if settings.data_dir == NOTHING else DataFolder(Path(settings.data_dir).expanduser())
         try:
             self.database = Database(database_url(settings), metrics)
@@ -51,6 +56,7 @@ class Store:
             folder = re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
             self.checkpoints = Checkpoints(url, folder, settings.checkpoint_keep, metrics) if url else None
             self.database.open()
+            self._take_name()
         except BaseException:
             self._release()
             raise
@@ -60,7 +66,13 @@ class Store:
     def problems(self) -> list[str]:
         """One sentence for each part that does not work now."""
         parts = [self.database, *([self.checkpoints] if self.checkpoints is not None else [])]
-        return [part.condition.problem for part in parts if part.condition.problem]
+        problems = [part.condition.problem for part in parts]
+        return [problem for problem in (*problems, self._name.problem if self._name else "") if problem]
+
+    def require_name(self) -> None:
+        """Raises :class:`Unavailable` while another server may have the sessions of this one's name."""
+        if self._name is not None and self._name.problem:
+            raise Unavailable(f"{self._name.problem}; try again later", retry_after=_RETRY_AFTER)
 
     def close(self) -> None:
         """Writes what waits, as far as that works within some seconds, and lets go of the folder; blocks."""
@@ -68,7 +80,20 @@ class Store:
         if self.checkpoints is not None:
             self.checkpoints.close()
         self.database.close()
+        if self._name is not None:
+            self._name.release()
         self._release()
+
+    def _take_name(self) -> None:
+        """Of the servers of one PostgreSQL one alone has a name; an SQLite in ``data_dir`` is one server's with it."""
+        if engine := self.database.lasting_connections():
+            name = ServerName(engine, self.server_id)
+            try:
+                name.take()
+            except BaseException:
+                self.database.close()
+                raise
+            self._name = name
 
     def _release(self) -> None:
         if self._folder is not None:

@@ -46,6 +46,8 @@ _READERS = 4  # threads
 _READ_PATIENCE = 5.0  # seconds that a reader waits for a connection, and a connection attempt may take
 _RETRY_AFTER = 5.0  # seconds, told to who wanted to read
 _MIGRATION_LOCK = 0x6464616B66  # of PostgreSQL's advisory locks; "ddakf"
+# With these PostgreSQL notices within half a minute that the host of a connection is gone, and lets go of its locks.
+_KEEPALIVES = " -c tcp_keepalives_idle=10 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
 
 _INSERTS = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 _POSTGRES_ARGUMENTS = {
@@ -166,6 +168,16 @@ class Database:
         self._thread = threading.Thread(target=self._run, name="database", daemon=True)
         # Of its own, for who waits for an unreachable database shall not keep others from a thread.
         self._readers = ThreadPoolExecutor(_READERS, "database-reader")
+
+    def lasting_connections(self) -> sa.Engine | None:
+        """An engine for connections that are held, statement by statement, and let go of soon after their host has gone; None
+        where there is no server that would notice."""
+        if self._engine.dialect.name != "postgresql":
+            return None
+        arguments = {**_POSTGRES_ARGUMENTS, "options": _POSTGRES_ARGUMENTS["options"] + _KEEPALIVES}
+        return sa.create_engine(
+            self._engine.url, poolclass=sa.NullPool, isolation_level="AUTOCOMMIT", hide_parameters=True, connect_args=arguments
+        )
 
     def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> Queue:
         """A queue whose rows ``write`` brings into the database.

@@ -1,0 +1,105 @@
+"""The name of a server, held among those of one PostgreSQL for as long as the server runs."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import threading
+from time import monotonic
+
+import sqlalchemy as sa
+from sqlalchemy.exc import SQLAlchemyError
+
+from ddakf.errors import InvalidConfig
+
+from .condition import sentence_of
+
+log = logging.getLogger(__name__)
+
+_PATIENCE = 3.0  # seconds for which a start waits for the connection of a predecessor to end
+_PAUSE = 0.2  # seconds between its attempts
+_LOOK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between looks at the connection, while it holds the name and while not
+_ERRORS = (SQLAlchemyError, OSError)
+
+
+class ServerName:
+    """``server_id``, as an advisory lock of PostgreSQL on a connection of its own: a second server of the name is refused at
+    its start. A connection that is lost is made again, in a thread; meanwhile another server may take the name.
+
+    Args:
+        engine: of connections that are not pooled, each statement on its own. It is disposed of at the end.
+
+    Attributes:
+        problem: one sentence while the name is not held; empty while it is.
+    """
+
+    def __init__(self, engine: sa.Engine, server_id: str):
+        self._engine, self._server_id = engine, server_id
+        digest = hashlib.sha256(f"ddakf server {server_id}".encode()).digest()
+        self._key = int.from_bytes(digest[:8], "big", signed=True)  # PostgreSQL has its locks by number
+        self._connection: sa.Connection | None = None
+        self.problem = f"server_id {server_id!r} is not held in the database yet"
+        self._closing = threading.Event()
+        self._thread = threading.Thread(target=self._keep, name="server-id", daemon=True)
+
+    def take(self) -> None:
+        """Holds the name from now on; blocks. From a database that cannot be reached now it is had later.
+
+        Raises:
+            InvalidConfig: another server has it.
+        """
+        deadline = monotonic() + _PATIENCE
+        try:
+            while not self._try():
+                if monotonic() > deadline:
+                    self._drop()
+                    self._engine.dispose()
+                    raise InvalidConfig("server_id", "a name that no other server of this database has", repr(self._server_id))
+                self._closing.wait(_PAUSE)
+        except _ERRORS as error:
+            self._fails(f"server_id {self._server_id!r} cannot be held: {sentence_of(error)}")
+        self._thread.start()
+
+    def release(self) -> None:
+        """Lets another server have the name; blocks."""
+        self._closing.set()
+        if self._thread.ident is not None:
+            self._thread.join()
+        self._drop()
+        self._engine.dispose()
+
+    def _keep(self) -> None:
+        while not self._closing.wait(_RETRY_INTERVAL if self.problem else _LOOK_INTERVAL):
+            try:
+                self._look()
+            except _ERRORS as error:
+                self._fails(f"server_id {self._server_id!r} is not held any more: {sentence_of(error)}")
+
+    def _look(self) -> None:
+        if not self.problem:
+            self._connection.execute(sa.select(1))
+        elif not self._try():
+            self._fails(f"server_id {self._server_id!r} is held by another server of this database: give each its own")
+
+    def _try(self) -> bool:
+        """Whether the name is held now."""
+        if self._connection is None:
+            self._connection = self._engine.connect()
+        if self._connection.execute(sa.select(sa.func.pg_try_advisory_lock(self._key))).scalar_one():
+            if self._thread.ident is not None:
+                log.info("server_id %r is held again", self._server_id)
+            self.problem = ""
+        return not self.problem
+
+    def _fails(self, problem: str) -> None:
+        self._drop()  # SQLAlchemy would connect again silently, without the lock
+        before, self.problem = self.problem, problem
+        if before != problem:
+            log.error("%s; tracking goes on, and this is tried again", problem)
+
+    def _drop(self) -> None:
+        """Closes the connection, and with it the lock."""
+        if self._connection is not None:
+            connection, self._connection = self._connection, None
+            connection.invalidate()
+            connection.close()
