@@ -281,12 +281,18 @@ class Stream:
         frame, session = waiting.frame, self.session
         turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
         payload = frame.SerializeToString()
+
+        async def once() -> pb.Result:
+            most = session.limits.max_points
+            answer = await self._pool.submit(session.id, payload, self._options, max_points=most, turn_by=turn_by)
+            return pb.Result.FromString(answer)
+
         try:
-            return pb.Result.FromString(await self._pool.submit(session.id, payload, self._options, turn_by=turn_by))
+            return await once()
         except WorkerLost:
             self._durability.lost(session)
             await self._durability.seat(session)
-        return pb.Result.FromString(await self._pool.submit(session.id, payload, self._options, turn_by=turn_by))
+        return await once()
 
     def _check_order(self, frame: pb.Frame) -> None:
         last = self.session.statistics.last_sequence_number

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import signal
 from dataclasses import replace
@@ -12,7 +13,7 @@ from ddakf_api import codec
 from ddakf_api.arrays import pack_mesh, unpack
 from ddakf_api.errors import DeadlineExceeded
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import Frame, FrameError
+from ddakf_client import Frame, FrameError, Limits
 
 import ddakf
 from ddakf import depth as depths
@@ -90,6 +91,24 @@ def test_pixels_of_low_confidence_are_no_measurement(client):
     unsure, sure = (tracked(client, images(confidence=none, min_confidence=least))[-1] for least in (100, 99))
     assert unsure.coverage == 0
     assert sure.coverage > 0.5
+
+
+def test_a_session_s_own_bound_holds_for_what_a_depth_image_measures(client):
+    """Pixels that the mask leaves out, and fliers, are no points."""
+    depth, mask = (array.astype(np.float32) if array.dtype == float else array for array in seen(1))
+    count = int(np.count_nonzero(mask & depths.without_fliers(depth, depths.largest_step(depth, 150.0))))
+    with client.create_session(SHEET, flow="lossless", limits=Limits(max_points=count - 1)) as session:
+        first, second = itertools.islice(images(), 2)
+        (refused,) = session.track([first], on_error="yield")
+        assert isinstance(refused, FrameError)
+        assert f"at most {count - 1} pixels" in str(refused.error)
+        assert str(count) in str(refused.error)
+        session.update(limits=Limits(max_points=count))
+        (result,) = session.track([first])
+        assert result.coverage > 0.5
+        cloud = Frame(SHEET.vertices[:1].repeat(count + 1, 0), second.timestamp)
+        (refused,) = session.track([cloud], on_error="yield")
+        assert isinstance(refused, FrameError)
 
 
 def test_a_depth_image_without_points_is_a_frame_without_measurements(client):

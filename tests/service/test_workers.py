@@ -76,7 +76,8 @@ def creation(sheet) -> bytes:
 
 
 async def track(pool, session_id: str, frame: pb.Frame, **options) -> pb.Result:
-    payload = await pool.submit(session_id, frame.SerializeToString(), pb.ResultOptions(**options).SerializeToString())
+    options = pb.ResultOptions(**options).SerializeToString()
+    payload = await pool.submit(session_id, frame.SerializeToString(), options, max_points=LIMITS.max_points)
     return pb.Result.FromString(payload)
 
 
@@ -222,7 +223,7 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
     options = pb.ResultOptions(include_covariance=True).SerializeToString()
     for i, pair in enumerate(results, 1):
         frame = frame_of(sheet, i, shift=(0.001 * i, 0, 0)).SerializeToString()
-        expected = pb.Result.FromString(undisturbed.frame("one", wire.join(options, frame)))
+        expected = pb.Result.FromString(undisturbed.frame("one", wire.join(options, frame, LIMITS.max_points)))
         assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
     await until(lambda: pool.health().spares == 1)
 
@@ -273,7 +274,7 @@ async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
     await asyncio.gather(submit("greedy", range(1, 31)), submit("modest", range(1, 11)))
     assert order.index("modest") <= 2
     assert order[:18].count("modest") >= 8
-    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", turn_by=0.0)
+    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", max_points=LIMITS.max_points, turn_by=0.0)
     with pytest.raises(DeadlineExceeded):
         await late
     assert (await track(pool, "modest", frame_of(sheet, 11))).sequence_number == 11
@@ -396,7 +397,7 @@ async def test_a_worker_that_is_not_ready_in_time_fails_the_start():
 
 async def test_an_unknown_session_of_a_worker_is_not_found():
     with pytest.raises(SessionNotFound):
-        compute().frame("none", b"\0\0\0\0")
+        compute().frame("none", wire.join(b"", b"", 1))
 
 
 def compute():

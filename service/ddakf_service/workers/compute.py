@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 
 from ddakf_api.codec import DracoDecoder
@@ -44,7 +45,7 @@ class Compute:
         kernels.warm(progress)
         request, frame = messages.warm_up_session()
         self.open("warm-up", request.SerializeToString())
-        self._track("warm-up", frame, pb.ResultOptions(include_covariance=True))
+        self._track("warm-up", frame, pb.ResultOptions(include_covariance=True), self._limits)
         self.close("warm-up", b"")
 
     def open(self, session_id: str, payload: bytes) -> bytes:
@@ -66,9 +67,10 @@ class Compute:
         return messages.opened(tracker).SerializeToString()
 
     def frame(self, session_id: str, payload: bytes) -> bytes:
-        """ResultOptions and Frame in, Result out."""
-        options, frame = split(payload)
-        return self._track(session_id, pb.Frame.FromString(frame), pb.ResultOptions.FromString(options))
+        """ResultOptions, Frame and the session's bound on its points in, Result out."""
+        options, frame, max_points = split(payload)
+        limits = replace(self._limits, max_points=min(max_points, self._limits.max_points))
+        return self._track(session_id, pb.Frame.FromString(frame), pb.ResultOptions.FromString(options), limits)
 
     def reset(self, session_id: str, payload: bytes) -> bytes:
         """ResetSessionRequest in."""
@@ -94,12 +96,12 @@ class Compute:
         self._trackers.pop(session_id, None)
         return b""
 
-    def _track(self, session_id: str, frame: pb.Frame, options: pb.ResultOptions) -> bytes:
+    def _track(self, session_id: str, frame: pb.Frame, options: pb.ResultOptions, limits: Limits) -> bytes:
         started = perf_counter()
         tracker = self._tracker(session_id)
         messages.require_known_encodings(options)
         ahead = messages.seconds_ahead(frame)
-        arguments = messages.step_arguments(frame, self._limits, self._draco)
+        arguments = messages.step_arguments(frame, limits, self._draco)
         decoded = perf_counter()
         with messages.frame_fields(frame):
             outcome = tracker.step(**arguments)

@@ -95,13 +95,15 @@ class LocalPool:
     async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         return await self._place(wire.Kind.RESTORE, session_id, request, memory)
 
-    async def submit(self, session_id: str, frame: bytes, options: bytes, *, turn_by: float = math.inf) -> bytes:
+    async def submit(
+        self, session_id: str, frame: bytes, options: bytes, *, max_points: int, turn_by: float = math.inf
+    ) -> bytes:
         home = self._home(session_id)
         async with home.lock, home.worker.turns:
             if monotonic() > turn_by:
                 raise DeadlineExceeded("the frame's deadline passed before its turn came")
             home.worker.frames += 1
-            return await self._call(home.worker, wire.Kind.FRAME, session_id, wire.join(options, frame))
+            return await self._call(home.worker, wire.Kind.FRAME, session_id, wire.join(options, frame, max_points))
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
         return await self._at_home(wire.Kind.CONFIGURE, session_id, request)

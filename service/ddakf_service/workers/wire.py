@@ -9,7 +9,7 @@ import struct
 from typing import NamedTuple
 
 _HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the payload
-_LENGTH = struct.Struct("<I")
+_FRAME = struct.Struct("<II")  # points that the frame may have, bytes of the options
 
 
 class Kind(enum.IntEnum):
@@ -41,15 +41,16 @@ class Message(NamedTuple):
         return _HEADER.pack(self.kind, self.number, len(session_id), len(self.payload)) + session_id
 
 
-def join(first: bytes, second: bytes) -> bytes:
-    """Two serialised messages as one payload."""
-    return b"".join((_LENGTH.pack(len(first)), first, second))
+def join(options: bytes, frame: bytes, max_points: int) -> bytes:
+    """The payload of a FRAME: serialised ResultOptions and Frame, and how many points the session lets it have."""
+    return b"".join((_FRAME.pack(max_points, len(options)), options, frame))
 
 
-def split(payload: bytes) -> tuple[bytes, bytes]:
+def split(payload: bytes) -> tuple[bytes, bytes, int]:
     """The inverse of :func:`join`."""
-    end = _LENGTH.size + _LENGTH.unpack_from(payload)[0]
-    return payload[_LENGTH.size : end], payload[end:]
+    max_points, size = _FRAME.unpack_from(payload)
+    end = _FRAME.size + size
+    return payload[_FRAME.size : end], payload[end:], max_points
 
 
 async def read(reader: asyncio.StreamReader) -> Message:
