@@ -12,7 +12,8 @@ goes on moving), and reappears displaced by up to 1 m horizontally and turned by
 after 15 frames (mean of frames 13 to 17) the state is not lost and the RMSE is at most twice that of a run that is started
 at the truth where the garment reappears, or 15 mm where that is more; the vertex RMSE where the garment has sleeves or
 legs, the normal RMSE where it looks alike from several sides, so that it is found by its shape, but not its heading. Beside
-it, and stricter, normal and vertex RMSE of all garments within twice, without the 15 mm.
+it, and stricter, normal and vertex RMSE of all garments within twice, without the 15 mm. And what it costs: CPU time of the
+first frame after the loss, and this and the mean of the four after it in units of the median frame of the run from the truth.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import argparse
 import json
 import multiprocessing
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -31,11 +33,14 @@ from inputs import sequences
 from scipy.spatial.transform import Rotation
 
 import ddakf
+from ddakf import kernels
 from ddakf.evaluation import trials
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
+from ddakf.initialize import SETTLING
 from ddakf.sequence import Sequence
 
+COSTS = ("ms_searched", "times_searched", "times_settling")
 FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: at most, of a garment that reappears
 AWAY = (0.3, 2.5)  # s
 LEAD_IN = 10  # frames tracked before a loss
@@ -75,18 +80,20 @@ class Track:
         self.sequence, self.sensor, self.seed = sequence, sensor, seed
         self.tracker = ddakf.Tracker(ddakf.Mesh(sequence.template, sequence.garment_faces))
         self.tracker.reset(start)
-        self.vertex, self.normal, self.states = [], [], []
+        self.vertex, self.normal, self.states, self.ms = [], [], [], []
 
     def see(self, frame: int, shown: bool = True) -> None:
         """Steps on one frame; on an empty cloud where nothing is shown."""
         s = self.sequence
         cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]))
+        begun = time.thread_time()
         result = self.tracker.step(
             cloud.points if shown else NOTHING,
             timestamp=s.timestamp(frame),
             sensor_origin=cloud.sensor_origin if shown else None,
         )
         if shown:
+            self.ms.append(1e3 * (time.thread_time() - begun))
             truth = s.garment_vertices[frame]
             self.vertex.append(rmse_mm(result.vertices, truth))
             self.normal.append(normal_rmse_mm(result.vertices, truth, s.garment_faces))
@@ -128,9 +135,15 @@ def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
     for frame in frames:
         lost.see(frame)
         sure.see(frame)
-    for values in (lost.vertex, lost.normal, lost.states):
+    for values in (lost.vertex, lost.normal, lost.states, lost.ms):
         del values[:before]
-    return compared(sequence.name, view, seed, sure, lost)
+    return compared(sequence.name, view, seed, sure, lost) | cost(sure, lost)
+
+
+def cost(sure: Track, lost: Track) -> dict[str, float]:
+    """CPU time of the frame that is searched, milliseconds, and over the median frame from the truth its and the next ones'."""
+    searched, settling, usual = lost.ms[0], np.mean(lost.ms[1 : 1 + SETTLING]), np.median(sure.ms)
+    return dict(zip(COSTS, (round(searched, 1), round(searched / usual, 2), round(settling / usual, 2)), strict=True))
 
 
 def compared(name: str, view: str, seed: int, sure: Track, other: Track) -> dict:
@@ -156,6 +169,7 @@ def one(job: tuple[str, str, str, int]) -> dict:
     """A case in a process of its own."""
     kind, name, view, seed = job
     if not _SEQUENCES:
+        kernels.warm()
         _SEQUENCES.update({sequence.name: sequence for sequence in sequences()})
     return CASES[kind](_SEQUENCES[name], view, seed)
 
@@ -183,6 +197,11 @@ def rates(cases: list[dict]) -> dict:
     return out
 
 
+def costs(cases: list[dict]) -> dict[str, list[float]]:
+    """10 %, median and 90 % of what :func:`cost` says, over the cases."""
+    return {what: np.percentile([case[what] for case in cases], [10, 50, 90]).round(2).tolist() for what in COSTS}
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", metavar="PART", default=list(CASES), help="starts, losses (default both)")
@@ -204,6 +223,10 @@ def main() -> int:
                 if sys.stderr.isatty() or not (case["normal_found"] and case["vertex_found"]):
                     print(part, len(cases), case, file=sys.stderr, flush=True)
             report[part] = {"rates": rates(cases), "cases": cases}
+            if part == "losses":
+                report[part]["costs"] = costs(cases)
+                for what, (low, median, high) in report[part]["costs"].items():
+                    print(f"{part}: {what}: median {median}, 10 % and 90 % {low} and {high}")
             for what, rate in report[part]["rates"].items():
                 low, high = rate["interval"]
                 print(f"{part}: {what}: {rate['found']} of {rate['of']} ({100 * low:.0f} to {100 * high:.0f} %)")
