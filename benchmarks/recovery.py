@@ -142,8 +142,9 @@ def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
 
 def cost(sure: Track, lost: Track) -> dict[str, float]:
     """CPU time of the frame that is searched, milliseconds, and over the median frame from the truth its and the next ones'."""
-    searched, settling, usual = lost.ms[0], np.mean(lost.ms[1 : 1 + SETTLING]), np.median(sure.ms)
-    return dict(zip(COSTS, (round(searched, 1), round(searched / usual, 2), round(settling / usual, 2)), strict=True))
+    usual = np.median(sure.ms)
+    costs = lost.ms[0], lost.ms[0] / usual, np.mean(lost.ms[1 : 1 + SETTLING]) / usual
+    return {what: round(float(value), 2) for what, value in zip(COSTS, costs, strict=True)}
 
 
 def compared(name: str, view: str, seed: int, sure: Track, other: Track) -> dict:
