@@ -17,7 +17,6 @@ import numpy as np
 
 from ddakf import Config, Mesh, data
 from ddakf.evaluation import metrics
-from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.methods import ablations, named
 from ddakf.evaluation.source import Frame
 
@@ -92,7 +91,7 @@ def against_icp(settings) -> list[dict]:
     sequence = inputs.resampled(inputs.shortened(data.sample(), settings.icp_frames), vertices)
     run = inputs.run_of(sequence, settings.icp_frames, "full", points)
     garment = Mesh(sequence.template, sequence.garment_faces)
-    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", *BASELINES)}
+    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", "nicp", "nicp-12")}
     times, errors = defaultdict(list), defaultdict(list)
     for number, cloud, how in run.frames():
         frame = Frame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, sequence.garment_vertices[number])

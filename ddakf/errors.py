@@ -44,3 +44,7 @@ class InvalidSnapshot(InvalidArgument):
 
 class MissingDependency(DdakfError, ImportError):
     """An optional package, or a system library that it needs, is absent; the message says what to install."""
+
+
+class NotApplicable(DdakfError):
+    """A method that cannot be used here, in one sentence: no body, or an optional package that is absent."""

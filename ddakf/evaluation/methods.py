@@ -12,7 +12,7 @@ import numpy as np
 
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.baselines import BASELINES, baseline
+from ddakf.evaluation.baselines import BASELINES, NOTHING_SAID, Scored, baseline
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.tracker import Tracker
@@ -100,8 +100,8 @@ def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None
     return step
 
 
-def _baseline(name: str, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
-    method = baseline(name)
+def _baseline(name: str, scored: Scored, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    method = baseline(name, scored)
     method.start(garment, start, body)
 
     def step(frame: Frame) -> Estimate:
@@ -110,10 +110,14 @@ def _baseline(name: str, garment: Mesh, start: np.ndarray, body: Mesh | None) ->
     return step
 
 
-def named(variant: str) -> Callable[[Mesh, np.ndarray, Mesh | None], Method]:
+def named(variant: str, scored: Scored = NOTHING_SAID) -> Callable[[Mesh, np.ndarray, Mesh | None], Method]:
     """What makes a method from garment, start (V, 3) in metres and body: a baseline, or a tracker of a :func:`configuration`.
 
+    Args:
+        variant: name of either.
+        scored: what a baseline will be scored on.
+
     Raises:
-        InvalidArgument: no such variant.
+        InvalidArgument: no such variant. What is made may raise NotApplicable.
     """
-    return partial(_baseline, variant) if variant in BASELINES else partial(_tracker, configuration(variant))
+    return partial(_baseline, variant, scored) if variant in BASELINES else partial(_tracker, configuration(variant))

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
 from ddakf.mesh import Mesh
+
+
+class Scored(NamedTuple):
+    """What a method is about to be scored on; empty where nobody says. Only what was trained looks at it, to leave it out."""
+
+    name: str = ""  # of the sequence
+    garment: str = ""
+    motion: str = ""
+
+
+NOTHING_SAID = Scored()
 
 
 class Baseline(Protocol):
@@ -22,6 +33,9 @@ class Baseline(Protocol):
             garment: its vertices are the rest shape.
             vertices: (V, 3) where the garment is before the first frame, metres.
             body: in the pose of the start, or None; what knows no body ignores it.
+
+        Raises:
+            NotApplicable: it cannot be used here; the sentence says what it lacks.
         """
 
     def step(
@@ -38,18 +52,23 @@ class Baseline(Protocol):
         """
 
 
-BASELINES: dict[str, Callable[[], Baseline]] = {
-    "nicp": NonRigidIcp,
-    "nicp-12": lambda: NonRigidIcp(TWELVE_ITERATIONS),
+BASELINES: dict[str, Callable[[Scored], Baseline]] = {
+    "nicp": lambda scored: NonRigidIcp(),
+    "nicp-12": lambda scored: NonRigidIcp(TWELVE_ITERATIONS),
 }
 
 
-def baseline(name: str) -> Baseline:
+def baseline(name: str, scored: Scored = NOTHING_SAID) -> Baseline:
     """A baseline by its name.
+
+    Args:
+        name: one of :data:`BASELINES`.
+        scored: what it will be scored on.
 
     Raises:
         InvalidArgument: none of that name.
+        NotApplicable: it cannot be used here, for want of a package for instance.
     """
     if name not in BASELINES:
         raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}", repr(name))
-    return BASELINES[name]()
+    return BASELINES[name](scored)
