@@ -1,0 +1,75 @@
+"""Folders of point clouds: a .ply, .obj, .xyz, .txt, .csv or .pcd file per frame."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.evaluation.datasets.recording import positive_rate
+from ddakf.evaluation.sensors import Cloud
+from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
+from ddakf.mesh import Mesh
+
+
+@dataclass(frozen=True, eq=False)
+class FolderRecording:
+    """A folder with one file of points per frame, in the order of the numbers in their names; units and axes are
+    theirs.
+
+    Attributes:
+        name: of the folder.
+        paths: of the frames.
+        fps: frames per second.
+    """
+
+    name: str
+    paths: tuple[Path, ...]
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def timestamp(self, frame: int) -> float:
+        """Seconds since frame 0."""
+        return frame / self.fps
+
+    def cloud(self, frame: int) -> Cloud:
+        """The points of one frame; where the sensor was is not known."""
+        return Cloud(read_points(self.paths[frame]).astype(np.float32), None)
+
+    def template(self, frame: int = 0) -> Mesh:
+        """The mesh that a frame's file holds, cleaned.
+
+        Raises:
+            InvalidArgument: it holds points only.
+        """
+        if self.paths[frame].suffix.lower() not in MESH_SUFFIXES:
+            raise InvalidArgument("template", "a mesh file, as the frames are points", "none")
+        try:
+            return Mesh.cleaned(*read_mesh(self.paths[frame]))[0]
+        except InvalidFile as error:
+            raise InvalidArgument("template", "a mesh file, as the frames are points", "none") from error
+
+
+def load_folder(path, fps: float = 30.0) -> FolderRecording:
+    """Opens a folder of .ply, .obj, .xyz, .txt, .csv or .pcd frames, read as they are asked for.
+
+    Raises:
+        InvalidFile: no such folder, or no frames in it.
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise InvalidFile(str(path), "a folder of frames", "no folder")
+    paths = tuple(sorted((entry for entry in path.iterdir() if entry.suffix.lower() in POINT_SUFFIXES), key=by_number))
+    if not paths:
+        raise InvalidFile(str(path), f"frames ({', '.join(POINT_SUFFIXES)})", "none in the folder")
+    return FolderRecording(path.name, paths, positive_rate(fps))
+
+
+def by_number(path: Path) -> list[int]:
+    """Orders frames by the numbers in their names."""
+    return [int(digits) for digits in re.findall(r"\d+", path.name)] or [0]

@@ -1,0 +1,87 @@
+"""What recordings of real sensors have in common: frames of points without ground truth, of depth images or of files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Ordered
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from ddakf.depth import without_fliers
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.camera import Camera
+from ddakf.evaluation.depth_template import JUMP, smoothed, template_from_depth
+from ddakf.evaluation.sensors import Cloud
+from ddakf.mesh import Mesh
+
+MM = 1e-3  # metres
+
+
+class Recording(Protocol):
+    """Frames of a sensor without ground truth."""
+
+    name: str
+    fps: float
+
+    def __len__(self) -> int: ...
+
+    def timestamp(self, frame: int) -> float:
+        """Seconds since frame 0."""
+
+    def cloud(self, frame: int) -> Cloud: ...
+
+    def template(self, frame: int = 0) -> Mesh:
+        """A garment mesh from one frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class DepthRecording:
+    """Depth images of one camera, background removed.
+
+    Attributes:
+        name: of the file, without its ending.
+        depth: T images (H, W) uint16 millimetres, 0 where nothing was seen: an array, or what reads them as they are asked for.
+        camera: in whose world the points are.
+        fps: frames per second.
+        smooth: even out the sensor's depth steps (22 mm at 2.8 m), which otherwise make every local plane face the
+            camera. Tracking without it ends 10-30 % farther from the points as they were measured.
+        times: (T,) seconds, or None where the frames are evenly spaced.
+    """
+
+    name: str
+    depth: np.ndarray | Ordered[np.ndarray]
+    camera: Camera
+    fps: float
+    smooth: bool = True
+    times: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.depth)
+
+    def timestamp(self, frame: int) -> float:
+        """Seconds since frame 0."""
+        return frame / self.fps if self.times is None else float(self.times[frame] - self.times[0])
+
+    def cloud(self, frame: int) -> Cloud:
+        """The points of one frame without those that float behind edges, and the camera's position."""
+        depth = self.depth[frame] * MM
+        if self.smooth:
+            depth = smoothed(depth, JUMP, passes=1)
+        points = self.camera.unproject(depth, without_fliers(depth, JUMP))
+        return Cloud(points.astype(np.float32), self.camera.eye)
+
+    def template(self, frame: int = 0) -> Mesh:
+        """Grid mesh of one frame, about 3,000 vertices."""
+        return template_from_depth(self.depth[frame] * MM, self.camera)
+
+
+def positive_rate(fps: float) -> float:
+    """Frames per second, if they make sense.
+
+    Raises:
+        InvalidArgument: they do not.
+    """
+    if not 0 < fps < np.inf:
+        raise InvalidArgument("fps", "a positive number", str(fps))
+    return float(fps)
