@@ -7,17 +7,20 @@ import functools
 import logging
 
 import grpc
-from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, ServiceError, class_of, to_detail
+from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, MessageTooLarge, ServiceError, class_of, to_detail
 from ddakf_api.transport import server_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from google.protobuf import empty_pb2
+from google.protobuf.message import Message
+from google.protobuf.message_factory import GetMessageClass
 from grpc_health.v1 import health, health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha import reflection
 
 from ddakf import errors as library
 
 from .info import server_info
+from .parts import parsed
 from .sessions import Sessions
 from .settings import Settings
 from .status_details import shortened, trailers
@@ -27,7 +30,8 @@ from .trust.tls import Tls
 
 log = logging.getLogger(__name__)
 
-SERVICE_NAME = pb.DESCRIPTOR.services_by_name["TrackingService"].full_name
+_SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
+SERVICE_NAME = _SERVICE.full_name
 
 
 def _answering_errors(call):
@@ -36,7 +40,7 @@ def _answering_errors(call):
     @functools.wraps(call)
     async def answering(self, request, context):
         try:
-            return await call(self, request, context)
+            return await call(self, _usable(request), context)
         except (ServiceError, library.DdakfError) as error:
             await _abort(context, error)
         except grpc.aio.AbortError:
@@ -51,6 +55,32 @@ def _answering_errors(call):
 async def _abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
     detail, cls = shortened(to_detail(error)), class_of(error)
     await context.abort(cls.status, detail.message, trailers(detail, cls))
+
+
+class BoundedRequests(grpc.aio.ServerInterceptor):
+    """Looks at the requests of the service before they are parsed. One that is refused reaches its method as the error."""
+
+    async def intercept_service(self, continuation, details):
+        handler = await continuation(details)
+        service, _, name = details.method.rpartition("/")
+        if handler is None or service != f"/{SERVICE_NAME}":
+            return handler
+        kind = GetMessageClass(_SERVICE.methods_by_name[name].input_type)
+        return handler._replace(request_deserializer=functools.partial(_parsed, kind))
+
+
+def _parsed(kind: type[Message], data: bytes) -> Message | MessageTooLarge:
+    try:
+        return parsed(kind, data)
+    except MessageTooLarge as error:  # what is raised here gRPC answers by itself, as UNKNOWN
+        return error
+
+
+def _usable(request):
+    """The request; raises what it was refused with."""
+    if isinstance(request, ServiceError):
+        raise request
+    return request
 
 
 class TrackingService(rpc.TrackingServiceServicer):
@@ -104,7 +134,7 @@ class TrackingService(rpc.TrackingServiceServicer):
         patience = self._settings.reader_timeout
         try:
             async with asyncio.timeout(patience):
-                first = await context.read()
+                first = _usable(await context.read())
         except TimeoutError:
             raise DeadlineExceeded(f"no start came within {patience:g} s") from None
         if first is grpc.aio.EOF or first.WhichOneof("message") != "start":
@@ -131,7 +161,7 @@ async def _read(context: grpc.aio.ServicerContext, stream: Stream) -> None:
     """Always reads: an unread stream would buffer frames in the transport, where none can be dropped."""
     try:
         while (request := await context.read()) is not grpc.aio.EOF:
-            await stream.receive(request)
+            await stream.receive(_usable(request))
         stream.finish()
     except Exception as error:  # the connection broke, or the client sent what cannot be parsed
         stream.end(error)
@@ -149,7 +179,7 @@ class GrpcServer:
         self._settings, self._tls = settings, tls
         # Without reuse of the port a second server says that the port is taken, rather than share the clients.
         options = [*server_options(settings.max_message_bytes), ("grpc.so_reuseport", 0)]
-        self._server = grpc.aio.server(options=options, interceptors=[GrpcGuard(guard)])
+        self._server = grpc.aio.server(options=options, interceptors=[GrpcGuard(guard), BoundedRequests()])
         rpc.add_TrackingServiceServicer_to_server(TrackingService(sessions, settings), self._server)
         self._health = health.aio.HealthServicer()
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)

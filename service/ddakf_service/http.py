@@ -6,8 +6,10 @@ import asyncio
 import contextlib
 import socket
 
+import h11
 import uvicorn
 from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ddakf.errors import InvalidConfig
 
@@ -16,6 +18,7 @@ from .settings import Settings
 from .trust.tls import Tls
 from .websocket import WebSocketProtocol
 
+_LAST_WORDS = 1.0  # seconds that the answer to a late request has before its connection is cut
 _STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
 # Bytes that the kernel keeps for one connection. Left alone it keeps megabytes for a slow watcher: seconds that are past.
 _SEND_BUFFER = 1 << 19
@@ -33,7 +36,7 @@ class HttpServer:
         self._settings, self._tls = settings, tls
         config = uvicorn.Config(
             SecurityHeaders(app),
-            http="h11",  # which bounds the headers of a request
+            http=http_protocol(settings.request_timeout + _LAST_WORDS),
             ws=WebSocketProtocol,
             ws_max_size=settings.max_message_bytes,
             ws_ping_interval=settings.keepalive,
@@ -79,6 +82,40 @@ class HttpServer:
             self._following.cancel()
         if self._task:
             await self._task
+
+
+def http_protocol(patience: float) -> type[H11Protocol]:
+    """uvicorn's protocol on h11, which bounds the headers of a request, but a connection whose request is not there, headers
+    and body, ``patience`` seconds after its first byte, or after the connection itself, is cut."""
+
+    class Protocol(H11Protocol):
+        _cutting: asyncio.TimerHandle | None = None
+
+        def connection_made(self, transport: asyncio.Transport) -> None:
+            super().connection_made(transport)
+            self._await_request()
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            self._await_request()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            self._stop_cutting()
+            super().connection_lost(exc)
+
+        def _await_request(self) -> None:
+            upgraded = self.transport.get_protocol() is not self
+            if upgraded or self.conn.their_state not in (h11.IDLE, h11.SEND_BODY):
+                self._stop_cutting()
+            elif self._cutting is None:
+                self._cutting = self.loop.call_later(patience, self.transport.close)
+
+        def _stop_cutting(self) -> None:
+            if self._cutting is not None:
+                self._cutting.cancel()
+                self._cutting = None
+
+    return Protocol
 
 
 class _QuietServer(uvicorn.Server):

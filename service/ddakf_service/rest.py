@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Annotated, Literal
 
 from ddakf_api.errors import (
+    DeadlineExceeded,
     Draining,
     FailedPrecondition,
     InvalidArgument,
@@ -63,9 +64,10 @@ _OCTETS = "application/octet-stream"
 
 _NAMED = errors(SessionNotFound, SessionExpired, InvalidArgument)
 _IN_WORKER = {**_NAMED, **errors(WorkerLost)}
-_JSON = errors(MessageTooLarge)
+_JSON = errors(MessageTooLarge, DeadlineExceeded)
 _CREATED = errors(
-    VersionMismatch, SessionExists, SessionNotFound, SessionExpired, MessageTooLarge, InvalidArgument, ResourceExhausted, Draining
+    *(VersionMismatch, SessionExists, SessionNotFound, SessionExpired, MessageTooLarge, InvalidArgument),
+    *(ResourceExhausted, Draining, DeadlineExceeded),
 )
 
 
@@ -291,7 +293,7 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
     )
     async def restore_session(request: Request, response: Response, query: Annotated[RestoreSession, Query()]) -> SessionOut:
         """A new session that goes on from a snapshot."""
-        data = await rest_bodies.read(request, settings.max_message_bytes)
+        data = await rest_bodies.read(request, settings.max_message_bytes, settings.request_timeout)
         return _created(await sessions.restore(query.to_message(data)), response)
 
 

@@ -21,6 +21,7 @@ from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIO
 
 from ddakf import errors as library
 
+from .parts import parsed, require_few_in_json
 from .sessions import Sessions
 from .stream import Stream
 from .truncation import truncated
@@ -53,7 +54,7 @@ class Binary:
         if (data := event.get("bytes")) is None:
             raise InvalidArgument(field="message", expected="a binary frame, or mode=json", got="a text frame")
         try:
-            return pb.TrackRequest.FromString(data) if data else None
+            return parsed(pb.TrackRequest, data) if data else None
         except DecodeError:
             raise InvalidArgument(
                 field="message", expected="a serialised TrackRequest", got=f"{len(data)} bytes that are none"
@@ -69,6 +70,7 @@ class Json:
     async def parsed(self, event: dict) -> pb.TrackRequest | None:
         if (text := event.get("text")) is None:
             raise InvalidArgument(field="message", expected="a text frame in mode=json", got="a binary frame")
+        require_few_in_json(text)
         try:
             request = await _maybe_in_thread(len(text), json_format.Parse, text or "{}", pb.TrackRequest())
         except (json_format.ParseError, RecursionError) as error:

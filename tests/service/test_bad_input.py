@@ -11,11 +11,16 @@ import numpy as np
 import pytest
 from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import ERRORS, InvalidFrame, ResourceExhausted, from_rpc_error
+from ddakf_api.errors import ERRORS, InvalidFrame, MessageTooLarge, ResourceExhausted, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service import parts
 from ddakf_service.payload import require_payload_within
 from ddakf_service.rest_models import CreateSession, ResetSession
+from google.protobuf import json_format
+from google.protobuf.message import DecodeError
 from pydantic import ValidationError
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
 
 from .conftest import TIMEOUT, Sheet, frame_of, make_sheet, request_of
 
@@ -328,6 +333,61 @@ def test_a_bad_query_is_refused_in_a_sentence(http, path, sentence):
 def test_a_body_of_countless_parts_is_refused_before_they_are_made(http, body):
     answer = http.patch("/v1/sessions/nobody", content=body)
     assert (answer.status_code, answer.json()["error"]["name"]) == (413, "MessageTooLarge")
+
+
+COUNTLESS = [
+    pb.TrackRequest(frame=pb.Frame(sensors=[pb.Sensor()] * 40_000)),
+    pb.TrackRequest(frame=pb.Frame(sensors=[pb.Sensor(pose=pb.Pose(matrix=[0.0] * 10_000))])),
+    pb.CreateSessionRequest(session=pb.Session(labels={str(i): "" for i in range(20_000)})),
+    pb.ListSessionsRequest(states=[pb.SESSION_STATE_IDLE] * 80_000),
+    pb.UpdateSessionRequest(update_mask={"paths": ["labels"] * 20_000}),
+]
+
+
+@pytest.mark.parametrize("message", COUNTLESS, ids=["messages", "numbers", "entries", "enums", "texts"])
+def test_a_message_of_countless_parts_is_refused_before_they_are_made(message):
+    with pytest.raises(MessageTooLarge, match="message: expected at most 16384 parts, got more"):
+        parts.parsed(type(message), message.SerializeToString())
+
+
+def test_a_message_as_large_as_messages_are_is_the_parsers():
+    pose = pb.Pose(matrix=range(12))
+    frame = frame_of(make_sheet(300), 1)
+    frame.sensors.extend([pb.Sensor(pose=pose, point_count=1)] * 64)
+    frame.body_vertices = bytes(12 * 100_000)
+    labels = {"x" * 250 + str(i): "y" * 256 for i in range(64)}
+    session = pb.Session(garment=pack_mesh(*make_sheet(100)), labels=labels)
+    for message in (pb.TrackRequest(frame=frame), pb.CreateSessionRequest(session=session)):
+        data = message.SerializeToString()
+        assert len(data) > 1 << 17
+        assert parts.parsed(type(message), data) == message
+
+
+@pytest.mark.parametrize("end", [b"\x0a", b"\x0a\xff", b"\xff" * 40, b"\x0a\x05a", b"\x0f"])
+def test_a_message_that_is_cut_off_is_none(end):
+    with pytest.raises(DecodeError):
+        parts.parsed(pb.TrackRequest, pb.TrackRequest(frame=pb.Frame(body_vertices=bytes(1 << 17))).SerializeToString() + end)
+
+
+def test_messages_of_countless_parts_are_refused_over_grpc(api, session):
+    with pytest.raises(MessageTooLarge, match="parts"):
+        api.call("CreateSession", COUNTLESS[2])
+    with pytest.raises(MessageTooLarge, match="parts"):
+        list(api.track(session, COUNTLESS[:1]))
+    assert api.get(session).statistics.frames_rejected == 0
+
+
+@pytest.mark.parametrize("mode", ["binary", "json"])
+def test_messages_of_countless_parts_are_refused_over_websocket(http, session, mode):
+    url = str(http.base_url).replace("http", "ws", 1).rstrip("/") + f"/v1/{session}/stream?mode={mode}"
+    start, large = pb.TrackRequest(start=pb.Start(api_version=API_VERSION)), COUNTLESS[0]
+    with connect(url, compression=None) as websocket:
+        for request in (start, large):
+            websocket.send(request.SerializeToString() if mode == "binary" else json_format.MessageToJson(request))
+        websocket.recv(TIMEOUT)  # started
+        with pytest.raises(ConnectionClosed) as closed:
+            websocket.recv(TIMEOUT)
+    assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (4413, "message: expected at most 16384 parts, got more")
 
 
 def test_a_frame_of_countless_sensors_is_refused_at_the_door():

@@ -9,6 +9,7 @@ import threading
 import time
 
 import grpc
+import httpx
 import pytest
 from ddakf_api.errors import DeadlineExceeded, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -25,6 +26,7 @@ LARGE = make_sheet(50, 0.01)
 def single(tmp_path_factory):
     """A service of one worker that does not wait long for its readers."""
     arguments = ["--workers", "1", "--spare-workers", "0", "--reader-timeout", "1"]
+    arguments += ["--request-timeout", "1"]
     process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("single") / "service.log")
     try:
         process.wait_until_ready()
@@ -218,6 +220,54 @@ def test_a_websocket_reader_that_stalls_loses_its_stream(single, api):
         stop.set()
     assert 0 < api.get(name).statistics.frames_applied < 1999
     api.delete(name)
+
+
+def dripping(single, request: bytes) -> bytes:
+    """All that is answered to a client that sends the beginning of a request and then byte after byte."""
+    answer = b""
+    with socket.create_connection(tuple(single.http.removeprefix("http://").split(":")), TIMEOUT) as connection:
+        connection.sendall(request)
+        connection.settimeout(0.1)
+        deadline = time.monotonic() + TIMEOUT
+        while time.monotonic() < deadline:
+            try:
+                if not (part := connection.recv(4096)):
+                    return answer
+                answer += part
+            except TimeoutError:
+                swallow(lambda: connection.sendall(b"x"))
+            except ConnectionResetError:
+                return answer
+    raise AssertionError("the connection was not cut")
+
+
+def test_a_body_that_drips_is_refused_and_its_connection_cut(single, api):
+    head = b"POST /v1/sessions HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100000\r\n\r\n"
+    answer = dripping(single, head)
+    assert answer.startswith(b"HTTP/1.1 504 ")
+    assert b"DeadlineExceeded" in answer
+    assert b"the body did not come within 1 s" in answer
+
+
+@pytest.mark.parametrize(
+    "begun",
+    [
+        b"",
+        b"GET /healthz HTTP/1.1\r\nX-Long: ",
+        b"DELETE /v1/sessions/none HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9999\r\n\r\n",
+    ],
+    ids=["nothing", "headers", "an answered request's body"],
+)
+def test_a_request_that_drips_loses_its_connection(single, api, begun):
+    answer = dripping(single, begun)
+    assert not answer or answer.startswith(b"HTTP/1.1 404 ")
+
+
+def test_a_connection_that_is_kept_serves_one_request_after_the_other(single):
+    with httpx.Client(base_url=single.http, timeout=TIMEOUT) as http:
+        for _ in range(4):
+            assert http.get("/healthz").status_code == 200
+            time.sleep(0.6)
 
 
 def swallow(work) -> None:
