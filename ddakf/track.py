@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from ddakf import sensor_options
 from ddakf.errors import InvalidArgument
 
 EPILOG = """
@@ -18,7 +19,6 @@ A sequence (.npz) has the true garment: it is seen by a virtual sensor, and erro
 UTD-MHAD, or a folder of .ply, .obj, .xyz or .pcd files) has none: the distance of the cloud to the fitted surface is
 reported.
 """
-SEQUENCE_NOISE_MM = 3.0  # added to a virtual sensor's points unless told otherwise; a real one has its own noise
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -28,22 +28,7 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A up to frame B - 1")
     parser.add_argument("--seed", type=int, default=1, help="of the sensor's random numbers (default 1)")
 
-    sensor = parser.add_argument_group("sensor")
-    sensor.add_argument(
-        "--view",
-        choices=("full", "front", "ring4"),
-        default="front",
-        help="of a sequence: all around, one depth camera (default), or four",
-    )
-    sensor.add_argument("--points", type=int, default=10_000, metavar="N", help="at most (default 10000)")
-    sensor.add_argument(
-        "--noise-mm",
-        type=float,
-        metavar="MM",
-        help="standard deviation that is added (default: 3 for sequences, 0 for recordings)",
-    )
-    sensor.add_argument("--drop", type=float, default=0.0, metavar="SHARE", help="of the points, lost at random")
-    sensor.add_argument("--outliers", type=float, default=0.0, metavar="SHARE", help="of the points, replaced")
+    sensor = sensor_options.add(parser)
     sensor.add_argument("--fps", type=float, default=30.0, help="of a recording (default 30)")
 
     tracker = parser.add_argument_group("tracker")
@@ -164,13 +149,9 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 
 def _source(arguments: argparse.Namespace):
-    from ddakf.evaluation.sensors import Sensor
     from ddakf.evaluation.source import open_source
 
-    noise = arguments.noise_mm
-    if noise is None:
-        noise = SEQUENCE_NOISE_MM if arguments.path.lower().endswith(".npz") else 0.0
-    sensor = Sensor(arguments.view, arguments.points, noise / 1e3, arguments.drop, arguments.outliers)
+    sensor = sensor_options.sensor(arguments, virtual=arguments.path.lower().endswith(".npz"))
     return open_source(
         arguments.path,
         sensor,

@@ -105,7 +105,7 @@ class SequenceSource:
 
     @property
     def fps(self) -> float:
-        return self.sequence.fps
+        return self.sequence.fps / self.sensor.every
 
     @cached_property
     def garment(self) -> Mesh:
@@ -132,7 +132,8 @@ class SequenceSource:
 
     @property
     def _tracked(self) -> range:
-        return self.frames[1:] if self.start_at == "truth" else self.frames
+        taken = self.sensor.frames(self.frames)
+        return taken[1:] if self.start_at == "truth" else taken
 
     def __len__(self) -> int:
         return len(self._tracked)
@@ -153,7 +154,7 @@ class RecordingSource:
 
     Args:
         recording: the frames.
-        sensor: whose limit, loss, noise and outliers are added; the view is the recording's.
+        sensor: whose limit, loss, noise, outliers, occlusion and frame rate are added; the view is the recording's.
         frames: range of frames.
         garment: template, or None to make it from the recording's first frame.
         seed: of the random numbers.
@@ -169,6 +170,9 @@ class RecordingSource:
     body_faces: None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
+        for name in ("depth_noise", "depth_step", "fliers"):
+            if value := getattr(self.sensor, name):
+                raise InvalidArgument(name, "0 for a recording, whose camera has errors of its own", str(value))
         garment = self.recording.template(self.frames[0]) if self.template is None else self.template
         object.__setattr__(self, "garment", garment)
 
@@ -182,7 +186,7 @@ class RecordingSource:
 
     @property
     def fps(self) -> float:
-        return self.recording.fps
+        return self.recording.fps / self.sensor.every
 
     @property
     def closed(self) -> bool:
@@ -190,14 +194,15 @@ class RecordingSource:
 
     @property
     def _tracked(self) -> range:
-        return self.frames[1:] if self.template is None else self.frames
+        taken = self.sensor.frames(self.frames)
+        return taken[1:] if self.template is None else taken
 
     def __len__(self) -> int:
         return len(self._tracked)
 
     def __iter__(self) -> Iterator[Frame]:
         for k in self._tracked:
-            cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]))
+            cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]), k)
             yield Frame(k, self.recording.timestamp(k), *cloud)
 
 

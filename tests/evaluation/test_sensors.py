@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from ddakf.data import sample
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation import metrics, sensors
+from ddakf.evaluation import depth_errors, metrics, sensors
 from ddakf.evaluation.sensors import Sensor
 from ddakf.mesh import Mesh
 from ddakf.sequence import Sequence
@@ -118,10 +118,123 @@ def test_samples_are_uniform_over_the_area():
     assert counts == pytest.approx(np.full((4, 4), 2500), rel=0.08)
 
 
+# Errors of depth cameras ----------------------------------------------------------------------------------------------
+
+
+def _along_the_sight(sequence, cloud):
+    """Depth z (N,) of the points in the camera of the view ``front``."""
+    return sensors.front_camera(sequence).to_camera(cloud.points)[:, 2]
+
+
+def test_depth_noise_is_along_the_axis_and_grows_with_the_square_of_the_depth():
+    depth = np.full((200, 200), 1.0)
+    depth[100:] = 3.0
+    noisy = depth_errors.with_axial_noise(depth, 0.002, np.random.default_rng(0))
+    assert (noisy - depth)[:100].std() == pytest.approx(0.002, rel=0.03)
+    assert (noisy - depth)[100:].std() == pytest.approx(0.002 * 9, rel=0.03)
+
+
+def test_depth_noise_leaves_the_pixels_where_they_were(sequence):
+    clean = _capture(CLEAN, sequence)
+    noisy = _capture(replace(CLEAN, depth_noise=0.002), sequence)
+    camera = sensors.front_camera(sequence)
+    assert np.abs(camera.project(noisy.points) - camera.project(clean.points)).max() < 1e-3
+    error = _along_the_sight(sequence, noisy) - _along_the_sight(sequence, clean)
+    assert error.std() == pytest.approx(0.002 * (_along_the_sight(sequence, clean) ** 2).mean(), rel=0.05)
+
+
+def test_depth_steps_grow_with_the_square_of_the_depth():
+    depth = np.linspace(0.8, 4.0, 40_000)[None]
+    stepped = depth_errors.quantised(depth, 0.00285)[0]
+    values = np.unique(stepped)
+    assert np.diff(values) == pytest.approx(0.00285 * values[1:] * values[:-1])
+    assert np.abs(stepped - depth).max() < 0.51 * 0.00285 * 4.0**2
+    unseen = np.array([[np.inf, 0.0]])
+    assert np.array_equal(depth_errors.quantised(unseen, 0.003), unseen)
+
+
+def test_a_camera_with_steps_delivers_few_depths(sequence):
+    cloud = _capture(replace(CLEAN, depth_step=0.00285), sequence)
+    assert len(np.unique(np.round(_along_the_sight(sequence, cloud), 5))) < 60
+    assert len(np.unique(np.round(_along_the_sight(sequence, _capture(CLEAN, sequence)), 5))) > 2000
+
+
+def test_fliers_float_behind_edges_only():
+    depth = np.full((40, 40), np.inf)
+    depth[:, 10:20], depth[:, 20:30] = 2.0, 2.5
+    mixed = depth_errors.mixed_at_edges(depth, 1.0, 0.03, 3.0, np.random.default_rng(0))
+    changed = mixed != depth
+    assert set(np.flatnonzero(changed.any(axis=0))) == {10, 19, 29}
+    assert changed[:, [10, 19, 29]].all()
+    assert (mixed[:, 10] < 3.0).all()
+    assert (mixed[:, 19] < 2.5).all()
+    assert mixed[:, 19].mean() == pytest.approx(2.25, abs=0.1)
+    none = depth_errors.mixed_at_edges(depth, 0.0, 0.03, 3.0, np.random.default_rng(0))
+    assert np.array_equal(none, depth)
+
+
+def test_a_camera_with_fliers_sees_points_behind_the_outline(sequence, to_garment):
+    clean, mixed = (_capture(replace(CLEAN, fliers=share), sequence) for share in (0.0, 0.5))
+    off = to_garment(mixed.points) > 0.01
+    assert len(mixed.points) == len(clean.points)
+    assert 0.01 < off.mean() < 0.2
+    assert (_along_the_sight(sequence, mixed) >= _along_the_sight(sequence, clean) - 1e-6).all()
+
+
+# Occlusion, frame rate ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("view", ["full", "front", "ring4"])
+def test_an_occlusion_hides_the_same_part_of_the_cloth_in_its_frames_only(sequence, view):
+    sensor = replace(CLEAN, view=view, points=20_000, occlude=(FRAME, FRAME + 1))
+    cloud = _capture(sensor, sequence)
+    hidden = sensors.occluded_side(sequence, sensor.occluded)
+    nearest = cKDTree(sequence.garment_vertices[FRAME]).query(cloud.points)[1]
+    assert len(cloud.points) > 1000
+    assert not hidden[nearest].any()
+    assert hidden.mean() == pytest.approx(0.4, abs=0.001)
+    assert cloud.sensor_origin is None or cloud.sensor_origin.shape in ((3,), cloud.points.shape)
+    before, after = (replace(sensor, occlude=frames) for frames in ((FRAME - 5, FRAME), (FRAME + 1, FRAME + 9)))
+    everything = _capture(replace(sensor, occlude=None), sequence)
+    assert np.array_equal(_capture(before, sequence).points, everything.points)
+    assert np.array_equal(_capture(after, sequence).points, everything.points)
+
+
+def test_the_occluded_side_is_the_wearers_left(sequence):
+    hidden = sensors.occluded_side(sequence, 0.25)
+    assert sequence.template[hidden, 0].min() >= sequence.template[~hidden, 0].max()
+    assert not sensors.occluded_side(sequence, 0.0).any()
+    assert sensors.occluded_side(sequence, 1.0).all()
+
+
+def test_a_recorded_cloud_is_occluded_by_its_points():
+    cloud = sensors.Cloud(np.random.default_rng(0).normal(size=(1000, 3)), np.zeros((1000, 3)))
+    sensor = replace(CLEAN, occlude=(3, 5))
+    seen = sensor.degrade(cloud, np.random.default_rng(0), 3)
+    assert len(seen.points) == len(seen.sensor_origin) == 600
+    assert seen.points[:, 0].max() <= np.sort(cloud.points[:, 0])[600]
+    assert len(sensor.degrade(cloud, np.random.default_rng(0), 5).points) == 1000
+    assert len(sensor.degrade(cloud, np.random.default_rng(0)).points) == 1000
+
+
+def test_every_nth_frame_is_taken():
+    assert list(replace(CLEAN, every=3).frames(range(4, 12))) == [4, 7, 10]
+    assert Sensor().frames(range(7)) == range(7)
+
+
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("view", "back"), ("points", 0), ("noise", -1), ("noise", np.nan), ("drop", 1.1), ("outliers", -0.1)],
-)
+    [
+        ("view", "back"), ("points", 0), ("noise", -1), ("noise", np.nan), ("drop", 1.1), ("outliers", -0.1), ("every", 0),
+        ("depth_noise", -1), ("depth_step", np.nan), ("fliers", 2), ("occluded", 1.5), ("occlude", (5, 5)), ("occlude", (-1, 5)),
+    ],
+)  # fmt: skip
 def test_options_out_of_range_are_named(field, value):
     with pytest.raises(InvalidArgument, match=field):
         Sensor(**{field: value})
+
+
+@pytest.mark.parametrize("field", ["depth_noise", "depth_step", "fliers"])
+def test_errors_of_a_camera_need_one(field):
+    with pytest.raises(InvalidArgument, match="no camera"):
+        Sensor(view="full", **{field: 0.01})

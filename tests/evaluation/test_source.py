@@ -72,6 +72,17 @@ def test_a_range_sees_what_the_whole_sees_and_seeds_differ():
     assert not np.array_equal(part[0].points, other[0].points)
 
 
+def test_a_slower_sensor_sees_the_same_in_the_frames_that_it_takes():
+    whole = list(open_source(SAMPLE, Sensor(points=500), frames="0:8"))
+    slow = open_source(SAMPLE, Sensor(points=500, every=3), frames="0:8")
+    frames = list(slow)
+    assert [frame.number for frame in frames] == [3, 6]
+    assert len(slow) == 2
+    assert slow.fps == pytest.approx(sample().fps / 3)
+    assert frames[0].timestamp == whole[2].timestamp
+    assert np.array_equal(frames[1].points, whole[5].points)
+
+
 def test_without_a_rest_shape_the_first_chosen_frame_is_the_template(tmp_path):
     s = sample()
     np.savez(tmp_path / "s.npz", garment_V=s.garment_vertices[:5], garment_F=s.garment_faces, fps=30)
@@ -95,6 +106,10 @@ def test_a_folder_of_clouds_with_a_template(tmp_path):
     assert frames[0].truth is None
     assert source.start is None
     assert source.garment.n_vertices == len(s.garment_rest)
+    hidden = list(open_source(folder, Sensor(points=900, occlude=(1, 2)), template=tmp_path / "template.obj", fps=10))
+    assert [len(frame.points) for frame in hidden] == [900, 540, 900]
+    with pytest.raises(InvalidArgument, match="errors of its own"):
+        open_source(folder, Sensor(fliers=0.1), template=tmp_path / "template.obj")
 
 
 def test_what_cannot_be_opened(tmp_path):

@@ -1,0 +1,91 @@
+"""The options of a virtual sensor on the command line, the same for every command that has one."""
+
+from __future__ import annotations
+
+import argparse
+import re
+
+from ddakf.errors import InvalidArgument
+
+VIRTUAL_NOISE_MM = 3.0  # added to a virtual sensor's points unless told otherwise; a real one has its own noise
+MM = 1e-3  # metres
+
+
+def add(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
+    """Adds the options to a parser, as a group to which more can be added."""
+    group = parser.add_argument_group("sensor")
+    group.add_argument(
+        "--view",
+        choices=("full", "front", "ring4"),
+        default="front",
+        help="of a sequence: all around, one depth camera (default), or four",
+    )
+    group.add_argument("--points", type=int, default=10_000, metavar="N", help="at most (default 10000)")
+    group.add_argument(
+        "--noise-mm",
+        type=float,
+        metavar="MM",
+        help="standard deviation that is added (default: 3 for sequences, 0 for recordings)",
+    )
+    group.add_argument("--drop", type=float, default=0.0, metavar="SHARE", help="of the points, lost at random")
+    group.add_argument("--outliers", type=float, default=0.0, metavar="SHARE", help="of the points, replaced")
+    group.add_argument(
+        "--depth-noise-mm",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="of a depth camera at 1 m, growing with the square of the depth (1.4: first Kinect)",
+    )
+    group.add_argument(
+        "--depth-step-mm",
+        type=float,
+        default=0.0,
+        metavar="MM",
+        help="of a depth camera: quantisation at 1 m, growing with the square of the depth (2.9: first Kinect)",
+    )
+    group.add_argument("--fliers", type=float, default=0.0, metavar="SHARE", help="of the pixels at depth edges, mixed")
+    group.add_argument("--occlude", metavar="FROM:TO", help="frames in which the wearer's left side is hidden")
+    group.add_argument("--occluded", type=float, default=0.4, metavar="SHARE", help="of the garment, then (default 0.4)")
+    group.add_argument("--every", type=int, default=1, metavar="N", help="take every N-th frame only (default 1)")
+    return group
+
+
+def sensor(arguments: argparse.Namespace, virtual: bool = True):
+    """The :class:`ddakf.evaluation.sensors.Sensor` of parsed options.
+
+    Args:
+        arguments: with those of :func:`add`.
+        virtual: it looks at a sequence; otherwise the points are of a real sensor.
+
+    Raises:
+        InvalidArgument: a value out of its range.
+    """
+    from ddakf.evaluation.sensors import Sensor
+
+    noise_mm = arguments.noise_mm
+    if noise_mm is None:
+        noise_mm = VIRTUAL_NOISE_MM if virtual else 0.0
+    return Sensor(
+        view=arguments.view,
+        points=arguments.points,
+        noise=noise_mm * MM,
+        drop=arguments.drop,
+        outliers=arguments.outliers,
+        depth_noise=arguments.depth_noise_mm * MM,
+        depth_step=arguments.depth_step_mm * MM,
+        fliers=arguments.fliers,
+        occlude=None if arguments.occlude is None else window(arguments.occlude),
+        occluded=arguments.occluded,
+        every=arguments.every,
+    )
+
+
+def window(text: str) -> tuple[int, int]:
+    """(FROM, TO) of ``FROM:TO``: frames FROM to TO - 1.
+
+    Raises:
+        InvalidArgument: not of that form.
+    """
+    if not (found := re.fullmatch(r"(\d{1,9}):(\d{1,9})", text)):
+        raise InvalidArgument("occlude", "FROM:TO, two frame numbers", repr(text))
+    return int(found[1]), int(found[2])
