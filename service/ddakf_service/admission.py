@@ -52,6 +52,22 @@ class Admission:
                     f"sessions: {whose} has its {most} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
                 )
 
+    def require_stream_room(self, principal: Principal, key_ids: Sequence[str]) -> None:
+        """Refuses a stream or a watcher beyond the number of its key; who needs no key is bound by the sessions' own numbers.
+
+        Args:
+            key_ids: of the streams and watchers that there are, one each.
+
+        Raises:
+            ResourceExhausted
+        """
+        most = self._settings.max_streams_per_key
+        if principal.id and key_ids.count(principal.id) >= most:
+            raise ResourceExhausted(
+                f"streams: the key has its {most} streams and watchers already; try again later or end one",
+                retry_after=_RETRY_WHEN_FULL,
+            )
+
     def limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
         """What the client asked for, lowered to what the server allows."""
         s = self._settings

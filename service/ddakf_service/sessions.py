@@ -195,10 +195,10 @@ class Sessions:
     async def open_stream(self, start: pb.Start) -> Stream:
         """The stream of a session; the caller closes it with :meth:`close_stream`."""
         require_compatible(start.api_version, peer="client")
-        if self.draining:  # the last checkpoint would not know of its frames
-            raise Draining("the server is about to stop and takes no new streams")
+        self._require_open_for_streams()
         await self._directory.known(start.name)
         session = self._directory.mine(start.name)
+        self._require_stream_room(replaced=session.stream)
         if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
@@ -213,6 +213,8 @@ class Sessions:
             self._directory.mine(start.name)  # the key may have been revoked while this waited
             if session.stream is not None:  # opened while this waited
                 raise _busy(session)
+            self._require_open_for_streams()
+            self._require_stream_room()
             session.departed = None
             parts = self._pool, self._durability, self._outcomes
             session.stream = Stream(session, start, mode, *parts, self._settings.reader_timeout, self._settings.max_image_pixels)
@@ -234,7 +236,20 @@ class Sessions:
         """A reader of the session's answers, with or without a stream; the caller has it ``leave``."""
         require_compatible(request.api_version, peer="client")
         session = self._directory.readable(request.name)
+        self._require_stream_room()
         return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers)
+
+    def _require_open_for_streams(self) -> None:
+        if self.draining:  # the last checkpoint would not know of its frames
+            raise Draining("the server is about to stop and takes no new streams")
+
+    def _require_stream_room(self, *, replaced: Stream | None = None) -> None:
+        """For one more of the key of this call, in place of the one that is ``replaced``."""
+        streams = (session.stream for session in self._directory)
+        key_ids = [stream.key_id for stream in streams if stream not in (None, replaced)]
+        for session in self._directory:
+            key_ids += session.watchers.key_ids()
+        self._admission.require_stream_room(current_principal.get(), key_ids)
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
         """What happened in a session over time, a live one or the last past one of the name.

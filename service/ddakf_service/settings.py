@@ -123,6 +123,7 @@ class Settings(BaseSettings):
     allow_anonymous: bool = Field(False, description="calls without a key are allowed on addresses other than loopback, too")
     require_keys: bool = Field(False, description="calls need a key on loopback as well, for a proxy that runs there")
     max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key that says no other number")
+    max_streams_per_key: int = Field(64, ge=1, description="streams and watchers of a key at a time")
     tls_certificate: str = Field("", description="PEM file with the certificate chain; empty: no encryption")
     tls_key: str = Field("", description="PEM file with its private key")
     tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate of theirs")

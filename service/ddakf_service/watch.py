@@ -85,6 +85,10 @@ class Watchers:
     def __len__(self) -> int:
         return len(self._watchers)
 
+    def key_ids(self) -> list[str]:
+        """The key of each watcher; empty: none."""
+        return [watcher.key_id for watcher in self._watchers]
+
     def add(self, name: str, statistics: pb.SessionStatistics, every_nth: int, most: int) -> Watcher:
         """A new watcher of the session of this name.
 

@@ -40,6 +40,7 @@ def guarded(tmp_path_factory):
     keys = {name: new_key(data, name, name) for name in ("stream", "read", "admin")}
     keys["other"] = new_key(data, "other", "stream", max_sessions=1)
     arguments = ["--workers", "1", "--require-keys", "--data-dir", str(data), "--log-level", "debug"]
+    arguments += ["--max-streams-per-key", "4"]
     with running(arguments, folder) as service:
         service.keys, service.data, service.log = keys, data, folder / "service.log"
         yield service
@@ -81,6 +82,12 @@ class As:
                 raise from_rpc_error(error) from None
 
         return called
+
+    def begin(self, method: str, request) -> grpc.Call:
+        """A call that stays open, once its first answer is there."""
+        call = getattr(self._stub, method)(request, timeout=TIMEOUT, metadata=self._metadata)
+        next(call)
+        return call
 
     def create(self, **request) -> pb.Session:
         session = pb.Session(garment=pack_mesh(*make_sheet()))

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import threading
+import time
+
+import grpc
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.errors import ResourceExhausted, SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect as websocket
 
+from ..conftest import TIMEOUT
 from .conftest import As
 
 
@@ -49,6 +56,47 @@ def test_a_key_has_as_many_sessions_as_it_may(guarded):
     third = other.create().name
     for who, name in ((mine, second), (other, third)):
         who.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+def test_a_key_has_as_many_streams_and_watchers_as_it_may(guarded):
+    """Four: any more is refused, a stream of its own may be taken over, and other keys do not notice."""
+    mine, admin = As(guarded, "stream"), As(guarded, "admin")
+    name, other = mine.create().name, mine.create().name
+    watching = pb.WatchSessionRequest(name=name, api_version=API_VERSION)
+    done = threading.Event()
+
+    def begun(name: str, **start):
+        yield pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, **start))
+        done.wait(TIMEOUT)
+
+    stream = mine.begin("Track", begun(name))
+    watchers = [mine.begin("WatchSession", watching) for _ in range(3)]
+    for refused in (lambda: mine.WatchSession(watching), lambda: mine.Track(begun(other))):
+        with pytest.raises(ResourceExhausted, match="the key has its 4 streams and watchers already") as caught:
+            refused()
+        assert caught.value.retry_after > 0
+    address = guarded.http.replace("http", "ws", 1) + f"/v1/{name}/watch?api_version={API_VERSION}"
+    with websocket(address, proxy=None, subprotocols=["ddakf.v1", f"ddakf.key.{guarded.keys['stream']}"]) as line:
+        with pytest.raises(ConnectionClosed) as closed:
+            line.recv(TIMEOUT)
+        assert closed.value.rcvd.code == 4429
+    assert admin.WatchSession(watching).started.name == name
+    again = mine.begin("Track", begun(name, takeover=True))
+    with pytest.raises(grpc.RpcError):
+        list(stream)
+    watchers.pop().cancel()
+    deadline = time.monotonic() + TIMEOUT
+    while True:
+        try:
+            watchers.append(mine.begin("WatchSession", watching))
+            break
+        except grpc.RpcError:  # the server has not noticed yet that the other one has left
+            assert time.monotonic() < deadline
+    done.set()
+    for call in (again, *watchers):
+        call.cancel()
+    for session in (name, other):
+        mine.DeleteSession(pb.DeleteSessionRequest(name=session))
 
 
 def tell_apart(who: As, name: str, nobody: str) -> list[str]:
