@@ -16,7 +16,6 @@ import contextlib
 import json
 import os
 import random
-import shutil
 import signal
 import socket
 import subprocess
@@ -33,6 +32,7 @@ import numpy as np
 import traffic
 from ddakf_client import Frame, Notice, Result, aconnect
 from ddakf_service.child import ServiceProcess
+from postgres import NoPostgres, Postgres
 from rich.console import Console
 
 import ddakf
@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         disk = stack.enter_context(_small_disk(folder))
-        database = stack.enter_context(_postgres(folder))
+        database = stack.enter_context(_postgres())
         server = Fleet(folder, disk, database, a.workers)
         stack.callback(server.stop)
         server.start()
@@ -307,52 +307,20 @@ def _counted(notices: list[str]) -> str:
     return ", ".join(f"{kind} {notices.count(kind)}" for kind in sorted(set(notices))) or "none"
 
 
-class Postgres:
-    """A database server of our own."""
-
-    def __init__(self, binaries: Path, folder: Path, user: str | None):
-        self._binaries, self._data, self._user = binaries, folder / "postgres", user
-        self._port = _free_port()
-        self.url = f"postgresql+psycopg://ddakf@127.0.0.1:{self._port}/postgres"
-        self._data.mkdir()
-        if user:
-            shutil.chown(self._data, user)
-        self._run("initdb", "-D", str(self._data), "-U", "ddakf", "-A", "trust", "--no-sync")
-
-    def start(self) -> None:
-        options = f"-p {self._port} -k {self._data} -c listen_addresses=127.0.0.1 -c fsync=off"
-        self._run("pg_ctl", "-D", str(self._data), "-w", "-l", str(self._data / "log"), "-o", options, "start")
-
-    def stop(self) -> None:
-        self._run("pg_ctl", "-D", str(self._data), "-w", "-m", "immediate", "stop")
-
-    def _run(self, program: str, *arguments: str) -> None:
-        as_user = ["runuser", "-u", self._user, "--"] if self._user else []
-        command = [*as_user, str(self._binaries / program), *arguments]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd="/")
-
-
 @contextlib.contextmanager
-def _postgres(folder: Path):
-    """None where there is no PostgreSQL, or nobody who may run it."""
-    found = sorted(Path("/usr/lib/postgresql").glob("*/bin/initdb"))
-    binaries = found[-1].parent if found else None
-    if binaries is None or (os.geteuid() == 0 and shutil.which("runuser") is None):
+def _postgres():
+    """None where there can be no PostgreSQL."""
+    try:
+        database = Postgres()
+    except NoPostgres as error:
+        console.print(f"no database is stopped: {error}")
         yield None
         return
     try:
-        folder.chmod(0o755)
-        database = Postgres(binaries, folder, "nobody" if os.geteuid() == 0 else None)
         database.start()
-    except (subprocess.CalledProcessError, LookupError, OSError) as error:
-        console.print(f"no PostgreSQL: {error}")
-        yield None
-        return
-    try:
         yield database
     finally:
-        with contextlib.suppress(subprocess.CalledProcessError):  # stopped already
-            database.stop()
+        database.remove()
 
 
 @contextlib.contextmanager

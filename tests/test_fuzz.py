@@ -7,18 +7,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+import fuzz
+import fuzz_targets
 import hypothesis
 import pytest
 from hypothesis import strategies as st
 
 ROOT = Path(__file__).parents[1]
-sys.path.insert(0, str(ROOT / "benchmarks"))
-try:
-    import fuzz
-    import fuzz_targets
-finally:
-    sys.path.remove(str(ROOT / "benchmarks"))
-
 TARGETS = fuzz_targets.all_targets()
 
 

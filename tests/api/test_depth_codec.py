@@ -1,7 +1,6 @@
 """Depth images: exact there and back, and nothing that arrives can hurt."""
 
 import struct
-import tracemalloc
 import zlib
 
 import numpy as np
@@ -13,6 +12,8 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+
+from .memory import at_most
 
 LENS = (200.0, 201.0, 31.5, 23.5)
 LIMIT = 64 * 48
@@ -159,13 +160,8 @@ BOMB = 256 << 20
 def test_what_an_image_declares_is_checked_before_memory_is_taken(image, said):
     with pytest.raises(CodecError):
         sent(of(png(64, 48, b""), "png"))  # Pillow is imported
-    tracemalloc.start()
-    try:
-        with pytest.raises(CodecError, match=said):
-            decode_depth(image, max_pixels=LIMIT)
-        assert tracemalloc.get_traced_memory()[1] < 1_500_000
-    finally:
-        tracemalloc.stop()
+    with at_most(1_500_000), pytest.raises(CodecError, match=said):
+        decode_depth(image, max_pixels=LIMIT)
 
 
 def test_chunks_that_are_no_pixels_are_not_even_looked_at():
@@ -290,12 +286,8 @@ def test_memory_stays_within_what_is_said_per_pixel(codec, image):
     depth = image(SHAPE).astype(np.uint16)
     message = encode_depth(depth, LENS, mask=depth > 0, confidence=depth.astype(np.uint8), codec=codec)
     decode_depth(message, max_pixels=depth.size)
-    tracemalloc.start()
-    try:
+    with at_most(200 * depth.size):
         back = decode_depth(message, max_pixels=depth.size)
-        assert tracemalloc.get_traced_memory()[1] < 200 * depth.size
-    finally:
-        tracemalloc.stop()
     assert np.array_equal(back.depth, depth * np.float32(0.001))
 
 
@@ -304,10 +296,5 @@ def test_memory_stays_within_it_whatever_the_runs_are(word):
     count = SHAPE[0] * SHAPE[1]
     data = np.full(3 * count // 4, word, "<u4").tobytes()
     image = of(data, "rvl", width=SHAPE[1], height=SHAPE[0])
-    tracemalloc.start()
-    try:
-        with pytest.raises(CodecError):
-            decode_depth(image, max_pixels=count)
-        assert tracemalloc.get_traced_memory()[1] < 200 * count
-    finally:
-        tracemalloc.stop()
+    with at_most(200 * count), pytest.raises(CodecError):
+        decode_depth(image, max_pixels=count)

@@ -73,9 +73,7 @@ class FakeService(rpc.TrackingServiceServicer):
     @refusing
     def GetServerInfo(self, request, context):
         time.sleep(self.delay)
-        return pb.ServerInfo(
-            api_version=self.api_version, server_version="fake", point_codecs=self.codecs, fabrics=["cotton"]
-        )
+        return pb.ServerInfo(api_version=self.api_version, server_version="fake", point_codecs=self.codecs, fabrics=["cotton"])
 
     @refusing
     def CreateSession(self, request, context):
@@ -145,9 +143,7 @@ class FakeService(rpc.TrackingServiceServicer):
             if not self.starts:
                 time.sleep(1)
             last = session.statistics.last_sequence_number
-            yield pb.TrackResponse(
-                started=pb.Started(name=start.name, last_sequence_number=last, max_frames_in_flight=4)
-            )
+            yield pb.TrackResponse(started=pb.Started(name=start.name, last_sequence_number=last, max_frames_in_flight=4))
             yield from self._answers(session, start, self._mailbox(requests, start.flow_mode), context)
         except errors.ServiceError as error:
             abort(context, error)

@@ -1,7 +1,6 @@
 """The asynchronous client against a real socket."""
 
 import asyncio
-import time
 
 import numpy as np
 import pytest
@@ -54,16 +53,10 @@ async def test_lossless_holds_the_source_back(service, mesh, frames):
     assert max(lead) <= 6
 
 
-async def test_errors_of_frames_of_the_source_and_of_the_server(service, mesh, frames):
-    async def broken():
-        yield frames(1)[0]
-        raise OSError("the camera was unplugged")
-
+async def test_errors_of_frames_and_of_the_server(service, mesh, frames):
     made = frames(4)
     made[1] = (np.full((2, 3), np.nan), 0.5)
     async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        with pytest.raises(OSError, match="unplugged"):
-            await collected(session.track(broken()))
         with pytest.raises(errors.CodecError, match="finite"):
             await collected(session.track(made))
         answers = await collected(session.track(made, on_error="yield"))
@@ -87,7 +80,7 @@ async def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh,
     assert refusal.value.field == field
 
 
-@pytest.mark.parametrize("error", [ValueError("ragged"), errors.InvalidFrame("of the camera")])
+@pytest.mark.parametrize("error", [OSError("unplugged"), errors.InvalidFrame("of the camera")])
 @pytest.mark.parametrize("on_error", ["raise", "yield"])
 async def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
     async def source():
@@ -118,10 +111,8 @@ async def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
 async def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
     service.silent_from = 2
     async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        begun = time.monotonic()
         with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
             await collected(session.track(frames(3), timeout=0.3))
-        assert time.monotonic() - begun < 2
 
 
 async def test_a_stream_can_be_left_and_cancelled(service, mesh, frames):
@@ -135,8 +126,10 @@ async def test_a_stream_can_be_left_and_cancelled(service, mesh, frames):
         stream = session.track(endless())
         assert (await anext(stream)).sequence
         await stream.aclose()
+        before = len(service.frames)
         task = asyncio.create_task(collected(session.track(endless())))
-        await asyncio.sleep(0.1)
+        while len(service.frames) == before:
+            await asyncio.sleep(0.001)
         task.cancel()
         with pytest.raises(asyncio.CancelledError):
             await task

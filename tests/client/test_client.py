@@ -1,6 +1,5 @@
 """The synchronous client's connection and its calls about sessions, against a real socket."""
 
-import time
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -124,10 +123,9 @@ def test_another_version_is_refused_in_a_sentence(service):
 
 
 def test_no_server_is_said_at_once():
-    begun = time.monotonic()
+    """And not when the timeout has run out, which would be another error."""
     with pytest.raises(errors.Unavailable, match=r"127\.0\.0\.1:1 does not answer"):
         connect("127.0.0.1:1")
-    assert time.monotonic() - begun < 5
 
 
 def test_a_server_that_does_not_answer_runs_into_the_timeout(service):

@@ -1,6 +1,5 @@
 """Frames in, results out: the synchronous client's streams against a real socket."""
 
-import gc
 import logging
 import threading
 import time
@@ -33,7 +32,7 @@ def test_frames_in_results_out(service, mesh, frames):
     assert last.timings["total"] == 0.001
     assert last.velocities is None
     assert last.covariance is None
-    assert all(0 < r.latency < 5 for r in results)
+    assert all(r.latency > 0 for r in results)
 
 
 @pytest.mark.parametrize("codec", CODECS)
@@ -96,7 +95,6 @@ def test_realtime_takes_the_newest_and_counts_the_rest(service, mesh, frames):
     assert sequences[-1] == 60
     assert len(results) < 40
     assert results[-1].applied + results[-1].dropped == 60
-    assert np.median([r.latency for r in results]) < 0.5
 
 
 def test_the_numbers_of_a_second_stream_go_on(service, mesh, frames):
@@ -110,14 +108,14 @@ def test_the_numbers_of_a_second_stream_go_on(service, mesh, frames):
 
 def test_slow_sources_and_slow_readers_are_no_timeout(service, mesh, frames):
     def source():
-        for frame in frames(3):
-            time.sleep(0.25)
+        for frame in frames(2):
+            time.sleep(0.75)
             yield frame
 
     with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        assert len(list(session.track(source(), timeout=0.15))) == 3
-        for _ in session.track(frames(3), timeout=0.15):
-            time.sleep(0.25)
+        assert len(list(session.track(source(), timeout=0.5))) == 2
+        for _ in session.track(frames(2), timeout=0.5):
+            time.sleep(0.75)
 
 
 def test_leaving_the_loop_ends_stream_and_threads(service, mesh, frames):
@@ -126,20 +124,21 @@ def test_leaving_the_loop_ends_stream_and_threads(service, mesh, frames):
             time.sleep(0.001)
             yield frame
 
-    before = threading.active_count()
+    def at_work() -> list[threading.Thread]:
+        return [t for t in threading.enumerate() if "_Stream" in repr(getattr(t, "_target", None))]
+
     source = endless()
     with connect(service.target) as client, client.create_session(*mesh) as session:
         stream = session.track(source)
         next(stream)
+        assert at_work()
         stream.close()
         assert next(source)  # nobody else is in the generator any more
         assert session.info().applied > 0
     assert service.sessions == {}
-    gc.collect()
-    deadline = time.monotonic() + 5
-    while threading.active_count() > before + 8 and time.monotonic() < deadline:
-        time.sleep(0.01)
-    assert not [t for t in threading.enumerate() if "_Stream" in repr(getattr(t, "_target", None))]
+    for thread in at_work():
+        thread.join(5)
+        assert not thread.is_alive()
 
 
 def test_notices_are_logged_or_handed_over(service, mesh, frames, caplog):

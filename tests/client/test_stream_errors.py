@@ -1,7 +1,5 @@
 """What goes wrong in a stream: frames, the source, the server; each is an error that says so, and none a hang."""
 
-import time
-
 import numpy as np
 import pytest
 from ddakf_client import Frame, FrameError, connect, errors
@@ -50,7 +48,7 @@ def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frame
     assert "\n" not in str(refusal.value)
 
 
-@pytest.mark.parametrize("error", [ValueError("ragged"), errors.InvalidFrame("of the camera"), SystemExit(3)])
+@pytest.mark.parametrize("error", [OSError("unplugged"), errors.InvalidFrame("of the camera"), SystemExit(3)])
 @pytest.mark.parametrize("on_error", ["raise", "yield"])
 def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
     def source():
@@ -61,6 +59,7 @@ def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, 
         with pytest.raises(type(error)) as raised:
             list(session.track(source(), on_error=on_error, timeout=3))
         assert raised.value is error
+    assert service.sessions == {}
 
 
 def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, frames):
@@ -68,20 +67,6 @@ def test_all_frames_refused_in_realtime_do_not_stop_the_stream(service, mesh, fr
     with connect(service.target) as client, client.create_session(*mesh) as session:
         answers = list(session.track(frames(99), on_error="yield", timeout=2))
     assert answers[-1].sequence == 99
-
-
-def test_an_error_of_the_source_comes_through(service, mesh, frames):
-    def source():
-        yield from frames(2)
-        raise OSError("the camera was unplugged")
-
-    with (
-        connect(service.target) as client,
-        client.create_session(*mesh, flow="lossless") as session,
-        pytest.raises(OSError, match="unplugged"),
-    ):
-        list(session.track(source()))
-    assert service.sessions == {}
 
 
 def test_a_lost_worker_is_a_retryable_error(service, mesh, frames):
@@ -96,10 +81,8 @@ def test_a_lost_worker_is_a_retryable_error(service, mesh, frames):
 def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
     service.silent_from = 2
     with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        begun = time.monotonic()
         with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
             list(session.track(frames(3), timeout=0.3))
-        assert time.monotonic() - begun < 2
         service.starts = False
         with pytest.raises(errors.DeadlineExceeded, match=r"no answer to the start of the stream within 0\.2 s"):
             list(session.track(frames(3), timeout=0.2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import threading
+import queue
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -16,13 +16,12 @@ import numpy as np
 import pytest
 from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack_mesh
-from ddakf_api.errors import from_rpc_error
+from ddakf_api.errors import SessionBusy, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
 from ddakf_service.child import ServiceProcess
-
-from .postgres import Postgres
+from postgres import NoPostgres, Postgres
 
 TIMEOUT = 30.0  # seconds, of every call
 T = TypeVar("T")
@@ -88,10 +87,49 @@ def request_of(frame: pb.Frame) -> pb.TrackRequest:
     return pb.TrackRequest(frame=frame)
 
 
-def silence(until: threading.Event):
-    """No requests, but an open stream."""
-    until.wait(TIMEOUT)
-    yield from ()
+class Talk:
+    """An open stream: what is sent is decided while the answers come. With the context its requests end."""
+
+    def __init__(self, api: Api, name: str, **start):
+        self._requests = queue.Queue()
+        self.answers = api.track(name, iter(self._requests.get, None), **start)
+        self.started = next(self.answers).started
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._requests.put(None)
+
+    def send(self, frame: pb.Frame) -> None:
+        self._requests.put(request_of(frame))
+
+    def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
+        """What comes back up to the answer to this frame."""
+        self.send(frame)
+        seen = []
+        while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
+            seen.append(next(self.answers))
+        return seen
+
+    def await_arrival(self) -> None:
+        """Returns once the server has taken all that was sent, answered or not: no answer may be on its way."""
+        self._requests.put(pb.TrackRequest(ping=pb.Ping(token=1)))
+        assert next(self.answers).pong.token == 1
+
+    def end(self) -> None:
+        """No more is sent, and nothing is left to be answered."""
+        self._requests.put(None)
+        assert list(self.answers) == []
+
+
+def is_free(api: Api, name: str) -> bool:
+    """Whether a session has no stream."""
+    try:
+        list(api.track(name, []))
+    except SessionBusy:
+        return False
+    return True
 
 
 def children(pid: int) -> list[int]:
@@ -150,7 +188,10 @@ def service(tmp_path_factory):
 @pytest.fixture(scope="session")
 def postgres():
     """A running PostgreSQL; who stops it starts it again."""
-    cluster = Postgres()
+    try:
+        cluster = Postgres()
+    except NoPostgres as error:
+        pytest.skip(str(error))
     try:
         cluster.start()
         yield cluster

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
-import queue
 import signal
 import socket
-import time
+import sqlite3
 
 import httpx
 import pytest
@@ -18,44 +18,16 @@ from ddakf_service.durability import Durability, Irrecoverable
 from ddakf_service.session import Session
 from ddakf_service.telemetry import Metrics
 
-from .conftest import Api, children, frame_of, request_of
+from .conftest import Api, Talk, children, eventually, frame_of, request_of, running
 
 pytestmark = pytest.mark.slow
 
 
-def until(condition, seconds: float = 100.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+WARM = 100.0  # seconds until a spare worker is ready
 
 
 def has_spare(service) -> bool:
     return "ddakf_workers_spare 1.0" in httpx.get(service.http + "/metrics").text
-
-
-class Talk:
-    """An open stream: what is sent is decided while the answers come."""
-
-    def __init__(self, api: Api, name: str, **start):
-        self._requests = queue.Queue()
-        self.answers = api.track(name, iter(self._requests.get, None), **start)
-        self.started = next(self.answers).started
-
-    def send(self, frame: pb.Frame) -> None:
-        self._requests.put(request_of(frame))
-
-    def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
-        """What comes back up to the answer to this frame."""
-        self.send(frame)
-        seen = []
-        while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
-            seen.append(next(self.answers))
-        return seen
-
-    def end(self) -> None:
-        self._requests.put(None)
-        assert list(self.answers) == []
 
 
 class Restartable:
@@ -64,14 +36,21 @@ class Restartable:
     def __init__(self, folder):
         with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
             ports = [str(taken.getsockname()[1]) for taken in (one, other)]
+        self._data = folder / "data"
         self._arguments = ["--workers", "1", "--spare-workers", "0", "--checkpoint-every", "4", "--drain-grace", "1"]
-        self._arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(folder / "data")]
+        self._arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(self._data)]
         self._log = folder / "service.log"
         self.start()
 
     def start(self) -> None:
         self.process = ServiceProcess(self._arguments, log=self._log)
         self.process.wait_until_ready()
+
+    def registered(self, name: str) -> list[pb.Session]:
+        """What a server that comes back would find of a session."""
+        with contextlib.closing(sqlite3.connect(self._data / "ddakf.sqlite")) as database:
+            rows = database.execute("SELECT message FROM sessions WHERE id = ?", [name.removeprefix("sessions/")]).fetchall()
+        return [pb.Session.FromString(message) for (message,) in rows]
 
     def restart(self, number: int) -> None:
         self.process.stop(number)
@@ -81,14 +60,8 @@ class Restartable:
 @pytest.fixture(scope="module")
 def durable(tmp_path_factory):
     """A service whose workers tests may kill."""
-    arguments = ["--workers", "1", "--checkpoint-every", "4"]
-    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("durable") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield process
-    finally:
-        status = process.stop()
-    assert status == 0
+    with running(["--workers", "1", "--checkpoint-every", "4"], tmp_path_factory.mktemp("durable")) as service:
+        yield service
 
 
 @pytest.fixture(scope="module")
@@ -104,7 +77,7 @@ def worker_of(service) -> int:
 
 def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
     """Their streams stay open; what was tracked since the checkpoint is forgotten, and said to be."""
-    until(lambda: has_spare(durable))
+    eventually(lambda: has_spare(durable), WARM)
     api = Api(durable.grpc)
     names = [api.create(sheet).name for _ in range(3)]
     talks = [Talk(api, name) for name in names[:2]]
@@ -128,7 +101,7 @@ def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
 
 
 def test_the_frame_that_a_killed_worker_had_is_tracked_again(durable, sheet):
-    until(lambda: has_spare(durable))
+    eventually(lambda: has_spare(durable), WARM)
     api = Api(durable.grpc)
     name = api.create(sheet).name
     talk = Talk(api, name)
@@ -137,7 +110,7 @@ def test_the_frame_that_a_killed_worker_had_is_tracked_again(durable, sheet):
     victim = worker_of(durable)
     os.kill(victim, signal.SIGSTOP)
     talk.send(frame_of(sheet, 6))
-    time.sleep(0.3)
+    talk.await_arrival()
     os.kill(victim, signal.SIGKILL)
     notice, result = next(talk.answers), next(talk.answers)
     assert notice.notice.value == 1
@@ -173,7 +146,7 @@ def test_sessions_of_a_killed_server_go_on_after_its_restart(restartable, sheet)
     for number in range(1, 7):
         talk.ask(frame_of(sheet, number))
     before = api.get(name)
-    time.sleep(1.5)  # statistics are registered once a second
+    eventually(lambda: [found.statistics.frames_applied for found in restartable.registered(name)] == [6])
     restartable.restart(signal.SIGKILL)
     api = Api(restartable.process.grpc)
     listed = {session.name: session for session in api.call("ListSessions", pb.ListSessionsRequest()).sessions}
@@ -224,7 +197,6 @@ def test_an_orderly_restart_forgets_nothing(restartable, sheet):
     """Tracked through the restart and without one: the same to the bit."""
     api = Api(restartable.process.grpc)
     names = [api.create(sheet).name for _ in range(2)]
-    snapshot = None
     for name in names:
         talk = Talk(api, name)
         for number in range(1, 6):

@@ -10,11 +10,9 @@ import pytest
 from ddakf_api.errors import InvalidArgument, SessionNotFound, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import aconnect
-from ddakf_service.child import ServiceProcess
 from ddakf_service.tracing import STAGES
 
-from .conftest import TIMEOUT, Api, frame_of, request_of
-from .postgres import new_database
+from .conftest import TIMEOUT, Api, eventually, frame_of, request_of, running
 
 pytest.importorskip("opentelemetry.sdk")
 from .collector import Collector, attributes_of
@@ -29,7 +27,7 @@ def collector():
 
 @pytest.fixture(scope="module")
 def arguments(tmp_path_factory, postgres):
-    database, data = new_database(postgres, "history"), tmp_path_factory.mktemp("data")
+    database, data = postgres.new_database("history"), tmp_path_factory.mktemp("data")
     few = ["--workers", "1", "--spare-workers", "0", "--trace-sample", "1"]
     return [*few, "--database-url", database, "--data-dir", str(data)]
 
@@ -39,13 +37,8 @@ def service(tmp_path_factory, arguments, collector):
     with pytest.MonkeyPatch.context() as environment:
         environment.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", collector.endpoint)
         environment.setenv("OTEL_BSP_SCHEDULE_DELAY", "200")
-        process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("history") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield process
-    finally:
-        status = process.stop()
-    assert status == 0
+        with running(arguments, tmp_path_factory.mktemp("history")) as service:
+            yield service
 
 
 def track(api: Api, name: str, sheet, first: int, count: int) -> list[pb.TrackResponse]:
@@ -62,15 +55,6 @@ def history(api: Api, name: str, **fields) -> pb.SessionHistory:
 
 def applied(answer: pb.SessionHistory) -> int:
     return sum(sample.frames_applied for sample in answer.samples)
-
-
-def eventually(what, timeout: float = TIMEOUT):
-    """The first true answer."""
-    deadline = time.monotonic() + timeout
-    while not (found := what()):
-        assert time.monotonic() < deadline
-        time.sleep(0.1)
-    return found
 
 
 def states(answer: pb.SessionHistory) -> list[int]:
@@ -209,12 +193,8 @@ def test_the_history_goes_on_after_a_restart(api, sheet, service, arguments, tmp
         track(api, name, sheet, 1, 5)
     api.delete(ended)
     assert service.stop() == 0
-    again = ServiceProcess(arguments, log=tmp_path / "again.log")
-    try:
-        again.wait_until_ready()
+    with running(arguments, tmp_path) as again:
         after = Api(again.grpc)
         with after.channel:
             track(after, alive, sheet, 6, 5)
             assert [applied(history(after, name)) for name in (ended, alive)] == [5, 10]
-    finally:
-        again.stop()

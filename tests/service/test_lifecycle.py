@@ -8,8 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
-import time
 
 import httpx
 import pytest
@@ -17,19 +15,12 @@ from ddakf_api.errors import Draining
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.child import ServiceFailed, ServiceProcess
 
-from .conftest import TIMEOUT, Api, children, frame_of, is_running, request_of, silence
+from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_running
 
 
 def serve(*arguments: str, **options) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "ddakf_service", *arguments]
     return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)
-
-
-def until(condition, seconds: float = TIMEOUT) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -89,8 +80,8 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
                 except httpx.TransportError:
                     return 0
 
-            until(lambda: status("/healthz") == 200)
-            until(lambda: seen.append(status("/readyz")) or seen[-1] == 200, 120)
+            eventually(lambda: status("/healthz") == 200)
+            eventually(lambda: seen.append(status("/readyz")) or seen[-1] == 200, 120)
             assert seen[0] == 503
         finally:
             process.terminate()
@@ -101,27 +92,18 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
 @pytest.mark.slow
 def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet):
     api = Api(own_service.grpc)
-    name = api.create(sheet).name
-    noticed = threading.Event()
-
-    def until_noticed():
-        yield request_of(frame_of(sheet, 1))
-        noticed.wait(TIMEOUT)
-        yield request_of(frame_of(sheet, 2))
-
-    stream = api.track(name, until_noticed())
-    assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
+    talk = Talk(api, api.create(sheet).name)
+    assert talk.ask(frame_of(sheet, 1))[-1].result.sequence_number == 1
     workers = children(own_service.pid)
     os.kill(own_service.pid, signal.SIGTERM)
-    notice = next(stream).notice
+    notice = next(talk.answers).notice
     assert notice.kind == pb.NOTICE_KIND_DRAINING
     assert notice.value == 3
     assert httpx.get(own_service.http + "/readyz").status_code == 503
     with pytest.raises(Draining):
         api.create(sheet)
-    noticed.set()
-    assert next(stream).result.sequence_number == 2, "frames are answered while the clients leave"
-    assert list(stream) == []
+    assert talk.ask(frame_of(sheet, 2))[-1].result.sequence_number == 2, "frames are answered while the clients leave"
+    talk.end()
     assert own_service.wait() == 0
     assert not any(is_running(pid) for pid in workers)
     api.channel.close()
@@ -130,15 +112,12 @@ def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet)
 @pytest.mark.slow
 def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     api = Api(own_service.grpc)
-    hold = threading.Event()
-    stream = api.track(api.create(sheet).name, silence(hold))
-    next(stream)
-    os.kill(own_service.pid, signal.SIGTERM)
-    notices = [next(stream).notice.kind for _ in range(2)]
-    assert notices == [pb.NOTICE_KIND_DRAINING, pb.NOTICE_KIND_RECONNECT]
-    with pytest.raises(Draining):
-        next(stream)
-    hold.set()
+    with Talk(api, api.create(sheet).name) as talk:
+        os.kill(own_service.pid, signal.SIGTERM)
+        notices = [next(talk.answers).notice.kind for _ in range(2)]
+        assert notices == [pb.NOTICE_KIND_DRAINING, pb.NOTICE_KIND_RECONNECT]
+        with pytest.raises(Draining):
+            next(talk.answers)
     assert own_service.wait() == 0
     api.channel.close()
 
@@ -146,17 +125,12 @@ def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
 @pytest.mark.slow
 def test_a_second_signal_forces_the_end(own_service, sheet):
     api = Api(own_service.grpc)
-    hold = threading.Event()
-    stream = api.track(api.create(sheet).name, silence(hold))
-    next(stream)
-    workers = children(own_service.pid)
-    os.kill(own_service.pid, signal.SIGINT)
-    next(stream)
-    started = time.monotonic()
-    assert own_service.stop(signal.SIGINT) == 1
-    assert time.monotonic() - started < 2
-    until(lambda: not any(is_running(pid) for pid in workers), 2)
-    hold.set()
+    with Talk(api, api.create(sheet).name) as talk:
+        workers = children(own_service.pid)
+        os.kill(own_service.pid, signal.SIGINT)
+        assert next(talk.answers).notice.kind == pb.NOTICE_KIND_DRAINING
+        assert own_service.stop(signal.SIGINT) == 1, "a drain ends with 0"
+    eventually(lambda: not any(is_running(pid) for pid in workers))
     api.channel.close()
 
 
@@ -165,7 +139,7 @@ def test_a_killed_server_leaves_no_worker(own_service):
     workers = children(own_service.pid)
     assert len(workers) == 1
     assert own_service.stop(signal.SIGKILL) == -signal.SIGKILL
-    until(lambda: not any(is_running(pid) for pid in workers), 2)
+    eventually(lambda: not any(is_running(pid) for pid in workers))
 
 
 @pytest.mark.slow
@@ -183,7 +157,7 @@ def test_a_service_of_a_killed_parent_ends(tmp_path):
         check=False,
     )
     pid = int(ended.stdout)
-    until(lambda: not is_running(pid), 10)
+    eventually(lambda: not is_running(pid))
 
 
 def test_a_service_that_cannot_start_says_why(tmp_path):

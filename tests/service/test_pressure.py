@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import queue
 import signal
 import socket
 import threading
@@ -14,10 +16,10 @@ import pytest
 from ddakf_api.errors import DeadlineExceeded, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
-from ddakf_service.child import ServiceProcess
+from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect as connect_websocket
 
-from .conftest import TIMEOUT, Api, children, frame_of, make_sheet, request_of, silence
+from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_free, make_sheet, request_of, running
 
 LARGE = make_sheet(50, 0.01)
 
@@ -25,15 +27,9 @@ LARGE = make_sheet(50, 0.01)
 @pytest.fixture(scope="module")
 def single(tmp_path_factory):
     """A service of one worker that does not wait long for its readers."""
-    arguments = ["--workers", "1", "--spare-workers", "0", "--reader-timeout", "1"]
-    arguments += ["--request-timeout", "1"]
-    process = ServiceProcess(arguments, log=tmp_path_factory.mktemp("single") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield process
-    finally:
-        status = process.stop()
-    assert status == 0
+    arguments = ["--workers", "1", "--spare-workers", "0", "--reader-timeout", "1", "--request-timeout", "1"]
+    with running(arguments, tmp_path_factory.mktemp("single")) as service:
+        yield service
 
 
 @pytest.fixture(scope="module")
@@ -56,30 +52,19 @@ class Halted:
         os.kill(self._worker, signal.SIGCONT)
 
 
-def late_frame(sheet, number: int, deadline: float) -> pb.TrackRequest:
-    frame = frame_of(sheet, number)
-    frame.deadline = deadline
-    return request_of(frame)
-
-
 def test_a_frame_whose_turn_comes_too_late_is_not_tracked(single, api, sheet):
     name = api.create(sheet).name
-    sent = threading.Event()
-
-    def requests():
-        yield request_of(frame_of(sheet, 1))
-        yield late_frame(sheet, 2, 0.1)
-        yield late_frame(sheet, 3, 60.0)
-        yield late_frame(sheet, 4, -1.0)
-        sent.set()
-
-    stream = api.track(name, requests())
-    with Halted(single):
-        assert next(stream).HasField("started")
-        sent.wait(TIMEOUT)
-        time.sleep(0.4)
     answers = {}
-    for response in stream:
+    with Talk(api, name) as talk, Halted(single):
+        for number, deadline in ((1, 0.0), (2, 0.1), (3, 60.0)):
+            frame = frame_of(sheet, number)
+            frame.deadline = deadline
+            talk.send(frame)
+        talk.await_arrival()
+        frame.sequence_number, frame.deadline = 4, -1.0
+        talk.send(frame)
+        time.sleep(0.2)  # twice as long as the second can wait
+    for response in talk.answers:
         kind = response.WhichOneof("message")
         answers[getattr(response, kind).sequence_number] = getattr(response, kind)
     assert answers[2].error.name == "DeadlineExceeded"
@@ -121,11 +106,12 @@ def test_who_sends_more_than_can_be_tracked_is_told_how_much_can_be(single, api,
 
     stream = api.track(name, too_many(), pb.FLOW_MODE_REALTIME)
     assert next(stream).HasField("started")
+    notices = (response.notice for response in stream if response.HasField("notice"))
     with Halted(single):
-        time.sleep(1.5)
-    notices = [response.notice for response in stream if response.HasField("notice")]
-    assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_SLOW_DOWN]
-    assert 0 < notices[0].value < 100
+        told = next(notices)
+    assert told.kind == pb.NOTICE_KIND_SLOW_DOWN
+    assert 0 < told.value < 100
+    assert list(notices) == []
     api.delete(name)
 
 
@@ -153,20 +139,8 @@ def test_a_greedy_session_starves_no_other_of_its_worker(api, sheet):
 def test_a_stream_that_never_starts_ends(single):
     stub = rpc.TrackingServiceStub(grpc.insecure_channel(single.grpc))
     with pytest.raises(grpc.RpcError) as caught:
-        list(stub.Track(silence(threading.Event())))
+        list(stub.Track(iter(queue.Queue().get, None)))
     assert isinstance(from_rpc_error(caught.value), DeadlineExceeded)
-
-
-def is_free(api, name: str, seconds: float = 20.0) -> bool:
-    """Whether the session's stream ends by itself."""
-    deadline = time.monotonic() + seconds
-    while time.monotonic() < deadline:
-        try:
-            next(api.track(name, []))
-            return True
-        except Exception:
-            time.sleep(0.2)
-    return False
 
 
 ALL = pb.ResultOptions(include_covariance=True, include_velocities=True, vertex_encoding=pb.ARRAY_ENCODING_FLOAT64)
@@ -187,7 +161,7 @@ def test_a_reader_that_stalls_loses_its_stream_and_nobody_elses(single, api, she
     next(unread)
     for number in range(1, 21):
         assert list(api.track(other, [request_of(frame_of(sheet, number))]))[-1].result.frames_applied == number
-    assert is_free(api, stalled)
+    eventually(lambda: is_free(api, stalled))
     applied = api.get(stalled).statistics.frames_applied
     assert 0 < applied < 1999
     with pytest.raises(grpc.RpcError) as caught:
@@ -209,14 +183,14 @@ def test_a_websocket_reader_that_stalls_loses_its_stream(single, api):
         stop = threading.Event()
 
         def send():
-            for number in range(1, 2000):
-                if stop.is_set():
-                    return
-                websocket.send(request_of(frame_of(LARGE, number)).SerializeToString())
+            with contextlib.suppress(ConnectionClosed, OSError):  # the connection ends beneath the sender
+                for number in range(1, 2000):
+                    if stop.is_set():
+                        return
+                    websocket.send(request_of(frame_of(LARGE, number)).SerializeToString())
 
-        sender = threading.Thread(target=lambda: swallow(send), daemon=True)
-        sender.start()
-        assert is_free(api, name, 40)
+        threading.Thread(target=send, daemon=True).start()
+        eventually(lambda: is_free(api, name), 40)
         stop.set()
     assert 0 < api.get(name).statistics.frames_applied < 1999
     api.delete(name)
@@ -235,7 +209,8 @@ def dripping(single, request: bytes) -> bytes:
                     return answer
                 answer += part
             except TimeoutError:
-                swallow(lambda: connection.sendall(b"x"))
+                with contextlib.suppress(OSError):  # cut just now
+                    connection.sendall(b"x")
             except ConnectionResetError:
                 return answer
     raise AssertionError("the connection was not cut")
@@ -268,11 +243,3 @@ def test_a_connection_that_is_kept_serves_one_request_after_the_other(single):
         for _ in range(4):
             assert http.get("/healthz").status_code == 200
             time.sleep(0.6)
-
-
-def swallow(work) -> None:
-    """The connection ends beneath the sender: that is what the test is about."""
-    try:
-        work()
-    except Exception:
-        return

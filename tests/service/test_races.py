@@ -24,7 +24,7 @@ class Pool:
 
     def __init__(self):
         self.calls = []
-        self.busy = asyncio.Event()
+        self.busy, self.configuring = asyncio.Event(), asyncio.Event()
         self.lost = False
 
     async def open(self, session_id, request, memory):
@@ -32,6 +32,7 @@ class Pool:
         return pb.Session().SerializeToString()
 
     async def configure(self, session_id, request):
+        self.configuring.set()
         await self.busy.wait()
         return pb.Session().SerializeToString()
 
@@ -120,9 +121,9 @@ async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, poo
     session = server._directory.readable("sessions/some")
     change = pb.Session(name="sessions/some", fabric="denim")
     update = asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change)))
-    await asyncio.sleep(0.01)
+    await pool.configuring.wait()
     deletion = asyncio.create_task(server.delete("sessions/some"))
-    await asyncio.sleep(0.01)
+    await asyncio.sleep(0)
     pool.busy.set()
     await asyncio.gather(update, deletion)
     assert (await store.registry.newest("some")).reason.name == "SessionNotFound"

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
-import itertools
+import base64
 import json
-import threading
-import time
 import uuid
 
 import numpy as np
@@ -17,27 +14,19 @@ from ddakf_api.errors import (
     FailedPrecondition,
     InvalidArgument,
     InvalidConfig,
-    InvalidSnapshot,
     SessionExists,
-    SessionExpired,
     SessionNotFound,
     VersionMismatch,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
-from ddakf_service import sessions
-from ddakf_service.child import ServiceProcess
-from ddakf_service.settings import Settings
-from ddakf_service.store import Store
-from ddakf_service.telemetry import Metrics
-from ddakf_service.tracing import NoTracer
 
 import ddakf
 from ddakf import data
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Sensor
 
-from .conftest import TIMEOUT, Api, frame_of, make_sheet, request_of, silence
+from .conftest import Api, Talk, frame_of, make_sheet, request_of
 
 
 def test_life_over_grpc(api, sheet):
@@ -70,8 +59,6 @@ def test_life_over_rest(http, sheet):
 
 
 def test_a_mesh_as_base64_is_the_same_mesh(http, api, sheet):
-    import base64
-
     packed = pack_mesh(*sheet)
     mesh = {
         "vertices": {"encoding": "float64", "data": base64.b64encode(packed.vertices.data).decode()},
@@ -110,15 +97,6 @@ def test_listing_by_pages_and_state(api, http, sheet):
         api.delete(name)
 
 
-def test_a_repeated_request_creates_once(api, sheet):
-    request = pb.CreateSessionRequest(
-        api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*sheet)), request_id=str(uuid.uuid4())
-    )
-    first, second = api.call("CreateSession", request), api.call("CreateSession", request)
-    assert first.name == second.name
-    api.delete(first.name)
-
-
 def test_a_taken_or_malformed_id_is_refused(api, session, sheet):
     with pytest.raises(SessionExists):
         api.create(sheet, session.removeprefix("sessions/"))
@@ -144,21 +122,13 @@ def test_another_configuration_and_fabric_while_frames_are_tracked(api, session,
     def update(**change):
         return api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, **change)))
 
-    between, sent = [], threading.Event()
-
-    def requests():
-        yield request_of(frame_of(sheet, 1))
-        sent.wait(TIMEOUT)
-        yield request_of(frame_of(sheet, 2))
-
-    stream = api.track(session, requests())
-    assert [next(stream).WhichOneof("message") for _ in range(2)] == ["started", "result"]
-    between.append(update(config_json='{"associate": {"wide_gate": 0.05}}'))
-    between.append(update(fabric="silk"))
+    talk = Talk(api, session)
+    assert talk.ask(frame_of(sheet, 1))[-1].result.frames_applied == 1
+    between = [update(config_json='{"associate": {"wide_gate": 0.05}}'), update(fabric="silk")]
     with pytest.raises(InvalidConfig, match="fabric"):
         update(fabric="iron", labels={"never": "set"})
-    sent.set()
-    assert [response.result.frames_applied for response in stream] == [2]
+    assert talk.ask(frame_of(sheet, 2))[-1].result.frames_applied == 2
+    talk.end()
     first, second = (json.loads(answer.config_json) for answer in between)
     assert first["associate"]["wide_gate"] == second["associate"]["wide_gate"] == 0.05
     assert first["physics"] != second["physics"] == ddakf.Config().with_fabric(ddakf.Fabric.named("silk")).to_dict()["physics"]
@@ -197,49 +167,6 @@ def test_a_limit_that_is_no_number_is_refused(api, session, field, value):
         api.call("UpdateSession", pb.UpdateSessionRequest(session=change))
 
 
-def gone(api, name: str) -> SessionExpired:
-    """Why a session has expired, once it has."""
-    deadline = time.monotonic() + 10
-    while time.monotonic() < deadline:
-        try:
-            api.get(name)
-        except SessionExpired as error:
-            return error
-        time.sleep(0.1)
-    raise AssertionError("it lives")
-
-
-def test_a_session_that_its_client_has_left_waits_and_expires(api, sheet):
-    """While a stream is open, or before there was one, the departure window does not run."""
-    limits = pb.SessionLimits(departure_timeout=0.5)
-    left, waiting, open_still = (api.create(sheet, limits=limits).name for _ in range(3))
-    hold = threading.Event()
-    stream = api.track(open_still, silence(hold))
-    next(stream)
-    list(api.track(left, [request_of(frame_of(sheet, 1))]))
-    again = list(api.track(left, [request_of(frame_of(sheet, 2))]))
-    assert again[0].started.last_sequence_number == 1, "within the window it comes back to what it left"
-    assert "did not come back within 0.5 s" in str(gone(api, left))
-    assert [api.get(name).name for name in (waiting, open_still)] == [waiting, open_still]
-    hold.set()
-    list(stream)
-    gone(api, open_still)
-    api.delete(waiting)
-
-
-def test_a_lifetime_ends_even_a_busy_session(api, sheet):
-    name = api.create(sheet, limits=pb.SessionLimits(max_lifetime=1.0)).name
-
-    def endless():
-        for number in itertools.count(1):
-            time.sleep(0.05)
-            yield request_of(frame_of(sheet, number))
-
-    with pytest.raises(SessionExpired, match="1 s, its longest"):
-        list(api.track(name, endless()))
-    assert "its longest" in str(gone(api, name))
-
-
 def test_a_repeated_request_over_another_connection_creates_once(service, api, sheet):
     request = pb.CreateSessionRequest(
         api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*sheet)), request_id=str(uuid.uuid4())
@@ -265,61 +192,6 @@ def test_reset_starts_again_from_given_vertices(api, session, sheet):
         api.call("ResetSession", pb.ResetSessionRequest(name=session, vertices=pack(moved[:5])))
 
 
-def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
-    list(api.track(session, [request_of(frame_of(sheet, 1))]))
-    snapshot = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=session))
-    copy = api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data))
-    following = request_of(frame_of(sheet, 2, shift=(0.004, 0, 0)))
-    a, b = [list(api.track(name, [following]))[-1].result for name in (session, copy.name)]
-    assert a.vertices == b.vertices
-    api.delete(copy.name)
-    with pytest.raises(InvalidSnapshot):
-        api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data[:-9]))
-
-
-@pytest.fixture(scope="module")
-def small_service(tmp_path_factory):
-    """Takes the sheet as garment and as body, and nothing larger."""
-    limits = ["--max-vertices", "144", "--max-faces", "242", "--max-body-vertices", "144", "--workers", "1"]
-    process = ServiceProcess(limits, log=tmp_path_factory.mktemp("small") / "service.log")
-    try:
-        process.wait_until_ready()
-        yield Api(process.grpc)
-    finally:
-        process.stop()
-
-
-def torus(side: int) -> ddakf.Mesh:
-    """More faces than a sheet of as many vertices."""
-    i, j = (index.ravel() for index in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
-    u, v = 2 * np.pi * i / side, 2 * np.pi * j / side
-    vertices = np.stack([(1 + 0.3 * np.cos(v)) * np.cos(u), (1 + 0.3 * np.cos(v)) * np.sin(u), 0.3 * np.sin(v)], axis=1)
-    right, up = (i + 1) % side, (j + 1) % side
-    a, b, c, d = i * side + j, right * side + j, i * side + up, right * side + up
-    return ddakf.Mesh(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([c, b, d], axis=1)]))
-
-
-@pytest.mark.parametrize(
-    ("garment", "body", "words"),
-    [
-        (13, 12, "at most 144 garment vertices, got 169"),
-        (12, 13, "at most 144 body vertices, got 169"),
-        (12, "torus", "at most 242 body faces, got 288"),
-        (12, 12, ""),
-    ],
-)
-def test_a_snapshot_has_the_limits_of_a_new_session(small_service, garment, body, words):
-    below = torus(12) if body == "torus" else ddakf.Mesh(*make_sheet(body))
-    data = ddakf.Tracker(ddakf.Mesh(*make_sheet(garment)), body=below).snapshot()
-    request = pb.RestoreSessionRequest(api_version=API_VERSION, data=data)
-    if not words:
-        small_service.delete(small_service.call("RestoreSession", request).name)
-        return
-    with pytest.raises(InvalidSnapshot, match=words) as caught:
-        small_service.call("RestoreSession", request)
-    assert caught.value.field == "data"
-
-
 def test_cleaning_answers_the_vertex_map(api, http, sheet):
     vertices = np.concatenate([[[9.0, 9.0, 9.0]], sheet.vertices])
     faces = np.concatenate([sheet.faces + 1, sheet.faces[:1] + 1])
@@ -333,18 +205,6 @@ def test_cleaning_answers_the_vertex_map(api, http, sheet):
     created = http.post("/v1/sessions", json={"garment": mesh, "clean": True}).json()
     assert created["vertex_map"] == list(range(1, len(vertices)))
     api.delete(created["name"])
-
-
-def test_an_idle_session_expires(api, http, sheet):
-    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=0.5)).name
-    deadline = time.monotonic() + 10
-    while http.get(f"/v1/{name}").status_code == 200 and time.monotonic() < deadline:
-        time.sleep(0.1)
-    answer = http.get(f"/v1/{name}")
-    assert answer.status_code == 410
-    assert answer.json()["error"]["name"] == "SessionExpired"
-    with pytest.raises(SessionExpired, match=r"0\.5 s"):
-        api.get(name)
 
 
 def test_another_major_version_is_refused(api, sheet):
@@ -370,48 +230,3 @@ def test_the_sample_is_tracked(client):
     assert results[-1].state == "tracking"
     assert results[-1].covariance.shape == (garment.n_vertices, 3, 3)
     assert rmse_mm(results[-1].vertices, sequence.garment_vertices[5]) < 15
-
-
-async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch, request):
-    """A worker that fails at the end of a session."""
-    monkeypatch.setattr(sessions, "_EXPIRY_INTERVAL", 0.01)
-
-    class Pool:
-        async def open(self, session_id, request, memory):
-            return pb.Session(name=session_id).SerializeToString()
-
-        async def snapshot(self, session_id):
-            return b""
-
-        async def close(self, session_id):
-            raise RuntimeError("no")
-
-    settings, metrics = Settings(data_dir="none"), Metrics()
-    store = Store(settings, metrics)
-    request.addfinalizer(store.close)
-    mine = sessions.Sessions(Pool(), settings, metrics, store, NoTracer())
-    for name in ("first", "other"):
-        await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
-    for session in mine._directory:
-        session.last_active -= 1e6
-    expiry = asyncio.create_task(mine.expire_idle())
-    await asyncio.sleep(0.3)
-    assert not expiry.done()
-    expiry.cancel()
-    for name in ("first", "other"):
-        with pytest.raises(SessionExpired):
-            await mine.get(f"sessions/{name}")
-    await asyncio.to_thread(store.close)
-
-
-def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):
-    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=1)).name
-
-    def bad_frames():
-        for number in range(1, 10):
-            time.sleep(0.3)
-            yield pb.TrackRequest(frame=pb.Frame(sequence_number=number, point_cloud=pb.PointCloud(point_count=3)))
-
-    responses = list(api.track(name, bad_frames()))
-    assert [response.HasField("frame_error") for response in responses[1:]] == [True] * 9
-    api.delete(name)

@@ -48,7 +48,9 @@ def test_a_bad_field_is_a_field_violation(api):
 
 
 def test_a_missing_session_is_no_fault_of_a_field(api):
-    details = details_of(rpc_status.from_call(refusal(api, "GetSession", pb.GetSessionRequest(name="sessions/none"))))
+    error = refusal(api, "GetSession", pb.GetSessionRequest(name="sessions/none"))
+    assert error.code() is grpc.StatusCode.NOT_FOUND
+    details = details_of(rpc_status.from_call(error))
     assert set(details) == {"ErrorInfo"}
     assert details["ErrorInfo"].reason == "SESSION_NOT_FOUND"
 

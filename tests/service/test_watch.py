@@ -16,7 +16,7 @@ from ddakf_api.errors import InvalidArgument, ResourceExhausted, SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, aconnect
 
-from .conftest import TIMEOUT, frame_of, make_sheet, request_of
+from .conftest import TIMEOUT, eventually, frame_of, make_sheet, request_of
 
 ARRAYS = {field.name for field in pb.Result.DESCRIPTOR.fields if field.message_type is pb.PackedArray.DESCRIPTOR}
 
@@ -115,14 +115,15 @@ def test_who_may_not_watch(api, session):
         refused = from_rpc_error(caught.value)
         assert isinstance(refused, ResourceExhausted)
         assert refused.retry_after > 0
-    deadline = threading.Event()
-    for _ in range(100):  # those that left make room, once their leaving is noticed
+
+    def admitted() -> bool:
         try:
             with watching(api, session):
-                return
+                return True
         except grpc.RpcError:
-            deadline.wait(0.05)
-    pytest.fail("no watcher's place became free")
+            return False
+
+    eventually(admitted)  # those that left make room, once their leaving is noticed
 
 
 def test_the_client_watches(client, sheet):

@@ -13,8 +13,6 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.store import Database, SessionRecord
 from ddakf_service.telemetry import Metrics
 
-from ..postgres import new_database
-
 PATIENCE = 20.0  # seconds
 
 
@@ -23,7 +21,7 @@ def url(request, tmp_path):
     """An empty database."""
     if request.param == "sqlite":
         return f"sqlite:///{tmp_path}/test.sqlite"
-    return new_database(request.getfixturevalue("postgres"), f"test-{uuid.uuid4()}")
+    return request.getfixturevalue("postgres").new_database(f"test-{uuid.uuid4()}")
 
 
 @pytest.fixture

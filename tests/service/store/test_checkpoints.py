@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.store.checkpoints import Checkpoints, DamagedCheckpoint, pack, unpack
+from ddakf_service.telemetry import Metrics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -199,8 +200,6 @@ for number in itertools.count():
     checkpoints.flush(60)
     print(number, flush=True)
 """
-    from ddakf_service.telemetry import Metrics
-
     with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
         for _ in range(5):
             last = int(process.stdout.readline())

@@ -38,6 +38,12 @@ class Parts(NamedTuple):
                 getattr(request, name).seconds = seconds
         return await self.history.query(request, self.uid, self.created)
 
+    def track_every_second(self, seconds: int) -> None:
+        """A frame in each, from the beginning."""
+        for second in range(seconds):
+            self.clock.now = self.created + second
+            track(self.history, self.uid, 1)
+
 
 @pytest.fixture
 def parts(opened, url) -> Parts:
@@ -99,11 +105,7 @@ async def test_any_resolution_holds_every_frame(parts, written):
 
 
 async def test_never_more_samples_than_asked_for(parts):
-    _, history, clock, uid, _ = parts
-    start = int(clock.now)
-    for second in range(101):
-        clock.now = start + second
-        track(history, uid, 1)
+    parts.track_every_second(101)
     for most in (1, 2, 7, 50, 101):
         answer = await parts.query(max_samples=most)
         assert 0 < len(answer.samples) <= most
@@ -111,14 +113,10 @@ async def test_never_more_samples_than_asked_for(parts):
 
 
 async def test_a_span_holds_its_seconds_alone(parts):
-    database, history, clock, uid, _ = parts
-    start = int(clock.now)
-    for second in range(10):
-        clock.now = start + second
-        track(history, uid, 1)
-    database.flush(PATIENCE)
-    answer = await parts.query(start=start + 2, end=start + 5)
-    assert [s.start_time.seconds - start for s in answer.samples] == [2, 3, 4]
+    parts.track_every_second(10)
+    assert parts.database.flush(PATIENCE)
+    answer = await parts.query(start=parts.created + 2, end=parts.created + 5)
+    assert [s.start_time.seconds - parts.created for s in answer.samples] == [2, 3, 4]
 
 
 async def test_states_are_recorded_when_they_change(parts):

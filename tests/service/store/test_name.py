@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import time
 import uuid
 
 import pytest
@@ -17,9 +16,7 @@ from ddakf_service.telemetry import Metrics
 
 from ddakf.errors import InvalidConfig
 
-from ..conftest import TIMEOUT
-from ..postgres import new_database
-from .conftest import PATIENCE
+from ..conftest import TIMEOUT, eventually
 
 LOCKS = (
     "FROM pg_locks WHERE locktype = 'advisory' AND granted "
@@ -29,7 +26,7 @@ LOCKS = (
 
 @pytest.fixture
 def url(postgres):
-    return new_database(postgres, f"name-{uuid.uuid4()}")
+    return postgres.new_database(f"name-{uuid.uuid4()}")
 
 
 @pytest.fixture
@@ -54,13 +51,6 @@ def store(url, tmp_path, monkeypatch):
     yield open_
     for opened in stores:
         opened.close()
-
-
-def eventually(condition) -> None:
-    deadline = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
 
 
 def cut(admin: sa.Connection) -> None:
