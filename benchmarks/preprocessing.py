@@ -18,7 +18,6 @@ from ddakf.open3d_bridge import import_open3d
 from ddakf.preprocess import preprocess
 
 NEIGHBOURS, RATIO = 16, 2.0
-SIZES = ((5_000, 20_000), (2_500, 10_000))
 
 
 def against_open3d(settings) -> dict:

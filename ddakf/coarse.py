@@ -21,6 +21,7 @@ from ddakf.model import Model
 from ddakf.physics.contact import BodyContact
 from ddakf.preprocess import Cloud
 from ddakf.types import State
+from ddakf.uncertainty import variances
 
 EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
 CONTACT_SD = 0.004  # m, of the body's surface where a cluster is pushed out
@@ -51,9 +52,9 @@ def align(
     gates = list(islice(associate.gates(cloud, config.associate), coarse.iterations))
     position, measurement = prior.position, update.measurement
     measurement = _measured(probe, position, measurement, cloud, body_vertices, gates[0], model, config)
-    if not _surprised(measurement, position, probe, coarse.least_innovation):
+    if not _needed(measurement, position, probe, coarse.least_innovation):
         return update._replace(measurement=measurement)  # its planes need not be sought again
-    variance = max(float(np.median(np.einsum("vaa->v", prior.R))) / 3, config.adapt.lowest_sd**2)
+    variance = max(float(np.median(variances(prior.R))), config.adapt.lowest_sd**2)
     floor = None if contact is None else contact.planes(position, config.physics)
     for gate in gates:
         measurement = _measured(sample, position, measurement, cloud, body_vertices, gate, model, config)
@@ -80,8 +81,8 @@ def _measured(vertex: np.ndarray, position, last: Measurement, cloud: Cloud, bod
     return associate.associate(position, last, cloud, body_vertices, model, gate, config.associate, only=only)
 
 
-def _surprised(measurement: Measurement, position: np.ndarray, vertex: np.ndarray, least: float) -> bool:
-    """Whether the RMS innovation of some vertices along the normals is above ``least`` metres."""
+def _needed(measurement: Measurement, position: np.ndarray, vertex: np.ndarray, least: float) -> bool:
+    """Whether passes are: the RMS innovation of some vertices along the normals is above ``least`` metres."""
     found = vertex[measurement.found[vertex]]
     y = np.einsum("va,va->v", measurement.normal[found], measurement.target[found] - position[found])
     return len(y) > 0 and float(y @ y) > least**2 * len(y)

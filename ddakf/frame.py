@@ -25,6 +25,13 @@ class Frame(NamedTuple):
     sensor_origin: np.ndarray | None  # (3,) or (N, 3) float64, m
     body_vertices: np.ndarray | None  # (B, 3) float64, m
 
+    def only(self, rows: np.ndarray | slice) -> Frame:
+        """With some of the points, and their sensors where each has its own."""
+        origin = self.sensor_origin
+        if origin is not None and origin.ndim == 2:
+            origin = origin[rows]
+        return self._replace(points=self.points[rows], sensor_origin=origin)
+
 
 def checked(points, timestamp, sensor_origin, body_vertices, last: float | None, body: Mesh | None) -> Frame:
     """The frame, or the reason why it is none.

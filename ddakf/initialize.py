@@ -104,7 +104,7 @@ def places(position: np.ndarray, model: Model, target: Target, turn_sd: float = 
         rotation, translation = _started(rough, target, angle)
         rotation, translation = _aligned(rough, target, FEW_POINTS, rotation, translation, FIRST_REACHES, False)
         cost = _cost(rough.placed(rotation, translation), target, FEW_POINTS)
-        tried.append((_surprise(cost, INDEPENDENT_RIGID, rotation, turn_sd), len(tried), rotation, translation))
+        tried.append((_negative_log_posterior(cost, INDEPENDENT_RIGID, rotation, turn_sd), len(tried), rotation, translation))
     tried.sort()
     found: list[Placement] = []
     for _, _, rotation, translation in tried[:FINALISTS]:
@@ -112,7 +112,7 @@ def places(position: np.ndarray, model: Model, target: Target, turn_sd: float = 
         cost = _cost(fine.placed(rotation, translation), target, ASKED)
         # of the garment in the world: x -> R (x - o) + t + o
         found.append(Placement(rotation, translation + target.origin - rotation @ target.origin, cost))
-    found.sort(key=lambda placement: _surprise(placement.cost, INDEPENDENT_RIGID, placement.rotation, turn_sd))
+    found.sort(key=lambda placement: _negative_log_posterior(placement.cost, INDEPENDENT_RIGID, placement.rotation, turn_sd))
     apart: list[Placement] = []
     for placement in found:
         if all(np.trace(placement.rotation.T @ other.rotation) < 1 + 2 * np.cos(DISTINCT) for other in apart):
@@ -125,8 +125,8 @@ def cost_in_place(position: np.ndarray, model: Model, target: Target) -> float:
     return _cost(Shape.of(position, model, target), target, ASKED)
 
 
-def _surprise(cost: float, independent: float, rotation: np.ndarray, turn_sd: float) -> float:
-    """Minus the logarithm of the posterior: distances of unknown scale (Laplace), a heading that is normal about the present."""
+def _negative_log_posterior(cost: float, independent: float, rotation: np.ndarray, turn_sd: float) -> float:
+    """Distances of unknown scale (Laplace), a heading that is normal about the present."""
     heading = np.arctan2(rotation[0, 2], rotation[0, 0])
     return independent * np.log(cost) + 0.5 * (heading / turn_sd) ** 2
 
@@ -319,6 +319,6 @@ def _best(sought: list[np.ndarray], target: Target, turn_sd: float, model: Model
             cost = cost_in_place(rough, model, target)
             strain = math.sqrt(strains(rough, model.start, model.neighbour, model.rest_length, squared))
             total = (cost + STRAIN_LENGTH * strain) * (1.0 + TEMPLATE_COST * k)
-            trials.append((_surprise(total, INDEPENDENT, placement.rotation, turn_sd), len(trials), cost, rough))
+            trials.append((_negative_log_posterior(total, INDEPENDENT, placement.rotation, turn_sd), len(trials), cost, rough))
     _, _, cost, found = min(trials, key=lambda trial: trial[:2])
     return found, cost

@@ -9,6 +9,7 @@ import numpy as np
 from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.kernels import predict as kernels
 from ddakf.types import FrameResult, State
+from ddakf.uncertainty import variances
 
 
 def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration) -> State:
@@ -75,7 +76,7 @@ def ahead(
         vertices=prior.position,
         velocities=prior.velocity if carrying is None else prior.velocity + carrying,
         covariance=covariance,
-        sigma=np.sqrt(np.einsum("vaa->v", covariance) / 3),
+        sigma=np.sqrt(variances(covariance)),
     )
 
 

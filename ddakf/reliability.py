@@ -13,11 +13,13 @@ from ddakf.fuse import Update
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.model import Model
+from ddakf.preprocess import vertex_grid
 from ddakf.types import State, TrackerState
 from ddakf.uncertainty import variances
 
-EVIDENCE_POINTS = 800  # of a cloud that are held against the surface
+EVIDENCE_POINTS = 800  # of a cloud, at least and not twice as many, that are held against the surface
 REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
+RINGS, CELLS = 4, 127  # of cells in the reach, which are searched nearest first; at most along each axis of the vertices' grid
 FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
 NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
 CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
@@ -77,7 +79,7 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     """
     if not found.any():
         return 0.0
-    return float(np.exp(-kernels.surprise(innovation, R, found) / len(found)))
+    return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
 
 
 class Evidence(NamedTuple):
@@ -138,7 +140,7 @@ def evidence(
         update: the finished update.
         posterior: of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) of the cloud as it came, metres.
+        points: (N, 3) of the cloud that are held against the surface, metres.
         clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds since the last frame.
         model: the garment.
@@ -156,7 +158,7 @@ def evidence(
         offset=health.offset,
         unmatched=float((update.measurement.visible & ~used).mean()),
         unexplained=health.unexplained,
-        uncertainty=kernels.along_normals(normal, covariance) / n,
+        uncertainty=kernels.variance_along(normal, covariance) / n,
         strain=(strain - health.least_strain) ** 2,
         hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
     )
@@ -171,19 +173,16 @@ def evidence(
 
 
 def sample(now: Frame) -> Frame:
-    """About :data:`EVIDENCE_POINTS` of a frame's points."""
-    stride = max(1, len(now.points) // EVIDENCE_POINTS)
-    origin = now.sensor_origin
-    return now._replace(
-        points=now.points[::stride], sensor_origin=origin[::stride] if origin is not None and origin.ndim == 2 else origin
-    )
+    """Some of a frame's points, spread over all: :data:`EVIDENCE_POINTS` of them, and not twice as many."""
+    return now.only(slice(None, None, max(1, len(now.points) // EVIDENCE_POINTS)))
 
 
 def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
-    """The memory after every so many of the points were held against the nearest vertex.
+    """The memory after points were held against the vertices nearest to them.
 
-    A cloud of a whole person always has points that no garment explains. Of a garment that was found and still settles nothing
-    good is known from before, so the frame alone counts.
+    A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
+    nearest to a boundary or farther than :data:`NEAR`. Of a garment that was found and still settles nothing good is known from
+    before, so the frame alone counts.
 
     Args:
         health: after the last frame.
@@ -192,13 +191,13 @@ def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray,
         dt: seconds since the last frame.
         model: the garment.
     """
-    stride = max(1, len(points) // EVIDENCE_POINTS)
-    asked, near = points[::stride], max(NEAR, NEAR_EDGES * model.edge_length)
-    away = np.empty(len(asked))
-    offset = kernels.misfit(
-        points, stride, position, model.cluster, model.n_clusters, REACH, model.boundary[:, 0], FOREIGN, near, away
-    )
-    share = clumped(asked[away > near] - position.mean(axis=0)) / len(asked)
+    near, longest = max(NEAR, NEAR_EDGES * model.edge_length), REACH
+    nearest, away = nearest_vertices(points, position)
+    left_out = np.zeros(len(position), bool)
+    if np.count_nonzero(nearest < 0) > FOREIGN * len(points):
+        longest, left_out[model.boundary[:, 0]] = near, True
+    offset = kernels.misfit(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
+    share = clumped(points[away > near] - position.mean(axis=0)) / len(points)
     least = min(health.least_unexplained, share)
     memory = 0.0 if health.settling else MEMORY
     return health._replace(
@@ -206,6 +205,19 @@ def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray,
         unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, memory),
         least_unexplained=least,
     )
+
+
+def nearest_vertices(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond REACH.
+
+    Args:
+        points: (N, 3) metres.
+        position: (V, 3) metres.
+    """
+    grid = vertex_grid(position, REACH / RINGS, CELLS)
+    nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
+    kernels.nearest_vertices(points, position, *grid[1:], REACH, nearest, away)
+    return nearest, away
 
 
 def clumped(points: np.ndarray) -> int:
@@ -255,7 +267,7 @@ def judge(
         update: the finished update.
         posterior, prior: states of this frame.
         covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) of the cloud as it came, metres.
+        points: (N, 3) of the cloud that are held against the surface, metres.
         clearance: (V,) signed distance from the body, metres; None without one.
         dt: seconds of sensor time since the last frame.
         model: the garment.

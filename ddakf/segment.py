@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.frame import Frame
-from ddakf.kernels import preprocess as grids
 from ddakf.kernels import segment as kernels
 from ddakf.model import Model
 from ddakf.physics.contact import BodyContact
+from ddakf.preprocess import vertex_grid
 
 SKIN = 0.010  # m: a point so near to the body may be its skin, about three standard deviations of a sensor's noise
 ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
@@ -21,12 +21,7 @@ CELLS = 32  # at most along each axis of the grid of vertices
 def cloth(now: Frame, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> Frame:
     """The frame without the points of :func:`skin`; arguments as there."""
     bare = skin(now.points, position, contact, model, off)
-    if not bare.any():
-        return now
-    origin = now.sensor_origin
-    return now._replace(
-        points=now.points[~bare], sensor_origin=origin[~bare] if origin is not None and origin.ndim == 2 else origin
-    )
+    return now.only(~bare) if bare.any() else now
 
 
 def of_person(now: Frame, mine: Frame) -> bool:
@@ -55,14 +50,7 @@ def skin(points: np.ndarray, position: np.ndarray, contact: BodyContact | None, 
 
 def apart(points: np.ndarray, position: np.ndarray, radius: float) -> np.ndarray:
     """(N,) bool: (N, 3) points farther than ``radius`` from all (V, 3) vertices, metres."""
-    lower, upper = np.empty(3), np.empty(3)
-    grids.bounds(position, 0.0, lower, upper)
-    extent = upper - lower
-    cell = max(radius, float(extent.max()) / CELLS)
-    dims = (extent / cell).astype(np.int64) + 1
-    start = np.empty(int(np.prod(dims)) + 2, np.int32)
-    vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
-    grids.fill_grid(position, np.arange(len(position), dtype=np.int32), lower, cell, dims, start, vertices, index)
+    grid = vertex_grid(position, radius, CELLS)
     out = np.empty(len(points), bool)
-    kernels.apart(points, vertices, start, lower, cell, dims, radius, out)
+    kernels.apart(points, grid.vertices, grid.start, grid.origin, grid.cell, grid.dims, radius, out)
     return out

@@ -98,7 +98,6 @@ class Tracker:
         self._elasticity = elasticity.Elasticity.at(self.config.physics)
         self._health = reliability.Health()
         self._time: float | None = None
-        self._last_step = FIRST_STEP
         if self._contact is not None:
             self._contact.reset()
             if self.config.physics.gap_time > 0:
@@ -197,7 +196,7 @@ class Tracker:
         result = _result(posterior, covariance, update, verdict, carried, dt, clock.done())
         self._state, self._drift, self._elasticity = posterior, drift, learned
         self._rotation = rotation if update.rejected else update.rest.rotation
-        self._health, self._time, self._last_step = verdict.health, now.timestamp, dt
+        self._health, self._time = verdict.health, now.timestamp
         return result
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
@@ -217,8 +216,9 @@ class Tracker:
             raise InvalidArgument("result", "that of the last step", "another one")
         if not 0 <= seconds < np.inf:
             raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
-        velocity = None if self._contact is None else self._contact.velocity
-        return predict.ahead(result, self._state, velocity, self._drift.speed2, self._last_step, seconds, self.config.predict)
+        carrying = None if self._contact is None else self._contact.velocity
+        drift, dt = self._drift.speed2, self._health.spacing
+        return predict.ahead(result, self._state, carrying, drift, dt, seconds, self.config.predict)
 
     def configured(self, config: Config) -> Tracker:
         """A tracker that goes on from here with another configuration; this one stays as it is.

@@ -109,7 +109,7 @@ def marginals(
     slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
     if evidence.observed.any():
-        drift = drift._replace(level=_level(np.average(np.einsum("kaa->k", shared) / 3, weights=evidence.size), offset2))
+        drift = drift._replace(level=_level(np.average(variances(shared), weights=evidence.size), offset2))
     covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), limits.observed_scale**2)
     unseen = weight <= 0.0
     scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, model)[unseen]

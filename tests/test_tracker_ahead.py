@@ -68,6 +68,16 @@ def test_a_body_takes_the_garment_along():
     assert (tracker.predicted(gone, 1 / FPS).vertices - gone.vertices).mean(axis=0)[0] > 0.5 * drift[0]
 
 
+def test_a_restored_and_a_newly_configured_tracker_predict_the_same():
+    """Also where frames are not a 30th of a second apart, against which a time ahead is long or short."""
+    tracker = Tracker(TUBE)
+    for k in range(6):
+        result = tracker.step(cloud(k), timestamp=k / 10, sensor_origin=EYE)
+    later = tracker.predicted(result, 0.15)
+    for other in (Tracker.restore(tracker.snapshot()), tracker.configured(tracker.config)):
+        assert_same(other.predicted(result, 0.15), later)
+
+
 @pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
 def test_a_time_that_cannot_be_is_refused(steady, seconds):
     tracker, result = steady

@@ -4,6 +4,8 @@ from math import sqrt
 
 from numba import njit
 
+from ddakf.kernels.symmetric import along
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def adapt_along_normals(target, normal, used, position, P, alpha, epsilon, low, high, R):
@@ -13,10 +15,7 @@ def adapt_along_normals(target, normal, used, position, P, alpha, epsilon, low, 
             continue
         x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
         e = (target[i, 0] - position[i, 0]) * x + (target[i, 1] - position[i, 1]) * y + (target[i, 2] - position[i, 2]) * z
-        expected = (
-            P[i, 0, 0] * x * x + P[i, 1, 1] * y * y + P[i, 2, 2] * z * z
-            + 2.0 * (P[i, 0, 1] * x * y + P[i, 0, 2] * x * z + P[i, 1, 2] * y * z)
-        )  # fmt: skip
+        expected = along(P[i], x, y, z)
         vx = R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z
         vy = R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z
         vz = R[i, 2, 0] * x + R[i, 2, 1] * y + R[i, 2, 2] * z

@@ -280,18 +280,7 @@ def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, mi
             distance += axes[2, a] ** 2
         distance = sqrt(distance) + 1e-12
         axes[2] /= distance
-        # any right-handed frame about the viewing direction: start from the axis it is least along
-        least = 0
-        for a in range(1, 3):
-            if abs(axes[2, a]) < abs(axes[2, least]):
-                least = a
-        along = axes[2, least]
-        for a in range(3):
-            axes[0, a] = (1.0 if a == least else 0.0) - along * axes[2, a]
-        axes[0] /= sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
-        axes[1, 0] = axes[2, 1] * axes[0, 2] - axes[2, 2] * axes[0, 1]
-        axes[1, 1] = axes[2, 2] * axes[0, 0] - axes[2, 0] * axes[0, 2]
-        axes[1, 2] = axes[2, 0] * axes[0, 1] - axes[2, 1] * axes[0, 0]
+        across(axes[2], axes)
         focal = distance / cell
         nearest[:] = np.inf
         shown[:] = np.inf
@@ -317,6 +306,24 @@ def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, mi
             slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-3)
             if column < 0 or nearest[row, column] >= depth - depth_margin - 1.5 * cell * slope:
                 visible[v] = True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def across(view, axes):
+    """The first two rows of ``axes`` out: unit and across the unit vector ``view``, with it a right-handed frame.
+
+    Of all such frames the one whose first axis is nearest to the axis that ``view`` is least along.
+    """
+    least = 0
+    for a in range(1, 3):
+        if abs(view[a]) < abs(view[least]):
+            least = a
+    for a in range(3):
+        axes[0, a] = (1.0 if a == least else 0.0) - view[least] * view[a]
+    axes[0] /= sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
+    axes[1, 0] = view[1] * axes[0, 2] - view[2] * axes[0, 1]
+    axes[1, 1] = view[2] * axes[0, 0] - view[0] * axes[0, 2]
+    axes[1, 2] = view[0] * axes[0, 1] - view[1] * axes[0, 0]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")

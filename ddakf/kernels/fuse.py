@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
+from ddakf.kernels.symmetric import invert3
 
 PIVOTS = 8  # that a matrix is inverted by at a time; written out in eliminate
 
@@ -119,20 +120,11 @@ def invert_blocks(D, added, inverse):
     """Inverse of D + ``added`` I, of symmetric positive definite 3x3 blocks, (V, 3, 3) each."""
     for i in range(D.shape[0]):
         a, b, c = D[i, 0, 0] + added, D[i, 1, 1] + added, D[i, 2, 2] + added
-        d, e, f = D[i, 0, 1], D[i, 0, 2], D[i, 1, 2]
-        A = b * c - f * f
-        B = e * f - d * c
-        C = d * f - b * e
-        r = 1.0 / (a * A + d * B + e * C)
-        inverse[i, 0, 0] = A * r
-        inverse[i, 0, 1] = B * r
-        inverse[i, 1, 0] = B * r
-        inverse[i, 0, 2] = C * r
-        inverse[i, 2, 0] = C * r
-        inverse[i, 1, 1] = (a * c - e * e) * r
-        inverse[i, 1, 2] = (e * d - a * f) * r
-        inverse[i, 2, 1] = (e * d - a * f) * r
-        inverse[i, 2, 2] = (a * b - d * d) * r
+        a, b, c, d, e, f = invert3(a, b, c, D[i, 0, 1], D[i, 0, 2], D[i, 1, 2])
+        inverse[i, 0, 0], inverse[i, 1, 1], inverse[i, 2, 2] = a, b, c
+        inverse[i, 0, 1] = inverse[i, 1, 0] = d
+        inverse[i, 0, 2] = inverse[i, 2, 0] = e
+        inverse[i, 1, 2] = inverse[i, 2, 1] = f
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -269,16 +261,16 @@ def set_columns(out, a, b, c, d, e, f):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def coarsen(D, B, start, neighbour, cluster, coarse):
-    """coarse (3K, 3K) out: P' A P with P the piecewise constant interpolation from clusters (V,) to vertices."""
+def coarsen(D, B, start, neighbour, aggregate, coarse):
+    """coarse (3K, 3K) out: P' A P with P the piecewise constant interpolation from K aggregates (V,) to vertices."""
     coarse[:] = 0.0
     for i in range(D.shape[0]):
-        p = 3 * cluster[i]
+        p = 3 * aggregate[i]
         for a in range(3):
             for b in range(3):
                 coarse[p + a, p + b] += D[i, a, b]
         for e in range(start[i], start[i + 1]):
-            q = 3 * cluster[neighbour[e]]
+            q = 3 * aggregate[neighbour[e]]
             for a in range(3):
                 for b in range(3):
                     coarse[p + a, q + b] += B[e, 4 * b + a]
@@ -315,18 +307,18 @@ def multiply(D, B, start, neighbour, v, out):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
+def precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z):
     """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz. Returns r . z."""
     gathered[:] = 0.0
     for i in range(r.shape[0]):
-        p = 3 * cluster[i]
+        p = 3 * aggregate[i]
         gathered[p] += r[i, 0]
         gathered[p + 1] += r[i, 1]
         gathered[p + 2] += r[i, 2]
     np.dot(coarse_inverse, gathered, spread)
     total = 0.0
     for i in range(r.shape[0]):
-        p = 3 * cluster[i]
+        p = 3 * aggregate[i]
         x, y, w = r[i, 0], r[i, 1], r[i, 2]
         zx = inverse[i, 0] * x + inverse[i, 4] * y + inverse[i, 8] * w + spread[p]
         zy = inverse[i, 1] * x + inverse[i, 5] * y + inverse[i, 9] * w + spread[p + 1]
@@ -338,7 +330,7 @@ def precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def conjugate_gradients(
-    D, B, start, neighbour, inverse, cluster, coarse_inverse, force, iterations, tolerance, work, gathered, spread, delta
+    D, B, start, neighbour, inverse, aggregate, coarse_inverse, force, iterations, tolerance, work, gathered, spread, delta
 ):
     """Solves A delta = force by preconditioned conjugate gradients from zero, in float32 with float64 sums.
 
@@ -347,7 +339,7 @@ def conjugate_gradients(
 
     Args:
         D, B: (V, 12), (2E, 12) float32 blocks of A by columns, padded.
-        inverse, cluster, coarse_inverse: the preconditioner; float32, the blocks stored as D is.
+        inverse, aggregate, coarse_inverse: the preconditioner; float32, the blocks stored as D is.
         force: (V, 4) padded.
         work, gathered, spread: (4, V, 4), (3K,), (3K,) float32 scratch.
         delta: (V, 4) float32 out, padded.
@@ -358,7 +350,7 @@ def conjugate_gradients(
         for a in range(4):
             delta[i, a] = 0.0
             r[i, a] = force[i, a]
-    rz = precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
+    rz = precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z)
     p[:] = z
     first = rz
     if not first > 0.0:
@@ -372,7 +364,7 @@ def conjugate_gradients(
             for a in range(4):
                 delta[i, a] += step * p[i, a]
                 r[i, a] -= step * q[i, a]
-        new = precondition(inverse, cluster, coarse_inverse, r, gathered, spread, z)
+        new = precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z)
         if new <= tolerance * tolerance * first:
             return iteration + 1
         beta = np.float32(new / rz)
@@ -381,16 +373,6 @@ def conjugate_gradients(
             for a in range(4):
                 p[i, a] = z[i, a] + beta * p[i, a]
     return iterations
-
-
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def invert3(a, b, c, d, e, f):
-    """Inverse of [[a, d, e], [d, b, f], [e, f, c]] as the same six numbers."""
-    A = b * c - f * f
-    B = e * f - d * c
-    C = d * f - b * e
-    r = 1.0 / (a * A + d * B + e * C)
-    return A * r, (a * c - e * e) * r, (a * b - d * d) * r, B * r, C * r, (e * d - a * f) * r
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -6,7 +6,8 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
-from ddakf.kernels.preprocess import smallest_eigenvector
+from ddakf.kernels.associate import across
+from ddakf.kernels.symmetric import smallest_eigenvector
 
 TINY = np.float32(1e-3)  # of a row or column of correspondences: one that has none stays without
 LEAST_NEIGHBOURS = 5  # that a normal needs
@@ -61,16 +62,7 @@ def outward(points, dense, directions, cell, depth, normal, signed):
     axes, low, high = np.empty((2, 3)), np.empty(2), np.empty(2)
     for d in range(len(directions)):
         view = directions[d]
-        least = 0
-        for a in range(1, 3):
-            if abs(view[a]) < abs(view[least]):
-                least = a
-        for a in range(3):
-            axes[0, a] = (1.0 if a == least else 0.0) - view[least] * view[a]
-        axes[0] /= sqrt(axes[0, 0] ** 2 + axes[0, 1] ** 2 + axes[0, 2] ** 2)
-        axes[1, 0] = view[1] * axes[0, 2] - view[2] * axes[0, 1]
-        axes[1, 1] = view[2] * axes[0, 0] - view[0] * axes[0, 2]
-        axes[1, 2] = view[0] * axes[0, 1] - view[1] * axes[0, 0]
+        across(view, axes)
         low[:], high[:] = np.inf, -np.inf
         for j in range(dense.shape[1]):
             for b in range(2):

@@ -78,15 +78,15 @@ def refit(vertices, faces, leaf_start, shift, triangles, boxes):
             triangles[leaf, 14, spot] = bb * inverse
 
 
-# The loops of the next two functions run over the arrays' last axis, not over LANES: a constant makes the compiler
+# The loops of the next two functions run to a number that is not known before, not to LANES: a constant makes the compiler
 # unroll them before it would vectorise them, and the search takes 1.4 times as long.
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def box_distances(boxes, node, x, y, z, squared):
-    """Squared distances from a point to the boxes of a node's children, 0 inside."""
-    for s in range(boxes.shape[2]):
-        dx = max(max(boxes[node, 0, s] - x, x - boxes[node, 3, s]), 0.0)
-        dy = max(max(boxes[node, 1, s] - y, y - boxes[node, 4, s]), 0.0)
-        dz = max(max(boxes[node, 2, s] - z, z - boxes[node, 5, s]), 0.0)
+def box_distances(boxes, n, x, y, z, squared):
+    """Squared distances from a point to the first n of (6, L) boxes, 0 inside."""
+    for s in range(n):
+        dx = max(max(boxes[0, s] - x, x - boxes[3, s]), 0.0)
+        dy = max(max(boxes[1, s] - y, y - boxes[4, s]), 0.0)
+        dz = max(max(boxes[2, s] - z, z - boxes[5, s]), 0.0)
         squared[s] = dx * dx + dy * dy + dz * dz
 
 
@@ -162,16 +162,6 @@ def boxes_apart(boxes, node, lower, upper, squared):
         squared[s] = dx * dx + dy * dy + dz * dz
 
 
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def list_distances(listed, n, x, y, z, squared):
-    """Squared distances from a point to the first n of a list of boxes (6, L)."""
-    for s in range(n):
-        dx = max(max(listed[0, s] - x, x - listed[3, s]), 0.0)
-        dy = max(max(listed[1, s] - y, y - listed[4, s]), 0.0)
-        dz = max(max(listed[2, s] - z, z - listed[5, s]), 0.0)
-        squared[s] = dx * dx + dy * dy + dz * dz
-
-
 @njit(nogil=True, cache=True, error_model="numpy")
 def within(best):
     """Squared distance that must be looked at for one of ``best`` to be the least but for rounding."""
@@ -208,7 +198,7 @@ def search_tree(triangles, boxes, leaf_start, shift, x, y, z, radius, start, nod
             if leaf != start or bound < 0.0:  # else met again on the way through the tree
                 best, best_face = search_leaf(triangles, leaf_start, leaf, x, y, z, best, best_face, squared)
             continue
-        box_distances(boxes, node, x, y, z, squared)
+        box_distances(boxes[node], boxes.shape[2], x, y, z, squared)
         nearest = limit = within(best)
         at = top
         for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
@@ -293,7 +283,7 @@ def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, 
         for o in range(first[start], first[start + 1]):
             i = order[o]
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            list_distances(listed, found, x, y, z, apart)
+            box_distances(listed, found, x, y, z, apart)
             n_chosen, limit = 0, within(best[i])
             for k in range(found):
                 chosen[n_chosen] = leaves[k]

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
+from ddakf.kernels.symmetric import invert3
 
 LANES = 32  # vertices whose rotations are fitted side by side
 
@@ -93,12 +94,9 @@ def followers(start, source, share, follow):
             e += x * z
             f += y * z
         m = (1.0 / share - 1.0) * 0.5 * (a + b + c)
-        a, b, c = a + m, b + m, c + m
-        A, B, C = b * c - f * f, e * f - d * c, d * f - b * e
-        r = 1.0 / (a * A + d * B + e * C)
-        follow[i, 0], follow[i, 1], follow[i, 2] = A * r, (a * c - e * e) * r, (a * b - d * d) * r
-        follow[i, 3], follow[i, 4], follow[i, 5] = B * r, C * r, (e * d - a * f) * r
-        follow[i, 6], follow[i, 7] = m, 0.0
+        a, b, c, d, e, f = invert3(a + m, b + m, c + m, d, e, f)
+        follow[i, 0], follow[i, 1], follow[i, 2], follow[i, 3] = a, b, c, d
+        follow[i, 4], follow[i, 5], follow[i, 6], follow[i, 7] = e, f, m, 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")

@@ -3,6 +3,8 @@
 import numpy as np
 from numba import njit
 
+from ddakf.kernels.symmetric import along
+
 NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -13,10 +15,7 @@ def along_normals(position, target, normal, R, squared, variance):
         x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
         d = (target[i, 0] - position[i, 0]) * x + (target[i, 1] - position[i, 1]) * y + (target[i, 2] - position[i, 2]) * z
         squared[i] = d * d
-        variance[i] = (
-            R[i, 0, 0] * x * x + R[i, 1, 1] * y * y + R[i, 2, 2] * z * z
-            + 2.0 * (R[i, 0, 1] * x * y + R[i, 0, 2] * x * z + R[i, 1, 2] * y * z)
-        )  # fmt: skip
+        variance[i] = along(R[i], x, y, z)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -3,7 +3,7 @@
 import numpy as np
 from numba import njit
 
-from ddakf.kernels.fuse import invert3
+from ddakf.kernels.symmetric import invert3
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

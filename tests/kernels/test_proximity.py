@@ -1,9 +1,13 @@
 """Parts of the proximity search and of the surface's motion against NumPy."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from ddakf.kernels import proximity, surface_motion
+from ddakf.mesh import Mesh
+from ddakf.physics import proximity as proximity_stage
+from tests.physics.shapes import ball
 
 
 def slow_closest(p, b, c):
@@ -68,10 +72,50 @@ def test_boxes_hold_their_faces_and_empty_ones_are_far():
     np.testing.assert_allclose(boxes[0, 3:, 6:].T, corners.max(axis=1))
     squared = np.empty(8)
     p = 5.0 * rng.normal(size=3)
-    proximity.box_distances(boxes, 0, *p, squared)
+    proximity.box_distances(boxes[0], 8, *p, squared)
     nearest = np.clip(p, corners.min(axis=1), corners.max(axis=1))
     np.testing.assert_allclose(squared[6:], np.sum((p - nearest) ** 2, axis=1))
     assert squared[:6].min() > 1e50
+
+
+def slow_side(mesh, face, coordinates, d):
+    """d . pseudo-normal (Baerentzen and Aanaes 2005) at a point of a face: the sum of the unit normals of all faces that the
+    point lies on, around a corner weighted with their angles."""
+    on = [corner for corner, share in zip(mesh.faces[face], coordinates, strict=True) if share > 1e-9]
+    total = np.zeros(3)
+    for corners in mesh.faces[np.isin(mesh.faces, on).sum(axis=1) == len(on)]:
+        a, b, c = mesh.vertices[corners]
+        normal, angle = np.cross(b - a, c - a), 1.0
+        if len(on) == 1:
+            k = list(corners).index(on[0])
+            p, q = (mesh.vertices[corners[(k + j) % 3]] - mesh.vertices[on[0]] for j in (1, 2))
+            angle = np.arccos(p @ q / np.linalg.norm(p) / np.linalg.norm(q))
+        total += angle * normal / np.linalg.norm(normal)
+    return total @ d
+
+
+@pytest.mark.parametrize("kind", ["inside", "edge", "corner"])
+def test_outside_is_the_side_of_the_pseudo_normal(kind):
+    """In all directions from points of a crumpled body, those in which the faces around disagree among them."""
+    rng = np.random.default_rng(5)
+    smooth = ball(1)
+    mesh = Mesh(smooth.vertices * rng.uniform(0.4, 1.6, (smooth.n_vertices, 1)), smooth.faces)
+    body = proximity_stage.build(mesh)
+    rings = body.neighbour, body.ring_start, body.ring_face
+    disagreed = told = 0
+    for face in range(len(body.faces)):
+        for turn in range(3):
+            shares = {"inside": rng.dirichlet([2, 2, 2]), "edge": [0.0, *rng.dirichlet([2, 2])], "corner": [1.0, 0.0, 0.0]}[kind]
+            u, v, w = np.roll(shares, turn)
+            for d in rng.normal(size=(20, 3)):
+                expected = slow_side(mesh, body.original_face[face], (u, v, w), d)
+                if abs(expected) < 1e-9:
+                    continue
+                told += 1
+                disagreed += (proximity.above(mesh.vertices, body.faces, face, tuple(d)) > 0) != (expected > 0)
+                assert proximity.outside(mesh.vertices, body.faces, *rings, face, u, v, w, tuple(d)) == (expected > 0)
+    assert told > 1000
+    assert (disagreed > 50) == (kind != "inside")
 
 
 def test_quaternion_of_every_kind_of_rotation():

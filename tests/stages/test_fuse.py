@@ -122,13 +122,13 @@ def test_passes_converge_to_where_the_total_energy_is_stationary(seed):
     """Finite differences of the total energy vanish, whatever matrix the steps were taken with."""
     problem, contact = scene(seed)
     update, last = begun(problem)
-    for _ in range(60):
+    for _ in range(300):  # slow where nothing is measured, as rotations are held during a step; down to their float32
         update = one_pass(update, problem, contact)
     rigid = rigid_terms(update, last, problem)
     function = lambda x, held: dense.residuals(x, held, problem, rigid)  # noqa: E731
     start = dense.gradient(*dense.linearised(function, problem.prior.position))
     end = dense.gradient(*dense.linearised(function, update.position))
-    assert np.linalg.norm(end) < 1e-2 * np.linalg.norm(start)  # not to rounding: a secant may leap anew
+    assert np.linalg.norm(end) < 1e-5 * np.linalg.norm(start)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -19,6 +19,7 @@ from ddakf.reliability import (
     advance,
     clumped,
     held_against_cloud,
+    nearest_vertices,
     paper_score,
     score,
     vertex_error,
@@ -104,9 +105,10 @@ def test_powers_are_no_negative_numbers_and_some_count(law):
 
 
 def misfit_of(points, mesh, patches=40):
-    patch, away = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32), np.empty(len(points))
-    none = np.empty(0, np.int32)
-    return kernels.misfit(points, 1, mesh.vertices, patch, patches, 0.1, none, 1.0, 0.1, away), away
+    patch = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32)
+    nearest, away = nearest_vertices(points, mesh.vertices)
+    none = np.zeros(mesh.n_vertices, bool)
+    return kernels.misfit(points, mesh.vertices, nearest, away, 0.1, none, patch, patches), away
 
 
 def slow_misfit(points, mesh, patches):
