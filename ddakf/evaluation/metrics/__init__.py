@@ -3,7 +3,7 @@
 One file per idea; ``docs/metrics.md`` lists every metric with its formula and unit.
 """
 
-from ddakf.evaluation.metrics.body import Penetration
+from ddakf.evaluation.metrics.body import Depth, Penetration, violating_mm
 from ddakf.evaluation.metrics.calibration import (
     CHI2_3_90,
     best_constant_nll,
@@ -13,30 +13,46 @@ from ddakf.evaluation.metrics.calibration import (
     nominal_probability,
     squared_mahalanobis,
 )
-from ddakf.evaluation.metrics.error import MM, normal_rmse_mm, rmse_mm, second_moment
+from ddakf.evaluation.metrics.error import MM, normal_rmse_mm, rmse_mm, second_moment, tangential_rmse_mm
+from ddakf.evaluation.metrics.flow import EndPointError, end_point_error
+from ddakf.evaluation.metrics.hausdorff import Hausdorff
+from ddakf.evaluation.metrics.memory import ResidentPeak
 from ddakf.evaluation.metrics.ranks import roc_auc, spearman
 from ddakf.evaluation.metrics.shape import ShapeDifference, crossings
-from ddakf.evaluation.metrics.surface import SurfaceDistance
-from ddakf.evaluation.metrics.temporal import flicker_mm, frames_until_within
+from ddakf.evaluation.metrics.silhouette import silhouette_cameras, silhouette_iou
+from ddakf.evaluation.metrics.surface import Residual, SurfaceDistance
+from ddakf.evaluation.metrics.temporal import acceleration_variance_mm2, flicker_mm, frames_until_within, own_flicker_mm
 
 __all__ = [
     "CHI2_3_90",
     "MM",
+    "Depth",
+    "EndPointError",
+    "Hausdorff",
     "Penetration",
+    "ResidentPeak",
+    "Residual",
     "ShapeDifference",
     "SurfaceDistance",
+    "acceleration_variance_mm2",
     "best_constant_nll",
     "coverage90",
     "crossings",
+    "end_point_error",
     "flicker_mm",
     "frames_until_within",
     "gaussian_nll",
     "nees3",
     "nominal_probability",
     "normal_rmse_mm",
+    "own_flicker_mm",
     "rmse_mm",
     "roc_auc",
     "second_moment",
+    "silhouette_cameras",
+    "silhouette_iou",
     "spearman",
     "squared_mahalanobis",
+    "tangential_rmse_mm",
+    "violating_mm",
 ]

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ddakf.evaluation.metrics.error import MM
 from ddakf.mesh import Mesh
 from ddakf.physics import proximity
+
+
+class Depth(NamedTuple):
+    """Of a frame."""
+
+    mean_mm: float  # over all vertices
+    violating_mm: float  # over those inside alone, as in the paper; NaN where there are none
+    share: float  # of the vertices that are inside
+
+
+def violating_mm(mean_mm: float, share: float) -> float:
+    """Mean depth of the vertices inside, from the mean over all vertices and the share inside, of one frame or of a run (means
+    over its frames): all violations then count alike, in whichever frame they are. NaN where there are none."""
+    return float(mean_mm / share) if share > 0 else float("nan")
 
 
 class Penetration:
@@ -20,18 +36,21 @@ class Penetration:
         self._tree, self._face = proximity.build(body), None
 
     def __call__(self, vertices: np.ndarray, body_vertices: np.ndarray) -> tuple[float, float]:
+        """:meth:`depth` without its second entry."""
+        depth = self.depth(vertices, body_vertices)
+        return depth.mean_mm, depth.share
+
+    def depth(self, vertices: np.ndarray, body_vertices: np.ndarray) -> Depth:
         """Depth max(0, -d_i) with d_i the signed distance to the body, negative inside.
 
         Args:
             vertices: (V, 3) of the garment, metres.
             body_vertices: (B, 3) of the body in this frame, metres.
-
-        Returns:
-            The mean depth over all vertices, millimetres; and the share of the vertices inside.
         """
         surface = proximity.refresh(self._tree, body_vertices)
         hint = self._face if self._face is not None and len(self._face) == len(vertices) else None
         points = np.ascontiguousarray(vertices, np.float64)
         found = proximity.closest_points(self._tree, surface, points, radius=np.inf, hint=hint)
         self._face = found.face
-        return float(MM * np.maximum(-found.distance, 0).mean()), float((found.distance < 0).mean())
+        mean, share = float(MM * np.maximum(-found.distance, 0).mean()), float((found.distance < 0).mean())
+        return Depth(mean, violating_mm(mean, share), share)

@@ -25,6 +25,16 @@ def normal_rmse_mm(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -
     return float(MM * np.sqrt((along**2).mean()))
 
 
+def tangential_rmse_mm(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
+    """sqrt(mean_i |(I - n_i n_i') (E_i - T_i)|^2): the part of the error that slides within the surface; millimetres.
+
+    rmse_mm^2 = normal_rmse_mm^2 + tangential_rmse_mm^2. Where no face with an area gives a normal, all of the error counts here.
+    """
+    error, normal = difference(estimate, truth), vertex_normals(np.asarray(truth, np.float64), faces)
+    tangential = error - (error * normal).sum(axis=1, keepdims=True) * normal
+    return float(MM * np.sqrt((tangential**2).sum(axis=1).mean()))
+
+
 def second_moment(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """(3, 3) mean of e e' over the errors e = E_i - T_i, square metres; means over frames weighted by n are those of all."""
     error = difference(estimate, truth)

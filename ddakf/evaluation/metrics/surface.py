@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
+from ddakf.evaluation.metrics.error import MM
 from ddakf.mesh import Mesh
 from ddakf.physics import proximity
+
+
+class Residual(NamedTuple):
+    """Distances of a frame's points to the estimated surface, millimetres: all that can be said where there is no truth.
+
+    It has the sensor's noise in it, and is small for any surface that goes through the points, whichever way its vertices
+    have slid and wherever it is where no points are.
+    """
+
+    mean_mm: float
+    rms_mm: float
+    p95_mm: float
 
 
 class SurfaceDistance:
@@ -31,3 +46,17 @@ class SurfaceDistance:
         surface = proximity.refresh(self._tree, vertices)
         points = np.ascontiguousarray(points, np.float64)
         return np.abs(proximity.closest_points(self._tree, surface, points, radius=np.inf).distance)
+
+    def residual(self, points: np.ndarray, vertices: np.ndarray) -> Residual:
+        """The distances summed up.
+
+        Args:
+            points: (N, 3) metres. vertices: (V, 3) of this frame, metres.
+
+        Returns:
+            NaN where there are no points.
+        """
+        if len(points) == 0:
+            return Residual(*3 * [float("nan")])
+        distance = MM * self(points, vertices)
+        return Residual(float(distance.mean()), float(np.sqrt((distance**2).mean())), float(np.percentile(distance, 95)))

@@ -1,0 +1,43 @@
+"""Silhouettes: how well the outlines of two poses of a garment agree, from cameras all around."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddakf.evaluation.camera import Camera, Intrinsics
+
+CAMERAS = 4  # at equal angles about the vertical, the first one on the side of +z
+DISTANCE = 2.0  # m, horizontally from the truth's centroid
+# 7 mm per pixel there, and a picture of 2.2 m: a person in motion is in it whole
+INTRINSICS = Intrinsics(width=320, height=320, fx=285.0, fy=285.0, cx=159.5, cy=159.5)
+
+
+def silhouette_cameras(truth: np.ndarray) -> list[Camera]:
+    """The cameras of a frame. They go with the truth, since a garment may walk past any that stand still.
+
+    Args:
+        truth: (V, 3) metres, y up.
+    """
+    centre = np.asarray(truth, np.float64).mean(axis=0)
+    angles = np.arange(CAMERAS) * 2 * np.pi / CAMERAS
+    eyes = centre + DISTANCE * np.column_stack([np.sin(angles), np.zeros(CAMERAS), np.cos(angles)])
+    return [Camera.looking_at(INTRINSICS, eye, centre) for eye in eyes]
+
+
+def silhouette_iou(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -> float:
+    """Mean over :func:`silhouette_cameras` of |S_E and S_T| / |S_E or S_T|, with S the pixels whose centre a face covers.
+
+    Args:
+        estimate, truth: (V, 3) metres, y up.
+        faces: (F, 3). The garment alone is drawn, both sides, without the body.
+
+    Returns:
+        In [0, 1]; NaN where no camera sees anything of either.
+    """
+    shares = []
+    for camera in silhouette_cameras(truth):
+        one, other = (np.isfinite(camera.render([(vertices, faces)])[0]) for vertices in (estimate, truth))
+        union = np.count_nonzero(one | other)
+        if union:
+            shares.append(np.count_nonzero(one & other) / union)
+    return float(np.mean(shares)) if shares else float("nan")
