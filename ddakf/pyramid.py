@@ -23,7 +23,7 @@ from ddakf.preprocess import Cloud
 from ddakf.types import State
 
 
-class Frame(NamedTuple):
+class Shared(NamedTuple):
     """What all levels measure."""
 
     cloud: Cloud
@@ -74,8 +74,8 @@ def descend(
     if visible is None:
         visible = associate.visible(update.position, cloud, body_vertices, model, config.associate)
     whole = Level(update.position, last, update.rest.rotation, prior, visible, floor)
-    frame = Frame(cloud, physics_lambda, _coarsened(config, rule))
-    position, passes = _from_below(whole, model.coarser, 1.0, frame)
+    shared = Shared(cloud, physics_lambda, _coarsened(config, rule))
+    position, passes = _from_below(whole, model.coarser, 1.0, shared)
     return update._replace(position=position, passes=passes)
 
 
@@ -91,29 +91,31 @@ def _coarsened(config: Config, rule: Pyramid) -> Config:
     return dataclasses.replace(config, physics=physics)
 
 
-def _from_below(whole: Level, coarser: Coarser, stands_for: float, frame: Frame) -> tuple[np.ndarray, int]:
+def _from_below(whole: Level, coarser: Coarser, stands_for: float, shared: Shared) -> tuple[np.ndarray, int]:
     """(V, 3) position of a level after the passes of the coarser ones, and their number.
 
     Args:
         whole: the level.
         coarser: the next coarser one.
         stands_for: vertices of the garment that one of the level's stands for.
-        frame: what is measured.
+        shared: what is measured.
     """
     level = whole.thinned(coarser.vertex)
     stands_for *= len(whole.position) / len(coarser.vertex)
     start, done = level.position, 0
     if coarser.model.coarser is not None:
-        start, done = _from_below(level, coarser.model.coarser, stands_for, frame)
-    found, passes = _passes(level, start, done, coarser.model, stands_for, frame)
+        start, done = _from_below(level, coarser.model.coarser, stands_for, shared)
+    found, passes = _passes(level, start, done, coarser.model, stands_for, shared)
     moved = np.empty_like(whole.position)
     kernels.interpolate(whole.position, found - level.position, coarser.corner, coarser.share, moved)
     return moved, done + passes
 
 
-def _passes(level: Level, start: np.ndarray, done: int, model: Model, stands_for: float, frame: Frame) -> tuple[np.ndarray, int]:
+def _passes(
+    level: Level, start: np.ndarray, done: int, model: Model, stands_for: float, shared: Shared
+) -> tuple[np.ndarray, int]:
     """(W, 3) position of a level after its own passes from ``start``, and their number; ``done`` passes were coarser."""
-    cloud, physics_lambda, config = frame
+    cloud, physics_lambda, config = shared
     rule, prior = config.pyramid, level.prior
     update = fuse.begin(prior, level.last, level.rotation, physics_lambda, model, config)
     update = update._replace(position=start, information=stands_for * update.information)
