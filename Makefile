@@ -66,6 +66,7 @@ chaos: $(DEV)
 	@$(BIN)/python benchmarks/chaos.py $(ARGS)
 
 fuzz: $(DEV)
+	@$(PIP) install --quiet -e '.[fuzz]' || echo "atheris cannot be installed here: hypothesis alone"
 	@$(BIN)/python benchmarks/fuzz.py $(ARGS)
 
 clean:

@@ -66,7 +66,9 @@ def test_metrics_follow_the_frames(api, http, session, sheet):
     before = samples(http)
     spoilt = frame_of(sheet, 3)
     spoilt.point_cloud.data = b"?"
-    list(api.track(session, [request_of(f) for f in (frame_of(sheet, 1), frame_of(sheet, 2), spoilt)]))
+    late = frame_of(sheet, 4)
+    late.deadline = 1e-9
+    list(api.track(session, [request_of(f) for f in (frame_of(sheet, 1), frame_of(sheet, 2), spoilt, late)]))
     after = samples(http)
 
     def grown(*key):
@@ -74,12 +76,22 @@ def test_metrics_follow_the_frames(api, http, session, sheet):
 
     assert grown("ddakf_frames_total", "applied") == 2
     assert grown("ddakf_frames_total", "rejected") == 1
+    assert grown("ddakf_frames_total", "late") == 1
     assert grown("ddakf_frame_seconds_count", "lossless", "morton_zstd") == 2
     assert grown("ddakf_frame_reliability_count") == 2
     for stage in ("queue", "decode", *STAGES, "encode", "total"):
         assert grown("ddakf_frame_stage_seconds_count", *sorted(("lossless", "morton_zstd", stage))) == 2
     assert after["ddakf_sessions",] >= 1
     assert after["ddakf_workers_ready",] == 2
+
+
+def test_dropped_frames_are_counted(api, http, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=2.0)).name
+    before = samples(http)["ddakf_frames_total", "dropped"]
+    list(api.track(name, [request_of(frame_of(sheet, i)) for i in range(1, 21)], pb.FLOW_MODE_REALTIME))
+    dropped = api.get(name).statistics.frames_dropped
+    assert samples(http)["ddakf_frames_total", "dropped"] - before == dropped > 0
+    api.delete(name)
 
 
 def test_the_documented_metrics_are_those_that_are_exported(http):
