@@ -145,6 +145,12 @@ def test_intervals_hold_the_truth_as_often_as_they_say(groups, size):
     assert found[:, 0].mean() == pytest.approx(size, abs=0.05), "nearly unbiased"
 
 
+def test_intervals_bear_heavy_tails():
+    rng = RNG(0)
+    found = np.array([statistics.effect(1 + rng.laplace(size=8) / np.sqrt(2)) for _ in range(2000)])
+    assert 0.88 < np.mean((found[:, 1] <= 1) & (found[:, 2] >= 1)) < 0.95
+
+
 # A family -----------------------------------------------------------------------------------------------------------
 
 

@@ -46,7 +46,12 @@ class Penetration:
         Args:
             vertices: (V, 3) of the garment, metres.
             body_vertices: (B, 3) of the body in this frame, metres.
+
+        Returns:
+            NaN where a vertex of the garment is not finite.
         """
+        if not np.isfinite(vertices).all():
+            return Depth(*3 * [float("nan")])
         surface = proximity.refresh(self._tree, body_vertices)
         hint = self._face if self._face is not None and len(self._face) == len(vertices) else None
         points = np.ascontiguousarray(vertices, np.float64)

@@ -39,9 +39,11 @@ class Hausdorff:
             vertices, others: (V, 3) of A and (W, 3) of B, metres.
 
         Returns:
-            A distance that some point has; the supremum is at most :data:`TOLERANCE` more.
+            A distance that some point has; the supremum is at most :data:`TOLERANCE` more. NaN where a vertex is not finite.
         """
         vertices, others = (np.ascontiguousarray(pose, np.float64) for pose in (vertices, others))
+        if not (np.isfinite(vertices).all() and np.isfinite(others).all()):
+            return float("nan")
         there = _Triangles.of(vertices, self._mesh.faces, _Target.of(self._other_tree, others))
         back = _Triangles.of(others, self._other.faces, _Target.of(self._tree, vertices))
         greatest = max(there.distance.max(), back.distance.max())

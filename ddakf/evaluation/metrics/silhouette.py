@@ -32,8 +32,10 @@ def silhouette_iou(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -
         faces: (F, 3). The garment alone is drawn, both sides, without the body.
 
     Returns:
-        In [0, 1]; NaN where no camera sees anything of either.
+        In [0, 1]; NaN where no camera sees anything of either, or where a vertex is not finite.
     """
+    if not (np.isfinite(estimate).all() and np.isfinite(truth).all()):
+        return float("nan")
     shares = []
     for camera in silhouette_cameras(truth):
         one, other = (np.isfinite(camera.render([(vertices, faces)])[0]) for vertices in (estimate, truth))

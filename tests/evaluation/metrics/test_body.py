@@ -20,6 +20,7 @@ def test_penetration_of_a_cube_by_hand():
     clear = inside.depth(points[3:], corners)
     assert clear.mean_mm == clear.share == 0
     assert np.isnan(clear.violating_mm), "none is inside"
+    assert np.isnan(inside.depth(points * np.nan, corners)).all(), "what is nowhere is not outside"
 
 
 def test_violations_of_a_run_count_alike():

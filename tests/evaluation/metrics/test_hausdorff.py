@@ -66,3 +66,9 @@ def test_turns_with_the_surfaces():
     bent = SQUARE + 0.2 * rng.normal(size=SQUARE.shape)
     hausdorff = metrics.Hausdorff(Mesh(SQUARE, FACES))
     assert hausdorff(bent @ turn + 3, SQUARE @ turn + 3) == pytest.approx(hausdorff(bent, SQUARE), abs=2 * WITHIN)
+
+
+def test_of_no_surface_is_no_number():
+    broken = SQUARE.copy()
+    broken[2, 1] = np.nan
+    assert np.isnan(metrics.Hausdorff(Mesh(SQUARE, FACES))(broken, SQUARE))

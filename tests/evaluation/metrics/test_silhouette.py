@@ -42,3 +42,5 @@ def test_of_what_is_elsewhere_is_zero():
     box = 0.3 * CORNERS
     assert metrics.silhouette_iou(box + [0, 50, 0], box, FACES) == 0
     assert np.isnan(metrics.silhouette_iou(0 * box, 0 * box, FACES)), "without an area nothing is to be seen"
+    broken = np.where(np.arange(8)[:, None] == 3, np.nan, box)
+    assert np.isnan(metrics.silhouette_iou(broken, box, FACES)), "a face less is no smaller garment"
