@@ -145,7 +145,8 @@ class TrackingService(rpc.TrackingServiceServicer):
             await stream.deliver(context.write)
         finally:
             reader.cancel()
-            await self._sessions.close_stream(stream)
+            closing = self._sessions.leave_stream(stream)
+        await asyncio.shield(closing)
 
     @_answering_errors
     async def WatchSession(self, request, context):

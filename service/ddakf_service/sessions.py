@@ -193,7 +193,7 @@ class Sessions:
         await asyncio.shield(self._leaving[session.id])
 
     async def open_stream(self, start: pb.Start) -> Stream:
-        """The stream of a session; the caller closes it with :meth:`close_stream`."""
+        """The stream of a session; the caller ends with :meth:`leave_stream`."""
         require_compatible(start.api_version, peer="client")
         self._require_open_for_streams()
         await self._directory.known(start.name)
@@ -202,7 +202,7 @@ class Sessions:
         if session.stream is not None and start.takeover:
             before = session.stream
             before.end(StreamTakenOver(f"another stream took {session.name} over"))
-            await self.close_stream(before)
+            await self._close_stream(before)
         elif session.stream is not None:
             await self._ended_by_itself(session.stream)
         session = self._directory.mine(start.name)  # it may have been deleted, and made by another key, meanwhile
@@ -222,7 +222,11 @@ class Sessions:
         self._count()
         return session.stream
 
-    async def close_stream(self, stream: Stream) -> None:
+    def leave_stream(self, stream: Stream) -> asyncio.Task[None]:
+        """Closes a stream in the background: its client need not wait for a frame that is in the worker to be told why."""
+        return self._durability.background(self._close_stream(stream))
+
+    async def _close_stream(self, stream: Stream) -> None:
         """Returns when nothing of the stream is left in a worker."""
         await stream.close()
         if stream.session.stream is stream:

@@ -133,7 +133,8 @@ async def _stream(websocket: WebSocket, sessions: Sessions, name: str, *, patien
         await stream.deliver(lambda response: _send(websocket, mode, response))
     finally:
         reader.cancel()
-        await sessions.close_stream(stream)
+        closing = sessions.leave_stream(stream)
+    await asyncio.shield(closing)
 
 
 async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:

@@ -10,7 +10,7 @@ import sqlite3
 
 import httpx
 import pytest
-from ddakf_api.errors import SessionNotFound, WorkerLost
+from ddakf_api.errors import Draining, SessionNotFound, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect
 from ddakf_service.child import ServiceProcess
@@ -191,6 +191,32 @@ def test_the_client_library_comes_back_by_itself(restartable, sheet, number):
     assert len(resumed) == 1
     assert resumed[0] <= (4 if number == signal.SIGKILL else 0)
     assert info.recoveries == 1
+
+
+def test_a_frame_that_was_tracked_while_its_stream_ended_is_known_to_the_next_stream(restartable, sheet):
+    """The grace of a stop is over while a frame is in the worker: it is tracked and kept, but has no answer any more."""
+    api = Api(restartable.process.grpc)
+    name = api.create(sheet).name
+    talk = Talk(api, name, flow=pb.FLOW_MODE_LOSSLESS)
+    talk.ask(frame_of(sheet, 1))
+    worker = worker_of(restartable.process)
+    os.kill(worker, signal.SIGSTOP)
+    talk.send(frame_of(sheet, 2))
+    talk.send(frame_of(sheet, 3))  # waits, and is dropped
+    os.kill(restartable.process.pid, signal.SIGTERM)
+    told = []
+    with pytest.raises(Draining):
+        told.extend(answer.notice.kind for answer in talk.answers)
+    assert told == [pb.NOTICE_KIND_DRAINING, pb.NOTICE_KIND_RECONNECT]
+    os.kill(worker, signal.SIGCONT)
+    assert restartable.process.wait() == 0
+    restartable.start()
+    api = Api(restartable.process.grpc)
+    again = Talk(api, name, flow=pb.FLOW_MODE_LOSSLESS)
+    assert again.started.last_sequence_number == 2
+    assert again.ask(frame_of(sheet, 3))[-1].result.frames_applied == 3
+    again.end()
+    api.delete(name)
 
 
 def test_an_orderly_restart_forgets_nothing(restartable, sheet):

@@ -162,12 +162,20 @@ def test_a_reader_that_stalls_loses_its_stream_and_nobody_elses(single, api, she
     for number in range(1, 21):
         assert list(api.track(other, [request_of(frame_of(sheet, number))]))[-1].result.frames_applied == number
     eventually(lambda: is_free(api, stalled))
-    applied = api.get(stalled).statistics.frames_applied
-    assert 0 < applied < 1999
+    statistics = api.get(stalled).statistics
+    assert 0 < statistics.frames_applied < 1999
+    answered = []
     with pytest.raises(grpc.RpcError) as caught:
-        list(unread)
+        answered.extend(response.result.sequence_number for response in unread)
     assert isinstance(from_rpc_error(caught.value), DeadlineExceeded)
     channel.close()
+    last = statistics.last_sequence_number
+    assert last == statistics.frames_applied > len(answered), "some were tracked whose answers it did not get"
+    again = [request_of(frame_of(LARGE, number)) for number in (last, last + 1)]
+    started, refused, result = api.track(stalled, again)
+    assert started.started.last_sequence_number == last
+    assert refused.frame_error.error.field == "sequence_number"
+    assert result.result.sequence_number == last + 1
     for name in (stalled, other):
         api.delete(name)
 
