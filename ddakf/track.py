@@ -15,16 +15,16 @@ from ddakf import sensor_options
 from ddakf.errors import InvalidArgument
 
 EPILOG = """
-A sequence (.npz) has the true garment: it is seen by a virtual sensor, and errors are reported. A recording (.mat of
-UTD-MHAD, or a folder of .ply, .obj, .xyz or .pcd files) has none: the distance of the cloud to the fitted surface is
-reported.
+A sequence (.npz, a clip of FAUST, a garment of CLOTH3D) has the true garment: it is seen by a virtual sensor, and errors are
+reported. A recording (.mat of UTD-MHAD, a folder with depth/*.png, or one of .ply, .obj, .xyz or .pcd files) has none: the
+distance of the cloud to the fitted surface is reported. Of several parts one is named: MPI-FAUST#s3_p7, 00042#Tshirt.
 """
 
 
 def register(commands: argparse._SubParsersAction) -> None:
     """Adds the command to the parser."""
     parser = commands.add_parser("track", help="track a garment through a sequence or recording", epilog=EPILOG)
-    parser.add_argument("path", metavar="SEQ.npz|DEPTH.mat|FOLDER")
+    parser.add_argument("path", metavar="SEQ.npz|DEPTH.mat|FOLDER[#PART]")
     parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A up to frame B - 1")
     parser.add_argument("--seed", type=int, default=1, help="of the sensor's random numbers (default 1)")
 
@@ -149,17 +149,18 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 
 def _source(arguments: argparse.Namespace):
-    from ddakf.evaluation.source import open_source
+    from ddakf.evaluation.datasets import open_dataset
+    from ddakf.evaluation.source import source_of
+    from ddakf.sequence import Sequence
 
-    sensor = sensor_options.sensor(arguments, virtual=arguments.path.lower().endswith(".npz"))
-    return open_source(
-        arguments.path,
-        sensor,
+    recording = open_dataset(arguments.path, fps=arguments.fps)
+    return source_of(
+        recording,
+        sensor_options.sensor(arguments, virtual=isinstance(recording, Sequence)),
         frames=arguments.frames,
         start=arguments.start,
         give_body=arguments.body,
         template=arguments.template,
-        fps=arguments.fps,
         seed=arguments.seed,
     )
 

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.datasets import Recording, load_recording
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.datasets import Pair, Recording, open_dataset
 from ddakf.evaluation.sensors import Sensor
 from ddakf.io import read_mesh
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.sequence import Sequence
 
 Start = Literal["truth", "rest", "search"]
 ASTRAY_TURN, ASTRAY_SHIFT = np.pi / 2, 1.0  # rad, m: at most, for a start by search
@@ -206,45 +205,54 @@ class RecordingSource:
             yield Frame(k, self.recording.timestamp(k), *cloud)
 
 
-def open_source(
-    path,
+def open_source(path, sensor: Sensor | None = None, *, fps: float = 30.0, **options) -> Source:
+    """What :func:`source_of` makes of the sequence or recording at a path.
+
+    Args:
+        path: see :func:`ddakf.evaluation.datasets.open_dataset`.
+        fps: frames per second of a recording that does not say.
+        sensor, options: see :func:`source_of`.
+
+    Raises:
+        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+    """
+    return source_of(open_dataset(path, fps=fps), sensor, **options)
+
+
+def source_of(
+    recording: Sequence | Recording | Pair,
     sensor: Sensor | None = None,
     *,
     frames: str = ":",
     start: Start = "truth",
     give_body: bool = False,
     template=None,
-    fps: float = 30.0,
     seed: int = 1,
 ) -> Source:
-    """Opens what ``ddakf track`` is given: a sequence (.npz), a depth recording (.mat) or a folder of clouds.
+    """What ``ddakf track`` tracks.
 
     Args:
-        path: of the file or folder.
+        recording: a sequence or a recording.
         sensor: default: for sequences one depth camera with 3 mm noise, for recordings nothing is added.
         frames: ``A:B``, from frame A up to B, which is not part of it; either may be left out.
         start: as ``start_at``, give_body, seed: see :class:`SequenceSource`.
         template: mesh file to track in a recording, instead of its first frame.
-        fps: frames per second of a recording.
 
     Raises:
         InvalidFile, InvalidArgument, InvalidMesh: as they say.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InvalidFile(str(path), "a sequence (.npz), a depth recording (.mat) or a folder of clouds", "nothing there")
-    if path.is_file() and path.suffix.lower() == ".npz":
+    if isinstance(recording, Pair):
+        raise InvalidArgument("path", "a sequence or a recording", "a pair of frames")
+    chosen = chosen_frames(frames, len(recording))
+    if isinstance(recording, Sequence):
         if template is not None:
             raise InvalidArgument("template", "none for a sequence, which has its own", str(template))
-        sequence = load_sequence(path)
-        chosen = chosen_frames(frames, len(sequence))
-        return SequenceSource(sequence, sensor or Sensor(), chosen, start, give_body, seed)
-    recording = load_recording(path, fps)
+        return SequenceSource(recording, sensor or Sensor(), chosen, start, give_body, seed)
     if give_body:
         raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
     mesh = None if template is None else Mesh.cleaned(*read_mesh(template))[0]
     plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
-    return RecordingSource(recording, plain, chosen_frames(frames, len(recording)), mesh, seed)
+    return RecordingSource(recording, plain, chosen, mesh, seed)
 
 
 def _astray(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.io import savemat
 
 from ddakf import io
@@ -14,6 +15,7 @@ from ddakf.evaluation.camera import Camera
 from ddakf.evaluation.datasets import KINECT
 from ddakf.evaluation.depth_template import template_from_depth
 from ddakf.mesh import Mesh, vertex_normals
+from ddakf.sequence import Sequence
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +36,7 @@ def depth_file(tmp_path, person):
 
 
 def test_depth_points_lie_on_the_person_unmirrored(depth_file, person):
-    recording = replace(datasets.load_recording(depth_file), smooth=False)
+    recording = replace(datasets.open_dataset(depth_file), smooth=False)
     cloud = recording.cloud(1)
     mesh, kept = Mesh.cleaned(person[0], person[1])
     assert len(recording) == 3
@@ -45,7 +47,7 @@ def test_depth_points_lie_on_the_person_unmirrored(depth_file, person):
 
 
 def test_smoothing_evens_out_depth_steps_and_keeps_the_surface(depth_file, person):
-    recording = datasets.load_recording(depth_file)
+    recording = datasets.open_dataset(depth_file)
     stepped = replace(recording, depth=np.where(recording.depth, recording.depth // 22 * 22 + 11, 0).astype(np.uint16))
     mesh, kept = Mesh.cleaned(person[0], person[1])
     distance = metrics.SurfaceDistance(mesh)
@@ -54,7 +56,7 @@ def test_smoothing_evens_out_depth_steps_and_keeps_the_surface(depth_file, perso
 
 
 def test_template_is_the_visible_surface_facing_the_sensor(depth_file, person):
-    template = datasets.load_recording(depth_file).template()
+    template = datasets.open_dataset(depth_file).template()
     mesh, kept = Mesh.cleaned(person[0], person[1])
     assert 2500 <= template.n_vertices <= 4000
     assert np.percentile(metrics.SurfaceDistance(mesh)(template.vertices, person[0][kept]), 90) < 0.01
@@ -100,7 +102,7 @@ def test_folders_are_read_in_the_order_of_their_numbers(tmp_path):
     for number in (10, 9, 1):
         io.write_points(tmp_path / f"frame_{number}.xyz", np.full((2, 3), number))
     (tmp_path / "notes.md").write_text("no frame")
-    recording = datasets.load_recording(tmp_path, fps=10)
+    recording = datasets.open_dataset(tmp_path, fps=10)
     assert [recording.cloud(k).points[0, 0] for k in range(3)] == [1, 9, 10]
     assert recording.cloud(0).sensor_origin is None
     assert recording.timestamp(1) == 0.1
@@ -135,3 +137,66 @@ def test_kinect_recordings_give_a_template_of_a_person(recording, name):
     assert 2500 <= template.n_vertices <= 4000
     assert 1.3 < np.ptp(template.vertices[:, 1]) < 2.0
     assert np.median(distance) < 0.015
+
+
+# What is at a path ----------------------------------------------------------------------------------------------------
+
+
+def test_every_kind_is_recognised_by_its_path(tmp_path, depth_file):
+    triangle = np.eye(3)
+    np.savez(tmp_path / "s.npz", garment_V=np.stack([triangle] * 3), garment_F=[[0, 1, 2]], fps=25)
+    sequence = datasets.open_dataset(tmp_path / "s.npz")
+    assert (type(sequence), sequence.name, sequence.fps) == (Sequence, "s", 25)
+    assert isinstance(datasets.open_dataset(depth_file, fps=15), datasets.DepthRecording)
+    assert datasets.open_dataset(depth_file, fps=15).fps == 15
+    clouds = tmp_path / "clouds"
+    clouds.mkdir()
+    io.write_points(clouds / "0.xyz", triangle)
+    assert isinstance(datasets.open_dataset(str(clouds), fps=20), datasets.FolderRecording)
+    depth = tmp_path / "rgbd" / "depth"
+    depth.mkdir(parents=True)
+    Image.fromarray(np.full((9, 9), 1000, np.uint16)).save(depth / "0.png")
+    np.savetxt(depth.parent / "intrinsics.txt", np.diag([9.0, 9.0, 1.0]))
+    assert len(datasets.open_dataset(depth.parent).cloud(0).points) == 81
+
+
+def test_one_of_several_parts_stands_behind_the_mark(tmp_path):
+    vertices, faces = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    for number in (30, 31, 37):
+        (tmp_path / "MPI-FAUST/training/registrations").mkdir(parents=True, exist_ok=True)
+        io.write_mesh(tmp_path / f"MPI-FAUST/training/registrations/tr_reg_0{number}.ply", vertices * (number - 29), faces)
+    root = tmp_path / "MPI-FAUST"
+    assert datasets.parts(root) == ("s3_p1", "s3_p7")
+    assert datasets.open_dataset(f"{root}#s3_p7").name == "faust_s3_p7"
+    assert datasets.open_dataset(root / "training/registrations/tr_reg_037.ply").name == "faust_s3_p7"
+    with pytest.raises(InvalidArgument, match=r"MPI-FAUST#PART with one of 2 parts \(s3_p1, s3_p7\)"):
+        datasets.open_dataset(root)
+    with pytest.raises(InvalidArgument, match="s3_p2"):
+        datasets.open_dataset(f"{root}#s3_p2")
+    np.savez(tmp_path / "all.npz", V=np.stack([vertices] * 10), F=faces)
+    assert len(datasets.parts(tmp_path / "all.npz")) == 9
+    assert datasets.open_dataset(f"{tmp_path}/all.npz#s0_p4").name == "faust_s0_p4"
+
+
+def test_a_path_with_a_mark_of_its_own_is_not_split(tmp_path):
+    (tmp_path / "take#2").mkdir()
+    io.write_points(tmp_path / "take#2" / "0.xyz", np.eye(3))
+    assert datasets.open_dataset(tmp_path / "take#2").name == "take#2"
+    with pytest.raises(InvalidArgument, match="none of a folder with one recording, got '1'"):
+        datasets.open_dataset(f"{tmp_path}/take#2#1")
+    assert datasets.parts(tmp_path / "take#2") == ()
+
+
+def test_what_is_of_no_kind_is_refused_with_what_would_be(tmp_path):
+    with pytest.raises(InvalidFile, match=r"none: expected a sequence \(\.npz\), FAUST .*, got nothing there"):
+        datasets.open_dataset(tmp_path / "none")
+    with pytest.raises(InvalidFile, match="nothing there"):
+        datasets.open_dataset(tmp_path / "none#part")
+    (tmp_path / "a.mp4").write_bytes(b"")
+    with pytest.raises(InvalidFile, match=r"got a file \.mp4"):
+        datasets.open_dataset(tmp_path / "a.mp4")
+    (tmp_path / "a.npz").write_bytes(b"no archive")
+    with pytest.raises(InvalidFile, match=r"an \.npz archive"):
+        datasets.open_dataset(tmp_path / "a.npz")
+    with pytest.raises(InvalidArgument, match="none of a file"):
+        datasets.open_dataset(f"{tmp_path}/a.npz#part")

@@ -108,8 +108,8 @@ def load_faust(path) -> Faust:
 
 
 def is_faust(path: Path) -> bool:
-    """Whether a folder holds FAUST in its published layout, or a file is an archive of registrations."""
-    return _registrations(path) is not None if path.is_dir() else re.fullmatch(r"registrations.*\.npz", path.name) is not None
+    """Whether a folder holds FAUST in its published layout."""
+    return _registrations(path) is not None
 
 
 def _registrations(path: Path) -> Path | None:

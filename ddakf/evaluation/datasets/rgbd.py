@@ -1,0 +1,223 @@
+"""Folders of depth images with intrinsics, as RGB-D recorders write them.
+
+``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names; ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
+``camera.json`` (``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale``, units per metre, 1000 where it
+is not said, ``fps``, and ``T_world_sensor``, 4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every
+frame, not zero where the garment is; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward;
+without ``T_world_sensor`` the points are in the frame of the sensor, y up, looking along -z.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Sequence as Ordered
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile, MissingDependency
+from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.datasets.folder import by_number
+from ddakf.evaluation.datasets.recording import DepthRecording, positive_rate
+
+MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
+LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
+PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+GREY = ("1", "L", "I", "I;16", "I;16B")  # Pillow's names
+MILLIMETRES = 1000.0  # per metre
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImages(Ordered):
+    """Depth images (H, W) in millimetres, read as they are asked for.
+
+    Attributes:
+        paths: of the images. masks: of the masks, as many or none.
+        scale: units of the images per metre.
+        shape: (H, W) of all of them.
+    """
+
+    paths: tuple[Path, ...]
+    masks: tuple[Path, ...]
+    scale: float
+    shape: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, frame: int) -> np.ndarray:
+        depth = self._image(self.paths[frame])
+        if self.masks:
+            depth = np.where(self._image(self.masks[frame]) > 0, depth, 0)
+        return depth if self.scale == MILLIMETRES else (depth * np.float32(MILLIMETRES / self.scale)).astype(np.float32)
+
+    def _image(self, path: Path) -> np.ndarray:
+        values = read_grey(path)
+        if values.shape != self.shape:
+            raise InvalidFile(str(path), f"an image of shape {self.shape} as the first one", str(values.shape))
+        return values
+
+
+def is_rgbd(path: Path) -> bool:
+    """Whether a folder holds depth images."""
+    return any((path / "depth").glob("*.png"))
+
+
+def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
+    """Opens a folder of depth images.
+
+    Args:
+        path: the folder.
+        fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` says.
+
+    Raises:
+        InvalidFile: no depth images, no intrinsics, masks or timestamps that do not fit, images that differ in size.
+        MissingDependency: Pillow is not installed.
+    """
+    path = Path(path)
+    paths = tuple(sorted((path / "depth").glob("*.png"), key=by_number))
+    if not paths:
+        raise InvalidFile(str(path), "depth images depth/*.png", "none")
+    shape = read_grey(paths[0]).shape
+    camera, said = load_camera(path, shape)
+    scale = said.get("depth_scale", MILLIMETRES)
+    if not isinstance(scale, int | float) or not 0 < scale < np.inf:
+        raise InvalidFile("camera.json: depth_scale", "a positive number", str(scale)[:40])
+    images = DepthImages(paths, _masks(path, paths), float(scale), shape)
+    times = _timestamps(path / "timestamps.txt", len(paths))
+    if times is not None and len(times) > 1:
+        fps = (len(times) - 1) / (times[-1] - times[0])
+    else:
+        fps = said.get("fps", fps)
+    if not isinstance(fps, int | float):
+        raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
+    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
+
+
+def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
+    """The camera of a folder with ``camera.json`` or ``intrinsics.txt`` and images (H, W), and what else the former says.
+
+    Raises:
+        InvalidFile: neither is there, or it does not hold what it should.
+    """
+    height, width = shape
+    if (path / "camera.json").is_file():
+        said = _json(path / "camera.json")
+        lens = _lens(said)
+        camera = _placed(Intrinsics(width, height, *lens), said.get("T_world_sensor"))
+        return camera, said
+    if not (path / "intrinsics.txt").is_file():
+        raise InvalidFile(str(path), "camera.json or intrinsics.txt", "neither")
+    matrix = _numbers(path / "intrinsics.txt")
+    if matrix.shape not in ((3, 3), (4, 4)):
+        raise InvalidFile("intrinsics.txt", "a 3 x 3 or 4 x 4 matrix", f"shape {matrix.shape}")
+    lens = _checked_lens("intrinsics.txt", [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    return Camera.at_origin(Intrinsics(width, height, *lens)), {}
+
+
+def read_grey(path: Path) -> np.ndarray:
+    """(H, W) values of a grey PNG image, uint8, uint16 or int32.
+
+    Raises:
+        InvalidFile: no such file, not a grey PNG, more than :data:`MOST_PIXELS`, damaged.
+        MissingDependency: Pillow is not installed.
+    """
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise MissingDependency("depth images need Pillow: pip install 'ddakf[evaluation]'") from error
+    if not path.is_file():
+        raise InvalidFile(str(path), "a PNG image", "nothing there")
+    with path.open("rb") as file:
+        header = file.read(24)
+        if len(header) < 24 or not header.startswith(PNG_SIGNATURE):
+            raise InvalidFile(path.name, "a PNG image", repr(header[:8]))
+        width, height = struct.unpack(">II", header[16:24])
+        if not 0 < width * height <= MOST_PIXELS:
+            raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", f"{width} x {height}")
+        file.seek(0)
+        try:
+            with Image.open(file, formats=["PNG"]) as image:
+                if image.mode not in GREY:
+                    raise InvalidFile(path.name, "a grey image", f"mode {image.mode}")
+                return np.array(image)
+        except (OSError, SyntaxError, ValueError, struct.error) as error:
+            if isinstance(error, InvalidFile):
+                raise
+            raise InvalidFile(path.name, "a PNG image", f"{type(error).__name__}: {error}") from error
+
+
+def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The mask of every image, by the first number in its name; none where there is no folder ``mask``."""
+    if not (path / "mask").is_dir():
+        return ()
+    by_first = {tuple(by_number(mask)[:1]): mask for mask in sorted((path / "mask").glob("*.png"))}
+    missing = [image.name for image in paths if tuple(by_number(image)[:1]) not in by_first]
+    if missing:
+        raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {missing[0]}")
+    return tuple(by_first[tuple(by_number(image)[:1])] for image in paths)
+
+
+def _timestamps(path: Path, count: int) -> np.ndarray | None:
+    if not path.is_file():
+        return None
+    times = _numbers(path).ravel()
+    if len(times) != count or (np.diff(times) <= 0).any():
+        raise InvalidFile(path.name, f"{count} increasing numbers", f"{len(times)}")
+    return times
+
+
+def _text(path: Path) -> str:
+    if path.stat().st_size > LARGEST_TEXT:
+        raise InvalidFile(path.name, f"at most {LARGEST_TEXT} bytes", str(path.stat().st_size))
+    return path.read_text(encoding="latin-1")
+
+
+def _numbers(path: Path) -> np.ndarray:
+    """(rows, columns) finite numbers of a text file."""
+    rows = [line.replace(",", " ").split() for line in _text(path).splitlines() if line.strip()]
+    try:
+        values = np.array(rows, np.float64)
+    except ValueError:
+        raise InvalidFile(path.name, "rows of numbers, equally long", str(rows[0])[:40]) from None
+    if values.ndim != 2 or not np.isfinite(values).all():
+        raise InvalidFile(path.name, "rows of finite numbers", f"shape {values.shape}")
+    return values
+
+
+def _json(path: Path) -> dict:
+    try:
+        said = json.loads(_text(path))
+    except (ValueError, RecursionError) as error:
+        raise InvalidFile(path.name, "JSON", str(error)[:80]) from error
+    if not isinstance(said, dict):
+        raise InvalidFile(path.name, "a JSON object", type(said).__name__)
+    return said
+
+
+def _lens(said: dict) -> list[float]:
+    """fx, fy, cx, cy; Open3D writes the matrix column by column."""
+    matrix = said.get("intrinsic_matrix")
+    if isinstance(matrix, list) and len(matrix) == 9:
+        return _checked_lens("camera.json: intrinsic_matrix", [matrix[k] for k in (0, 4, 6, 7)])
+    return _checked_lens("camera.json", [said.get(name) for name in ("fx", "fy", "cx", "cy")])
+
+
+def _checked_lens(where: str, values: list) -> list[float]:
+    if not all(isinstance(value, int | float) and np.isfinite(value) for value in values) or min(values[:2]) <= 0:
+        raise InvalidFile(where, "fx, fy, cx, cy in pixels, the first two positive", str(values)[:80])
+    return [float(value) for value in values]
+
+
+def _placed(intrinsics: Intrinsics, pose) -> Camera:
+    if pose is None:
+        return Camera.at_origin(intrinsics)
+    try:
+        matrix = np.array(pose, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (4, 4) or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):
+        raise InvalidFile("camera.json: T_world_sensor", "4 rows of 4 numbers, a rigid motion", f"shape {matrix.shape}")
+    return Camera(intrinsics, matrix[:3, 3], matrix[:3, :3].T)

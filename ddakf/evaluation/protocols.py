@@ -1,0 +1,91 @@
+"""What is trained on and what is scored: FAUST by subject, garments by category.
+
+The paper leaves subjects out of FAUST (training on 8, testing on the other 2) and garment categories out of CLOTH3D. A method
+that learns is told by a :class:`~ddakf.evaluation.baselines.Scored` what it is about to be scored on, and leaves it out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import NamedTuple
+
+from ddakf.evaluation.baselines import Scored
+from ddakf.evaluation.datasets.faust import CLIP
+from ddakf.sequence import Sequence
+
+NOISE = 0.003  # m: standard deviation of the points, unless a table says otherwise
+FAUST_TRAINING_SUBJECTS = frozenset(range(8))
+BODY = "whole body"
+# By the words of a sequence's name; CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress. Some recordings are
+# named by where they are from, and hold one garment.
+CATEGORIES = {
+    "T-shirt": ("tshirt", "shirt", "tee"),
+    "tank top": ("tank", "top", "vest"),
+    "skirt": ("skirt",),
+    "dress": ("dress", "robe", "gown"),
+    "trousers": ("trousers", "pants", "shorts"),
+    "jumpsuit": ("jumpsuit", "overall"),
+    "jacket": ("jacket", "hoodie", "coat"),
+    BODY: ("whole", "body"),
+}
+ORIGINS = {"sample": "T-shirt", "pergamo": "T-shirt", "faust": BODY}
+MADE_BY = frozenset({"sim", "simulated"})  # words that say neither garment nor motion
+
+
+class Split(NamedTuple):
+    """Names of sequences to train on and to score."""
+
+    train: tuple[str, ...]
+    test: tuple[str, ...]
+
+
+def scored(sequence: Sequence | str) -> Scored:
+    """What scoring on a sequence, or on one of that name, means: its garment's category and its motion.
+
+    Both are read off the name: ``sim_skirt_dance`` is a skirt and a dance, ``samba_dress`` and ``samba_whole`` one motion. A name
+    that says no category is one of its own.
+    """
+    name = sequence if isinstance(sequence, str) else sequence.name
+    words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in MADE_BY]
+    if words and words[0] == "faust":
+        return Scored(name, BODY, words[-1])
+    for category, known in CATEGORIES.items():
+        if any(word in known for word in words):
+            return Scored(name, category, "_".join(word for word in words if word not in known) or name)
+    origin = next((ORIGINS[word] for word in words if word in ORIGINS), name)
+    return Scored(name, origin, "_".join(words))
+
+
+def category_folds(names: Iterable[str]) -> dict[str, Split]:
+    """Leave-garment-category-out: for every category the sequences of all others to train on, and its own to score."""
+    by_name = {name: scored(name).garment for name in names}
+    folds = {}
+    for category in dict.fromkeys(by_name.values()):
+        test = tuple(name for name, other in by_name.items() if other == category)
+        folds[category] = Split(tuple(name for name in by_name if name not in test), test)
+    return folds
+
+
+def faust_split(clips: Iterable[str]) -> Split:
+    """Clips of FAUST (``s3_p7``) as the paper parts them: those of subjects 0 to 7 to train on, the rest to score.
+
+    Nothing is left to score where only the subjects 0 to 7 are at hand: then score by :func:`faust_folds`.
+    """
+    clips = tuple(clips)
+    train = tuple(clip for clip in clips if _subject(clip) in FAUST_TRAINING_SUBJECTS)
+    return Split(train, tuple(clip for clip in clips if clip not in train))
+
+
+def faust_folds(clips: Iterable[str]) -> dict[int, Split]:
+    """Leave-subject-out among the subjects at hand: for every subject the others' clips to train on, and its own to score."""
+    clips = tuple(clips)
+    folds = {}
+    for subject in dict.fromkeys(map(_subject, clips)):
+        test = tuple(clip for clip in clips if _subject(clip) == subject)
+        folds[subject] = Split(tuple(clip for clip in clips if clip not in test), test)
+    return folds
+
+
+def _subject(clip: str) -> int:
+    return int(CLIP.fullmatch(clip)[1])

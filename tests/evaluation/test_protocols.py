@@ -1,0 +1,60 @@
+"""Who is trained on what: categories and motions by name, and no fold scores what it trains on."""
+
+import pytest
+
+from ddakf.data import sample
+from ddakf.evaluation.protocols import category_folds, faust_folds, faust_split, scored
+
+NAMES = ("sample", "pergamo_005", "samba_dress", "samba_whole", "sim_skirt_dance", "sim_tank_move", "sim_tshirt_jump")
+CLIPS = tuple(f"s{subject}_p{pose}" for subject in (0, 3, 7, 8, 9) for pose in (1, 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "garment", "motion"),
+    [
+        ("sample", "T-shirt", "sample"),
+        ("pergamo_005", "T-shirt", "pergamo_005"),
+        ("samba_dress", "dress", "samba"),
+        ("samba_whole", "whole body", "samba"),
+        ("sim_skirt_dance", "skirt", "dance"),
+        ("sim_tank_move", "tank top", "move"),
+        ("sim_tshirt_crossed_arms", "T-shirt", "crossed_arms"),
+        ("tshirt", "T-shirt", "tshirt"),
+        ("00042_Tshirt", "T-shirt", "00042"),
+        ("00042_Top", "tank top", "00042"),
+        ("faust_s3_p7", "whole body", "p7"),
+        ("scarf_wind", "scarf_wind", "scarf_wind"),
+    ],
+)
+def test_a_name_says_garment_and_motion(name, garment, motion):
+    assert scored(name) == (name, garment, motion)
+
+
+def test_a_sequence_is_scored_by_its_name():
+    assert scored(sample()) == scored("sample")
+
+
+def test_a_category_is_scored_by_what_was_trained_on_the_others():
+    folds = category_folds(NAMES)
+    assert set(folds) == {"T-shirt", "dress", "whole body", "skirt", "tank top"}
+    assert folds["T-shirt"].test == ("sample", "pergamo_005", "sim_tshirt_jump")
+    for category, fold in folds.items():
+        assert sorted(fold.train + fold.test) == sorted(NAMES)
+        assert {scored(name).garment for name in fold.test} == {category}
+        assert category not in {scored(name).garment for name in fold.train}
+
+
+def test_faust_is_parted_as_in_the_paper():
+    split = faust_split(CLIPS)
+    assert split.train == ("s0_p1", "s0_p2", "s3_p1", "s3_p2", "s7_p1", "s7_p2")
+    assert split.test == ("s8_p1", "s8_p2", "s9_p1", "s9_p2")
+    assert faust_split(CLIPS[:4]).test == ()
+
+
+def test_a_subject_is_scored_by_what_was_trained_on_the_others():
+    folds = faust_folds(CLIPS)
+    assert set(folds) == {0, 3, 7, 8, 9}
+    assert folds[3].test == ("s3_p1", "s3_p2")
+    for fold in folds.values():
+        assert sorted(fold.train + fold.test) == sorted(CLIPS)
+        assert not {clip[:2] for clip in fold.train} & {clip[:2] for clip in fold.test}
