@@ -6,7 +6,7 @@ DDAKF_DATA ?= ../shared/data
 export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help install demo test lint serve bench load soak chaos fuzz clean
+.PHONY: help install demo test lint serve bench load soak chaos fuzz evaluate report report-quick clean
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
@@ -17,6 +17,9 @@ help:
 	@echo "make soak    ten minutes of clients that come and leave: memory, descriptors (ARGS='--seconds 60 ...')"
 	@echo "make chaos   kills, cuts, stalls, a full disk, a stopped database; is every session as before? (ARGS='--seed 2 ...')"
 	@echo "make fuzz    100,000 damaged inputs to everything that reads bytes, and schemathesis (ARGS='--inputs 10000 ...')"
+	@echo "make evaluate  every system of the paper on every sequence, into results/ (hours; goes on where it was; ARGS='--runs 1')"
+	@echo "make report    the paper's tables and figures from results/, into out/report"
+	@echo "make report-quick  both, small: 2 sequences, 2 views, 2 seeds, 30 frames, into out/quick"
 	@echo "make install the development environment in $(VENV)"
 
 # what runs the product, and on top of it what tests it
@@ -68,6 +71,16 @@ chaos: $(DEV)
 fuzz: $(DEV)
 	@$(PIP) install --quiet -e '.[fuzz]' || echo "atheris cannot be installed here: hypothesis alone"
 	@$(BIN)/python benchmarks/fuzz.py $(ARGS)
+
+evaluate: $(DEV)
+	@$(BIN)/ddakf evaluate --paper --results results $(ARGS)
+
+report: $(DEV)
+	@$(BIN)/ddakf report --results results --out out/report
+
+report-quick: $(DEV)
+	@$(BIN)/ddakf evaluate --paper --quick --results out/quick/results $(ARGS)
+	@$(BIN)/ddakf report --results out/quick/results --out out/quick
 
 clean:
 	@rm -rf $(VENV) out build

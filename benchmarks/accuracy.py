@@ -16,12 +16,11 @@ from dataclasses import asdict, replace
 from multiprocessing import get_context
 from pathlib import Path
 
-import machine
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ddakf import kernels
-from ddakf.evaluation import figures, methods, tables, trials
+from ddakf.evaluation import figures, machine, methods, tables, trials
 from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.degradations import DISTURBANCES
 from ddakf.evaluation.trials import Trial

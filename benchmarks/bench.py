@@ -81,8 +81,9 @@ def main(argv: list[str] | None = None) -> int:
     """Measures, prints and writes; returns the exit status."""
     arguments = _parser().parse_args(argv)
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))  # before numpy, numba and Open3D are imported
-    import machine
     from report import show
+
+    from ddakf.evaluation import machine
 
     settings = QUICK if arguments.quick else FULL if arguments.full else Settings()
     size = "quick" if arguments.quick else "full" if arguments.full else "default"

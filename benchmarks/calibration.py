@@ -15,12 +15,11 @@ import sys
 from pathlib import Path
 
 import accuracy
-import machine
 import numpy as np
 from scipy.stats import chi2
 
 from ddakf.config import Uncertainty
-from ddakf.evaluation import figures, tables, trials
+from ddakf.evaluation import figures, machine, tables, trials
 from ddakf.evaluation.records import NOMINAL
 from ddakf.evaluation.trials import Trial
 

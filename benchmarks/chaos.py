@@ -27,7 +27,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import inputs
-import machine
 import numpy as np
 import traffic
 from ddakf_client import Frame, Notice, Result, aconnect
@@ -37,7 +36,7 @@ from rich.console import Console
 
 import ddakf
 from ddakf import data
-from ddakf.evaluation import metrics
+from ddakf.evaluation import machine, metrics
 
 RESULT = Path(__file__).parent / "results" / "chaos.json"
 QUIET = 10.0  # seconds at the end without any trouble, over whose last half errors are compared

@@ -13,13 +13,12 @@ import sys
 from pathlib import Path
 
 import inputs
-import machine
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 import ddakf
 from ddakf import kernels
-from ddakf.evaluation import metrics
+from ddakf.evaluation import machine, metrics
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULT, DOCUMENT = ROOT / "benchmarks/results/latency.json", ROOT / "docs/protocol.md"

@@ -15,7 +15,6 @@ import sys
 import time
 from pathlib import Path
 
-import machine
 import numpy as np
 import traffic
 from ddakf_api.codec import CODECS, DEFAULT_CODEC
@@ -24,6 +23,8 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
+
+from ddakf.evaluation import machine
 
 RESULT = Path(__file__).parent / "results" / "load.json"
 FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}

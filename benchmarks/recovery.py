@@ -27,14 +27,13 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import machine
 import numpy as np
 from inputs import sequences
 from scipy.spatial.transform import Rotation
 
 import ddakf
 from ddakf import kernels
-from ddakf.evaluation import trials
+from ddakf.evaluation import machine, trials
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
 from ddakf.initialize import SETTLING

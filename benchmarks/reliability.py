@@ -18,7 +18,6 @@ import sys
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
-import machine
 import numpy as np
 from inputs import sequences
 from scipy.optimize import nnls
@@ -26,7 +25,7 @@ from scipy.stats import rankdata
 
 import ddakf
 from ddakf import reliability
-from ddakf.evaluation import metrics
+from ddakf.evaluation import machine, metrics
 from ddakf.evaluation.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import SequenceSource

@@ -17,7 +17,6 @@ import time
 from pathlib import Path
 
 import grpc
-import machine
 import numpy as np
 import traffic
 from ddakf_api import API_VERSION
@@ -25,6 +24,8 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ddakf.evaluation import machine
 
 RESULT = Path(__file__).parent / "results" / "soak.json"
 GROWTH = 0.03  # share by which memory may grow between the warm-up's end and the end

@@ -15,18 +15,12 @@ from importlib import metadata
 import ddakf
 from ddakf import doctor, track
 from ddakf.errors import DdakfError
-from ddakf.evaluation.simulation import command as simulate
+from ddakf.evaluation.report import command as report
+from ddakf.evaluation.study import command as study
 
 GROUP = "ddakf.commands"
 FAILURE, INTERRUPTED = 2, 130
-EXTRAS = {
-    "matplotlib": "evaluation",
-    "open3d": "evaluation",
-    "torch": "learned",
-    "newton": "simulation",
-    "warp": "simulation",
-    "ray": "ray",
-}  # otherwise "service"
+EXTRAS = {"matplotlib": "evaluation", "open3d": "evaluation", "torch": "learned", "ray": "ray"}  # otherwise "service"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -57,8 +51,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ddakf {ddakf.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     track.register(commands)
+    study.register(commands)
+    report.register(commands)
     doctor.register(commands)
-    simulate.register(commands)
     for entry_point in sorted(metadata.entry_points(group=GROUP), key=lambda e: e.name):
         if entry_point.name not in commands.choices:
             _load(entry_point)(commands)

@@ -11,15 +11,20 @@ VIRTUAL_NOISE_MM = 3.0  # added to a virtual sensor's points unless told otherwi
 MM = 1e-3  # metres
 
 
-def add(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
-    """Adds the options to a parser, as a group to which more can be added."""
+def add(parser: argparse.ArgumentParser, *, several_views: bool = False) -> argparse._ArgumentGroup:
+    """Adds the options to a parser, as a group to which more can be added.
+
+    Args:
+        parser: of the command.
+        several_views: ``--view`` is a list, of all around, with ``+body`` where a method is told the body.
+    """
     group = parser.add_argument_group("sensor")
-    group.add_argument(
-        "--view",
-        choices=("full", "front", "ring4"),
-        default="front",
-        help="of a sequence: all around, one depth camera (default), or four",
-    )
+    if several_views:
+        what = "full (all around), front (one depth camera) or ring4 (four), with +body where the systems are told the body"
+        group.add_argument("--view", default="full", metavar="V,W", help=f"{what} (default full)")
+    else:
+        what = "of a sequence: all around, one depth camera (default), or four"
+        group.add_argument("--view", choices=("full", "front", "ring4"), default="front", help=what)
     group.add_argument("--points", type=int, default=10_000, metavar="N", help="at most (default 10000)")
     group.add_argument(
         "--noise-mm",
@@ -50,11 +55,12 @@ def add(parser: argparse.ArgumentParser) -> argparse._ArgumentGroup:
     return group
 
 
-def sensor(arguments: argparse.Namespace, virtual: bool = True):
+def sensor(arguments: argparse.Namespace, virtual: bool = True, view: str | None = None):
     """The :class:`ddakf.evaluation.sensors.Sensor` of parsed options.
 
     Args:
         arguments: with those of :func:`add`.
+        view: one of several; default the one of the options.
         virtual: it looks at a sequence; otherwise the points are of a real sensor.
 
     Raises:
@@ -66,7 +72,7 @@ def sensor(arguments: argparse.Namespace, virtual: bool = True):
     if noise_mm is None:
         noise_mm = VIRTUAL_NOISE_MM if virtual else 0.0
     return Sensor(
-        view=arguments.view,
+        view=view or arguments.view,
         points=arguments.points,
         noise=noise_mm * MM,
         drop=arguments.drop,

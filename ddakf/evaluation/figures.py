@@ -11,6 +11,19 @@ COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")  # Okabe and Ito, told ap
 STYLES = ("-", "--", "-.", ":")
 
 
+def figure(width: float, height: float):
+    """An empty ``matplotlib.figure.Figure`` of so many inches.
+
+    Raises:
+        MissingDependency: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingDependency("matplotlib, which draws diagrams, is not installed: pip install 'ddakf[evaluation]'") from error
+    return Figure(figsize=(width, height), layout="constrained")
+
+
 def reliability_diagram(path, curves: Mapping[str, tuple]) -> None:
     """Nominal against observed coverage of the claimed ellipsoids, a line per group; calibrated is the diagonal.
 
@@ -24,12 +37,8 @@ def reliability_diagram(path, curves: Mapping[str, tuple]) -> None:
     """
     if not curves:
         raise InvalidArgument("curves", "at least one group of vertices with covariances", "none")
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingDependency("matplotlib, which draws diagrams, is not installed: pip install 'ddakf[evaluation]'") from error
-    figure = Figure(figsize=(4.6, 5.2), layout="constrained")
-    axes = figure.add_subplot()
+    drawn = figure(4.6, 5.2)
+    axes = drawn.add_subplot()
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="calibrated")
     for number, (name, (nominal, observed)) in enumerate(curves.items()):
         style = {"color": COLOURS[number % len(COLOURS)], "linestyle": STYLES[number % len(STYLES)]}
@@ -38,7 +47,7 @@ def reliability_diagram(path, curves: Mapping[str, tuple]) -> None:
     axes.set(xlabel="probability of the claimed ellipsoid", ylabel="share of vertices inside it")
     axes.text(0.03, 0.93, "too cautious", color="0.45")
     axes.text(0.97, 0.04, "overconfident", color="0.45", ha="right")
-    figure.legend(loc="outside lower center", ncols=2, frameon=False)
+    drawn.legend(loc="outside lower center", ncols=2, frameon=False)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    drawn.savefig(path, dpi=120)

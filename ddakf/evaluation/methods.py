@@ -31,6 +31,7 @@ class Estimate(NamedTuple):
 
 
 Method = Callable[[Frame], Estimate]
+Maker = Callable[[Mesh, np.ndarray, Mesh | None], Method]  # of garment, start (V, 3) in metres, and body
 
 
 def ablations() -> dict[str, Config]:
@@ -66,7 +67,7 @@ def without_levels() -> Config:
 
 
 def configuration(variant: str) -> Config:
-    """The configuration of a variant: ``default``, ``paper``, one of :func:`ablations` or :func:`refinements`, or
+    """The configuration of a variant: ``ddakf`` or ``default``, ``paper``, one of :func:`ablations` or :func:`refinements`, or
     ``NAME={...}``, JSON of :meth:`ddakf.Config.from_dict` with a name for the tables.
 
     Raises:
@@ -78,7 +79,7 @@ def configuration(variant: str) -> Config:
             return Config.from_dict(json.loads(values))
         except json.JSONDecodeError as error:
             raise InvalidArgument("variant", "NAME={JSON}", f"{values!r} ({error})") from error
-    known = {"default": Config(), "paper": Config.paper()} | ablations() | refinements()
+    known = {"ddakf": Config(), "default": Config(), "paper": Config.paper()} | ablations() | refinements()
     if name not in known:
         raise InvalidArgument("variant", f"one of {', '.join([*known, *BASELINES])}, or NAME={{JSON}}", repr(variant))
     return known[name]
@@ -110,7 +111,7 @@ def _baseline(name: str, scored: Scored, garment: Mesh, start: np.ndarray, body:
     return step
 
 
-def named(variant: str, scored: Scored = NOTHING_SAID) -> Callable[[Mesh, np.ndarray, Mesh | None], Method]:
+def named(variant: str, scored: Scored = NOTHING_SAID) -> Maker:
     """What makes a method from garment, start (V, 3) in metres and body: a baseline, or a tracker of a :func:`configuration`.
 
     Args:

@@ -81,7 +81,7 @@ class Painter:
         if not shots:
             raise InvalidArgument("shots", "at least one frame", "none")
         self.faces, self.body_faces, self.title = faces, body_faces, title
-        self.scale_mm = _round_up(1e3 * np.percentile(np.concatenate([shot.sigma for shot in shots]), 99))
+        self.scale_mm = round_up(1e3 * np.percentile(np.concatenate([shot.sigma for shot in shots]), 99))
         scene = np.concatenate([part for shot in shots for part in (shot.vertices[::7], _core(shot.points)[::7])])
         centre = (scene.min(axis=0) + scene.max(axis=0)) / 2
         toward = np.array([0.0, 0.0, 1.0]) if sensor_origin is None else sensor_origin - centre
@@ -234,7 +234,7 @@ def _shade(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> np.ndarra
     return AMBIENT + (1 - AMBIENT) * facing
 
 
-def _round_up(value: float) -> float:
+def round_up(value: float) -> float:
     """The next of 1, 2, 3, 4, 6, 8 times a power of ten: the legend's quarters are short numbers."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-3)))
     return float(next(step * power for step in (1, 2, 3, 4, 6, 8, 10) if step * power >= value * (1 - 1e-9)))

@@ -16,15 +16,19 @@ from pathlib import Path
 import numpy as np
 
 from ddakf import data
-from ddakf.errors import DdakfError, InvalidArgument
+from ddakf.errors import DdakfError, InvalidArgument, NotApplicable
 from ddakf.evaluation import methods, metrics
+from ddakf.evaluation.datasets import Pair, Recording, load_faust, open_dataset
 from ddakf.evaluation.degradations import CLEAN, DISTURBANCES, Script
+from ddakf.evaluation.protocols import scored
 from ddakf.evaluation.records import Record, short
+from ddakf.evaluation.sensed import STEPS, pair_row, recording_row
 from ddakf.evaluation.sensors import Cloud, Sensor
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.sequence import Sequence, load_sequence
 
+FAUST = "faust_"  # before the name of a clip
 SAMPLE = "sample"  # the name of the recording that ships with the project
 OFFSET, TURN = 0.10, np.radians(20)  # m, rad: how far off a trial of the start begins
 CONVERGED, START_FRAMES = 1.2, 20  # times the error of the run from the truth; frames that such a trial lasts
@@ -36,7 +40,7 @@ class Trial:
     """One run.
 
     Attributes:
-        sequence: ``sample``, or the name of a recording in the folder ``sequences`` of DDAKF_DATA.
+        sequence: ``sample``, the name of a recording under DDAKF_DATA (``faust_s3_p7`` of FAUST's clips), or a path.
         view: of :class:`ddakf.evaluation.sensors.Sensor`.
         body: the tracker is told the body of every frame.
         seed: of the sensor's noise.
@@ -48,6 +52,8 @@ class Trial:
         noise: standard deviation, metres.
         start: number of a random start off the truth, see :func:`astray`; None starts at the truth.
         disturbance: name of one of :data:`ddakf.evaluation.degradations.DISTURBANCES`, or None.
+        drop, outliers, depth_noise, depth_step, fliers, occlude, occluded, every: of :class:`ddakf.evaluation.sensors.Sensor`.
+        surfaces: distances between the surfaces and silhouettes are measured as well; they take longer than a frame.
     """
 
     sequence: str
@@ -62,11 +68,21 @@ class Trial:
     noise: float = 0.003
     start: int | None = None
     disturbance: str | None = None
+    drop: float = 0.0
+    outliers: float = 0.0
+    depth_noise: float = 0.0
+    depth_step: float = 0.0
+    fliers: float = 0.0
+    occlude: tuple[int, int] | None = None
+    occluded: float = 0.4
+    every: int = 1
+    surfaces: bool = False
 
     @classmethod
     def of(cls, row: dict) -> Trial:
         """The trial of a row; fields that the row does not know have their defaults."""
-        return cls(**{field.name: row[field.name] for field in fields(cls) if field.name in row})
+        known = {field.name: row[field.name] for field in fields(cls) if field.name in row}
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in known.items()})
 
 
 # Recordings ---------------------------------------------------------------------------------------------------------
@@ -79,18 +95,34 @@ def names() -> list[str]:
 
 
 @lru_cache(maxsize=8)
-def recording(name: str) -> Sequence:
-    """A recording by its name.
+def recording(name: str) -> Sequence | Recording | Pair:
+    """A recording by its name, or what is at a path, see :func:`ddakf.evaluation.datasets.open_dataset`.
 
     Raises:
-        InvalidArgument: DDAKF_DATA does not hold it.
+        InvalidArgument: neither a name that is known nor a path.
+        InvalidFile: nothing that can be read is at the path.
     """
     if name == SAMPLE:
         return data.sample()
+    if name.startswith(FAUST) and (archive := _faust()):
+        return load_faust(archive).clip(name.removeprefix(FAUST))
+    if Path(name.partition("#")[0]).exists():
+        return open_dataset(name)
     folder = _folder()
     if folder is None or not (folder / f"{name}.npz").is_file():
         raise InvalidArgument("sequence", f"one of {', '.join(names())} (DDAKF_DATA names the folder)", repr(name))
     return load_sequence(folder / f"{name}.npz")
+
+
+def faust_names() -> list[str]:
+    """The clips of FAUST under DDAKF_DATA, as :func:`recording` knows them."""
+    archive = _faust()
+    return [FAUST + clip for clip in load_faust(archive).clips] if archive else []
+
+
+def _faust() -> Path | None:
+    root = os.environ.get("DDAKF_DATA")
+    return next(iter(sorted(Path(root, "faust").glob("*.npz"))), None) if root else None
 
 
 def _folder() -> Path | None:
@@ -103,10 +135,15 @@ def _cloud(name: str, frame: int, seed: int, sensor: Sensor) -> Cloud:
     return sensor.capture(recording(name), frame, np.random.default_rng([seed, frame]))
 
 
-def _numbers(trial: Trial) -> range:
+def tracked(trial: Trial) -> range:
     """The frames that a trial tracks, by their number in the recording."""
-    last = len(recording(trial.sequence)) - 1
-    return range(trial.first + 1, last + 1 if trial.frames is None else min(trial.first + trial.frames, last) + 1)
+    known = recording(trial.sequence)
+    if isinstance(known, Pair):
+        return range(1, STEPS + 1)
+    last = len(known) - 1
+    if trial.frames is not None:
+        last = min(trial.first + trial.frames * trial.every, last)
+    return range(trial.first + trial.every, last + 1, trial.every)
 
 
 def astray(rest: np.ndarray, truth: np.ndarray, number: int) -> np.ndarray:
@@ -138,18 +175,33 @@ def run(trial: Trial) -> dict:
         ``reference_rmse_mm`` and ``reference_normal_rmse_mm``, per frame, of the run from the truth or the undisturbed one,
         and ``frames_until_rmse_mm`` and ``frames_until_normal_rmse_mm``, after which the error was within
         :data:`CONVERGED` or :data:`RECOVERED` times that, None for never. Where the method could not go on, ``failed`` with
-        its sentence.
+        its sentence; where it does not apply, ``not_applicable`` with its own.
 
     Raises:
         InvalidArgument: no such variant, view, disturbance or recording.
     """
     methods.named(trial.variant)
-    for check in (_sensor, _script, _numbers):
+    for check in (sensor_of, _script, tracked):
         check(trial)
     try:
-        return asdict(trial) | _outcome(trial)
+        match recording(trial.sequence):
+            case Sequence():
+                return asdict(trial) | _outcome(trial)
+            case Pair() as pair:
+                return asdict(trial) | pair_row(_maker(trial), pair)
+            case other:
+                return asdict(trial) | recording_row(_maker(trial), other, tracked(trial), sensor_of(trial), trial.seed)
+    except NotApplicable as reason:
+        return asdict(trial) | {"not_applicable": str(reason)}
     except (DdakfError, ArithmeticError, np.linalg.LinAlgError) as error:
         return asdict(trial) | {"failed": f"{type(error).__name__}: {error}"}
+
+
+def _maker(trial: Trial) -> methods.Maker:
+    """Of the method, on what has no body that it could be told."""
+    if trial.body:
+        raise NotApplicable(f"{trial.sequence} has no body that a method could be told")
+    return methods.named(trial.variant, scored(Path(trial.sequence).stem))
 
 
 def _outcome(trial: Trial) -> dict:
@@ -175,8 +227,8 @@ def _compared(record: Record, reference: Record, factor: float, after: int = -1)
     return record.summary() | compared
 
 
-def _sensor(trial: Trial) -> Sensor:
-    return Sensor(trial.view, trial.points, trial.noise, segmented=trial.segmented)
+def sensor_of(trial: Trial) -> Sensor:
+    return Sensor(**{field.name: getattr(trial, field.name) for field in fields(Sensor)})
 
 
 def _script(trial: Trial) -> Script:
@@ -188,10 +240,10 @@ def _script(trial: Trial) -> Script:
 
 def _frames(trial: Trial) -> Iterator[Frame]:
     """What arrives."""
-    sequence, sensor = recording(trial.sequence), _sensor(trial)
+    sequence, sensor = recording(trial.sequence), sensor_of(trial)
 
     def undisturbed() -> Iterator[Frame]:
-        for number in _numbers(trial):
+        for number in tracked(trial):
             points, origin = _cloud(trial.sequence, number, trial.seed, sensor)
             body = sequence.body_vertices[number] if trial.body else None
             yield Frame(number, sequence.timestamp(number), points, origin, body)
@@ -199,18 +251,49 @@ def _frames(trial: Trial) -> Iterator[Frame]:
     return (frame for frame, _ in _script(trial).apply(undisturbed(), trial.seed))
 
 
-def _track(trial: Trial) -> Record:
+def estimate(trial: Trial, number: int) -> np.ndarray:
+    """(V, 3) metres, what a trial's method says about a frame of the recording.
+
+    Raises:
+        InvalidArgument: the trial does not track it. Whatever the method raises.
+    """
+    if number not in tracked(trial):
+        raise InvalidArgument("frame", f"one of {tracked(trial)}", str(number))
+    step = _started(trial)
+    for frame in _frames(trial):
+        vertices = step(frame).vertices
+        if frame.number == number:
+            break
+    return vertices
+
+
+def _started(trial: Trial) -> methods.Method:
     sequence = recording(trial.sequence)
-    garment = Mesh(sequence.template, sequence.garment_faces)
     truth = sequence.garment_vertices[trial.first].astype(np.float64)
     start = truth if trial.start is None else astray(sequence.template, truth, trial.start)
+    if trial.body and not sequence.has_body:
+        raise NotApplicable(f"{sequence.name} has no body that a method could be told")
     body = Mesh(sequence.body_vertices[trial.first], sequence.body_faces) if trial.body else None
-    step, record = methods.named(trial.variant)(garment, start, body), Record(garment, sequence)
+    return methods.named(trial.variant, scored(sequence))(Mesh(sequence.template, sequence.garment_faces), start, body)
+
+
+def _track(trial: Trial) -> Record:
+    sequence, step = recording(trial.sequence), _started(trial)
+    record = Record(Mesh(sequence.template, sequence.garment_faces), sequence, surfaces=trial.surfaces)
     for frame in _frames(trial):
         wall, cpu = time.perf_counter(), time.thread_time()
         estimate = step(frame)
         record.add(frame.number, estimate, time.thread_time() - cpu, time.perf_counter() - wall)
+    if trial.surfaces:
+        record.memory_mib = _memory(step, replace(frame, timestamp=frame.timestamp + trial.every / sequence.fps))
     return record
+
+
+def _memory(step: methods.Method, frame: Frame) -> float | None:
+    """MiB that one more frame takes at most, beyond what was resident before it."""
+    peak = metrics.ResidentPeak()
+    step(frame)
+    return peak.mib()
 
 
 @lru_cache(maxsize=2)

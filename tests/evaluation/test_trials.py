@@ -19,7 +19,7 @@ from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).parents[2]
 SHORT = Trial("sample", frames=4, points=3000)
-TIMES = {"cpu_ms_p50", "cpu_ms_p99", "wall_ms_p50", "wall_ms_p99"}
+TIMES = {"cpu_ms_p50", "cpu_ms_p99", "wall_ms_p50", "wall_ms_p99", "fps"}
 
 
 @pytest.fixture(scope="module")

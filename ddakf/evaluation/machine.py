@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
-PACKAGES = ("numpy", "scipy", "numba", "grpcio", "protobuf", "zstandard", "open3d-cpu", "open3d")
+PACKAGES = ("ddakf", "numpy", "scipy", "numba", "grpcio", "protobuf", "zstandard", "open3d-cpu", "open3d", "torch")
 
 
 def describe() -> dict:

@@ -1,0 +1,100 @@
+"""The results of the studies in a folder, and means over what is in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+from ddakf.evaluation import statistics
+
+
+class Pooled(NamedTuple):
+    """A number of the report: mean and SD over the runs of the mean over sequences and views."""
+
+    mean: float
+    sd: float | None  # None with one run
+    runs: int
+    cells: int  # sequences x views that it is the mean of
+    of: int  # that there are
+
+
+@dataclass(frozen=True)
+class Result:
+    """A study's result.
+
+    Attributes:
+        name: of the file, without its ending.
+        meta: command, versions, seeds, machine.
+        cells: by sequence, view and method.
+        p_values: see :func:`ddakf.evaluation.study.results.tests`.
+    """
+
+    name: str
+    meta: dict
+    cells: list[dict]
+    p_values: dict
+
+    @property
+    def methods(self) -> list[str]:
+        return list(dict.fromkeys(cell["method"] for cell in self.cells))
+
+    @property
+    def sequences(self) -> list[str]:
+        return list(dict.fromkeys(cell["sequence"] for cell in self.cells))
+
+    @property
+    def views(self) -> list[str]:
+        return list(dict.fromkeys(cell["view"] for cell in self.cells))
+
+    def of(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> list[dict]:
+        """The cells of a method."""
+        return [cell for cell in self.cells if cell["method"] == method and chosen(cell)]
+
+    def pooled(self, method: str, value: str, chosen: Callable[[dict], bool] = lambda cell: True) -> Pooled | None:
+        """A value's mean over the cells of a method; None where it never applies."""
+        cells = self.of(method, chosen)
+        by_seed: dict[int, list[float]] = {}
+        used = 0
+        for cell in cells:
+            values = {run["seed"]: run[value] for run in cell["runs"] if run.get(value) is not None}
+            used += bool(values)
+            for seed, number in values.items():
+                by_seed.setdefault(seed, []).append(number)
+        if not used:
+            return None
+        means = [np.mean(numbers) for numbers in by_seed.values() if len(numbers) == used]
+        sd = float(np.std(means, ddof=1)) if len(means) > 1 else None
+        return Pooled(float(np.mean(means)), sd, len(means), used, len(cells))
+
+    def reason(self, method: str) -> str:
+        """Why a method has no numbers, or not everywhere."""
+        sentences = [cell.get("failed") or cell.get("not_applicable") for cell in self.of(method)]
+        return "; ".join(dict.fromkeys(filter(None, sentences)))
+
+    def lost(self, method: str) -> int:
+        """Cells in which some run of the method no longer followed the garment."""
+        return sum(any(statistics.lost(run["rmse_mm"] for run in cell["runs"])) for cell in self.of(method))
+
+
+def read(folder: Path) -> dict[str, Result]:
+    """All results in a folder, by name.
+
+    Raises:
+        InvalidFile: none there, or a file that is no result.
+    """
+    found = {}
+    for path in sorted(Path(folder).glob("*.json")):
+        try:
+            content = json.loads(path.read_text())
+            found[path.stem] = Result(path.stem, content["meta"], content["results"], content["p_values"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidFile(str(path), "the result of a study", f"{type(error).__name__}: {error}") from error
+    if not found:
+        raise InvalidFile(str(folder), "results of studies (*.json): ddakf evaluate --paper makes them", "none")
+    return found

@@ -1,0 +1,235 @@
+"""The paper's tables from results: what the paper prints and what was measured here in columns of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+
+from ddakf.evaluation.report import printed
+from ddakf.evaluation.report.results import Pooled, Result
+
+TITLES = {
+    "kf": "Kalman filter", "icp": "ICP, non-rigid point-to-plane", "icp-rigid": "ICP, rigid", "pf": "particle filter",
+    "clothfit": "ClothFit", "opt-ed": "Opt-ED", "nicp": "non-rigid ICP (ARAP)", "paper": "DD-AKF as printed", "ddakf": "DD-AKF",
+}  # fmt: skip
+ORDER = ("kf", "icp-rigid", "icp", "pf", "clothfit", "opt-ed", "nicp", "paper", "ddakf")
+HEADS = {
+    "rmse_mm": "RMSE, mm", "rmse_normal_mm": "normal RMSE, mm", "hausdorff_mm": "Hausdorff, mm", "iou": "IoU",
+    "stretch_percent": "stretch, %", "stretch_error_percent": "stretch against the truth, %", "bend_deg": "bend, deg",
+    "bend_error_deg": "bend against the truth, deg", "penetration_mm": "penetration, mm", "flicker": "flicker, mm/frame²",
+    "acceleration_variance": "variance of acceleration, mm²", "ms_per_frame": "ms per frame", "fps": "frames per second",
+    "memory_mib_per_frame": "MiB per frame",
+}  # fmt: skip
+DECIMALS = {"iou": 3, "fps": 1, "penetration_mm": 2, "acceleration_variance": 2, "ms_per_frame": 0}
+HIGHER_IS_BETTER = ("iou", "fps")
+
+
+@dataclass
+class Cell:
+    """What stands in a table: text, what it says when it is pointed at, and how it is set off."""
+
+    text: str
+    note: str = ""
+    kind: str = ""  # "best", "paper", "none"
+
+
+@dataclass
+class Table:
+    """A table of the report.
+
+    Attributes:
+        name: of its anchor.
+        title: above it.
+        heads: of its columns.
+        rows: of cells; the first one is the row's name.
+        notes: below it.
+        sources: results that its numbers come from.
+    """
+
+    name: str
+    title: str
+    heads: list[str]
+    rows: list[list[Cell]]
+    notes: list[str] = field(default_factory=list)
+    sources: list[Result] = field(default_factory=list)
+
+
+def comparison(name: str, title: str, result: Result, values: Iterable[str], paper: dict, view: str | None = None) -> Table:
+    """Methods down, metrics across, each with the paper's number beside ours; the best of ours is set off.
+
+    Args:
+        name, title: of the table.
+        result: of a study.
+        values: names in a result's runs.
+        paper: by value and method, mean and SD.
+        view: of the study; None: all.
+    """
+    values, methods = list(values), ordered(result.methods)
+
+    def chosen(cell: dict) -> bool:
+        return view is None or cell["view"] == view
+
+    heads = ["system"]
+    for value in values:
+        heads += [HEADS[value], "in the paper"] if value in paper else [HEADS[value]]
+    pools = {(m, v): result.pooled(m, v, chosen) for m in methods for v in values}
+    best = {v: _best({m: pools[m, v] for m in methods}, v) for v in values}
+    rows = []
+    for method in methods:
+        row = [Cell(TITLES.get(method, method), result.reason(method))]
+        for value in values:
+            row.append(_cell(pools[method, value], value, result, method, best[value] == method))
+            if value in paper:
+                row.append(_paper(paper[value].get(method), value))
+        rows.append(row)
+    notes = [f"{TITLES.get(m, m)}: {result.reason(m)}" for m in methods if result.reason(m)]
+    for method in methods:
+        if count := result.lost(method):
+            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {len(result.of(method))} cells.")
+    return Table(name, title, heads, rows, notes, [result])
+
+
+def significance(name: str, title: str, result: Result, values: Iterable[str], paper: dict, view: str = "all") -> Table:
+    """p-values of every system against DD-AKF, with Holm's correction, the effect and its interval, beside the paper's."""
+    tests = result.p_values.get(view) or result.p_values.get("all", {})
+    others = [m for m in ordered(result.methods) if m != "ddakf"]
+    heads = ["metric", "system", "DD-AKF is better by", "p", "Holm", "effect [95 %]", "verdict", "p in the paper"]
+    rows, notes = [], []
+    for value in values:
+        family = tests.get(value, {"comparisons": {}})
+        for method in others:
+            test = family["comparisons"].get(method)
+            if test is None or test["n"] == 0:
+                continue
+            effect = "–"
+            if test["effect"] is not None:
+                effect = f"{test['effect']:+.2f} [{test['effect_low']:+.2f}, {test['effect_high']:+.2f}]"
+            rows.append([
+                Cell(HEADS[value]), Cell(TITLES.get(method, method)), Cell(_number(test["gain"], value)), Cell(p_text(test["p"])),
+                Cell(p_text(test["p_holm"])), Cell(effect, f"{test['groups']} groups"), Cell(test["verdict_holm"]),
+                Cell(paper.get(value, {}).get(method, "–"), kind="paper"),
+            ])  # fmt: skip
+            statement = (
+                f"{test['n']} clips x views in {test['groups']} groups, signs flipped by {test['flipped']}; "
+                f"the smallest p that can be had: {test['p_smallest']:.2g}."
+            )
+            notes += [note for note in (statement, test["dependence"]) if note and note not in notes]
+        if standing := family.get("standing"):
+            notes.append(_standing(HEADS[value], standing))
+    return Table(name, title, heads, rows, notes, [result])
+
+
+def _standing(metric: str, standing: dict) -> str:
+    """Whether DD-AKF is better than every baseline that uses the cloud and was not lost, in a sentence."""
+
+    def names(methods: list[str]) -> str:
+        return ", ".join(TITLES.get(method, method) for method in methods)
+
+    beaten, rivals = standing["better"], standing["rivals"]
+    text = f"{metric}: in the mean better than {len(beaten)} of the {len(rivals)} systems that use the cloud and were not lost"
+    if standing["significantly"]:
+        text += f", significantly than {names(standing['significantly'])}"
+    if others := [method for method in rivals if method not in beaten]:
+        text += f"; not than {names(others)}"
+    if standing["lost"]:
+        text += f". Lost: {names(standing['lost'])}"
+    return text + "."
+
+
+def sweep(
+    name: str, title: str, results: dict[int, Result], value: str, paper: dict[int, dict], unit: str
+) -> Table:
+    """Levels of a degradation down, systems across.
+
+    Args:
+        name, title: of the table.
+        results: by level.
+        value: shown.
+        paper: by level and method, mean and SD.
+        unit: of a level.
+    """
+    methods = ordered(dict.fromkeys(m for result in results.values() for m in result.methods))
+    heads = [unit]
+    for method in methods:
+        heads += [TITLES.get(method, method), "in the paper"] if method in printed.METHODS else [TITLES.get(method, method)]
+    rows, notes = [], []
+    for level, result in sorted(results.items()):
+        pools = {m: result.pooled(m, value) for m in methods}
+        best, row = _best(pools, value), [Cell(str(level))]
+        for method in methods:
+            row.append(_cell(pools[method], value, result, method, best == method))
+            if method in printed.METHODS:
+                row.append(_paper(paper.get(level, {}).get(method), value))
+        rows.append(row)
+    notes += [f"{TITLES.get(m, m)}: {r.reason(m)}" for r in results.values() for m in methods if r.reason(m)]
+    return Table(name, title, heads, rows, list(dict.fromkeys(notes)), list(results.values()))
+
+
+def by_sequence(name: str, title: str, result: Result, value: str, group: Callable[[str], str] = str) -> Table:
+    """Sequences (or groups of them) and views down, systems across."""
+    methods = ordered(result.methods)
+    places = dict.fromkeys((group(cell["sequence"]), cell["view"]) for cell in result.cells)
+    rows = []
+    for sequence, view in places:
+        def chosen(cell: dict, sequence=sequence, view=view) -> bool:
+            return (group(cell["sequence"]), cell["view"]) == (sequence, view)
+
+        pools = {m: result.pooled(m, value, chosen) for m in methods}
+        best = _best(pools, value)
+        rows.append([Cell(sequence), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
+    return Table(name, title, ["sequence", "view", *(TITLES.get(m, m) for m in methods)], rows, [], [result])
+
+
+def reliability(name: str, title: str, results: list[Result]) -> Table:
+    """Rank correlations of the two scores of DD-AKF with its error and its penetration: mean over runs, within each."""
+    rows = []
+    for label, system, score in (
+        ("reliability", "ddakf", "reliability"),
+        ("s_k of the default", "ddakf", "paper_score"),
+        ("s_k as printed", "paper", "paper_score"),
+    ):
+        row = [Cell(label)]
+        for error in ("rmse", "penetration"):
+            for result in results:
+                row.append(_cell(result.pooled(system, f"spearman_{score}_{error}"), "spearman", result, system, False))
+            row.append(Cell(f"|rho| = {printed.RELIABILITY[error]}", kind="paper"))
+        rows.append(row)
+    heads = ["score"]
+    for error in ("RMSE", "penetration"):
+        heads += [f"{error}, {result.name}" for result in results] + ["in the paper"]
+    return Table(name, title, heads, rows, [], results)
+
+
+def ordered(methods: Iterable[str]) -> list[str]:
+    """As the paper's columns go, others behind."""
+    methods = list(methods)
+    return [m for m in ORDER if m in methods] + [m for m in methods if m not in ORDER]
+
+
+def p_text(p: float | None) -> str:
+    return "–" if p is None else "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def _best(pools: dict[str, Pooled | None], value: str) -> str | None:
+    """The method with the best mean, of those that apply everywhere."""
+    means = {method: pool.mean for method, pool in pools.items() if pool is not None and pool.cells == pool.of}
+    pick = max if value in HIGHER_IS_BETTER else min
+    return pick(means, key=means.get) if means else None
+
+
+def _cell(pool: Pooled | None, value: str, result: Result, method: str, best: bool) -> Cell:
+    if pool is None:
+        return Cell("–", result.reason(method), "none")
+    text = _number(pool.mean, value) + ("" if pool.sd is None else f" ± {_number(pool.sd, value)}")
+    if pool.cells < pool.of:
+        text += "*"
+    note = f"{result.name}.json: {pool.runs} runs, mean of {pool.cells} of {pool.of} sequences x views"
+    return Cell(text, note, "best" if best else "")
+
+
+def _paper(pair: tuple[float, float] | None, value: str) -> Cell:
+    return Cell("–" if pair is None else f"{pair[0]:g} ± {pair[1]:g}", "as the paper prints it", "paper")
+
+
+def _number(number: float, value: str) -> str:
+    return f"{number:.{DECIMALS.get(value, 2 if value.startswith('spearman') else 1)}f}"

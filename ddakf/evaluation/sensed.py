@@ -1,0 +1,98 @@
+"""Runs on what real sensors saw, without the truth of every vertex: recordings, and pairs of frames with scene flow."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+
+from ddakf.evaluation import metrics, statistics
+from ddakf.evaluation.datasets import Pair, Recording
+from ddakf.evaluation.methods import Maker
+from ddakf.evaluation.records import short
+from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.source import Frame
+
+STEPS = 10  # in which the second frame of a pair is shown: a method that moves a gate's width per frame needs some
+
+
+def recording_row(make: Maker, recording: Recording, frames: range, sensor: Sensor, seed: int) -> dict:
+    """Tracks a recording from a template of its first frame.
+
+    Args:
+        make: of the method, see :func:`ddakf.evaluation.methods.named`.
+        recording: see :class:`ddakf.evaluation.datasets.Recording`.
+        frames: that are tracked; the template is of the one before.
+        sensor: limit, drop-out, outliers and occlusion; the noise is the recording's own.
+        seed: of its random numbers.
+
+    Returns:
+        ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm`` and, where the method says them, ``reliability``,
+        ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``; ``per_frame``.
+    """
+    sensor = replace(sensor, noise=0.0)
+    garment = recording.template(frames.start - frames.step)
+    step, distance = make(garment, garment.vertices, None), metrics.SurfaceDistance(garment)
+    values: dict[str, list] = {"number": [], "residual_mm": [], "residual_p95_mm": []}
+    estimates, wall, cpu = [], [], []
+    for number in frames:
+        cloud = sensor.degrade(recording.cloud(number), np.random.default_rng([seed, number]), number)
+        frame = Frame(number, recording.timestamp(number), cloud.points, cloud.sensor_origin)
+        begun, own = time.perf_counter(), time.thread_time()
+        estimate = step(frame)
+        wall.append(1e3 * (time.perf_counter() - begun))
+        cpu.append(1e3 * (time.thread_time() - own))
+        residual = distance.residual(cloud.points, estimate.vertices)
+        estimates.append(np.asarray(estimate.vertices, np.float32))
+        values["number"].append(number)
+        values["residual_mm"].append(residual.mean_mm)
+        values["residual_p95_mm"].append(residual.p95_mm)
+        for name in ("reliability", "paper_score", "coverage", "state"):
+            if getattr(estimate, name) is not None:
+                values.setdefault(name, []).append(getattr(estimate, name))
+    states = values.pop("state", [])
+    means = {name: float(np.nanmean(column)) for name, column in values.items() if name != "number"}
+    row = {"frames_tracked": len(frames)} | means | {"own_flicker_mm": metrics.own_flicker_mm(np.array(estimates))}
+    for name, column in (("wall_ms", wall), ("cpu_ms", cpu)):
+        row[f"{name}_p50"], row[f"{name}_p99"] = np.percentile(column, [50, 99])
+    clips = [
+        {
+            "first": frames[part.start],
+            "frames": part.stop - part.start,
+            "residual_mm": float(np.nanmean(values["residual_mm"][part])),
+            "own_flicker_mm": metrics.own_flicker_mm(np.array(estimates[part])),
+        }
+        for part in statistics.clips(len(frames))
+    ]
+    row |= {"fps": 1e3 / np.mean(wall), "states": dict(Counter(states)), "clips": clips, "per_frame": values}
+    return short(row)
+
+
+def pair_row(make: Maker, pair: Pair) -> dict:
+    """Follows the surface of one frame into another one far away, which is shown :data:`STEPS` times.
+
+    Returns:
+        ``end_point_error_mm``, ``within_5cm``, ``residual_mm``, times; ``per_frame`` of the steps.
+    """
+    step, distance = make(pair.garment, pair.garment.vertices, None), metrics.SurfaceDistance(pair.garment)
+    errors, wall = [], []
+    for k in range(1, STEPS + 1):
+        frame = Frame(k, k * pair.seconds / STEPS, pair.target.points, pair.target.sensor_origin)
+        begun = time.perf_counter()
+        vertices = step(frame).vertices
+        wall.append(1e3 * (time.perf_counter() - begun))
+        errors.append(metrics.end_point_error(pair.flow_of(vertices), pair.flow))
+    last = errors[-1]
+    row = {
+        "frames_tracked": STEPS,
+        "end_point_error_mm": last.mean_mm,
+        "within_5cm": last.within_5cm,
+        "residual_mm": distance.residual(pair.target.points, vertices).mean_mm,
+        "wall_ms_p50": float(np.median(wall)),
+        "fps": 1e3 / float(np.mean(wall)),
+        "clips": [{"first": 1, "frames": STEPS, "end_point_error_mm": last.mean_mm}],
+        "per_frame": {"number": list(range(1, STEPS + 1)), "end_point_error_mm": [error.mean_mm for error in errors]},
+    }
+    return short(row)

@@ -1,0 +1,158 @@
+"""``ddakf evaluate``: the systems of the paper on sequences with truth, with statistics, into one JSON file."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shlex
+import sys
+import time
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+from ddakf import sensor_options
+from ddakf.errors import InvalidArgument
+
+EPILOG = """
+Every system gets the same clouds. What has been run is kept in OUT.rows.jsonl, so that the same command goes on after an
+interruption, and a larger one (more runs, systems, views, sequences) runs what is new alone. A method that cannot be used, or
+that fails, costs the others nothing: its row says why.
+"""
+
+
+RUNS = 5
+WIDE = 140  # characters of the table at least: a narrow terminal wraps lines, but cuts no number
+SHOWN = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "penetration_mm", "flicker", "residual_mm", "own_flicker",
+         "end_point_error_mm", "ms_per_frame")  # fmt: skip
+
+
+def register(commands: argparse._SubParsersAction) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("evaluate", help="compare the systems of the paper on sequences with truth", epilog=EPILOG)
+    what = "sample, a name under DDAKF_DATA, or a path: .npz, MPI-FAUST#s3_p7, a folder of frames, ... (docs/datasets.md)"
+    parser.add_argument("sequences", nargs="*", metavar="SEQ", help=what)
+    parser.add_argument(
+        "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all that there are"
+    )
+    parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
+    parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
+    parser.add_argument("--methods", default="", metavar="A,B", help="default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp")
+    parser.add_argument("--runs", type=int, metavar="N", help="with seeds 1 to N (default 5, with --quick 2)")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A, where the garment is known, to B - 1")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    parser.add_argument(
+        "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for calm times)"
+    )
+    parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
+    sensor_options.add(parser, several_views=True)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Checks, runs what is missing, writes the result and prints a table."""
+    from rich.console import Console
+
+    from ddakf.evaluation.study import plan as plans
+    from ddakf.evaluation.trials import Trial
+
+    if arguments.paper:
+        return _paper(arguments, Console(stderr=True))
+    if arguments.json is None:
+        raise InvalidArgument("json", "OUT.json for the result, or --paper", "neither")
+    if arguments.json.suffix != ".json" or not arguments.json.parent.is_dir():
+        raise InvalidArgument("json", "OUT.json in a folder that exists", str(arguments.json))
+    if arguments.procs < 1:
+        raise InvalidArgument("procs", "at least 1", str(arguments.procs))
+    sensor = asdict(sensor_options.sensor(arguments, view="ring4"))  # the plan sets the view, and checks the sensor with it
+    settings = Trial("", **sensor, surfaces=True)
+    methods = tuple(_names(arguments.methods)) or plans.METHODS
+    sequences, views = tuple(arguments.sequences), tuple(_names(arguments.view))
+    plan = plans.Plan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
+    plan.check()
+    console = Console(stderr=True)
+    result = study(plan, arguments.json, arguments.procs, console)
+    shown = Console()
+    shown.width = max(shown.width, WIDE)
+    shown.print(table(result))
+    console.print(str(arguments.json))
+    return 1 if all("failed" in cell for cell in result["results"]) else 0
+
+
+def _paper(arguments: argparse.Namespace, console) -> int:
+    """All studies of the report, one after the other."""
+    from ddakf.evaluation.study import paper
+
+    size = paper.QUICK if arguments.quick else paper.FULL
+    if arguments.runs:
+        size = replace(size, runs=arguments.runs, swept_runs=arguments.runs)
+    if arguments.frames != ":":
+        size = replace(size, frames=arguments.frames, swept=arguments.frames)
+    plans = paper.studies(size, arguments.sequences or None)
+    for plan in plans.values():
+        plan.check()
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    for number, (name, plan) in enumerate(plans.items(), 1):
+        console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
+        study(plan, arguments.results / f"{name}.json", arguments.procs, console)
+    paper.save_stills(size, plans, arguments.results, console)
+    console.print(f"ddakf report --results {arguments.results} renders them")
+    return 0
+
+
+def study(plan, out: Path, procs: int, console) -> dict:
+    """Runs what is missing of a checked plan, writes its result and returns it."""
+    from ddakf.evaluation import machine
+    from ddakf.evaluation.sensors import Sensor
+    from ddakf.evaluation.study import results
+    from ddakf.evaluation.study.execute import execute
+    from ddakf.evaluation.study.journal import Journal
+
+    wanted, journal = plan.trials(), Journal(out.with_suffix(".rows.jsonl"))
+    try:
+        execute(wanted, journal, procs, console)
+    except KeyboardInterrupt:
+        done = sum(map(journal.done, wanted))
+        console.print(f"interrupted; {done} of {len(wanted)} runs are in {journal.path}, the same command goes on from there")
+        raise
+    rows = journal.rows(wanted)
+    meta = {
+        "command": "ddakf " + shlex.join(sys.argv[1:]),
+        "date": time.strftime("%Y-%m-%d"),
+        "commits": sorted({str(row["commit"]) for row in rows}),
+        "machine": machine.describe() | {"processes": procs},
+        "seeds": list(range(1, plan.runs + 1)),
+        "frames": plan.frames,
+        "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"},
+    }
+    result = results.summed_up(rows, meta)
+    out.write_text(lines(result))
+    return result
+
+
+def lines(result: dict) -> str:
+    """JSON with a line per cell, so that versions can be compared."""
+    cells = ",\n  ".join(json.dumps(cell) for cell in result["results"])
+    parts = [f'"meta": {json.dumps(result["meta"], indent=1)}', f'"results": [\n  {cells}\n ]',
+             f'"p_values": {json.dumps(result["p_values"], indent=1)}']  # fmt: skip
+    return "{\n" + ",\n".join(parts) + "\n}\n"
+
+
+def table(result: dict):
+    """The means for people."""
+    from rich.table import Table
+
+    columns = [name for name in SHOWN if any(cell["mean"] and cell["mean"][name] is not None for cell in result["results"])]
+    rows = Table("sequence", "view", "method", *columns, box=None, header_style="bold")
+    for cell in result["results"]:
+        place = Path(cell["sequence"]).name, cell["view"], cell["method"]
+        if cell["mean"] is None:
+            rows.add_row(*place, cell.get("failed") or cell.get("not_applicable"))
+            continue
+        values = ("" if cell["mean"][name] is None else f"{cell['mean'][name]:.3g}" for name in columns)
+        rows.add_row(*place, *values)
+    return rows
+
+
+def _names(text: str) -> list[str]:
+    return [part for part in text.split(",") if part]

@@ -1,0 +1,110 @@
+"""The studies that the paper's tables and figures need, on what data there is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.evaluation import methods, trials
+from ddakf.evaluation.sensors import front_camera
+from ddakf.evaluation.study import stills
+from ddakf.evaluation.study.plan import METHODS, Plan
+from ddakf.evaluation.trials import Trial
+
+NOISE_MM = (0, 1, 3, 5)  # Table 5
+DROP_PERCENT = (0, 10, 20, 30, 40)  # Table 6
+SWEPT = "0:61"  # frames of the sweeps
+OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
+CAPTURES = ("samba_dress", "samba_whole")  # no body: a study of their own
+ALL = (*METHODS, "icp-rigid")
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is run.
+
+    Attributes:
+        runs: seeds.
+        swept_runs: seeds of the sweeps.
+        frames: of every recording in the main study, ``A:B``.
+        swept: of every recording in the sweeps.
+        sequences: at most.
+        systems: of :data:`ALL`.
+        sweeps: the first and the last level alone, or all.
+        faust: clips at most.
+    """
+
+    runs: int = 5
+    swept_runs: int = 5
+    frames: str = ":"
+    swept: str = SWEPT
+    sequences: int | None = None
+    sweeps: bool = True
+    faust: int | None = 16
+
+
+FULL = Size()
+QUICK = Size(runs=2, swept_runs=1, frames="0:31", swept="0:31", sequences=2, sweeps=False, faust=2)
+
+
+def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
+    """The studies by name.
+
+    Args:
+        size: :data:`FULL` or :data:`QUICK`.
+        names: sequences with a body; None: the sample, and the recordings under DDAKF_DATA.
+    """
+    known = names or [name for name in trials.names() if name not in CAPTURES]
+    chosen = tuple(known[: size.sequences])
+    common = Trial("", surfaces=True)
+    noise = (NOISE_MM if size.sweeps else NOISE_MM[:: len(NOISE_MM) - 1])
+    drop = (DROP_PERCENT if size.sweeps else DROP_PERCENT[:: len(DROP_PERCENT) - 1])
+    views = ("full+body", "front+body")
+    plans = {}
+    if clips := _clips(size.faust):
+        plans["faust"] = Plan(clips, ALL, ("full",), size.runs, ":", common)
+    plans |= {"main": Plan(chosen, ALL, views, size.runs, size.frames, common)}
+    for level in noise:
+        plans[f"noise-{level}"] = Plan(chosen, ALL, views[:1], size.swept_runs, size.swept, replace(common, noise=level / 1e3))
+    for level in drop:
+        plans[f"drop-{level}"] = Plan(chosen, ALL, views[:1], size.swept_runs, size.swept, replace(common, drop=level / 100))
+    plans["occlusion"] = Plan(
+        chosen, ALL, views[:1], size.runs, OCCLUSION_FRAMES if size.sweeps else size.frames,
+        replace(common, occlude=OCCLUDE if size.sweeps else (12, 22)),
+    )  # fmt: skip
+    plans["ablation"] = Plan(
+        chosen, ("ddakf", *methods.ablations(), *methods.refinements(), "paper"), views, 1, size.swept, common
+    )
+    return plans
+
+
+def _clips(most: int) -> tuple[str, ...]:
+    """So many clips of FAUST, evenly over subjects and poses."""
+    names = trials.faust_names()
+    return tuple(names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int)))
+
+
+STILLS = {  # name: view, noise in metres, what the sequence's name shall hold, frame (of the swept frames the last one at most)
+    "figure-1": ("front+body", 0.003, "sample", 110),
+    "figure-2": ("full+body", 0.010, "skirt", 60),
+}
+
+
+def save_stills(size: Size, plans: dict[str, Plan], folder: Path, console) -> None:
+    """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same trial already is kept."""
+    sequences = plans["main"].sequences
+    for name, (view, noise, wanted, number) in STILLS.items():
+        sequence = next((s for s in sequences if wanted in s), sequences[0])
+        view, _, body = view.partition("+")
+        last = len(trials.recording(sequence)) - 1
+        if not size.sweeps:
+            number = 30
+        trial = Trial(sequence, view, bool(body), noise=noise)
+        path = folder / f"{name}.npz"
+        if path.is_file() and Trial.of(stills.load(path).meta) == trial:
+            continue
+        console.print(f"[bold]{name}[/bold]: {sequence}, frame {min(number, last)}")
+        eye = front_camera(trials.recording(sequence)).eye
+        stills.taken(trial, list(ALL), min(number, last), eye).save(path)

@@ -1,0 +1,66 @@
+"""What the systems say about one frame, for figures that show surfaces."""
+
+from __future__ import annotations
+
+import json
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import DdakfError, InvalidFile
+from ddakf.evaluation import machine, trials
+from ddakf.evaluation.trials import Trial
+
+
+@dataclass(frozen=True, eq=False)
+class Still:
+    """One frame.
+
+    Attributes:
+        meta: the trial's fields without the system, the frame's number, commit, date, machine.
+        truth: (V, 3) metres.
+        faces: (F, 3).
+        estimates: by system, (V, 3) metres.
+        eye: (3,) metres, from where the figure looks.
+    """
+
+    meta: dict
+    truth: np.ndarray
+    faces: np.ndarray
+    estimates: dict[str, np.ndarray]
+    eye: np.ndarray
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz file."""
+        estimates = {f"estimate {name}": vertices.astype(np.float32) for name, vertices in self.estimates.items()}
+        meta = np.array(json.dumps(self.meta))
+        np.savez_compressed(path, meta=meta, truth=self.truth, faces=self.faces, eye=self.eye, **estimates)
+
+
+def load(path: Path) -> Still:
+    """Reads a file of :meth:`Still.save`.
+
+    Raises:
+        InvalidFile: something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            estimates = {key.removeprefix("estimate "): file[key] for key in file.files if key.startswith("estimate ")}
+            return Still(json.loads(str(file["meta"])), file["truth"], file["faces"], estimates, file["eye"])
+    except (OSError, ValueError, KeyError) as error:
+        raise InvalidFile(str(path), "a still of a study (.npz)", f"{type(error).__name__}: {error}") from error
+
+
+def taken(trial: Trial, systems: list[str], number: int, eye: np.ndarray) -> Still:
+    """Runs the systems up to one frame; what does not apply, or fails, is left out and named in ``meta``."""
+    estimates, missing = {}, {}
+    for system in systems:
+        try:
+            estimates[system] = trials.estimate(replace(trial, variant=system), number)
+        except DdakfError as error:
+            missing[system] = str(error)
+    sequence = trials.recording(trial.sequence)
+    own = {"frame": number, "missing": missing, "commit": machine.commit(), "date": time.strftime("%Y-%m-%d")}
+    return Still(asdict(trial) | own, sequence.garment_vertices[number], sequence.garment_faces, estimates, eye)

@@ -1,0 +1,164 @@
+"""The report: what stands in it is what the results say, and what is missing is said."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from ddakf import cli
+from ddakf.errors import InvalidFile
+from ddakf.evaluation import baselines
+from ddakf.evaluation.report import results as read
+from ddakf.evaluation.report import tables
+from ddakf.evaluation.study import paper, stills
+from ddakf.evaluation.study.command import study
+from ddakf.evaluation.study.plan import Plan
+from ddakf.evaluation.trials import Trial
+
+SMALL = Trial("", points=800, surfaces=True)
+QUIET = Console(quiet=True)
+
+
+class Frozen:
+    """Stays where it was."""
+
+    def start(self, garment, vertices, body):
+        self.vertices = vertices
+
+    def step(self, points, timestamp, sensor_origin, body_vertices):
+        return self.vertices
+
+
+class Texts(HTMLParser):
+    """Cells of the tables, names of the pictures and anchors of a page; every tag is closed."""
+
+    def __init__(self):
+        super().__init__()
+        self.cells, self.pictures, self.ids, self.links, self.open = [], [], [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        attributes = dict(attributes)
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+        if "id" in attributes:
+            self.ids.append(attributes["id"])
+        if tag == "img":
+            self.pictures.append(attributes["src"])
+        if tag == "a":
+            self.links.append(attributes["href"])
+        if tag == "td":
+            self.cells.append("")
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "td":
+            self.cells[-1] += data
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Results of small studies of two systems that are there and of one that is not."""
+    folder = tmp_path_factory.mktemp("results")
+
+    def absent(scored):
+        from ddakf.errors import NotApplicable
+
+        raise NotApplicable("it is not <installed>")
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(baselines.BASELINES, "kf", lambda scored: Frozen())
+        patch.setitem(baselines.BASELINES, "clothfit", absent)
+        whole = Plan(("sample",), ("kf", "clothfit", "ddakf"), ("full+body",), 2, "0:6", SMALL)
+        for name, plan in {
+            "main": whole,
+            "noise-0": replace(whole, runs=1, settings=replace(SMALL, noise=0.0)),
+            "drop-40": replace(whole, runs=1, settings=replace(SMALL, drop=0.4)),
+            "occlusion": replace(whole, runs=1, settings=replace(SMALL, occlude=(2, 4))),
+            "ablation": replace(whole, runs=1, systems=("ddakf", "no-planes")),
+        }.items():
+            study(plan, folder / f"{name}.json", 1, QUIET)
+        stills.taken(replace(SMALL, sequence="sample"), ["kf", "clothfit", "ddakf"], 3, np.array([0.0, 1.2, 2.0])).save(
+            folder / "figure-1.npz"
+        )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(folder):
+    out = folder / "page"
+    assert cli.main(["report", "--results", str(folder), "--out", str(out)]) == 0
+    parser = Texts()
+    parser.feed((out / "index.html").read_text())
+    assert parser.open == []
+    return out, parser
+
+
+def test_every_link_leads_to_a_source_and_every_picture_is_there(page):
+    out, parser = page
+    assert {link.removeprefix("#") for link in parser.links} <= set(parser.ids)
+    assert set(parser.pictures) == {"figure-1.png", "figure-3.png", "ablation.png", "calibration.png"}
+    for name in parser.pictures:
+        assert (out / name).read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_number_of_the_page_is_the_mean_and_deviation_over_the_runs(folder, page):
+    main = read.read(folder)["main"]
+    runs = [run["rmse_mm"] for run in main.of("ddakf")[0]["runs"]]
+    assert f"{np.mean(runs):.1f} ± {np.std(runs, ddof=1):.1f}" in page[1].cells
+    pool = main.pooled("ddakf", "rmse_mm")
+    assert (pool.runs, pool.cells, pool.of) == (2, 1, 1)
+
+
+def test_the_papers_numbers_are_beside_ours(page):
+    assert "7.25 ± 0.62" in page[1].cells
+    assert "6.6 ± 0.25" in page[1].cells
+
+
+def test_what_is_missing_is_said_and_escaped(page):
+    text = (page[0] / "index.html").read_text()
+    assert "ClothFit: it is not &lt;installed&gt;" in text
+    assert "–" in page[1].cells
+
+
+def test_the_same_results_give_the_same_page(folder, page, tmp_path):
+    assert cli.main(["report", "--results", str(folder), "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "index.html").read_bytes() == (page[0] / "index.html").read_bytes()
+
+
+def test_a_folder_without_results_is_refused_in_a_sentence(tmp_path):
+    with pytest.raises(InvalidFile, match="ddakf evaluate --paper"):
+        read.read(tmp_path)
+    (tmp_path / "main.json").write_text('{"results": []}')
+    with pytest.raises(InvalidFile, match=r"main\.json"):
+        read.read(tmp_path)
+
+
+def test_the_best_is_set_off_among_those_that_apply_everywhere(folder):
+    main = read.read(folder)["main"]
+    table = tables.comparison("t", "t", main, ["rmse_mm", "iou"], {})
+    by_system = {row[0].text: row for row in table.rows}
+    assert by_system["DD-AKF"][1].kind == by_system["DD-AKF"][2].kind == "best"
+    assert by_system["ClothFit"][1].text == "–"
+
+
+def test_with_so_few_clips_no_difference_is_called_insignificant(folder):
+    table = tables.significance("t", "t", read.read(folder)["main"], ["rmse_mm"], {})
+    assert [row[6].text for row in table.rows] == ["n too small"]
+
+
+def test_the_studies_of_the_paper_have_its_levels(monkeypatch):
+    monkeypatch.delenv("DDAKF_DATA", raising=False)
+    whole, quick = paper.studies(paper.FULL), paper.studies(paper.QUICK)
+    assert {name for name in whole if re.match("noise|drop", name)} == {
+        *(f"noise-{level}" for level in (0, 1, 3, 5)), *(f"drop-{level}" for level in (0, 10, 20, 30, 40)),
+    }  # fmt: skip
+    assert whole["main"].runs == 5
+    assert len(quick["main"].views) == quick["main"].runs == 2
+    assert {plan.frames for plan in quick.values()} == {"0:31"}

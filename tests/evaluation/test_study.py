@@ -1,0 +1,221 @@
+"""Studies: refused before they begin, resumed where they ended, summed up by hand-checked rules."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from ddakf import cli
+from ddakf.errors import InvalidArgument, InvalidFile, NotApplicable
+from ddakf.evaluation import baselines, trials
+from ddakf.evaluation.study import results
+from ddakf.evaluation.study.command import study
+from ddakf.evaluation.study.execute import execute
+from ddakf.evaluation.study.journal import Journal
+from ddakf.evaluation.study.plan import Plan
+from ddakf.evaluation.trials import Trial
+
+SMALL = Trial("", points=800, surfaces=True)
+QUIET = Console(quiet=True)
+TIMES = {"wall_ms_p50", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99", "fps", "memory_mib"}
+
+
+def plan(*systems: str, **how) -> Plan:
+    small = {"views": ("full",), "runs": 1, "frames": "0:5", "settings": SMALL}
+    return Plan(("sample",), systems or ("ddakf", "nicp"), **small | how)
+
+
+class Broken:
+    """Fails in its third frame."""
+
+    def start(self, garment, vertices, body):
+        self.vertices, self.left = vertices, 2
+
+    def step(self, points, timestamp, sensor_origin, body_vertices):
+        self.left -= 1
+        if self.left < 0:
+            raise np.linalg.LinAlgError("singular")
+        return self.vertices
+
+
+class Frozen(Broken):
+    """Stays where it was."""
+
+    def step(self, points, timestamp, sensor_origin, body_vertices):
+        return self.vertices
+
+
+def absent(scored):
+    raise NotApplicable("absent needs a package that is not installed")
+
+
+@pytest.fixture
+def systems(monkeypatch):
+    for name, factory in (("broken", lambda scored: Broken()), ("frozen", lambda scored: Frozen()), ("absent", absent)):
+        monkeypatch.setitem(baselines.BASELINES, name, factory)
+
+
+def test_a_plan_has_every_system_on_every_sequence_view_and_seed_once():
+    whole = plan("ddakf", "nicp", views=("full", "front+body"), runs=2).trials()
+    assert len(set(whole)) == len(whole) == 2 * 2 * 2
+    assert {(t.view, t.body) for t in whole} == {("full", False), ("front", True)}
+    assert {t.seed for t in whole[:4]} == {1}
+    assert all((t.first, t.frames) == (0, 4) for t in whole)
+
+
+@pytest.mark.parametrize(
+    ("how", "field"),
+    [
+        ({"systems": ("magic",)}, "variant"),
+        ({"systems": ()}, "systems"),
+        ({"systems": ("nicp", "nicp")}, "systems"),
+        ({"views": ("full+head",)}, "view"),
+        ({"views": ("side",)}, "view"),
+        ({"runs": 0}, "runs"),
+        ({"frames": "3"}, "frames"),
+        ({"frames": "0:3"}, "frames"),
+        ({"frames": "147:"}, "frames"),
+        ({"frames": "900:"}, "frames"),
+        ({"sequences": ("nothing",)}, "sequence"),
+        ({"settings": replace(SMALL, noise=2.0)}, "noise"),
+    ],
+)
+def test_what_cannot_be_run_is_refused_by_its_name(how, field):
+    with pytest.raises(InvalidArgument, match=field):
+        replace(plan(), **how).check()
+
+
+def test_a_file_that_is_no_sequence_is_refused_before_any_work(tmp_path, capsys):
+    (tmp_path / "bad.npz").write_bytes(b"PK but no more")
+    out = tmp_path / "out.json"
+    assert cli.main(["evaluate", "sample", str(tmp_path / "bad.npz"), "--methods", "nicp", "--json", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "bad.npz" in said
+    assert len(said.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == [tmp_path / "bad.npz"]
+
+
+def test_a_row_says_what_a_system_lacks_and_the_others_have_their_results(systems, tmp_path):
+    result = study(plan("broken", "absent", "frozen"), tmp_path / "out.json", 1, QUIET)
+    broken, missing, frozen = result["results"]
+    assert (broken["failed"], broken["mean"], broken["runs"]) == ("LinAlgError: singular", None, [])
+    assert (missing["not_applicable"], missing["mean"]) == ("absent needs a package that is not installed", None)
+    assert frozen["mean"]["rmse_mm"] > 1
+    assert frozen["mean"]["stretch_percent"] is not None
+    assert json.loads((tmp_path / "out.json").read_text()) == json.loads(json.dumps(result))
+
+
+def test_what_does_not_apply_is_null_and_not_zero(systems, tmp_path):
+    cell = study(plan("frozen"), tmp_path / "out.json", 1, QUIET)["results"][0]
+    assert cell["mean"]["coverage90"] is None
+    assert cell["mean"]["reliability"] is None
+    assert cell["sd"]["rmse_mm"] is None, "one run has no standard deviation"
+    assert cell["mean"]["penetration_mm"] is not None
+
+
+def test_a_view_with_a_body_does_not_apply_to_a_sequence_without(tmp_path, systems):
+    sample = trials.recording("sample")
+    path = tmp_path / "bare.npz"
+    np.savez(path, garment_V=sample.garment_vertices[:5], garment_F=sample.garment_faces, fps=30)
+    result = study(replace(plan("frozen", views=("full", "full+body")), sequences=(str(path),)), tmp_path / "o.json", 1, QUIET)
+    assert [cell["mean"] is None for cell in result["results"]] == [False, True]
+    assert "no body" in result["results"][1]["not_applicable"]
+
+
+def test_a_larger_study_runs_what_is_new_alone(systems, tmp_path):
+    out, rows = tmp_path / "out.json", tmp_path / "out.rows.jsonl"
+    first = study(plan("frozen"), out, 1, QUIET)
+    before = rows.read_text()
+    second = study(plan("frozen", "ddakf"), out, 1, QUIET)
+    assert rows.read_text().startswith(before)
+    assert rows.read_text().count("\n") == 2
+    assert second["results"][0] == first["results"][0]
+
+
+def test_a_system_that_failed_is_tried_again(systems, tmp_path, monkeypatch):
+    out = tmp_path / "out.json"
+    study(plan("broken"), out, 1, QUIET)
+    monkeypatch.setitem(baselines.BASELINES, "broken", lambda scored: Frozen())
+    assert "failed" not in study(plan("broken"), out, 1, QUIET)["results"][0]
+
+
+def test_a_line_that_was_cut_off_is_run_again_and_another_file_is_refused(systems, tmp_path):
+    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
+    execute(wanted, Journal(path), 1, QUIET)
+    whole = path.read_text()
+    path.write_text(whole[:-40])
+    journal = Journal(path)
+    assert [journal.done(trial) for trial in wanted] == [True, False]
+    execute(wanted, journal, 1, QUIET)
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [1, 2]
+    path.write_text("not rows\nat all\n")
+    with pytest.raises(InvalidFile, match="line 1"):
+        Journal(path)
+
+
+def test_two_processes_give_the_rows_of_one(tmp_path):
+    wanted = plan("nicp", runs=2).trials()
+    one, two = Journal(tmp_path / "1"), Journal(tmp_path / "2")
+    execute(wanted, one, 1, QUIET)
+    execute(wanted, two, 2, QUIET)
+    for a, b in zip(one.rows(wanted), two.rows(wanted), strict=True):
+        assert {k: v for k, v in a.items() if k not in TIMES} == {k: v for k, v in b.items() if k not in TIMES}
+
+
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
+    out = tmp_path / "out.json"
+    command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", "3", "--frames", "0:8",
+               "--points", "1500", "--procs", "1", "--json", str(out)]  # fmt: skip
+    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    rows = tmp_path / "out.rows.jsonl"
+    while not (rows.is_file() and rows.read_text().count("\n")):
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=60)
+    before = rows.read_text()
+    assert process.returncode == 130
+    assert "of 3 runs are in" in said
+    assert before.count("\n") < 3
+    subprocess.run(command, check=True, capture_output=True, timeout=120)
+    assert rows.read_text().startswith(before)
+    assert rows.read_text().count("\n") == 3
+    assert len(json.loads(out.read_text())["results"][0]["runs"]) == 3
+
+
+def row(system: str, seed: int, rmse: list[float], sequence: str = "a") -> dict:
+    """A row whose clips have these errors."""
+    clips = [{"first": 1 + 60 * k, "frames": 60, "rmse_mm": value} for k, value in enumerate(rmse)]
+    frames = {"number": [1, 2, 3], "rmse_mm": [1.0, 2.0, 3.0], "reliability": [0.9, 0.8, 0.7], "penetration_mm": [0.0, 0.0, 0.0]}
+    own = {"sequence": sequence, "view": "full", "body": False, "variant": system, "seed": seed, "occlude": None}
+    return own | {"clips": clips, "rmse_mm": float(np.mean(rmse)), "per_frame": frames, "commit": "x"}
+
+
+def test_mean_and_deviation_are_over_the_runs():
+    cell = results.summed_up([row("ddakf", 1, [4.0]), row("ddakf", 2, [6.0])], {})["results"][0]
+    assert (cell["mean"]["rmse_mm"], cell["sd"]["rmse_mm"]) == (5.0, pytest.approx(np.sqrt(2), rel=1e-5))
+    assert cell["mean"]["iou"] is None
+    assert cell["runs"][0]["spearman_reliability_rmse"] == -1
+    assert cell["runs"][0]["spearman_reliability_penetration"] is None, "a constant has no ranks"
+
+
+def test_the_unit_of_a_test_is_the_clip_and_the_seeds_are_averaged():
+    ours = [row("ddakf", seed, [1.0 + 0.1 * seed, 2.0, 3.0]) for seed in (1, 2)]
+    other = [row("icp", seed, [2.0, 3.0, 5.0 + seed]) for seed in (1, 2)]
+    test = results.summed_up(ours + other, {})["p_values"]["all"]["rmse_mm"]["comparisons"]["icp"]
+    assert test["n"] == 3
+    assert test["p"] == 0.25, "of the eight ways to flip three signs, two are as extreme"
+    assert test["p_smallest"] == 0.25
+    assert test["verdict"] == "n too small"
+
+
+def test_without_ddakf_nothing_is_tested():
+    assert results.summed_up([row("icp", 1, [1.0])], {})["p_values"] == {}
