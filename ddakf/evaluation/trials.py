@@ -120,6 +120,14 @@ def faust_names() -> list[str]:
     return [FAUST + clip for clip in load_faust(archive).clips] if archive else []
 
 
+def sensed_names() -> tuple[list[str], list[str]]:
+    """Paths of depth recordings without truth, and of pairs with scene flow, under DDAKF_DATA."""
+    root = os.environ.get("DDAKF_DATA")
+    depth = Path(root, "depth") if root else Path(os.devnull)
+    folders = sorted(path for path in depth.glob("deepdeform/*") if path.is_dir())
+    return [str(path) for path in sorted(depth.glob("utd-mhad/*_depth.mat"))], [str(path) for path in folders]
+
+
 def _faust() -> Path | None:
     root = os.environ.get("DDAKF_DATA")
     return next(iter(sorted(Path(root, "faust").glob("*.npz"))), None) if root else None

@@ -13,8 +13,8 @@ from rich.console import Console
 from ddakf import cli
 from ddakf.errors import InvalidFile
 from ddakf.evaluation import baselines
+from ddakf.evaluation.report import markdown, tables
 from ddakf.evaluation.report import results as read
-from ddakf.evaluation.report import tables
 from ddakf.evaluation.study import paper, stills
 from ddakf.evaluation.study.command import study
 from ddakf.evaluation.study.plan import Plan
@@ -130,6 +130,21 @@ def test_what_is_missing_is_said_and_escaped(page):
 def test_the_same_results_give_the_same_page(folder, page, tmp_path):
     assert cli.main(["report", "--results", str(folder), "--out", str(tmp_path)]) == 0
     assert (tmp_path / "index.html").read_bytes() == (page[0] / "index.html").read_bytes()
+
+
+def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
+    document = tmp_path / "results.md"
+    document.write_text(f"before\n{markdown.BEGIN}\nold\n{markdown.END}\nafter\n")
+    arguments = ["report", "--results", str(folder), "--out", str(tmp_path), "--markdown", str(document)]
+    assert cli.main(arguments) == cli.main(arguments) == 0
+    text = document.read_text()
+    assert text.startswith("before\n")
+    assert text.endswith("\nafter\n")
+    assert "old" not in text
+    assert text.count("## Table 5") == 1
+    document.write_text("no marks")
+    with pytest.raises(InvalidFile, match="a document with"):
+        markdown.rewritten(document, [])
 
 
 def test_a_folder_without_results_is_refused_in_a_sentence(tmp_path):

@@ -15,6 +15,7 @@ def register(commands: argparse._SubParsersAction) -> None:
         "--results", type=Path, default=RESULTS, metavar="DIR", help=f"of ddakf evaluate --paper (default {RESULTS})"
     )
     parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"for index.html and the pictures (default {OUT})")
+    parser.add_argument("--markdown", type=Path, metavar="DOC.md", help="also write the tables into this document")
     parser.set_defaults(run=run)
 
 
@@ -22,11 +23,14 @@ def run(arguments: argparse.Namespace) -> int:
     """Writes the page and its pictures; computes nothing."""
     from rich.console import Console
 
-    from ddakf.evaluation.report import content, results
+    from ddakf.evaluation.report import content, markdown, results
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=True)
     with console.status("rendering"):
-        content.write(results.read(arguments.results), arguments.results, arguments.out)
+        found = results.read(arguments.results)
+        content.write(found, arguments.results, arguments.out)
+        if arguments.markdown:
+            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, content.tables_of(found)))
     Console().print(str(arguments.out / "index.html"))
     return 0

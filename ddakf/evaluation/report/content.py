@@ -36,9 +36,13 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
         folder: they were read from; the stills are there too.
         out: for index.html and the pictures.
     """
-    parts = [*_faust(results), *_cloth(results), *_sweeps(results), *_reliability(results)]
-    parts += [*_stills(folder, out), *_drawn(results, out)]
+    parts = [*tables_of(results), *_stills(folder, out), *_drawn(results, out)]
     (out / "index.html").write_text(page(TITLE, INTRODUCTION, parts, list(results.values())))
+
+
+def tables_of(results: dict[str, Result]) -> list[Table]:
+    """The tables that the results can fill."""
+    return [*_faust(results), *_cloth(results), *_sweeps(results), *_reliability(results)]
 
 
 def _faust(results: dict[str, Result]) -> list[Table]:
@@ -66,6 +70,13 @@ def _cloth(results: dict[str, Result]) -> list[Table]:
                                         "rmse_mm", lambda name: scored(name).garment))  # fmt: skip
     if "captures" in results:
         parts.append(tables.by_sequence("captures", "RMSE in mm on real captures without a body", results["captures"], "rmse_mm"))
+    for name, title, value in (
+        ("depth", "Real depth without truth: mean distance of the points to the surface, mm", "residual_mm"),
+        ("depth", "Real depth without truth: flicker of the estimate itself, mm/frame²", "own_flicker"),
+        ("scene-flow", "DeepDeform: end-point error of the scene flow, mm", "end_point_error_mm"),
+    ):
+        if name in results:
+            parts.append(tables.by_sequence(f"{name}-{value}", title, results[name], value))
     return parts
 
 

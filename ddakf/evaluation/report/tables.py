@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from ddakf.evaluation.report import printed
 from ddakf.evaluation.report.results import Pooled, Result
@@ -176,7 +177,7 @@ def by_sequence(name: str, title: str, result: Result, value: str, group: Callab
 
         pools = {m: result.pooled(m, value, chosen) for m in methods}
         best = _best(pools, value)
-        rows.append([Cell(sequence), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
+        rows.append([Cell(Path(sequence).name), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
     return Table(name, title, ["sequence", "view", *(TITLES.get(m, m) for m in methods)], rows, [], [result])
 
 

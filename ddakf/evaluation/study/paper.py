@@ -19,6 +19,8 @@ SWEPT = "0:61"  # frames of the sweeps
 OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
 CAPTURES = ("samba_dress", "samba_whole")  # no body: a study of their own
 ALL = (*METHODS, "icp-rigid")
+CLOUD = tuple(name for name in ALL if name != "clothfit")  # what needs no body
+DEPTH = 4  # recordings of a real depth camera
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
         size: :data:`FULL` or :data:`QUICK`.
         names: sequences with a body; None: the sample, and the recordings under DDAKF_DATA.
     """
+    bare = tuple(name for name in CAPTURES if name in trials.names())
     known = names or [name for name in trials.names() if name not in CAPTURES]
     chosen = tuple(known[: size.sequences])
     common = Trial("", surfaces=True)
@@ -74,6 +77,13 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
         chosen, ALL, views[:1], size.runs, OCCLUSION_FRAMES if size.sweeps else size.frames,
         replace(common, occlude=OCCLUDE if size.sweeps else (12, 22)),
     )  # fmt: skip
+    if bare and names is None and size.sweeps:
+        plans["captures"] = Plan(bare, CLOUD, ("full", "ring4"), size.runs, size.frames, common)
+    recordings, pairs = trials.sensed_names()
+    if recordings and names is None and size.sweeps:
+        plans["depth"] = Plan(_spread(recordings, DEPTH), CLOUD, ("front",), 1, ":", common)
+    if pairs and names is None and size.sweeps:
+        plans["scene-flow"] = Plan(tuple(pairs), CLOUD, ("front",), 1, ":", common)
     plans["ablation"] = Plan(
         chosen, ("ddakf", *methods.ablations(), *methods.refinements(), "paper"), views, 1, size.swept, common
     )
@@ -82,7 +92,10 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
 
 def _clips(most: int) -> tuple[str, ...]:
     """So many clips of FAUST, evenly over subjects and poses."""
-    names = trials.faust_names()
+    return _spread(trials.faust_names(), most)
+
+
+def _spread(names: list[str], most: int) -> tuple[str, ...]:
     return tuple(names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int)))
 
 

@@ -1,0 +1,37 @@
+"""Tables of the report as Markdown, between two marks of a document whose other text is a person's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ddakf.errors import InvalidFile
+from ddakf.evaluation.report.tables import Cell, Table
+
+BEGIN, END = "<!-- ddakf report: begin -->", "<!-- ddakf report: end -->"
+
+
+def rewritten(path: Path, tables: list[Table]) -> str:
+    """The document with these tables between its marks.
+
+    Raises:
+        InvalidFile: no document with both marks.
+    """
+    text = path.read_text() if path.is_file() else ""
+    before, begin, rest = text.partition(BEGIN)
+    _, end, after = rest.partition(END)
+    if not (begin and end):
+        raise InvalidFile(str(path), f"a document with {BEGIN} and {END}", "none")
+    return before + BEGIN + "\n\n" + "\n\n".join(map(_section, tables)) + "\n\n" + END + after
+
+
+def _section(table: Table) -> str:
+    lines = [table.heads, ["---", *["--:"] * (len(table.heads) - 1)], *([_text(cell) for cell in row] for row in table.rows)]
+    body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+    notes = "".join(f"\n- {note}" for note in table.notes)
+    files = ", ".join(f"[{source.name}.json](../results/{source.name}.json)" for source in table.sources)
+    return f"## {table.title}\n\n{body}\n{notes}\n\nFrom {files}."
+
+
+def _text(cell: Cell) -> str:
+    text = cell.text.replace("|", "\\|")
+    return f"**{text}**" if cell.kind == "best" else f"_{text}_" if cell.kind == "paper" and text != "–" else text
