@@ -14,7 +14,6 @@ from ddakf.evaluation.baselines import Scored
 from ddakf.evaluation.datasets.faust import CLIP
 from ddakf.sequence import Sequence
 
-NOISE = 0.003  # m: standard deviation of the points, unless a table says otherwise
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))
 BODY = "whole body"
 # By the words of a sequence's name; CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress. Some recordings are
@@ -68,24 +67,7 @@ def category_folds(names: Iterable[str]) -> dict[str, Split]:
 
 
 def faust_split(clips: Iterable[str]) -> Split:
-    """Clips of FAUST (``s3_p7``) as the paper parts them: those of subjects 0 to 7 to train on, the rest to score.
-
-    Nothing is left to score where only the subjects 0 to 7 are at hand: then score by :func:`faust_folds`.
-    """
+    """Clips of FAUST (``s3_p7``) as the paper parts them: those of subjects 0 to 7 to train on, the rest to score."""
     clips = tuple(clips)
-    train = tuple(clip for clip in clips if _subject(clip) in FAUST_TRAINING_SUBJECTS)
+    train = tuple(clip for clip in clips if int(CLIP.fullmatch(clip)[1]) in FAUST_TRAINING_SUBJECTS)
     return Split(train, tuple(clip for clip in clips if clip not in train))
-
-
-def faust_folds(clips: Iterable[str]) -> dict[int, Split]:
-    """Leave-subject-out among the subjects at hand: for every subject the others' clips to train on, and its own to score."""
-    clips = tuple(clips)
-    folds = {}
-    for subject in dict.fromkeys(map(_subject, clips)):
-        test = tuple(clip for clip in clips if _subject(clip) == subject)
-        folds[subject] = Split(tuple(clip for clip in clips if clip not in test), test)
-    return folds
-
-
-def _subject(clip: str) -> int:
-    return int(CLIP.fullmatch(clip)[1])

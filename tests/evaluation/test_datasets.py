@@ -90,6 +90,12 @@ def test_broken_depth_files_give_one_sentence(tmp_path):
     (tmp_path / "bad.mat").write_bytes(b"MATLAB 5.0 but not really" * 9)
     with pytest.raises(InvalidFile, match="a MATLAB file"):
         datasets.load_depth(tmp_path / "bad.mat")
+    savemat(tmp_path / "damaged.mat", {"d_depth": np.zeros((2, 2, 2), np.uint16)})
+    good = (tmp_path / "damaged.mat").read_bytes()
+    for byte, value in ((125, 9), (127, 9), (128, 99), (144, 255), (153, 255), (180, 200)):
+        (tmp_path / "damaged.mat").write_bytes(good[:byte] + bytes([value]) + good[byte + 1 :])
+        with pytest.raises(InvalidFile, match=r"damaged\.mat"):
+            datasets.load_depth(tmp_path / "damaged.mat")
     savemat(tmp_path / "other.mat", {"depth": np.zeros(3)})
     with pytest.raises(InvalidFile, match="d_depth"):
         datasets.load_depth(tmp_path / "other.mat")

@@ -13,6 +13,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ddakf.depth import without_fliers
 from ddakf.errors import InvalidArgument, InvalidFile
@@ -25,7 +27,7 @@ from ddakf.physics import proximity
 
 MM = 1e-3  # metres
 FPS = 30.0
-REACH = 0.3  # m: the target is what lies in the box around the object in the source, grown by this on every side
+REACH = 0.3  # m: the target is the largest surface in the box around the object in the source, grown by this on every side
 FLOW = re.compile(r"(?P<object>\w+?)_(?P<source>\d+)_(?P<target>\d+)\.sflow")
 
 
@@ -38,7 +40,7 @@ class Pair:
         garment: grid mesh of the object in the source frame, metres.
         points: (N, 3) float64 points of the source frame with a label, metres.
         flow: (N, 3) float64 their true displacement, metres.
-        target: the cloud of the target frame near the object, with the sensor's origin.
+        target: the cloud of the largest surface of the target frame near the object, and the sensor's origin.
         seconds: between the frames.
     """
 
@@ -122,7 +124,8 @@ def read_scene_flow(path) -> np.ndarray:
     width, height, channels = np.frombuffer(data[:12], "<i4").tolist() if len(data) >= 12 else (0, 0, 0)
     if min(width, height) < 1 or channels != 3 or len(data) != 12 + 4 * width * height * channels:
         raise InvalidFile(path.name, "int32 W, H, 3 and 12 W H bytes", f"{width}, {height}, {channels} and {len(data)} bytes")
-    return np.frombuffer(data, "<f4", offset=12).reshape(3, height, width).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        return np.frombuffer(data, "<f4", offset=12).reshape(3, height, width).astype(np.float64)
 
 
 def _depth(path: Path) -> np.ndarray:
@@ -130,7 +133,22 @@ def _depth(path: Path) -> np.ndarray:
 
 
 def _near(camera: Camera, depth: np.ndarray, points: np.ndarray) -> Cloud:
-    """The cloud of an image in the box around points of another frame, grown by :data:`REACH`."""
-    seen = camera.unproject(depth, without_fliers(depth, JUMP))
+    """The cloud of the largest surface in the box around points of another frame, grown by :data:`REACH`."""
+    keep = without_fliers(depth, JUMP)
+    seen, surface = camera.unproject(depth, keep), _surfaces(depth)[keep]
     inside = ((seen >= points.min(axis=0) - REACH) & (seen <= points.max(axis=0) + REACH)).all(axis=1)
+    if inside.any():
+        inside &= surface == np.bincount(surface[inside]).argmax()
     return Cloud(seen[inside].astype(np.float32), camera.eye)
+
+
+def _surfaces(depth: np.ndarray) -> np.ndarray:
+    """(H, W) int: the number of the surface that a pixel is of; neighbours on one are less than :data:`JUMP` apart in depth."""
+    index = np.arange(depth.size).reshape(depth.shape)
+    pairs = []
+    for one, other in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
+        near = (depth[one] > 0) & (depth[other] > 0) & (np.abs(depth[one] - depth[other]) < JUMP)
+        pairs.append([index[one][near], index[other][near]])
+    edges = np.concatenate(pairs, axis=1)
+    graph = coo_array((np.ones(edges.shape[1]), edges), shape=(depth.size, depth.size))
+    return connected_components(graph, directed=False)[1].reshape(depth.shape)

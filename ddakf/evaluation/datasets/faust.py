@@ -11,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -104,7 +105,12 @@ def load_faust(path) -> Faust:
         InvalidFile: none there, or not as published.
     """
     path = Path(path)
-    return _from_folder(path) if path.is_dir() else _from_archive(path)
+    if path.is_dir():
+        return _from_folder(path)
+    if not path.is_file():
+        raise InvalidFile(str(path), "FAUST: a folder MPI-FAUST, or an .npz of registrations", "nothing there")
+    state = path.stat()
+    return _from_archive(path, state.st_mtime_ns, state.st_size)
 
 
 def is_faust(path: Path) -> bool:
@@ -130,9 +136,8 @@ def _numbered(folder: Path, name: re.Pattern) -> dict[tuple[int, int], Path]:
     return {divmod(int(found[1]), POSES): path for path in files if (found := name.fullmatch(path.name))}
 
 
-def _from_archive(path: Path) -> Faust:
-    if not path.is_file():
-        raise InvalidFile(str(path), "FAUST: a folder MPI-FAUST, or an .npz of registrations", "nothing there")
+@lru_cache(maxsize=1)  # one file serves many clips, and takes longer to unpack than a clip
+def _from_archive(path: Path, modified: int, size: int) -> Faust:
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             vertices, faces = archive["V"], archive["F"]

@@ -5,6 +5,8 @@ Points are in the frame of the sensor: metres, y up, right-handed, the sensor at
 
 from __future__ import annotations
 
+import struct
+import zlib
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,9 @@ from ddakf.evaluation.datasets.recording import DepthRecording, positive_rate
 # The Kinect for Windows delivers mirrored images: people's left hands appear on the left. They are mirrored back, and
 # with them the principal point (160, 120) that fits the recordings.
 KINECT = Intrinsics(width=320, height=240, fx=285.63, fy=285.63, cx=159.0, cy=120.0)
-UNREADABLE = (ValueError, OSError, KeyError, TypeError, NotImplementedError, MemoryError, IndexError, MatReadError)
+# what SciPy's reader raises on damaged files
+UNREADABLE = (ValueError, OSError, KeyError, TypeError, NotImplementedError, MemoryError, IndexError, MatReadError,
+              ArithmeticError, NameError, struct.error, zlib.error)  # fmt: skip
 
 
 def load_depth(path, fps: float = 30.0) -> DepthRecording:
