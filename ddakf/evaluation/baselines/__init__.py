@@ -8,7 +8,11 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ddakf.errors import InvalidArgument
+from ddakf.evaluation.baselines.embedded import EmbeddedDeformation
+from ddakf.evaluation.baselines.icp import NonRigidPointToPlane, RigidPointToPlane
+from ddakf.evaluation.baselines.kalman import KalmanFilter
 from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
+from ddakf.evaluation.baselines.particle import ParticleFilter
 from ddakf.mesh import Mesh
 
 
@@ -53,6 +57,11 @@ class Baseline(Protocol):
 
 
 BASELINES: dict[str, Callable[[Scored], Baseline]] = {
+    "kf": lambda scored: KalmanFilter(),
+    "icp": lambda scored: NonRigidPointToPlane(),
+    "icp-rigid": lambda scored: RigidPointToPlane(),
+    "pf": lambda scored: ParticleFilter(),
+    "opt-ed": lambda scored: EmbeddedDeformation(),
     "nicp": lambda scored: NonRigidIcp(),
     "nicp-12": lambda scored: NonRigidIcp(TWELVE_ITERATIONS),
 }

@@ -1,0 +1,161 @@
+"""Point-to-plane ICP: rigid, and non-rigid with a smooth displacement field. No memory: of the frames before, nothing but where
+the last one ended, which is where the iterations begin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ddakf.errors import NotApplicable
+from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised, graph_laplacian
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, Scan, VertexNormals, rigid_motion
+from ddakf.mesh import Mesh
+
+DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
+TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
+SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.03
+
+
+@dataclass(frozen=True)
+class IcpSettings:
+    """Numbers of the non-rigid method; the defaults are the best of ``benchmarks/results/tuning.json``.
+
+    Attributes:
+        stiffness: of an edge against a correspondence of full weight.
+        iterations: per frame.
+        gate: metres; see :func:`ddakf.evaluation.baselines.matching.Scan.match`.
+        normal_cosine: least between the normals of a vertex and its point.
+        neighbours: of a point, that give its normal.
+    """
+
+    stiffness: float = 2.0
+    iterations: int = 8
+    gate: float = 0.10
+    normal_cosine: float = 0.5
+    neighbours: int = 8
+
+
+class NonRigidPointToPlane:
+    """Non-rigid ICP (Amberg, Romdhani and Vetter 2007) with the point-to-plane distance (Chen and Medioni 1992).
+
+    Energy: sum_i w_i (n_i . (x_i - c_i))^2 + stiffness sum_ij |d_i - d_j|^2 over the edges, with c_i the point nearest to x_i,
+    n_i its normal, w_i its weight, and the displacement field d = x - T r from the rest shape r, which T lays rigidly onto the
+    present estimate (Kabsch 1976). Correspondences and T are found anew in every iteration, and the linear system is solved by
+    conjugate gradients, preconditioned by the factors of the system in which every correspondence weighs the same along all axes.
+    Knows no body and no time.
+    """
+
+    def __init__(self, settings: IcpSettings | None = None):
+        self.settings = IcpSettings() if settings is None else settings
+
+    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
+        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        self._normals, self._position = VertexNormals(garment), np.array(vertices, np.float64)
+        self._rest = garment.vertices
+        self._smoothness = self.settings.stiffness * graph_laplacian(garment)
+        self._factor = factorised(self._smoothness + (TYPICAL_WEIGHT + DAMPING) * sparse.eye_array(garment.n_vertices))
+
+    def step(
+        self,
+        points: np.ndarray,
+        timestamp: float,
+        sensor_origin: np.ndarray | None,
+        body_vertices: np.ndarray | None,
+    ) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        if len(points) >= LEAST_POINTS:
+            settings, scan = self.settings, Scan(points, sensor_origin, self.settings.neighbours)
+            for _ in range(settings.iterations):
+                normals = self._normals(self._position)
+                found = scan.match(self._position, normals, settings.gate, settings.normal_cosine)
+                self._position = self._position + self._move(*found)
+        return self._position.copy()
+
+    def _move(self, points: np.ndarray, normals: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """(V, 3) that minimises the energy, for these correspondences."""
+        x, weight = self._position, weight[:, None]
+        turn, shift = rigid_motion(self._rest, x)
+        displacement = x - (self._rest @ turn.T + shift)
+
+        def across(vectors: np.ndarray) -> np.ndarray:
+            return weight * normals * (normals * vectors).sum(axis=1, keepdims=True)
+
+        def system(move: np.ndarray) -> np.ndarray:
+            return across(move) + self._smoothness @ move + DAMPING * move
+
+        descent = across(points - x) - self._smoothness @ displacement
+        return conjugate_gradients(system, descent, self._factor.solve, SOLVER_STEPS, SOLVER_TOLERANCE)
+
+
+@dataclass(frozen=True)
+class RigidSettings:
+    """Numbers of the rigid method; the defaults are the best of ``benchmarks/results/tuning.json``.
+
+    Attributes:
+        iterations: per frame, at most.
+        gate: metres, beyond which a point has no correspondence.
+        robust_scale: metres; Tukey's, of the residuals.
+    """
+
+    iterations: int = 30
+    gate: float = 0.15
+    robust_scale: float = 0.10
+
+
+class RigidPointToPlane:
+    """Open3D's rigid point-to-plane ICP (Chen and Medioni 1992), with Tukey's robust kernel: one motion for the whole garment,
+    whose shape stays that of the start.
+
+    The cloud is laid onto the vertices and their normals, and the garment moved by the inverse: so every point of a partial cloud
+    has a counterpart, and what a sensor does not see asks for none. Knows no body and no time.
+
+    Raises:
+        NotApplicable: Open3D cannot be imported.
+    """
+
+    def __init__(self, settings: RigidSettings | None = None):
+        self.settings = RigidSettings() if settings is None else settings
+        self._open3d = open3d_or_not_applicable()
+
+    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
+        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        self._normals, self._position = VertexNormals(garment), np.array(vertices, np.float64)
+
+    def step(
+        self,
+        points: np.ndarray,
+        timestamp: float,
+        sensor_origin: np.ndarray | None,
+        body_vertices: np.ndarray | None,
+    ) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        if len(points) >= LEAST_POINTS:
+            motion = self._motion(np.array(points, np.float64), self._normals(self._position))
+            self._position = self._position @ motion[:3, :3].T + motion[:3, 3]
+        return self._position.copy()
+
+    def _motion(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+        """(4, 4) that lays the garment, with these normals (V, 3), onto the points (N, 3)."""
+        o3d, settings = self._open3d, self.settings
+        registration, vector = o3d.pipelines.registration, o3d.utility.Vector3dVector
+        cloud, surface = (o3d.geometry.PointCloud(vector(array)) for array in (points, self._position))
+        surface.normals = vector(normals)
+        estimation = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(settings.robust_scale))
+        criteria = registration.ICPConvergenceCriteria(max_iteration=settings.iterations)
+        found = registration.registration_icp(cloud, surface, settings.gate, np.eye(4), estimation, criteria)
+        return np.linalg.inv(found.transformation)
+
+
+def open3d_or_not_applicable():
+    """The package Open3D.
+
+    Raises:
+        NotApplicable: it is not installed, or lacks a system library.
+    """
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        raise NotApplicable(f"needs Open3D, which cannot be imported here ({error}): pip install 'ddakf[evaluation]'") from error
+    return open3d
