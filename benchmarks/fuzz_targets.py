@@ -219,8 +219,7 @@ def _tracker() -> ddakf.Tracker:
 
 
 def _restored(data: bytes) -> None:
-    messages.require_snapshot_within(data, LIMITS.max_vertices, LIMITS.max_faces, LIMITS.max_body_vertices)
-    tracker = ddakf.Tracker.restore(data)
+    tracker = messages.restored(data, LIMITS)
     later = tracker.step(_sheet()[0], timestamp=(tracker._time or 0.0) + 1.0)
     assert np.isfinite(later.vertices).all()
 

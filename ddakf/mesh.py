@@ -59,12 +59,13 @@ class Mesh:
         """
         vertices, faces = _checked_arrays(vertices, faces)
         faces = faces[~_degenerate(vertices, faces)]
-        faces = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
+        faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
         if len(faces) == 0:
             raise InvalidMesh("mesh.faces", "at least one face with an area", "none after cleaning")
-        kept, flat = np.unique(faces, return_inverse=True)
-        return cls(vertices[kept], flat.reshape(-1, 3)), kept
+        used = _used(faces, len(vertices))
+        kept, number = np.flatnonzero(used), np.cumsum(used) - 1
+        return cls(vertices[kept], number[faces]), kept
 
     @property
     def n_vertices(self) -> int:
@@ -77,12 +78,12 @@ class Mesh:
     @cached_property
     def edges(self) -> np.ndarray:
         """(E, 2) int64, each undirected edge once, first index smaller, in lexicographic order."""
-        return np.unique(np.sort(_directed_edges(self.faces), axis=1), axis=0)
+        return _edges(self.faces, self.n_vertices)[0]
 
     @cached_property
     def boundary_vertices(self) -> np.ndarray:
         """(V,) bool: vertices on an open boundary (hem, cuff, neck)."""
-        edges, count = np.unique(np.sort(_directed_edges(self.faces), axis=1), axis=0, return_counts=True)
+        edges, count = _edges(self.faces, self.n_vertices)
         on_boundary = np.zeros(self.n_vertices, bool)
         on_boundary[edges[count == 1]] = True
         return on_boundary
@@ -140,12 +141,12 @@ def _rectangular(field: str, values) -> np.ndarray:
 
 
 def _defects(vertices: np.ndarray, faces: np.ndarray) -> dict[str, int]:
-    count = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_counts=True)[1]
+    n = len(vertices)
     return {
-        "unreferenced vertices": len(vertices) - len(np.unique(faces)),
-        "duplicate faces": len(faces) - len(np.unique(np.sort(faces, axis=1), axis=0)),
-        "degenerate faces": int(_degenerate(vertices, faces).sum()),
-        "non-manifold edges": int((count > 2).sum()),
+        "unreferenced vertices": n - np.count_nonzero(_used(faces, n)),
+        "duplicate faces": np.count_nonzero(_repeated(faces, n)),
+        "degenerate faces": np.count_nonzero(_degenerate(vertices, faces)),
+        "non-manifold edges": np.count_nonzero(_edges(faces, n)[1] > 2),
     }
 
 
@@ -158,18 +159,41 @@ def _degenerate(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return _areas(vertices, faces) <= MIN_FACE_AREA
 
 
-def _directed_edges(faces: np.ndarray) -> np.ndarray:
-    return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+def _used(faces: np.ndarray, n: int) -> np.ndarray:
+    """(n,) bool: vertices of a face."""
+    return np.bincount(faces.ravel(), minlength=n) > 0
+
+
+def _repeated(faces: np.ndarray, n: int) -> np.ndarray:
+    """(F,) bool: faces with the same three of n vertices as one before them."""
+    corners = np.sort(faces, axis=1)
+    pair, last = corners[:, 0] * n + corners[:, 1], corners[:, 2]
+    order = np.lexsort((last, pair))
+    repeated = np.zeros(len(faces), bool)
+    repeated[order[1:]] = (np.diff(pair[order]) == 0) & (np.diff(last[order]) == 0)
+    return repeated
+
+
+def _edges(faces: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """(E, 2) undirected edges between n vertices in lexicographic order, and how many faces each has (E,)."""
+    key, count = np.unique(_edge_keys(faces, n), return_counts=True)
+    return np.stack(np.divmod(key, n), axis=1), count
+
+
+def _edge_keys(faces: np.ndarray, n: int) -> np.ndarray:
+    """(3F,) a number for each undirected edge of each face, which sorts as its ends do; far faster than rows of two."""
+    start, end = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
+    return np.minimum(start, end) * n + np.maximum(start, end)
 
 
 def _without_surplus_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Of the faces at an edge keeps the two largest."""
     area = _areas(vertices, faces)
-    edges, index = np.unique(np.sort(_directed_edges(faces), axis=1), axis=0, return_inverse=True)
+    key = _edge_keys(faces, len(vertices))
     face_of = np.tile(np.arange(len(faces)), 3)
-    order = np.lexsort((-area[face_of], index.ravel()))
-    start = np.searchsorted(index.ravel()[order], np.arange(len(edges)))
-    rank = np.arange(len(order)) - start[index.ravel()[order]]
+    order = np.lexsort((-area[face_of], key))
+    start = np.searchsorted(key[order], key[order])
+    rank = np.arange(len(order)) - start
     surplus = np.zeros(len(faces), bool)
     surplus[face_of[order[rank >= 2]]] = True
     return faces[~surplus]

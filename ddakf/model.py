@@ -133,7 +133,9 @@ def _boundary(mesh: Mesh) -> np.ndarray:
     """(H, 3) vertices of open boundaries, each with the one before and the one after it in the sense in which its faces run."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     forward, backward = edges @ [mesh.n_vertices, 1], edges @ [1, mesh.n_vertices]
-    edges = edges[~np.isin(forward, backward)]
+    backward.sort()
+    at = np.minimum(np.searchsorted(backward, forward), len(backward) - 1)
+    edges = edges[backward[at] != forward]
     after, before = np.full(mesh.n_vertices, -1), np.full(mesh.n_vertices, -1)
     after[edges[:, 0]], before[edges[:, 1]] = edges[:, 1], edges[:, 0]
     vertex = np.flatnonzero((after >= 0) & (before >= 0))

@@ -154,8 +154,11 @@ def test_random_faces_are_either_refused_or_cleaned_into_a_mesh(seed):
     np.testing.assert_array_equal(mesh.vertices, vertices[kept])
     turns = {tuple(np.roll(face, k)) for face in faces for k in range(3)}
     assert {tuple(face) for face in kept[mesh.faces]} <= turns
-    sides = np.concatenate([mesh.faces[:, [a, (a + 1) % 3]] for a in range(3)])
-    assert np.unique(np.sort(sides, axis=1), axis=0, return_counts=True)[1].max() <= 2
+    sides = [tuple(sorted(pair)) for a, b, c in mesh.faces.tolist() for pair in ((a, b), (b, c), (c, a))]
+    assert max(map(sides.count, sides)) <= 2
+    assert [tuple(edge) for edge in mesh.edges.tolist()] == sorted(set(sides))
+    hem = {vertex for side in sides if sides.count(side) == 1 for vertex in side}
+    assert set(np.flatnonzero(mesh.boundary_vertices)) == hem
 
 
 def test_the_arrays_are_the_meshs_own_and_cannot_be_written():

@@ -161,7 +161,8 @@ def _tree_order(centroids: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     order = np.arange(n)
     for level in range(depth):
         segment = leaf_of >> (depth - level)
-        first, segment = np.unique(segment, return_index=True, return_inverse=True)[1:]
+        first = np.flatnonzero(np.diff(segment, prepend=-1))
+        segment = np.repeat(np.arange(len(first)), np.diff(first, append=n))
         extent = np.maximum.reduceat(centroids[order], first) - np.minimum.reduceat(centroids[order], first)
         order = order[np.lexsort((centroids[order, extent.argmax(axis=1)[segment]], segment))]
     return order, leaf_start.astype(np.int32), leaf_of.astype(np.int32)

@@ -65,18 +65,19 @@ def config(session: pb.Session) -> ddakf.Config:
     return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
 
 
-def require_snapshot_within(data: bytes, max_vertices: int, max_faces: int, max_body_vertices: int) -> None:
-    """Refuses a snapshot whose meshes no new session could have, before a tracker is built from them."""
-    _, arrays = snapshot.unpack(data)
+def restored(data: bytes, limits: Limits) -> ddakf.Tracker:
+    """The tracker of a snapshot; nothing is built of one whose meshes no new session could have."""
+    numbers, arrays = snapshot.unpack(data)
     for name, most, what in (
-        ("garment_V", max_vertices, "garment vertices"),
-        ("garment_F", max_faces, "garment faces"),
-        ("body_V", max_body_vertices, "body vertices"),
-        ("body_F", max_faces, "body faces"),
+        ("garment_V", limits.max_vertices, "garment vertices"),
+        ("garment_F", limits.max_faces, "garment faces"),
+        ("body_V", limits.max_body_vertices, "body vertices"),
+        ("body_F", limits.max_faces, "body faces"),
     ):
         count = np.size(arrays[name]) // 3 if name in arrays else 0
         if count > most:
             raise InvalidSnapshot(field="data", expected=f"at most {most} {what}", got=str(count))
+    return snapshot.build(numbers, arrays, ddakf.Tracker)
 
 
 def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:

@@ -60,10 +60,7 @@ class Compute:
 
     def restore(self, session_id: str, payload: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
-        data, limits = pb.RestoreSessionRequest.FromString(payload).data, self._limits
-        messages.require_snapshot_within(data, limits.max_vertices, limits.max_faces, limits.max_body_vertices)
-        tracker = ddakf.Tracker.restore(data)
-        self._trackers[session_id] = tracker
+        self._trackers[session_id] = tracker = messages.restored(pb.RestoreSessionRequest.FromString(payload).data, self._limits)
         return messages.opened(tracker).SerializeToString()
 
     def frame(self, session_id: str, payload: bytes) -> bytes:
