@@ -262,15 +262,20 @@ def _number_of(path: str) -> int:
 
 
 def _write_atomically(path: str, data: bytes) -> None:
-    """Under another name first, which a start after a crash does not take for a checkpoint."""
+    """Under another name first, which a start after a crash does not take for a checkpoint.
+
+    It has its own name before the disk has its bytes, so that a killed process has left it: after a power cut the checksum
+    tells, and the older ones are still there.
+    """
     unfinished = path + _UNFINISHED
     try:
         with open(unfinished, "wb") as file:
             file.write(data)
             file.flush()
+            os.replace(unfinished, path)
             os.fsync(file.fileno())
-        os.replace(unfinished, path)
     except OSError:
-        if os.path.exists(unfinished):
-            os.unlink(unfinished)
+        for name in (unfinished, path):
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(name)
         raise

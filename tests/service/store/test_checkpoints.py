@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -130,6 +131,34 @@ async def test_a_write_that_was_cut_off_counts_for_nothing(opened, tmp_path):
     assert await checkpoints.newest(7) == snapshot(1)
     checkpoints.save(7, snapshot(2))
     checkpoints.flush(PATIENCE)
+    assert await checkpoints.newest(7) == snapshot(2)
+
+
+def test_one_counts_before_the_disk_has_it_and_the_older_ones_go_afterwards(opened, tmp_path, monkeypatch):
+    """So that a slow disk costs a killed server no frames, and a power cut no checkpoint."""
+    left, checkpoints = [], opened(str(tmp_path), keep=1)
+    monkeypatch.setattr(os, "fsync", lambda _: left.append([unpack(path.read_bytes()) for path in files(tmp_path)]))
+    for number in (1, 2):
+        checkpoints.save(7, snapshot(number))
+        assert checkpoints.flush(PATIENCE)
+    assert left == [[snapshot(1)], [snapshot(1), snapshot(2)]]
+    assert len(files(tmp_path)) == 1
+
+
+async def test_one_that_does_not_reach_the_disk_counts_for_nothing(opened, tmp_path, monkeypatch):
+    def fail(_):
+        raise OSError("input/output error")
+
+    checkpoints = opened(str(tmp_path))
+    checkpoints.save(7, snapshot(1))
+    assert checkpoints.flush(PATIENCE)
+    monkeypatch.setattr(os, "fsync", fail)
+    checkpoints.save(7, snapshot(2))
+    while "input/output" not in checkpoints.condition.problem:
+        assert not checkpoints.flush(0.01)
+    assert [unpack(path.read_bytes()) for path in files(tmp_path)] == [snapshot(1)]
+    monkeypatch.undo()
+    assert checkpoints.flush(PATIENCE)
     assert await checkpoints.newest(7) == snapshot(2)
 
 
