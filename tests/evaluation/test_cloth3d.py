@@ -8,7 +8,7 @@ from scipy.io import loadmat, savemat
 from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.datasets import cloth3d, smpl
+from ddakf.evaluation.datasets import cloth3d, open_dataset, smpl
 from ddakf.evaluation.datasets.cloth3d import load_cloth3d
 from ddakf.evaluation.datasets.point_cache import read_point_cache, write_point_cache
 
@@ -208,6 +208,14 @@ def test_the_body_stands_where_the_garment_does(sequence, tmp_path, given):
     turn = Rotation.from_euler("z", ZROT)
     assert read.body_vertices[3] == pytest.approx(upright(turn.apply(expected + TRANS[3])), abs=1e-5)
     assert np.array_equal(read.body_faces, arrays["f"])
+
+
+def test_the_environment_says_where_smpl_is(sequence, tmp_path, monkeypatch):
+    np.savez(tmp_path / "model_m.npz", **model_arrays())
+    monkeypatch.delenv("DDAKF_SMPL", raising=False)
+    assert not open_dataset(f"{sequence}#Tshirt").has_body
+    monkeypatch.setenv("DDAKF_SMPL", str(tmp_path))
+    assert np.array_equal(open_dataset(sequence).body_vertices, load_cloth3d(sequence, smpl=tmp_path).body_vertices)
 
 
 def test_a_pickle_is_never_read_and_arrays_have_to_fit(sequence, tmp_path):

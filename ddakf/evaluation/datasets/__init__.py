@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 from pathlib import Path
 
@@ -36,14 +37,14 @@ def open_dataset(path, *, fps: float = 30.0, smpl=None) -> Sequence | Recording 
         path: of a file or folder; behind a ``#`` which one of its :func:`parts`, where there are several:
             ``MPI-FAUST#s3_p7``, ``00042#Tshirt``, ``seq258#shirt_000000_000110``.
         fps: frames per second of a recording that does not say.
-        smpl: see :func:`ddakf.evaluation.datasets.cloth3d.load_cloth3d`.
+        smpl: see :func:`ddakf.evaluation.datasets.cloth3d.load_cloth3d`; None: what DDAKF_SMPL names, if anything.
 
     Raises:
         InvalidFile: nothing there, nothing of these kinds, or broken. InvalidArgument: no such part, or one has to be named.
     """
     path, part = _split(path)
     if path.is_dir():
-        return _folder(path, part, fps, smpl)
+        return _folder(path, part, fps, smpl or os.environ.get("DDAKF_SMPL"))
     if found := REGISTRATION.fullmatch(path.name):
         return load_faust(path.parent).clip("s{}_p{}".format(*divmod(int(found[1]), 10)))
     suffix = path.suffix.lower()
