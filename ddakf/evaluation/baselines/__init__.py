@@ -56,7 +56,15 @@ class Baseline(Protocol):
         """
 
 
+def _clothfit(scored: Scored) -> Baseline:
+    from ddakf.evaluation.baselines.clothfit.method import ClothFit
+    from ddakf.evaluation.baselines.clothfit.weights import network
+
+    return ClothFit(network(scored))
+
+
 BASELINES: dict[str, Callable[[Scored], Baseline]] = {
+    "clothfit": _clothfit,
     "kf": lambda scored: KalmanFilter(),
     "icp": lambda scored: NonRigidPointToPlane(),
     "icp-rigid": lambda scored: RigidPointToPlane(),

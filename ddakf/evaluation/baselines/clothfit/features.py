@@ -1,0 +1,108 @@
+"""What ClothFit's network sees: where a vertex lies by the body, and how the body nearby has moved since; in its local frame.
+
+A vertex is bound to the body by smooth skinning (:mod:`.binding`). Its frame is the best rigid motion (R, c) of the body's
+surface around it since the start, and ``carried`` is where that motion takes it. All vectors are given in that frame, as
+R' v, and the network answers with a combination of them (:mod:`.network`): so nothing depends on the axes of the world, on
+which way the body looks, or on left and right. Metres, seconds, y up.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ddakf.evaluation.baselines.clothfit.binding import Skinning, gaussian_weights, spread
+from ddakf.evaluation.baselines.clothfit.motion import SWINGS, Motion
+from ddakf.mesh import Mesh, vertex_normals
+
+DOWN = np.array([0.0, -1.0, 0.0])
+BODY_SAMPLES, GARMENT_SAMPLES = 1500, 500  # spread over the surfaces
+BINDING, REACH, REACH_GROWTH = 16, 0.03, 0.4  # samples of the body that carry a vertex; m and 1: see gaussian_weights
+NEARBY, NEARBY_REACH = 96, 0.12  # samples of the body whose motion against its frame a vertex sees; m
+CLOTH, CLOTH_REACHES = 32, (0.05, 0.12)  # samples of the garment, likewise; m
+LENGTH, SPEED, ACCELERATION = 0.05, 1.0, 10.0  # m, m/s, m/s^2: units of the vectors
+TALL, LONG, HEM, DEEP = 1.6, 0.3, 0.1, 0.02  # m: units of the scalars
+FAR = 3.0  # units: scalars beyond are all alike
+FADE = 0.5  # s: how long the start is remembered
+
+VECTORS = (
+    "skin's normal", "offset", "cloth's normal", "down at the start", "down", "velocity", "acceleration", "mean acceleration",
+    *(f"swing of {frequency:g} Hz" for frequency, _ in SWINGS), "nearest skin's normal",
+    *(f"cloth within {100 * reach:g} cm" for reach in CLOTH_REACHES), "body nearby",
+)  # fmt: skip
+SCALARS = ("distance", "height on the body", "height in the garment", "hem", "time", "depth")
+
+
+class Inputs(NamedTuple):
+    """One frame of the vertices that are asked for."""
+
+    carried: np.ndarray  # (Q, 3) m, in the world
+    rotation: np.ndarray  # (Q, 3, 3) from the frame's axes to the world's
+    vectors: np.ndarray  # (Q, len(VECTORS), 3) in the frame, in their units
+    scalars: np.ndarray  # (Q, len(SCALARS)) in their units
+
+
+class Features:
+    """The inputs of a garment, frame by frame.
+
+    Args:
+        garment: its vertices are the rest shape.
+        start: (V, 3) where it is before the first frame, metres.
+        body: in the pose of the start.
+        queries: vertices that are asked for; all by default.
+    """
+
+    def __init__(self, garment: Mesh, start: np.ndarray, body: Mesh, queries: np.ndarray | None = None):
+        start, self._body_faces = np.asarray(start, np.float64), body.faces
+        queries = np.arange(len(start)) if queries is None else queries
+        self._count, self._samples = len(queries), spread(body.vertices, BODY_SAMPLES)
+        support = spread(garment.vertices, GARMENT_SAMPLES)
+        places, samples = start[np.concatenate([queries, support])], body.vertices[self._samples]
+        weights, distance = gaussian_weights(places, samples, BINDING, REACH, REACH_GROWTH)
+        self._skinning = Skinning.of(weights, places, samples)
+        skin = (weights @ vertex_normals(body.vertices, body.faces)[self._samples])[: self._count]
+        normal = vertex_normals(start, garment.faces)[queries]
+        offset, down = self._skinning.offset[: self._count] / LENGTH, np.broadcast_to(DOWN, normal.shape)
+        self._still = np.stack([skin, offset, normal, down], axis=1)
+        self._nearby, _ = gaussian_weights(start[queries], samples, NEARBY, NEARBY_REACH)
+        rest, rest_support = garment.vertices[queries], garment.vertices[support]
+        self._cloth = [gaussian_weights(rest, rest_support, CLOTH, reach)[0] for reach in CLOTH_REACHES]
+        self._about_at_start = self._about(*np.split(places, [self._count]), self._skinning.centre[: self._count], samples)
+        hem = garment.vertices[garment.boundary_vertices]
+        to_hem = cKDTree(hem).query(rest)[0] if len(hem) else np.full(len(rest), np.inf)
+        height, top = -(start[queries] @ DOWN), -(start @ DOWN).min()
+        on_body = (height + (body.vertices @ DOWN).max()) / TALL
+        self._still_scalars = np.stack([distance[: self._count] / LENGTH, on_body, (top - height) / LONG, to_hem / HEM])
+        self._motion = Motion(start[queries])
+
+    def step(self, body_vertices: np.ndarray, timestamp: float) -> Inputs:
+        """The next frame: the body's vertices (B, 3), metres, and its time."""
+        body = np.asarray(body_vertices, np.float64)
+        samples = body[self._samples]
+        rotation, centre, everything = self._skinning.carry(samples)
+        carried, support = np.split(everything, [self._count])
+        rotation, centre = rotation[: self._count], centre[: self._count]
+        motion = self._motion.step(carried, timestamp)
+        normal, depth = self._skin(carried, body)
+        down = np.broadcast_to(DOWN, carried.shape)
+        units = [motion.velocity / SPEED, motion.acceleration / ACCELERATION, motion.mean_acceleration / ACCELERATION]
+        about = self._about(carried, support, centre, samples)
+        world = np.stack([down, *units, *(swing / LENGTH for swing in motion.swings), normal, *about], axis=1)
+        local = np.einsum("qba,qvb->qva", rotation, world)
+        local[:, -len(about) :] -= np.stack(self._about_at_start, axis=1)
+        time = np.full(self._count, 1 - np.exp(-motion.elapsed / FADE))
+        scalars = np.stack([*self._still_scalars, time, depth / DEEP], axis=1)
+        return Inputs(carried, rotation, np.concatenate([self._still, local], axis=1), np.clip(scalars, -FAR, FAR))
+
+    def _about(self, queries: np.ndarray, support: np.ndarray, centre: np.ndarray, samples: np.ndarray) -> list[np.ndarray]:
+        """(Q, 3) vectors, in LENGTH, from each query to the cloth around it, and from its centre to the body around it."""
+        cloth = [(weights @ support - queries) / LENGTH for weights in self._cloth]
+        return [*cloth, (self._nearby @ samples - centre) / LENGTH]
+
+    def _skin(self, queries: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Normals (Q, 3) of the nearest vertices of the body now, and how far (Q,) outside their planes the queries are."""
+        _, nearest = cKDTree(body).query(queries)
+        normal = vertex_normals(body, self._body_faces)[nearest]
+        return normal, np.einsum("qa,qa->q", queries - body[nearest], normal)

@@ -1,0 +1,62 @@
+"""ClothFit at work: the garment rides on the body, and the network says what it does beyond that. It never sees the cloud."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from ddakf.errors import NotApplicable
+from ddakf.evaluation.baselines.clothfit.features import Features
+from ddakf.evaluation.baselines.clothfit.network import Network
+from ddakf.mesh import Mesh
+
+SMOOTHING = 2  # averages of an offset with its neighbours'
+NO_BODY = "clothfit moves the garment by the body alone, and no body is given"
+
+
+class ClothFit:
+    """Pose-conditioned deformation, learned: see docs/baselines.md.
+
+    Args:
+        network: see :mod:`.network`; of :func:`.weights.network` or your own.
+    """
+
+    def __init__(self, network: Network):
+        self._network = network
+
+    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
+        """See :class:`ddakf.evaluation.baselines.Baseline`.
+
+        Raises:
+            NotApplicable: no body.
+        """
+        if body is None:
+            raise NotApplicable(NO_BODY)
+        self._features, self._average = Features(garment, vertices, body), _average(garment)
+
+    def step(
+        self,
+        points: np.ndarray,
+        timestamp: float,
+        sensor_origin: np.ndarray | None,
+        body_vertices: np.ndarray | None,
+    ) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.Baseline`.
+
+        Raises:
+            NotApplicable: no body in this frame.
+        """
+        if body_vertices is None:
+            raise NotApplicable(NO_BODY)
+        inputs = self._features.step(body_vertices, timestamp)
+        offset = np.einsum("qab,qb->qa", inputs.rotation, self._network.offsets(inputs))
+        for _ in range(SMOOTHING):
+            offset = self._average @ offset
+        return inputs.carried + offset
+
+
+def _average(garment: Mesh) -> sparse.csr_array:
+    """(V, V) half of a vertex and half of the mean of its neighbours."""
+    n, (i, j) = garment.n_vertices, garment.edges.T
+    adjacency = sparse.csr_array((np.ones(2 * len(i)), (np.concatenate([i, j]), np.concatenate([j, i]))), (n, n))
+    return 0.5 * (sparse.eye_array(n) + sparse.diags_array(1 / adjacency.sum(axis=1)) @ adjacency).tocsr()

@@ -1,0 +1,73 @@
+"""ClothFit's network: one small perceptron for all vertices, which answers in the local frame; NumPy alone.
+
+Of the vectors v_k of a vertex it sees what no rotation changes, their inner products, and the scalars; its outputs are the
+coefficients a_k of the offset sum_k a_k v_k. The offset turns with the frame and is mirrored with it (Villar et al. 2021,
+"Scalars are universal", show that any such function can be written so).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, VECTORS, Inputs
+
+UPPER = np.triu_indices(len(VECTORS))
+INPUTS, OUTPUTS = len(UPPER[0]) + len(SCALARS), len(VECTORS)
+
+
+def invariants(vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
+    """(Q, INPUTS) float32: inner products of the vectors (Q, K, 3), squashed by asinh, and the scalars (Q, S)."""
+    vectors = np.asarray(vectors, np.float32)
+    products = (vectors @ vectors.transpose(0, 2, 1))[:, UPPER[0], UPPER[1]]
+    return np.concatenate([np.arcsinh(products), np.asarray(scalars, np.float32)], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Weights, all float32.
+
+    Attributes:
+        mean, sd: (INPUTS,) of the inputs; what is farther off than :attr:`limit` standard deviations counts as that.
+        layers: pairs of a matrix (in, out) and a bias (out,); x sigmoid(x) between them.
+    """
+
+    mean: np.ndarray
+    sd: np.ndarray
+    layers: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    limit = 3.0
+
+    @classmethod
+    def zero(cls) -> Network:
+        """The network that carries the garment with the body and adds nothing."""
+        nothing = np.zeros((INPUTS, OUTPUTS), np.float32), np.zeros(OUTPUTS, np.float32)
+        return cls(np.zeros(INPUTS, np.float32), np.ones(INPUTS, np.float32), (nothing,))
+
+    def coefficients(self, inputs: np.ndarray) -> np.ndarray:
+        """(Q, OUTPUTS) of invariants (Q, INPUTS)."""
+        x = np.clip((inputs - self.mean) / self.sd, -self.limit, self.limit)
+        for matrix, bias in self.layers[:-1]:
+            x = x @ matrix + bias
+            x /= 1 + np.exp(-np.clip(x, -60, 60))
+        matrix, bias = self.layers[-1]
+        return x @ matrix + bias
+
+    def offsets(self, inputs: Inputs) -> np.ndarray:
+        """(Q, 3) metres, in the frame's axes."""
+        coefficients = self.coefficients(invariants(inputs.vectors, inputs.scalars))
+        return LENGTH * np.einsum("qk,qka->qa", coefficients, inputs.vectors)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """By the names under which they are saved."""
+        named = {"mean": self.mean, "sd": self.sd}
+        for k, (matrix, bias) in enumerate(self.layers):
+            named |= {f"matrix{k}": matrix, f"bias{k}": bias}
+        return named
+
+    @classmethod
+    def of(cls, arrays: dict[str, np.ndarray]) -> Network:
+        """Inverse of :meth:`arrays`."""
+        count = sum(name.startswith("matrix") for name in arrays)
+        return cls(arrays["mean"], arrays["sd"], tuple((arrays[f"matrix{k}"], arrays[f"bias{k}"]) for k in range(count)))

@@ -1,0 +1,65 @@
+"""One network for all vertices, whose answer turns and is mirrored with its inputs."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from ddakf.evaluation.baselines.clothfit.features import SCALARS, VECTORS, Inputs
+from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Network, invariants
+from tests.evaluation.clothfit.scene import turn
+
+MIRROR = np.diag([1.0, 1.0, -1.0])
+
+
+def random_network(seed=0):
+    rng = np.random.default_rng(seed)
+    sizes = (INPUTS, 8, 8, OUTPUTS)
+    layers = tuple(
+        (rng.normal(size=(a, b)).astype(np.float32) / a**0.5, rng.normal(size=b).astype(np.float32))
+        for a, b in pairwise(sizes)
+    )
+    return Network(rng.normal(size=INPUTS).astype(np.float32), np.ones(INPUTS, np.float32), layers)
+
+
+def some_inputs(seed=1, count=7):
+    rng = np.random.default_rng(seed)
+    vectors, scalars = rng.normal(size=(count, len(VECTORS), 3)), rng.normal(size=(count, len(SCALARS)))
+    return Inputs(np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)), vectors, scalars)
+
+
+def test_a_zero_network_adds_nothing():
+    assert not Network.zero().offsets(some_inputs()).any()
+
+
+@pytest.mark.parametrize("by", [turn(0.9) @ turn(0.4, "x"), MIRROR])
+def test_the_offset_turns_and_is_mirrored_with_the_vectors(by):
+    inputs, network = some_inputs(), random_network()
+    other = inputs._replace(vectors=inputs.vectors @ by.T)
+    assert network.offsets(other) == pytest.approx(network.offsets(inputs) @ by.T, abs=1e-4)
+
+
+def test_vertices_are_answered_one_by_one():
+    inputs, network = some_inputs(), random_network()
+    part = Inputs(*(array[2:4] for array in inputs))
+    assert network.offsets(inputs)[2:4] == pytest.approx(network.offsets(part), abs=1e-6)
+
+
+def test_invariants_are_the_inner_products_and_the_scalars():
+    vectors, scalars = some_inputs().vectors, some_inputs().scalars
+    seen = invariants(vectors, scalars)
+    assert seen.shape == (7, INPUTS)
+    assert seen[0, 1] == pytest.approx(np.arcsinh(vectors[0, 0] @ vectors[0, 1]), rel=1e-5)
+    assert seen[:, -len(SCALARS) :] == pytest.approx(scalars)
+
+
+def test_inputs_far_from_all_that_was_learned_from_count_as_the_limit():
+    network, inputs = random_network(), np.zeros((1, INPUTS), np.float32)
+    far, farther = inputs + 1e3, inputs + 1e9
+    assert network.coefficients(far) == pytest.approx(network.coefficients(farther))
+
+
+def test_arrays_there_and_back():
+    network = random_network()
+    again = Network.of(network.arrays())
+    assert np.array_equal(again.offsets(some_inputs()), network.offsets(some_inputs()))

@@ -1,0 +1,58 @@
+"""Training lowers the error on what it sees, and is the same again."""
+
+import numpy as np
+import pytest
+
+from ddakf.errors import NotApplicable
+from ddakf.evaluation.baselines.clothfit import training
+from ddakf.evaluation.baselines.clothfit.examples import Stretches, examples
+from ddakf.evaluation.baselines.clothfit.network import Network
+from tests.evaluation.clothfit.scene import swaying
+
+CUT = Stretches(count=2, frames=30, every=2, vertices=80, shortest=20)
+TINY = training.Settings(CUT, hidden=16, steps=150, tuning_steps=20, batch=256, rate=1e-2)
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A garment that is 0.1 s behind the body."""
+    pytest.importorskip("torch")
+    return examples(swaying(60, lag=0.1), CUT, seed=0)
+
+
+def error(network: Network, of) -> float:
+    answer = np.einsum("qk,qka->qa", network.coefficients(of.inputs), of.vectors)
+    return float(np.sqrt(np.mean(np.sum((answer - of.offsets) ** 2, axis=1))))
+
+
+def test_training_lowers_the_error(late):
+    network, losses = training.fit([late], [], TINY, lambda *_: None)
+    assert len(losses) == TINY.steps
+    assert np.mean(losses[-20:]) < 0.75 * np.mean(losses[:20])
+    assert error(network, late) < 0.5 * error(Network.zero(), late)
+
+
+def test_numpy_answers_as_torch_did(late):
+    """The loss of the exported network, on the very last batch's recording, is that of the training's end."""
+    network, losses = training.fit([late], [], TINY, lambda *_: None)
+    answer = np.einsum("qk,qka->qa", network.coefficients(late.inputs), late.vectors)
+    loss = np.sqrt(np.sum((answer - late.offsets) ** 2, axis=1) + TINY.robust**2).mean()
+    assert loss == pytest.approx(np.mean(losses[-20:]), rel=0.1)
+
+
+def test_the_same_seed_gives_the_same_network(late):
+    one, two = (training.fit([late], [late], TINY, lambda *_: None)[0].arrays() for _ in range(2))
+    assert all(np.array_equal(one[name], two[name]) for name in one)
+
+
+def test_progress_counts_both_phases(late):
+    seen = []
+    training.fit([late], [late], TINY, lambda done, total, what: seen.append((done, total, what)))
+    assert seen[0] == (1, 170, "training")
+    assert seen[-1] == (170, 170, "tuning")
+
+
+def test_without_torch_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "torch", None)
+    with pytest.raises(NotApplicable, match=r"torch is not installed: pip install 'ddakf\[learned\]'"):
+        training.torch()
