@@ -96,7 +96,7 @@ class CreateSession(_Strict):
     labels: dict[str, str] = Field(default_factory=dict, description="free key-value pairs")
     limits: LimitsIn = Field(default_factory=LimitsIn)
     session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
-    request_id: str = Field("", max_length=64, description="makes a repeated call harmless")
+    request_id: str = Field("", max_length=256, description="makes a repeated call harmless")
     clean: bool = Field(False, description="repair the garment rather than refuse it, and answer the vertex map")
     api_version: str = Field("1.0", description="version of the contract that the client speaks")
 
@@ -163,7 +163,7 @@ class RestoreSession(LimitsIn):
     model_config = ConfigDict(strict=False)  # a query has only text
 
     session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
-    request_id: str = Field("", max_length=64, description="makes a repeated call harmless")
+    request_id: str = Field("", max_length=256, description="makes a repeated call harmless")
     label: list[str] = Field(default_factory=list, description="labels of the session, key=value", json_schema_extra=KEY_VALUES)
     api_version: str = Field("1.0", description="version of the contract that the client speaks")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
+import logging
 import os
 import sys
 from collections.abc import Callable, Mapping
@@ -24,6 +25,7 @@ from .workers.local import WorkerStartFailed
 
 EXIT_FAILED, EXIT_MISUSED = 1, 2
 
+log = logging.getLogger(__name__)
 
 def serve(args: argparse.Namespace) -> int:
     """Runs until a signal; returns the exit status."""
@@ -46,7 +48,7 @@ def _serve(settings: Settings, as_json: bool, with_parent: bool) -> int:
     configure_logging(settings.log_level, settings.log_format)
     # The workers read these, so that their lines look like the server's.
     os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
-    announcer = JsonAnnouncer() if as_json else ConsoleAnnouncer()
+    announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         try:
             runner.run(_run(settings, announcer, with_parent))
@@ -55,7 +57,7 @@ def _serve(settings: Settings, as_json: bool, with_parent: bool) -> int:
     return 0
 
 
-async def _run(settings: Settings, announcer: ConsoleAnnouncer | JsonAnnouncer, with_parent: bool) -> None:
+async def _run(settings: Settings, announcer: ConsoleAnnouncer | JsonAnnouncer | LogAnnouncer, with_parent: bool) -> None:
     server = Server(settings)
     if with_parent:
         await _call_at_end_of_input(server.stop)
@@ -117,6 +119,19 @@ class JsonAnnouncer:
     def _write(self, **event) -> None:
         sys.stdout.write(json.dumps(event) + "\n")
         sys.stdout.flush()
+
+
+class LogAnnouncer:
+    """The same among the lines of a log that programs read, so that the output holds nothing else."""
+
+    def progress(self, done: int, total: int, name: str) -> None:
+        log.info("compiling kernels", extra={"done": done, "total": total, "kernel": name})
+
+    def ready(self, addresses: Addresses) -> None:
+        log.info("ready", extra={"version": ddakf.__version__, "grpc": addresses.grpc, "http": addresses.http})
+
+    def close(self) -> None:
+        """Nothing stays open."""
 
 
 def compile_bar(console: Console) -> Progress:

@@ -110,6 +110,40 @@ def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet)
 
 
 @pytest.mark.slow
+def test_a_drain_names_the_server_that_takes_over(tmp_path, sheet):
+    arguments = ["--workers", "1", "--spare-workers", "0", "--drain-grace", "0.2", "--successor", "elsewhere.example:7701"]
+    process = ServiceProcess(arguments, log=tmp_path / "service.log")
+    process.wait_until_ready()
+    api = Api(process.grpc)
+    with Talk(api, api.create(sheet).name) as talk:
+        os.kill(process.pid, signal.SIGTERM)
+        notices = [next(talk.answers).notice for _ in range(2)]
+        with pytest.raises(Draining):
+            next(talk.answers)
+    assert process.wait() == 0
+    api.channel.close()
+    assert (notices[1].kind, notices[1].target) == (pb.NOTICE_KIND_RECONNECT, "elsewhere.example:7701")
+
+
+@pytest.mark.slow
+def test_a_log_for_programs_holds_nothing_else(tmp_path):
+    command = [sys.executable, "-m", "ddakf_service", "--workers", "1", "--spare-workers", "0", "--grpc-port", "0",
+               "--http-port", "0", "--data-dir", "none", "--log-format", "json"]  # fmt: skip
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        lines = []
+        for line in process.stderr:
+            lines.append(json.loads(line))
+            if lines[-1]["message"] == "ready":
+                break
+        process.terminate()
+        rest, said = process.stderr.read(), process.stdout.read()
+    assert process.returncode == 0
+    assert said == ""
+    assert all(map(json.loads, rest.splitlines()))
+    assert httpx.URL(lines[-1]["http"]).port
+
+
+@pytest.mark.slow
 def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     api = Api(own_service.grpc)
     with Talk(api, api.create(sheet).name) as talk:
