@@ -12,13 +12,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
 from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.evaluation.datasets.matlab import read_arrays
 from ddakf.evaluation.datasets.point_cache import read_point_cache
 from ddakf.evaluation.datasets.smpl import load_smpl
-from ddakf.evaluation.datasets.utd_mhad import UNREADABLE
 from ddakf.io import read_mesh
 from ddakf.sequence import Sequence
 
@@ -99,18 +98,15 @@ def _model(path: Path, gender: int) -> Path:
 
 def _info(path: Path) -> dict[str, np.ndarray]:
     """The numbers of ``info.mat``, with two dimensions each."""
-    file = path / "info.mat"
-    if not file.is_file():
+    if not (path / "info.mat").is_file():
         raise InvalidFile(str(path), "a folder with info.mat", "none")
-    try:
-        content = loadmat(file, variable_names=list(NUMBERS))
-    except UNREADABLE as error:
-        raise InvalidFile(str(file), "a MATLAB file", f"{type(error).__name__}: {error}") from error
+    content = read_arrays(path / "info.mat", NUMBERS)
     info = {}
     for name, shape in NUMBERS.items():
         value = content.get(name)
-        if value is None or value.ndim != 2 or value.size == 0 or value.dtype.kind not in "fiub" or not np.isfinite(value).all():
-            raise InvalidFile(f"info.mat: {name}", f"finite numbers, {shape}", "none" if value is None else str(value.dtype))
+        if value is None or value.ndim != 2 or value.size == 0 or not np.isfinite(value).all():
+            got = "none" if value is None else f"{value.dtype} of shape {value.shape}"
+            raise InvalidFile(f"info.mat: {name}", f"finite numbers, {shape}", got)
         info[name] = value.astype(np.float64)
     if info["gender"][0, 0] not in MODELS:
         raise InvalidFile("info.mat: gender", NUMBERS["gender"], f"{info['gender'][0, 0]:g}")

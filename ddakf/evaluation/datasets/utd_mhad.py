@@ -5,24 +5,18 @@ Points are in the frame of the sensor: metres, y up, right-handed, the sensor at
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
 
 import numpy as np
-from scipy.io import loadmat
-from scipy.io.matlab import MatReadError
 
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.datasets.matlab import read_arrays
 from ddakf.evaluation.datasets.recording import DepthRecording, positive_rate
 
 # The Kinect for Windows delivers mirrored images: people's left hands appear on the left. They are mirrored back, and
 # with them the principal point (160, 120) that fits the recordings.
 KINECT = Intrinsics(width=320, height=240, fx=285.63, fy=285.63, cx=159.0, cy=120.0)
-# what SciPy's reader raises on damaged files
-UNREADABLE = (ValueError, OSError, KeyError, TypeError, NotImplementedError, MemoryError, IndexError, MatReadError,
-              ArithmeticError, NameError, struct.error, zlib.error)  # fmt: skip
 
 
 def load_depth(path, fps: float = 30.0) -> DepthRecording:
@@ -32,16 +26,11 @@ def load_depth(path, fps: float = 30.0) -> DepthRecording:
         InvalidFile: no such file, no MATLAB file, no ``d_depth`` of that shape.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InvalidFile(str(path), "a depth recording (.mat)", "nothing there")
-    try:
-        depth = loadmat(path, variable_names=["d_depth"])["d_depth"]
-    except KeyError:
-        raise InvalidFile(f"{path.name}: d_depth", "to be in the file", "nothing of that name") from None
-    except UNREADABLE as error:
-        raise InvalidFile(str(path), "a MATLAB file", f"{type(error).__name__}: {error}") from error
+    depth = read_arrays(path, ["d_depth"]).get("d_depth")
+    if depth is None:
+        raise InvalidFile(f"{path.name}: d_depth", "to be in the file", "nothing of that name")
     shape = (KINECT.height, KINECT.width)
-    if depth.ndim != 3 or depth.shape[:2] != shape or depth.shape[2] == 0 or depth.dtype.kind not in "uif":
+    if depth.ndim != 3 or depth.shape[:2] != shape or depth.shape[2] == 0:
         raise InvalidFile(f"{path.name}: d_depth", f"millimetres of shape {(*shape, 'T')}", f"{depth.dtype} {depth.shape}")
     images = np.clip(np.nan_to_num(depth), 0, np.iinfo(np.uint16).max).astype(np.uint16)
     upright = np.ascontiguousarray(images.transpose(2, 0, 1)[:, :, ::-1])
