@@ -56,7 +56,9 @@ def test_files_of_the_other_byte_order_are_read(tmp_path):
     parts = _element(6, struct.pack(">II", 6, 0), ">") + _element(5, struct.pack(">ii", 1, 3), ">") + _element(1, b"abcde", ">")
     matrix = _element(14, parts + _element(3, struct.pack(">hhh", 1, -2, 3), ">"), ">")
     (tmp_path / "a.mat").write_bytes(_file(matrix, ">"))
-    assert np.array_equal(read_arrays(tmp_path / "a.mat", ["abcde"])["abcde"], [[1.0, -2.0, 3.0]])
+    read = read_arrays(tmp_path / "a.mat", ["abcde"])["abcde"]
+    assert np.array_equal(read, [[1, -2, 3]])
+    assert read.dtype == np.int16
 
 
 @pytest.mark.parametrize("packed", [False, True])

@@ -23,8 +23,8 @@ ORDERS = {b"IM": "<", b"MI": ">"}
 MOST_BYTES = 1 << 30  # of an array, unpacked
 MATRIX, PACKED = 14, 15  # kinds of elements
 INT8, INT32, UINT32 = 1, 5, 6
-NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # as they are stored
-CLASSES = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}  # as they are meant
+NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # kinds of elements
+NUMERIC = range(6, 16)  # classes of arrays
 COMPLEX = 0x0800
 
 
@@ -36,7 +36,7 @@ def read_arrays(path, names: Collection[str]) -> dict[str, np.ndarray]:
         names: of the arrays wanted; others, structures and texts are passed over.
 
     Returns:
-        By name, of two or more dimensions.
+        By name, of two or more dimensions, in the type that they are stored in: MATLAB stores whole numbers in the least one.
 
     Raises:
         InvalidFile: no such file, not of this format, damaged, or an array beyond :data:`MOST_BYTES`.
@@ -61,20 +61,17 @@ def _arrays(data: memoryview, order: str, names: Collection[str]) -> Iterator[tu
         if kind == MATRIX:
             parts = _elements(content, order)
             flags, shape, name = (_expected(parts, (kind,))[1] for kind in (UINT32, INT32, INT8))
-            (meant,) = struct.unpack_from(f"{order}I", flags)
+            (flags,) = struct.unpack_from(f"{order}I", flags)
             name = bytes(name).decode("latin-1")
-            if name in names and meant & 0xFF in CLASSES and not meant & COMPLEX:
-                shape = np.frombuffer(shape, f"{order}i4").tolist()
-                yield name, _array(_expected(parts, NUMBERS), order, shape, CLASSES[meant & 0xFF])
+            if name in names and flags & 0xFF in NUMERIC and not flags & COMPLEX:
+                yield name, _array(*_expected(parts, NUMBERS), order, np.frombuffer(shape, f"{order}i4").tolist())
 
 
-def _array(element: tuple[int, memoryview], order: str, shape: list[int], meant: str) -> np.ndarray:
-    kind, content = element
+def _array(kind: int, content: memoryview, order: str, shape: list[int]) -> np.ndarray:
     values = np.frombuffer(content, order + NUMBERS[kind])
     if len(shape) < 2 or min(shape) < 0 or prod(shape) != len(values):
         raise ValueError(f"{len(values)} numbers for an array of shape {shape}")
-    with np.errstate(invalid="ignore"):
-        return values.astype(meant).reshape(shape, order="F")
+    return values.astype(NUMBERS[kind]).reshape(shape, order="F")
 
 
 def _elements(data: memoryview, order: str) -> Iterator[tuple[int, memoryview]]:
