@@ -1,0 +1,208 @@
+"""How the baselines' settings were chosen: ``python benchmarks/tuning.py [--only NAME ...]``, about a quarter of an hour.
+
+Every baseline is tuned on the same clips, by its error alone: from the first value of each of its axes on, one axis after the
+other, the best value is kept (coordinate search). All tries are written to ``benchmarks/results/tuning.json``, which a later
+call with ``--only`` completes; the defaults of the settings are the ones chosen there, and a test compares them. The score is
+the geometric mean over the clips of the RMSE, so that every clip counts alike. DD-AKF runs beside them as it is, untuned here.
+Recordings are found through DDAKF_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ddakf import kernels
+from ddakf.errors import NotApplicable
+from ddakf.evaluation import machine, metrics, trials
+from ddakf.evaluation.baselines import Baseline
+from ddakf.evaluation.baselines.embedded import EmbeddedDeformation, EmbeddedSettings
+from ddakf.evaluation.baselines.icp import IcpSettings, NonRigidPointToPlane, RigidPointToPlane, RigidSettings
+from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
+from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
+from ddakf.evaluation.baselines.particle import ParticleFilter, ParticleSettings
+from ddakf.evaluation.methods import Estimate, named
+from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.source import Frame
+from ddakf.mesh import Mesh
+
+RESULT = Path(__file__).parent / "results/tuning.json"
+CLIPS = (("sample", "full"), ("sample", "front"), ("pergamo_005", "full"), ("sim_tshirt_jump", "full"))
+FRAMES, SEED, SENSOR = 44, 1, Sensor(points=10_000, noise=0.003)  # tracked, after frame 0, which is the start
+DDAKF = "ddakf"
+
+
+class Search(NamedTuple):
+    """What is tried of a baseline: its settings, made into a method; and per axis the values, the first one to begin with."""
+
+    make: Callable[[Any], Baseline]
+    settings: type
+    axes: dict[str, tuple]
+
+
+SEARCHES = {
+    "kf": Search(KalmanFilter, KalmanSettings, {
+        "measurement_sd": (0.1, 0.03, 0.3), "acceleration_density": (0.3, 0.1, 1.0), "gate": (0.05, 0.1, 0.15),
+        "facing": (True, False),
+    }),
+    "icp": Search(NonRigidPointToPlane, IcpSettings, {
+        "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8), "iterations": (8, 12),
+    }),
+    "icp-rigid": Search(RigidPointToPlane, RigidSettings, {
+        "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
+    }),
+    "pf": Search(ParticleFilter, ParticleSettings, {
+        "harmonics": (5, 3, 10), "elasticity": (30.0, 10.0, 100.0), "likelihood_sd": (0.001, 0.0005, 0.002),
+        "shift_sd": (0.005, 0.0025, 0.01), "amplitude_sd": (0.004, 0.002, 0.008), "momentum": (0.5, 0.0, 0.8),
+        "passes": (3, 1, 5),
+    }),
+    "opt-ed": Search(EmbeddedDeformation, EmbeddedSettings, {
+        "rotation": (3.0, 1.0, 10.0), "point": (0.03, 0.01, 0.1), "regularisation": (1.0, 0.3, 3.0),
+        "nodes": (200, 100, 300), "gate": (0.10, 0.05),
+    }),
+    "nicp": Search(NonRigidIcp, NicpSettings, {"stiffness": (24.0, 16.0)}),
+}  # fmt: skip
+
+
+class Clip(NamedTuple):
+    """The first frames of a recording, seen by a sensor."""
+
+    name: str
+    garment: Mesh
+    start: np.ndarray  # (V, 3) m
+    frames: list[Frame]  # with their truth
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Searches what is asked for; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--only", nargs="+", choices=(DDAKF, *SEARCHES), default=(DDAKF, *SEARCHES), metavar="NAME")
+    parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
+    parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
+    arguments = parser.parse_args(argv)
+    threadpool_limits(1)
+    kernels.warm()
+    report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
+    for name in arguments.only:
+        report["methods"][name] = ddakf(arguments.frames) if name == DDAKF else search(name, arguments.frames)
+        report["meta"] = meta(arguments.frames)
+        arguments.out.parent.mkdir(parents=True, exist_ok=True)
+        arguments.out.write_text(readable(report))
+    return 0
+
+
+def search(name: str, frames: int) -> dict:
+    """Coordinate search of a baseline's settings: ``chosen``, ``score`` and all ``tries``."""
+    make, settings, axes = SEARCHES[name]
+    chosen, tries = {axis: values[0] for axis, values in axes.items()}, []
+
+    def tried(values: dict) -> dict:
+        row = {"settings": values} | score(lambda: started_by(make(settings(**values))), frames)
+        tries.append(row)
+        print(f"{name} {values}: RMSE {row['rmse_mm']} mm, normal {row['normal_rmse_mm']}", file=sys.stderr, flush=True)
+        return row
+
+    try:
+        best = tried(chosen)
+        for axis, values in axes.items():
+            rows = [tried(best["settings"] | {axis: value}) for value in values[1:]]
+            best = min([best, *rows], key=lambda row: row["rmse_mm"])
+    except NotApplicable as absent:
+        return {"not_applicable": str(absent)}
+    return {"chosen": asdict(settings(**best["settings"])), "score": best, "tries": tries}
+
+
+def ddakf(frames: int) -> dict:
+    """DD-AKF's default on the same clips."""
+    return {"score": score(lambda: named("default"), frames)}
+
+
+def started_by(method: Baseline) -> Callable:
+    """A baseline as :func:`ddakf.evaluation.methods.named` gives it."""
+
+    def made(garment: Mesh, start: np.ndarray, body: None) -> Callable[[Frame], Estimate]:
+        method.start(garment, start, body)
+        return lambda f: Estimate(method.step(f.points, f.timestamp, f.sensor_origin, f.body_vertices))
+
+    return made
+
+
+def score(make: Callable, frames: int) -> dict:
+    """A method on all clips: geometric means of the errors, and the median time per frame; all of them per clip too."""
+    rows = {}
+    for clip in clips(frames):
+        step, errors, normal, times = make()(clip.garment, clip.start, None), [], [], []
+        for frame in clip.frames:
+            begun = time.thread_time()
+            vertices = step(frame).vertices
+            times.append(1e3 * (time.thread_time() - begun))
+            errors.append(metrics.rmse_mm(vertices, frame.truth))
+            normal.append(metrics.normal_rmse_mm(vertices, frame.truth, clip.garment.faces))
+        row = {"rmse_mm": np.mean(errors), "normal_rmse_mm": np.mean(normal), "cpu_ms_p50": np.median(times)}
+        rows[clip.name] = {key: round(float(value), 2) for key, value in row.items()}
+    means = {key: round(geometric_mean([row[key] for row in rows.values()]), 3) for key in ("rmse_mm", "normal_rmse_mm")}
+    return means | {"clips": rows}
+
+
+def geometric_mean(values: list[float]) -> float:
+    return float(np.exp(np.mean(np.log(values))))
+
+
+def clips(frames: int) -> Iterator[Clip]:
+    for name, view in CLIPS:
+        yield _clip(name, view, frames)
+
+
+@lru_cache(maxsize=len(CLIPS))
+def _clip(name: str, view: str, frames: int) -> Clip:
+    sequence = trials.recording(name)
+    sensor = Sensor(view, SENSOR.points, SENSOR.noise)
+    seen = []
+    for k in range(1, min(frames, len(sequence) - 1) + 1):
+        cloud = sensor.capture(sequence, k, np.random.default_rng([SEED, k]))
+        seen.append(Frame(k, sequence.timestamp(k), *cloud, truth=sequence.garment_vertices[k]))
+    garment = Mesh(sequence.template, sequence.garment_faces)
+    return Clip(f"{name} {view}", garment, sequence.garment_vertices[0].astype(np.float64), seen)
+
+
+def meta(frames: int) -> dict:
+    return {
+        "command": "python benchmarks/tuning.py",
+        "commit": machine.commit(),
+        "date": time.strftime("%Y-%m-%d"),
+        "machine": machine.describe(),
+        "clips": [" ".join(clip) for clip in CLIPS],
+        "frames": frames,
+        "points": SENSOR.points,
+        "noise_mm": 1e3 * SENSOR.noise,
+        "seed": SEED,
+        "score": "geometric mean over the clips of the mean RMSE",
+    }
+
+
+def readable(report: dict) -> str:
+    """JSON with a line per try."""
+    methods = []
+    for name, method in report["methods"].items():
+        texts = {key: _lines(value) if key == "tries" else json.dumps(value) for key, value in method.items()}
+        entries = [f"   {json.dumps(key)}: {text}" for key, text in texts.items()]
+        methods.append(f"  {json.dumps(name)}: {{\n" + ",\n".join(entries) + "\n  }")
+    return f'{{\n "meta": {json.dumps(report["meta"])},\n "methods": {{\n' + ",\n".join(methods) + "\n }\n}\n"
+
+
+def _lines(rows: list[dict]) -> str:
+    return "[\n    " + ",\n    ".join(map(json.dumps, rows)) + "\n   ]"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
