@@ -16,11 +16,19 @@ import ddakf
 from ddakf import doctor, track
 from ddakf.errors import DdakfError
 from ddakf.evaluation.report import command as report
+from ddakf.evaluation.simulation import command as simulate
 from ddakf.evaluation.study import command as study
 
 GROUP = "ddakf.commands"
 FAILURE, INTERRUPTED = 2, 130
-EXTRAS = {"matplotlib": "evaluation", "open3d": "evaluation", "torch": "learned", "ray": "ray"}  # otherwise "service"
+EXTRAS = {
+    "matplotlib": "evaluation",
+    "open3d": "evaluation",
+    "torch": "learned",
+    "newton": "simulation",
+    "warp": "simulation",
+    "ray": "ray",
+}  # otherwise "service"
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -54,6 +62,7 @@ def _parser() -> argparse.ArgumentParser:
     study.register(commands)
     report.register(commands)
     doctor.register(commands)
+    simulate.register(commands)
     for entry_point in sorted(metadata.entry_points(group=GROUP), key=lambda e: e.name):
         if entry_point.name not in commands.choices:
             _load(entry_point)(commands)

@@ -48,3 +48,7 @@ class MissingDependency(DdakfError, ImportError):
 
 class NotApplicable(DdakfError):
     """A method that cannot be used here, in one sentence: no body, or an optional package that is absent."""
+
+
+class PoorQuality(DdakfError):
+    """A simulated recording that is not fit for use; the message names the figure, its limit and its value."""

@@ -1,8 +1,9 @@
 """Recorded garments with ground truth: a mesh per frame, perhaps with the body beneath, in an ``.npz`` file.
 
 Keys: ``garment_V (T, V, 3)``, ``garment_F (F, 3)``, ``fps``; optionally ``body_V (T, B, 3)`` with ``body_F``, and
-``garment_rest (V, 3)``. Metres, y up. In a packed file, which ``ddakf.data.pack`` writes, ``garment_V`` and
-``body_V`` are replaced by the second differences in time of whole multiples of ``quantum`` metres.
+``garment_rest (V, 3)``, and the names ``garment`` and ``motion``. Metres, y up. In a packed file, which ``ddakf.data.pack``
+writes, ``garment_V`` and ``body_V`` are replaced by the second differences in time of whole multiples of ``quantum``
+metres; or ``body_V`` by the pose of the body that ships with ddakf, ``body_rotations (T, J, 3)`` and ``body_shift (T, 3)``.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ class Sequence:
         garment_rest: (V, 3) float32 rest shape, metres, or None.
         body_vertices: (T, B, 3) float32, metres, or None.
         body_faces: (G, 3) int64, or None exactly when there is no body.
+        garment, motion: what they are called, or "" where the file does not say.
     """
 
     name: str
@@ -44,6 +46,8 @@ class Sequence:
     garment_rest: np.ndarray | None = None
     body_vertices: np.ndarray | None = None
     body_faces: np.ndarray | None = None
+    garment: str = ""
+    motion: str = ""
 
     def __len__(self) -> int:
         """The number of frames T."""
@@ -94,9 +98,35 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
     if any(key in arrays for key in ("body_V", "body_V" + PACKED)):
         body = _vertices(path, arrays, "body_V", "(T, B, 3)")
         body_faces = _faces(path, arrays, "body_F", body.shape[1])
-        if len(body) != len(garment):
-            raise InvalidFile(f"{path.name}: body_V", f"{len(garment)} frames as garment_V", f"{len(body)}")
-    return Sequence(path.stem, garment, faces, float(fps), rest, body, body_faces)
+    elif "body_rotations" in arrays:
+        body, body_faces = _posed(path, arrays, len(garment))
+    if body is not None and len(body) != len(garment):
+        raise InvalidFile(f"{path.name}: body_V", f"{len(garment)} frames as garment_V", f"{len(body)}")
+    names = (_name(path, arrays, key) for key in ("garment", "motion"))
+    return Sequence(path.stem, garment, faces, float(fps), rest, body, body_faces, *names)
+
+
+def _posed(path: Path, arrays: dict[str, np.ndarray], n_frames: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (T, B, 3) and faces of the body that ships with ddakf, in the poses of a file."""
+    from ddakf.data.body import Pose, load_body
+
+    body = load_body()
+    rotations = _finite(path, "body_rotations", arrays["body_rotations"])
+    shift = _finite(path, "body_shift", _required(path, arrays, "body_shift"))
+    expected = (n_frames, len(body.names), 3), (n_frames, 3)
+    if (rotations.shape, shift.shape) != expected:
+        found = f"{rotations.shape} and {shift.shape}"
+        raise InvalidFile(f"{path.name}: body_rotations", f"with body_shift shapes {expected[0]} and {expected[1]}", found)
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices = body.skinned(Pose(rotations.astype(np.float64), shift.astype(np.float64)))
+    return _finite(path, "body_shift", vertices), body.faces
+
+
+def _name(path: Path, arrays: dict[str, np.ndarray], key: str) -> str:
+    name = arrays.get(key, np.array(""))
+    if name.shape != () or name.dtype.kind != "U":
+        raise InvalidFile(f"{path.name}: {key}", "one word", f"{name.dtype} of shape {name.shape}")
+    return str(name)
 
 
 def _required(path: Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray:

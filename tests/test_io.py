@@ -236,6 +236,11 @@ GOOD = dict(garment_V=VERTICES[None], garment_F=FACES, fps=30.0)
         ({"body_V": VERTICES[None]}, "body_F"),
         ({"body_V": np.stack([VERTICES] * 2), "body_F": FACES}, "1 frames"),
         ({"garment_V": None, "garment_V_second_difference": np.zeros((1, 3, 4), np.int16)}, "quantum"),
+        ({"body_rotations": np.zeros((1, 20, 3))}, "body_shift"),
+        ({"body_rotations": np.zeros((1, 7, 3)), "body_shift": np.zeros((1, 3))}, "body_rotations: expected with"),
+        ({"body_rotations": np.zeros((2, 20, 3)), "body_shift": np.zeros((2, 3))}, "body_rotations"),
+        ({"body_rotations": np.zeros((1, 20, 3)), "body_shift": np.full((1, 3), np.nan)}, "body_shift: expected finite"),
+        ({"motion": np.array(["walk"])}, "motion: expected one word"),
     ],
 )
 def test_broken_sequences_name_the_key(tmp_path, change, names):

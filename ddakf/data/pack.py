@@ -11,7 +11,7 @@ import argparse
 import numpy as np
 
 from ddakf.errors import InvalidFile
-from ddakf.sequence import PACKED, load_sequence
+from ddakf.sequence import PACKED, Sequence, load_sequence
 
 DEFAULT_QUANTUM = 2.0**-13  # m
 
@@ -25,29 +25,44 @@ def second_differences(vertices: np.ndarray, quantum: float) -> np.ndarray:
     return differences.astype(np.int16)
 
 
-def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
-    """Writes the packed file and reads it back.
-
-    Returns:
-        The largest difference of a coordinate between source and target, metres.
-    """
-    sequence = load_sequence(source)
+def packed(sequence: Sequence, quantum: float = DEFAULT_QUANTUM) -> dict[str, np.ndarray]:
+    """The arrays of a packed file."""
     arrays = {
         "garment_V" + PACKED: second_differences(sequence.garment_vertices, quantum),
         "garment_F": sequence.garment_faces.astype(np.int32),
         "fps": np.float32(sequence.fps),
         "quantum": np.float64(quantum),
+        "garment": np.array(sequence.garment),
+        "motion": np.array(sequence.motion),
     }
     if sequence.garment_rest is not None:
         arrays["garment_rest"] = sequence.garment_rest
     if sequence.has_body:
         arrays["body_V" + PACKED] = second_differences(sequence.body_vertices, quantum)
         arrays["body_F"] = sequence.body_faces.astype(np.int32)
+    return arrays
+
+
+def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
+    """Writes the packed file and reads it back.
+
+    Where the source has the pose of the body that ships with ddakf, as simulated recordings do, the pose is kept and the
+    body's vertices are not: they are most of a file.
+
+    Returns:
+        The largest difference of a coordinate between source and target, metres.
+    """
+    sequence = load_sequence(source)
+    arrays = packed(sequence, quantum)
+    with np.load(source, allow_pickle=False) as archive:
+        pose = {key: archive[key] for key in ("body_rotations", "body_shift") if key in archive.files}
+    if len(pose) == 2:
+        arrays = {key: array for key, array in arrays.items() if not key.startswith("body_")} | pose
     np.savez_compressed(target, **arrays)
-    packed = load_sequence(target)
-    errors = [np.abs(packed.garment_vertices - sequence.garment_vertices).max()]
+    written = load_sequence(target)
+    errors = [np.abs(written.garment_vertices - sequence.garment_vertices).max()]
     if sequence.has_body:
-        errors.append(np.abs(packed.body_vertices - sequence.body_vertices).max())
+        errors.append(np.abs(written.body_vertices - sequence.body_vertices).max())
     return float(max(errors))
 
 

@@ -1,0 +1,129 @@
+"""One simulated recording: a garment cut, a motion made, the cloth settled and simulated, its quality measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.data.body import Body, Pose, load_body
+from ddakf.data.pack import packed
+from ddakf.errors import InvalidArgument, PoorQuality
+from ddakf.evaluation.simulation import garments, motions, quality, solver
+from ddakf.evaluation.simulation.garments import Garment
+from ddakf.sequence import Sequence
+
+SETTLING = 0.8  # s in the rest pose before the first frame
+LICENCE = "CC0 1.0: body by MakeHuman (CC0), garment, motion and simulation by ddakf"
+FEWEST_FRAMES, MOST_FRAMES = 2, 10_000
+
+
+@dataclass(frozen=True)
+class Order:
+    """What to simulate.
+
+    Attributes:
+        garment: of :data:`garments.GARMENTS`.
+        motion: of :data:`motions.MOTIONS`.
+        n_frames: of the recording.
+        n_vertices: of the garment, about.
+        fps: frames per second.
+        seed: varies the garment's measures and the motion; 0 takes both as they are.
+    """
+
+    garment: str
+    motion: str
+    n_frames: int = 150
+    n_vertices: int = 2700
+    fps: float = 30.0
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for field, value, known in (("garment", self.garment, garments.GARMENTS), ("motion", self.motion, motions.MOTIONS)):
+            if value not in known:
+                raise InvalidArgument(field, f"one of {', '.join(known)}", value)
+        if not FEWEST_FRAMES <= self.n_frames <= MOST_FRAMES:
+            raise InvalidArgument("frames", f"a number in [{FEWEST_FRAMES}, {MOST_FRAMES}]", str(self.n_frames))
+        if not 10 <= self.fps <= 240:
+            raise InvalidArgument("fps", "frames per second in [10, 240]", f"{self.fps:g}")
+
+    @property
+    def n_settling(self) -> int:
+        """Frames in the rest pose that are simulated and not kept."""
+        return round(SETTLING * self.fps)
+
+
+def record(order: Order, progress: Callable[[int, int, str], None] = lambda done, total, what: None) -> tuple[Sequence, Pose]:
+    """Simulates a recording.
+
+    Args:
+        order: what to simulate.
+        progress: called as ``progress(done, total, what)`` with frames, those of settling among them.
+
+    Returns:
+        The recording, and the pose of the body in each of its frames.
+
+    Raises:
+        MissingDependency: Newton is not installed.
+        InvalidArgument: a number of vertices out of range.
+        PoorQuality: the solver diverged.
+    """
+    body, total = load_body(), order.n_settling + order.n_frames - 1
+    progress(0, total, "cutting the garment")
+    garment = garments.make(order.garment, body, order.n_vertices, order.seed)
+    pose = motions.make(order.motion, body, order.n_frames, order.fps, order.seed)
+    pose = Pose(pose.rotations.astype(np.float32), pose.shift.astype(np.float32))  # as stored: the body follows from it exactly
+    still = np.concatenate([np.zeros(order.n_settling, int), np.arange(order.n_frames)])
+    posed = body.skinned(pose)[still]
+    pins = body.skinned(pose, body.attach(garment.mesh.vertices, garment.mesh.faces))[still]
+    progress(0, total, "compiling")
+    frames = [garment.mesh.vertices.astype(np.float32)]
+    for done, vertices in enumerate(solver.simulate(garment, posed, body.faces, pins, order.fps), start=1):
+        if not np.isfinite(vertices).all():
+            raise PoorQuality(f"the solver diverged: coordinates of frame {done} of {total} are not finite")
+        frames.append(vertices)
+        progress(done, total, "settling" if done <= order.n_settling else "simulating")
+    return _sequence(order, garment, np.array(frames[-order.n_frames :]), body, posed[-order.n_frames :]), pose
+
+
+def _sequence(order: Order, garment: Garment, frames: np.ndarray, body: Body, posed: np.ndarray) -> Sequence:
+    name = f"{order.garment}_{order.motion}"
+    rest = garment.mesh.vertices.astype(np.float32)
+    faces = garment.mesh.faces
+    return Sequence(name, frames, faces, order.fps, rest, posed, body.faces, order.garment, order.motion)
+
+
+def write(target: Path, order: Order, sequence: Sequence, pose: Pose, solver_version: str) -> dict:
+    """Writes a recording that is fit for use, and its quality figures into a ``.json`` of the same name beside it.
+
+    Args:
+        target: ends in ``.npz``.
+        order, sequence, pose: what was wanted, and what :func:`record` made of it.
+        solver_version: Newton's, for the note.
+
+    Returns:
+        The figures.
+
+    Raises:
+        PoorQuality: a figure is beyond its limit; nothing is written.
+    """
+    found = quality.figures(sequence)
+    quality.check(found)
+    arrays = packed(sequence) | {"body_rotations": pose.rotations, "body_shift": pose.shift}
+    np.savez_compressed(target, **arrays)
+    note = {
+        "garment": order.garment,
+        "motion": order.motion,
+        "seed": order.seed,
+        "fps": order.fps,
+        "solver": f"Newton {solver_version}, vertex block descent",
+        "fabric": solver.DEFAULT_FABRIC.__dict__,
+        "steps": solver.DEFAULT_STEPS.__dict__,
+        "licence": LICENCE,
+        "quality": found,
+    }
+    target.with_suffix(".json").write_text(json.dumps(note, indent=1) + "\n")
+    return found
