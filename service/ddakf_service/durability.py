@@ -8,7 +8,7 @@ import time
 from collections.abc import Awaitable, Callable, Coroutine
 from time import monotonic
 
-from ddakf_api.errors import ServiceError, Unavailable, WorkerLost
+from ddakf_api.errors import ResourceExhausted, ServiceError, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .records import Records, beginning
@@ -133,8 +133,9 @@ class Durability:
         while not (session.seated or session.closed):
             try:
                 await self._restore(session)
-            except (WorkerLost, Unavailable) as error:
-                if session.asleep and isinstance(error, Unavailable):  # at the start, before the workers are warm
+            except (WorkerLost, Unavailable, ResourceExhausted) as error:
+                # At the start the workers are not warm yet, or others have their memory: its client may ask again.
+                if session.asleep and not isinstance(error, WorkerLost):
                     raise Irrecoverable(error) from error
                 if monotonic() - began > _PATIENCE:
                     self._end(session, worker_lost(session.id))

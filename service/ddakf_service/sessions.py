@@ -132,8 +132,8 @@ class Sessions:
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
             raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
-        labels = admission.labels(change) if "labels" in paths else session.labels
-        limits = self._admission.limits(change.limits) if "limits" in paths else session.limits
+        labels = admission.labels(change) if "labels" in paths else None
+        limits = self._admission.limits(change.limits) if "limits" in paths else None
         async with self._using(session):
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
@@ -142,7 +142,9 @@ class Sessions:
                 )
             if paths & {"config_json", "fabric"}:
                 await self._configure(session, change, paths)
-            session.labels, session.limits = labels, limits
+            # What is not named stays as it is now: another call may have changed it while this one waited.
+            session.labels = session.labels if labels is None else labels
+            session.limits = session.limits if limits is None else limits
             session.revision += 1
         self._records.save(session)
         return session.message()

@@ -26,6 +26,7 @@ class Worker:
 
     def __init__(self):
         self.sessions, self.told = {}, []
+        self.turns, self.placing = asyncio.Semaphore(2), asyncio.Lock()
 
     def tell(self, kind, session_id):
         self.told.append((kind, session_id))

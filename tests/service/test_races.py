@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Draining, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service import sessions
 from ddakf_service.settings import Settings
@@ -25,10 +25,16 @@ class Pool:
     def __init__(self):
         self.calls = []
         self.busy, self.configuring = asyncio.Event(), asyncio.Event()
-        self.lost = False
+        self.lost = self.full = False
 
     async def open(self, session_id, request, memory):
         self.calls.append(("open", session_id))
+        return pb.Session().SerializeToString()
+
+    async def restore(self, session_id, request, memory):
+        self.calls.append(("restore", session_id))
+        if self.full:
+            raise ResourceExhausted("memory")
         return pb.Session().SerializeToString()
 
     async def configure(self, session_id, request):
@@ -152,3 +158,29 @@ async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_no
 async def test_a_reset_is_answered_once_a_lost_worker_does_not_undo_it(server):
     with pytest.raises(WorkerLost):
         await server.reset(pb.ResetSessionRequest(name="sessions/some"))
+
+
+async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
+    first = pb.Session(name="sessions/some", labels={"whose": "first"}, fabric="silk")
+    second = pb.Session(name="sessions/some", limits=pb.SessionLimits(max_points=7))
+    calls = [asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change))) for change in (first, second)]
+    await pool.configuring.wait()
+    pool.busy.set()
+    await asyncio.gather(*calls)
+    after = await server.get("sessions/some")
+    assert (dict(after.labels), after.limits.max_points) == ({"whose": "first"}, 7)
+
+
+async def test_a_session_waits_for_a_worker_with_room(server, pool):
+    """As the others have the memory until the lost worker is replaced."""
+    session = server._directory.readable("sessions/some")
+    await server._durability.secure(session)
+    pool.full = True
+    server.lose(["some"])
+    while ("restore", "some") not in pool.calls:
+        await asyncio.sleep(0)
+    pool.full = False
+    async with asyncio.timeout(10):
+        while not session.seated:
+            await asyncio.sleep(0.01)
+    assert server._directory.readable("sessions/some") is session

@@ -28,7 +28,7 @@ from ddakf_service.workers.local import LocalPool
 
 from ddakf import Tracker
 
-from .conftest import frame_of, is_running
+from .conftest import children, frame_of, is_running
 
 LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
 
@@ -229,7 +229,7 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
 @pytest.mark.slow
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
-    lost = []
+    lost, others = [], set(children(os.getpid()))
     pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))
     await pool.start(lambda *_: None)
     try:
@@ -239,6 +239,8 @@ async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, 
         await until(lambda: lost)
         assert lost == [(["one"], 1)], "who is told finds a worker"
         await pool.open("one", creation(sheet))
+        started = [pid for pid in children(os.getpid()) if pid not in others and is_running(pid)]
+        assert started == pool.process_ids(), "the next spare is not begun before"
         assert (await track(pool, "one", frame_of(sheet, 1))).sequence_number == 1
         await until(lambda: pool.health().spares == 1)
     finally:
@@ -254,6 +256,23 @@ async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
     after = track(pool, "one", frame_of(sheet, 2))
     before, plain, _ = await asyncio.gather(before, plain, after)
     assert Tracker.restore(before)._time == Tracker.restore(plain)._time == frame_of(sheet, 1).capture_time
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(implementation, sheet):
+    """So that the first sessions of a lost worker go on while the last ones still wait to be restored."""
+    pool = implementation(1)
+    await pool.start(lambda *_: None)
+    try:
+        await pool.open("first", creation(sheet))
+        opening = [asyncio.create_task(pool.open(f"s{i}", creation(sheet))) for i in range(8)]
+        await asyncio.sleep(0)
+        await track(pool, "first", frame_of(sheet, 1))
+        assert sum(task.done() for task in opening) <= 3
+        await asyncio.gather(*opening)
+    finally:
+        await pool.stop()
 
 
 @pytest.mark.slow

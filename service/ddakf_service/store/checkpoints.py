@@ -14,6 +14,7 @@ import re
 import struct
 import threading
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from time import monotonic
 
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -33,6 +34,7 @@ _MAGIC, _VERSION = b"DDAKFCKP", 1
 _SUFFIX, _UNFINISHED = ".checkpoint", ".unfinished"
 _FOLDER_NAME = re.compile("[0-9a-f]{16}")
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while nothing can be written
+_READERS = 4  # threads
 
 
 class DamagedCheckpoint(ValueError):
@@ -99,6 +101,8 @@ class Checkpoints:
         self._deleted: set[int] = set()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
+        # Of its own, for who waits for objects that do not come shall not keep others from a thread.
+        self._readers = ThreadPoolExecutor(_READERS, "checkpoint-reader")
 
     def open(self) -> None:
         """Begins to write."""
@@ -126,7 +130,7 @@ class Checkpoints:
                 return self._waiting[uid]
             if self._writing is not None and self._writing[0] == uid:
                 return self._writing[1]
-        return await asyncio.to_thread(self._read_newest, uid)
+        return await asyncio.get_running_loop().run_in_executor(self._readers, self._read_newest, uid)
 
     def delete(self, uid: int) -> None:
         """Has all checkpoints of a session deleted; it has ended."""
@@ -142,7 +146,7 @@ class Checkpoints:
             OSError: the checkpoints cannot be reached.
         """
         wanted = {_folder_name(uid) for uid in uids}
-        for name in await asyncio.to_thread(self._folders):
+        for name in await asyncio.get_running_loop().run_in_executor(self._readers, self._folders):
             if _FOLDER_NAME.fullmatch(name) and name not in wanted:
                 self.delete(int(name, 16))
 
@@ -158,6 +162,7 @@ class Checkpoints:
             self._changed.notify_all()
         if self._thread.ident is not None:
             self._thread.join(timeout)
+        self._readers.shutdown(wait=False, cancel_futures=True)
         if self._waiting:
             log.error("the checkpoints of %d sessions could not be written before the end", len(self._waiting))
 

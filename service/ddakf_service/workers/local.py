@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import json
 import logging
@@ -11,7 +12,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Awaitable, Coroutine
+from collections.abc import AsyncIterator, Awaitable, Coroutine
 from pathlib import Path
 from time import monotonic
 
@@ -32,6 +33,9 @@ _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 10.0  # seconds between attempts to replace 
 _FRAMES_IN_PIPE = 2  # one that is tracked, and one so that the worker need not wait; the others' turns come in order
 _LOOK_INTERVAL = 1.0  # seconds between looks for workers that are due to be recycled
 _RETRY_WHEN_FULL = 5.0  # seconds, told to clients
+# A process that starts takes a core for seconds, which belong to the sessions that have lost theirs: a new spare waits until
+# they are placed, or for so many seconds; they have begun to be after the first.
+_HEAD_START, _LONGEST_HEAD_START = 0.5, 10.0
 
 
 class WorkerStartFailed(RuntimeError):
@@ -79,6 +83,7 @@ class LocalPool:
         self._homes: dict[str, _Home] = {}  # by session id
         self._tasks: set[asyncio.Task] = set()
         self._starting = self._restarts = self._recycled = 0
+        self._placing = 0  # sessions that are being opened, restored or moved
 
     async def start(self, progress: Progress) -> None:
         # The first worker compiles and fills the kernel cache; the others then load from it.
@@ -158,7 +163,7 @@ class LocalPool:
         worker.sessions[session_id] = memory
         home = self._homes[session_id] = _Home(worker)
         try:
-            async with home.lock:
+            async with home.lock, self._place_in(worker), worker.turns:
                 return await self._call(worker, kind, session_id, request)
         except BaseException:
             worker.sessions.pop(session_id, None)
@@ -167,6 +172,16 @@ class LocalPool:
             # Whoever asked may have left while the worker was at it.
             worker.tell(wire.Kind.CLOSE, session_id)
             raise
+
+    @contextlib.asynccontextmanager
+    async def _place_in(self, worker: _Worker) -> AsyncIterator[None]:
+        """One session after the other, between which the frames of those that are there have their turns."""
+        self._placing += 1
+        try:
+            async with worker.placing:
+                yield
+        finally:
+            self._placing -= 1
 
     def _home(self, session_id: str) -> _Home:
         try:
@@ -211,6 +226,7 @@ class LocalPool:
 
     async def _recruit(self) -> None:
         """Adds a worker, however many attempts it takes."""
+        await self._give_way()
         pause = _FIRST_PAUSE
         while True:
             try:
@@ -221,6 +237,14 @@ class LocalPool:
                 log.error("a worker could not be started, next attempt in %.1f s: %s", pause, error)
                 await asyncio.sleep(pause)
                 pause = min(2 * pause, _LONGEST_PAUSE)
+
+    async def _give_way(self) -> None:
+        """Returns when the sessions of a lost worker have been placed elsewhere, or once one is missing that takes frames."""
+        latest = monotonic() + _LONGEST_HEAD_START
+        pause = _HEAD_START
+        while pause and len(self._workers) == self._size:
+            await asyncio.sleep(pause)
+            pause = _HEAD_START if self._placing and monotonic() < latest else 0
 
     def _admit(self, worker: _Worker) -> None:
         """A worker that is warm takes frames, or waits until one is missing."""
@@ -292,7 +316,9 @@ class LocalPool:
                 if self._homes.get(session_id) is not home:
                     return
                 data = await self._call(old, wire.Kind.SNAPSHOT, session_id)
-                await self._call(new, wire.Kind.RESTORE, session_id, pb.RestoreSessionRequest(data=data).SerializeToString())
+                request = pb.RestoreSessionRequest(data=data).SerializeToString()
+                async with self._place_in(new), new.turns:
+                    await self._call(new, wire.Kind.RESTORE, session_id, request)
                 if self._homes.get(session_id) is not home:  # it was lost with the old worker meanwhile
                     new.tell(wire.Kind.CLOSE, session_id)
                     return
@@ -320,7 +346,8 @@ class _Worker:
 
     Attributes:
         sessions: with the memory that each is estimated to take.
-        turns: taken by a frame for as long as it is in the pipe or the worker.
+        turns: taken by a frame, or a session that is placed, for as long as it is in the pipe or the worker.
+        placing: taken by a session that waits for such a turn, so that no frame waits for several of them.
         frames: submitted so far.
         gone: set once the process is.
         keeper: waits for that.
@@ -331,7 +358,7 @@ class _Worker:
     def __init__(self, process: subprocess.Popen, reader: asyncio.StreamReader, writer: asyncio.StreamWriter):
         self.process = process
         self.sessions: dict[str, Memory] = {}
-        self.turns = asyncio.Semaphore(_FRAMES_IN_PIPE)
+        self.turns, self.placing = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Lock()
         self.frames = 0
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
@@ -420,6 +447,8 @@ class _Worker:
         except (asyncio.IncompleteReadError, ConnectionError):
             code = await asyncio.to_thread(self.process.wait)
             raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; its log says why") from None
+        except ValueError as error:
+            raise WorkerStartFailed(f"a worker sent what cannot be read before it was ready: {error}") from None
 
     async def _listen(self) -> None:
         try:
