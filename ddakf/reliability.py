@@ -174,7 +174,7 @@ def evidence(
 
 def sample(now: Frame) -> Frame:
     """Some of a frame's points, spread over all: :data:`EVIDENCE_POINTS` of them, and not twice as many."""
-    return now.only(slice(None, None, max(1, len(now.points) // EVIDENCE_POINTS)))
+    return now.only(np.arange(0, len(now.points), max(1, len(now.points) // EVIDENCE_POINTS)))  # no view: kernels know its layout
 
 
 def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:

@@ -26,10 +26,11 @@ for skeleton, how in ((None, {}), (body, {"sensor_origin": eye, "body_vertices":
         tracker = Tracker(garment, body=skeleton, config=config)
         for shift, timestamp in ((0.0, 0.0), (0.03, 0.03), (0.03, 0.06), (0.5, 1.5), (0.5, 1.53)):
             tracker.step(cloud + [shift, 0.0, 0.0], timestamp=timestamp, **how)
+        tracker.step(cloud[::9] + [0.5, 0.0, 0.0], timestamp=1.56, **how)
 print(*sorted(compiled() - before))
 """
 
 
-def test_a_large_soft_garment_needs_no_kernel_that_is_not_compiled_in_advance():
+def test_a_large_soft_garment_and_a_thin_cloud_need_no_kernel_that_is_not_compiled_in_advance():
     run = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     assert run.stdout.strip() == ""

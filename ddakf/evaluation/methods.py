@@ -28,6 +28,7 @@ class Estimate(NamedTuple):
     paper_score: float | None = None
     coverage: float | None = None
     state: str | None = None
+    effective_sample_size: float | None = None  # of a particle filter
 
 
 Method = Callable[[Frame], Estimate]
@@ -106,7 +107,9 @@ def _baseline(name: str, scored: Scored, garment: Mesh, start: np.ndarray, body:
     method.start(garment, start, body)
 
     def step(frame: Frame) -> Estimate:
-        return Estimate(method.step(frame.points, frame.timestamp, frame.sensor_origin, frame.body_vertices))
+        vertices = method.step(frame.points, frame.timestamp, frame.sensor_origin, frame.body_vertices)
+        sizes = getattr(method, "effective_sample_sizes", None)
+        return Estimate(vertices, effective_sample_size=sizes[-1] if sizes else None)
 
     return step
 

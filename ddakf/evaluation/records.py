@@ -74,7 +74,7 @@ class Record:
             body = self._sequence.body_vertices[number]
             values["penetration_mm"], values["inside"] = self._inside(vertices, body)
             values["penetration_truth_mm"], _ = self._inside(truth, body)
-        for name in ("reliability", "paper_score", "coverage", "state"):
+        for name in ("reliability", "paper_score", "coverage", "state", "effective_sample_size"):
             if getattr(estimate, name) is not None:
                 values[name] = getattr(estimate, name)
         if estimate.covariance is not None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ddakf.evaluation import pictures
+from ddakf.evaluation import pictures, statistics
 from ddakf.evaluation.camera import Camera, Intrinsics
 from ddakf.evaluation.figures import COLOURS, STYLES, figure
 from ddakf.evaluation.records import NOMINAL
@@ -35,17 +35,21 @@ def error_maps(path: Path, still: Still, title: str) -> None:
     """
     methods = ordered(still.estimates)
     errors = {m: 1e3 * np.linalg.norm(still.estimates[m] - still.truth, axis=1) for m in methods}
-    top = pictures.round_up(float(np.percentile(np.concatenate([errors[m] for m in methods]), 90)))
+    rmse = {m: float(np.sqrt(np.mean(errors[m] ** 2))) for m in methods}
+    following = [errors[m] for m in methods if not statistics.lost([rmse[m]])[0]] or list(errors.values())
+    top = pictures.round_up(float(np.percentile(np.concatenate(following), 97)))  # what is lost is beyond any scale
     camera = _camera(still)
-    columns = -(-len(methods) // 2) if len(methods) > 5 else len(methods)
-    rows = -(-len(methods) // columns)
-    drawn = figure(2.2 * columns + 0.8, 3.0 * rows + 0.7)
+    columns = min(len(methods) + 1, 5)
+    rows = -(-(len(methods) + 1) // columns)
+    drawn = figure(1.9 * columns + 0.9, 2.7 * rows + 0.4)
     axes = drawn.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
-    for axis, method in zip(axes, methods, strict=False):
+    axes[0].imshow(_painted(still.truth, still.faces, None, top, camera))
+    axes[0].set_title("the truth\n", fontsize=9)
+    for axis, method in zip(axes[1:], methods, strict=False):
         axis.imshow(_painted(still.estimates[method], still.faces, errors[method], top, camera))
-        axis.set_title(f"{TITLES.get(method, method)}\nRMSE {np.sqrt(np.mean(errors[method] ** 2)):.1f} mm", fontsize=9)
+        axis.set_title(f"{TITLES.get(method, method)}\nRMSE {rmse[method]:.1f} mm", fontsize=9)
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
@@ -141,8 +145,8 @@ def _camera(still: Still) -> Camera:
     return Camera(Intrinsics(width, PANEL, focal, focal, cx, cy), unit.eye, unit.axes)
 
 
-def _painted(vertices: np.ndarray, faces: np.ndarray, values: np.ndarray, top: float, camera: Camera) -> np.ndarray:
-    """(H, W, 3) uint8: a surface coloured by values (V,), shaded by a light at the camera."""
+def _painted(vertices: np.ndarray, faces: np.ndarray, values: np.ndarray | None, top: float, camera: Camera) -> np.ndarray:
+    """(H, W, 3) uint8: a surface coloured by values (V,), grey without them, shaded by a light at the camera."""
     vertices, faces = np.asarray(vertices, np.float64), np.ascontiguousarray(faces, np.int64)
     depth, face = camera.render([(vertices, faces)])
     image = np.full((*depth.shape, 3), 255.0)
@@ -150,7 +154,7 @@ def _painted(vertices: np.ndarray, faces: np.ndarray, values: np.ndarray, top: f
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     shade = 0.6 + 0.4 * np.abs((vertex_normals(vertices, faces) * ray).sum(axis=1, keepdims=True))
     i = camera.intrinsics
-    colour = pictures.colours(values, top) * shade
+    colour = (np.full((len(vertices), 3), 184.0) if values is None else pictures.colours(values, top)) * shade
     zbuffer.interpolate(camera.to_camera(vertices), faces, colour, i.fx, i.fy, i.cx, i.cy, 0, face, image)
     return np.clip(image, 0, 255).astype(np.uint8)
 

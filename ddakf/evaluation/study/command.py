@@ -36,6 +36,7 @@ def register(commands: argparse._SubParsersAction) -> None:
         "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all that there are"
     )
     parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
+    parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
     parser.add_argument("--methods", default="", metavar="A,B", help="default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp")
     parser.add_argument("--runs", type=int, metavar="N", help="with seeds 1 to N (default 5, with --quick 2)")
@@ -89,13 +90,18 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     if arguments.frames != ":":
         size = replace(size, frames=arguments.frames, swept=arguments.frames)
     plans = paper.studies(size, arguments.sequences or None)
+    chosen = _names(arguments.only) or list(plans)
+    if unknown := [name for name in chosen if name not in plans]:
+        raise InvalidArgument("only", f"some of {', '.join(plans)}", unknown[0])
+    plans = {name: plan for name, plan in plans.items() if name in chosen}
     for plan in plans.values():
         plan.check()
     arguments.results.mkdir(parents=True, exist_ok=True)
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
         study(plan, arguments.results / f"{name}.json", arguments.procs, console)
-    paper.save_stills(size, plans, arguments.results, console)
+    if not arguments.only:
+        paper.save_stills(size, plans["main"].sequences, arguments.results, console)
     console.print(f"ddakf report --results {arguments.results} renders them")
     return 0
 

@@ -105,9 +105,8 @@ STILLS = {  # name: view, noise in metres, what the sequence's name shall hold, 
 }
 
 
-def save_stills(size: Size, plans: dict[str, Plan], folder: Path, console) -> None:
+def save_stills(size: Size, sequences: tuple[str, ...], folder: Path, console) -> None:
     """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same trial already is kept."""
-    sequences = plans["main"].sequences
     for name, (view, noise, wanted, number) in STILLS.items():
         sequence = next((s for s in sequences if wanted in s), sequences[0])
         view, _, body = view.partition("+")

@@ -43,6 +43,7 @@ VALUES = {  # name in a result: name in a row
     "anees": "anees",
     "spearman_sigma": "spearman_sigma",
     "reliability": "reliability",
+    "effective_sample_size": "effective_sample_size",
 }
 CALIBRATION = ("n", "coverage90", "nees3", "inside")
 PER_FRAME = ("rmse_mm", "penetration_mm", "reliability", "paper_score", "state")
