@@ -8,6 +8,7 @@ import pytest
 
 from ddakf import data
 from ddakf.data.body import load_body
+from ddakf.evaluation.baselines.clothfit import library
 from ddakf.evaluation.simulation import garments, motions, quality
 from ddakf.sequence import load_sequence
 
@@ -42,3 +43,7 @@ def test_the_readme_lists_them_with_their_figures():
         numbers = f"{note['stretch_p99']:.3f}", f"{note['displacement_mean_mm']:.1f}"
         expected.append((path.stem, str(note["vertices"]), str(note["frames"]), *numbers))
     assert sorted(rows) == expected
+
+
+def test_clothfit_may_learn_from_all_of_them():
+    assert set(PATHS) <= {source.path for source in library.sources() if source.shipped}

@@ -49,4 +49,4 @@ def _has_body(path: Path) -> bool:
     if not zipfile.is_zipfile(path):
         return True
     with np.load(path, allow_pickle=False) as archive:
-        return "body_F" in archive.files
+        return not {"body_F", "body_rotations"}.isdisjoint(archive.files)
