@@ -154,5 +154,5 @@ def test_a_factory_hears_what_will_be_scored(monkeypatch):
 
 def test_without_open3d_the_rigid_method_says_so(monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(NotApplicable, match="Open3D"):
+    with pytest.raises(NotApplicable, match="open3d"):
         baseline("icp-rigid")

@@ -8,6 +8,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from ddakf.errors import InvalidArgument
+from ddakf.evaluation.baselines.adapters import Open3dArap, ProbregCpd, TrimeshNricp
 from ddakf.evaluation.baselines.embedded import EmbeddedDeformation
 from ddakf.evaluation.baselines.icp import NonRigidPointToPlane, RigidPointToPlane
 from ddakf.evaluation.baselines.kalman import KalmanFilter
@@ -72,6 +73,9 @@ BASELINES: dict[str, Callable[[Scored], Baseline]] = {
     "opt-ed": lambda scored: EmbeddedDeformation(),
     "nicp": lambda scored: NonRigidIcp(),
     "nicp-12": lambda scored: NonRigidIcp(TWELVE_ITERATIONS),
+    "open3d-arap": lambda scored: Open3dArap(),
+    "trimesh-nricp": lambda scored: TrimeshNricp(),
+    "probreg-cpd": lambda scored: ProbregCpd(),
 }
 
 

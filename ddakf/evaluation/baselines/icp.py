@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised, graph_laplacian
 from ddakf.evaluation.baselines.matching import LEAST_POINTS, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.optional import package
 from ddakf.mesh import Mesh
 
 DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
@@ -117,7 +117,7 @@ class RigidPointToPlane:
 
     def __init__(self, settings: RigidSettings | None = None):
         self.settings = RigidSettings() if settings is None else settings
-        self._open3d = open3d_or_not_applicable()
+        self._open3d = package("open3d", "'ddakf[evaluation]'")
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
@@ -146,16 +146,3 @@ class RigidPointToPlane:
         criteria = registration.ICPConvergenceCriteria(max_iteration=settings.iterations)
         found = registration.registration_icp(cloud, surface, settings.gate, np.eye(4), estimation, criteria)
         return np.linalg.inv(found.transformation)
-
-
-def open3d_or_not_applicable():
-    """The package Open3D.
-
-    Raises:
-        NotApplicable: it is not installed, or lacks a system library.
-    """
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        raise NotApplicable(f"needs Open3D, which cannot be imported here ({error}): pip install 'ddakf[evaluation]'") from error
-    return open3d

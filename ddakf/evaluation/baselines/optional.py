@@ -1,0 +1,24 @@
+"""Packages that some baselines need and that nobody else does."""
+
+from __future__ import annotations
+
+import importlib
+from types import ModuleType
+
+from ddakf.errors import NotApplicable
+
+
+def package(name: str, pip: str) -> ModuleType:
+    """A package by the name of its import.
+
+    Args:
+        name: as in ``import name``.
+        pip: as in ``pip install pip``.
+
+    Raises:
+        NotApplicable: it, or what it needs, cannot be imported.
+    """
+    try:
+        return importlib.import_module(name)
+    except (ImportError, OSError) as error:
+        raise NotApplicable(f"needs {name}, which cannot be imported here ({error}): pip install {pip}") from error
