@@ -56,16 +56,6 @@ def scored(sequence: Sequence | str) -> Scored:
     return Scored(name, origin, "_".join(words))
 
 
-def category_folds(names: Iterable[str]) -> dict[str, Split]:
-    """Leave-garment-category-out: for every category the sequences of all others to train on, and its own to score."""
-    by_name = {name: scored(name).garment for name in names}
-    folds = {}
-    for category in dict.fromkeys(by_name.values()):
-        test = tuple(name for name, other in by_name.items() if other == category)
-        folds[category] = Split(tuple(name for name in by_name if name not in test), test)
-    return folds
-
-
 def faust_split(clips: Iterable[str]) -> Split:
     """Clips of FAUST (``s3_p7``) as the paper parts them: those of subjects 0 to 7 to train on, the rest to score."""
     clips = tuple(clips)

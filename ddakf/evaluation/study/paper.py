@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.evaluation import methods, trials
+from ddakf.evaluation.protocols import faust_split
 from ddakf.evaluation.sensors import front_camera
 from ddakf.evaluation.study import stills
 from ddakf.evaluation.study.plan import METHODS, Plan
@@ -91,8 +92,10 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
 
 
 def _clips(most: int) -> tuple[str, ...]:
-    """So many clips of FAUST, evenly over subjects and poses."""
-    return _spread(trials.faust_names(), most)
+    """So many clips of FAUST, evenly over subjects and poses: of those to be scored, or of all where none of them is at hand."""
+    names = trials.faust_names()
+    test = faust_split(name.removeprefix(trials.FAUST) for name in names).test
+    return _spread([trials.FAUST + clip for clip in test] or names, most)
 
 
 def _spread(names: list[str], most: int) -> tuple[str, ...]:
