@@ -6,6 +6,8 @@ import pytest
 from ddakf.data.body import load_body
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.simulation import command, motions
+from ddakf.mesh import Mesh
+from ddakf.physics import proximity
 
 FPS = 30.0
 
@@ -54,6 +56,19 @@ def test_crossed_arms_cross_before_the_chest(body):
     assert not crossed[0]
     assert crossed.any()
     assert (left[crossed, 2] > body.head("spine_03")[2] + 0.1).all()
+
+
+@pytest.mark.parametrize("name", motions.MOTIONS)
+def test_forearms_and_hands_stay_clear_of_the_trunk(body, name):
+    sides = [f"{bone}_{side}" for bone in ("lowerarm", "hand") for side in "lr"]
+    forearms = body.skin.share([body.index(joint) for joint in sides]) > 0.95
+    arms = body.skin.share([body.index(joint) for joint in (*sides, "upperarm_l", "upperarm_r")])
+    trunk, kept = Mesh.cleaned(body.vertices, body.faces[(arms[body.faces] < 0.1).all(axis=1)])
+    tree = proximity.build(trunk)
+    for posed in body.skinned(motions.make(name, body, 100, FPS))[::12].astype(float):
+        surface = proximity.refresh(tree, posed[kept])
+        found = proximity.closest_points(tree, surface, np.ascontiguousarray(posed[forearms]), radius=np.inf)
+        assert found.distance.min() > 0.03
 
 
 def test_seeds_change_a_motion_and_repeat_it(body):
