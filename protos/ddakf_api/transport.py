@@ -7,6 +7,8 @@ KEEPALIVE_SECONDS = 30.0
 """How often a client asks whether the connection lives, while a call is open."""
 KEEPALIVE_TIMEOUT_SECONDS = 10.0
 """How long it waits for the answer."""
+IDLE_SECONDS = 300.0
+"""How long a server keeps a connection without a call; nobody pings one. A client's next call makes another."""
 
 Options = list[tuple[str, int]]
 
@@ -30,6 +32,7 @@ def server_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
         *_message_limits(max_message_bytes),
         # Half the clients' interval, so that a delayed ping followed by a punctual one is no offence.
         ("grpc.http2.min_ping_interval_without_data_ms", int(500 * KEEPALIVE_SECONDS)),
+        ("grpc.max_connection_idle_ms", int(1000 * IDLE_SECONDS)),
         *_pings(),
     ]
 

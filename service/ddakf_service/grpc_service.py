@@ -7,7 +7,15 @@ import functools
 import logging
 
 import grpc
-from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, MessageTooLarge, ServiceError, class_of, to_detail
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    FailedPrecondition,
+    InvalidArgument,
+    MessageTooLarge,
+    ServiceError,
+    class_of,
+    to_detail,
+)
 from ddakf_api.transport import server_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
@@ -58,15 +66,43 @@ async def _abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
 
 
 class BoundedRequests(grpc.aio.ServerInterceptor):
-    """Looks at the requests of the service before they are parsed. One that is refused reaches its method as the error."""
+    """Has the one request of a call come in time, and looks at those of the service before they are parsed. One that is refused
+    then reaches its method as the error.
+
+    Args:
+        patience: seconds.
+    """
+
+    def __init__(self, patience: float):
+        self._patience = patience
 
     async def intercept_service(self, continuation, details):
         handler = await continuation(details)
+        if handler is None:
+            return None
         service, _, name = details.method.rpartition("/")
-        if handler is None or service != f"/{SERVICE_NAME}":
-            return handler
-        kind = GetMessageClass(_SERVICE.methods_by_name[name].input_type)
-        return handler._replace(request_deserializer=functools.partial(_parsed, kind))
+        if service == f"/{SERVICE_NAME}":
+            kind = GetMessageClass(_SERVICE.methods_by_name[name].input_type)
+            handler = handler._replace(request_deserializer=functools.partial(_parsed, kind))
+        return handler if handler.request_streaming else _read_in_time(handler, self._patience)
+
+
+def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMethodHandler:
+    """The method of one request as one of a stream of requests: those gRPC leaves to be read, and waits for no other for ever."""
+    call = handler.unary_stream or handler.unary_unary
+
+    async def read_and_call(_, context):
+        try:
+            async with asyncio.timeout(patience):
+                request = await context.read()
+        except TimeoutError:
+            await _abort(context, DeadlineExceeded(f"the request did not come within {patience:g} s"))
+        if request is grpc.aio.EOF:
+            await _abort(context, InvalidArgument(field="message", expected="one", got="none"))
+        return await call(request, context)
+
+    way = "stream_stream" if handler.response_streaming else "stream_unary"
+    return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{way: read_and_call})
 
 
 def _parsed(kind: type[Message], data: bytes) -> Message | MessageTooLarge:
@@ -180,7 +216,8 @@ class GrpcServer:
         self._settings, self._tls = settings, tls
         # Without reuse of the port a second server says that the port is taken, rather than share the clients.
         options = [*server_options(settings.max_message_bytes), ("grpc.so_reuseport", 0)]
-        self._server = grpc.aio.server(options=options, interceptors=[GrpcGuard(guard), BoundedRequests()])
+        interceptors = [GrpcGuard(guard), BoundedRequests(settings.request_timeout)]
+        self._server = grpc.aio.server(options=options, interceptors=interceptors)
         rpc.add_TrackingServiceServicer_to_server(TrackingService(sessions, settings), self._server)
         self._health = health.aio.HealthServicer()
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)

@@ -57,7 +57,7 @@ class Settings(BaseSettings):
     cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
         (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
     )
-    request_timeout: float = Field(60.0, gt=0, description="seconds in which an HTTP request has to come, headers and body")
+    request_timeout: float = Field(60.0, gt=0, description="seconds in which a request has to come: over HTTP headers and body")
     keepalive: float = Field(20.0, gt=0, description="seconds between pings of a WebSocket client, and for its answer")
     workers: int = Field(
         default_factory=_default_workers,
