@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING
 import sqlalchemy as sa
 from ddakf_api.errors import Unavailable
 
+from ddakf.errors import InvalidConfig
+
 from .checkpoints import Checkpoints
 from .database import IN_MEMORY, Database
-from .folder import DataFolder
+from .folder import DataFolder, Lock
 from .history import History
 from .name import ServerName
 from .registry import Registry, SessionRecord, new_uid
@@ -39,14 +41,16 @@ class Store:
         checkpoints: None where there is neither a ``data_dir`` nor a ``checkpoint_url``.
 
     Raises:
-        InvalidConfig: naming the setting: ``data_dir`` or, in a PostgreSQL, ``server_id`` is another server's; the folder
-            cannot be written; a URL cannot be used.
+        InvalidConfig: naming the setting: ``data_dir``, an SQLite, a folder of checkpoints or, in a PostgreSQL, ``server_id``
+            is another server's; one cannot be written; a URL cannot be used.
     """
 
     def __init__(self, settings: Settings, metrics: Metrics):
         self.server_id = settings.server_id
         self._name: ServerName | None = None
-        self._folder = None if settings.data_dir == NOTHING else DataFolder(Path(settings.data_dir).expanduser())
+        self._locks: list[DataFolder | Lock] = []
+        if settings.data_dir != NOTHING:
+            self._locks.append(DataFolder(Path(settings.data_dir).expanduser()))
         try:
             self.database = Database(database_url(settings), metrics)
             keep = _KEPT_IN_MEMORY if self.database.in_memory else settings.history_days * _DAY
@@ -55,6 +59,7 @@ class Store:
             url = _checkpoint_url(settings)
             folder = re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
             self.checkpoints = Checkpoints(url, folder, settings.checkpoint_keep, metrics) if url else None
+            self._take_files()
             self.database.open()
             self._take_name()
         except BaseException:
@@ -84,8 +89,23 @@ class Store:
             self._name.release()
         self._release()
 
+    def _take_files(self) -> None:
+        """They may lie outside ``data_dir``, where another server would end this one's sessions and delete its checkpoints."""
+        if (file := self.database.file) is not None:
+            self._lock(file, "database_url")
+        if self.checkpoints is not None and (folder := self.checkpoints.folder) is not None:
+            self._lock(folder, "checkpoint_url")
+
+    def _lock(self, path: Path, setting: str) -> None:
+        path = path.resolve()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._locks.append(Lock(path.with_name(path.name + ".lock"), setting, str(path)))
+        except OSError as error:
+            raise InvalidConfig(setting, "a place that can be written", f"{path}: {error.strerror}") from None
+
     def _take_name(self) -> None:
-        """Of the servers of one PostgreSQL one alone has a name; an SQLite in ``data_dir`` is one server's with it."""
+        """Of the servers of one PostgreSQL one alone has a name; an SQLite is one server's with its file."""
         if engine := self.database.lasting_connections():
             name = ServerName(engine, self.server_id)
             try:
@@ -96,8 +116,8 @@ class Store:
             self._name = name
 
     def _release(self) -> None:
-        if self._folder is not None:
-            self._folder.release()
+        for lock in self._locks:
+            lock.release()
 
 
 def database_url(settings: Settings) -> str:

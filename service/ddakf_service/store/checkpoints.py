@@ -15,6 +15,7 @@ import struct
 import threading
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from time import monotonic
 
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -82,6 +83,9 @@ class Checkpoints:
         server_id: a folder below the URL, so that servers may share one.
         keep: generations per session.
 
+    Attributes:
+        folder: where they are, if in files of this machine.
+
     Raises:
         InvalidConfig: naming ``checkpoint_url``: of a kind that fsspec does not know or whose driver is missing.
     """
@@ -93,6 +97,7 @@ class Checkpoints:
             raise InvalidConfig("checkpoint_url", "an fsspec URL whose driver is installed", str(error)) from None
         self._root = f"{root.rstrip('/')}/{server_id}"
         self._local = isinstance(self._files, LocalFileSystem)
+        self.folder = Path(self._root) if self._local else None
         self._keep, self._metrics = keep, metrics
         self.condition = Condition("checkpoints", metrics)
         self._changed = threading.Condition()

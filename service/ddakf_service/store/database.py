@@ -9,12 +9,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import sqlite3
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from time import monotonic
+from time import monotonic, sleep
 from typing import Generic, TypeVar
 
 import alembic.command
@@ -45,6 +46,7 @@ _CHORE_INTERVAL = 3600.0  # seconds between runs of the chores, such as retentio
 _READERS = 4  # threads
 _READ_PATIENCE = 5.0  # seconds that a reader waits for a connection, and a connection attempt may take
 _RETRY_AFTER = 5.0  # seconds, told to who wanted to read
+_WAL_PAUSE = 0.02  # seconds between attempts to have an SQLite keep a write-ahead log
 _MIGRATION_LOCK = 0x6464616B66  # of PostgreSQL's advisory locks; "ddakf"
 # With these PostgreSQL notices within half a minute that the host of a connection is gone, and lets go of its locks.
 _KEEPALIVES = " -c tcp_keepalives_idle=10 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
@@ -149,13 +151,17 @@ class Database:
         url: of SQLAlchemy, ``sqlite:///FILE``, ``postgresql+psycopg://...`` or :data:`IN_MEMORY`.
         metrics: where failures and dropped rows are counted.
 
+    Attributes:
+        file: of an SQLite; None: it is in memory, or a PostgreSQL.
+
     Raises:
         InvalidConfig: naming ``database_url``: no URL, another kind of database, or its driver is missing.
     """
 
     def __init__(self, url: str, metrics: Metrics):
         self._engine = _engine(url)
-        self.in_memory = url == IN_MEMORY
+        self.file = _file(self._engine.url)
+        self.in_memory = self._engine.dialect.name == "sqlite" and self.file is None
         self.condition = Condition("database", metrics)
         self._dropped = metrics.store_dropped
         self._queues: list[Queue] = []
@@ -347,7 +353,7 @@ def _engine(url: str) -> sa.Engine:
                 parsed, hide_parameters=True, pool_pre_ping=True, pool_timeout=_READ_PATIENCE, connect_args=_POSTGRES_ARGUMENTS
             )
         # One connection in memory, which all share in turn; of a file as many as wanted: readers never wait in WAL.
-        pool = {"poolclass": sa.QueuePool, "pool_size": 1, "max_overflow": 0} if not parsed.database else {}
+        pool = {"poolclass": sa.QueuePool, "pool_size": 1, "max_overflow": 0} if _file(parsed) is None else {}
         engine = sa.create_engine(
             parsed,
             hide_parameters=True,
@@ -362,9 +368,24 @@ def _engine(url: str) -> sa.Engine:
     return engine
 
 
+def _file(url: sa.URL) -> Path | None:
+    """Of an SQLite that is not in memory."""
+    if url.get_backend_name() != "sqlite" or url.database in (None, "", ":memory:"):
+        return None
+    return Path(url.database.removeprefix("file:")).absolute()
+
+
 def _prepare_sqlite(connection, _) -> None:
     connection.isolation_level = None  # transactions begin where SQLAlchemy says so, DDL included
-    connection.execute("PRAGMA journal_mode = WAL")
+    deadline = monotonic() + _READ_PATIENCE
+    while True:
+        try:
+            connection.execute("PRAGMA journal_mode = WAL")
+            break
+        except sqlite3.OperationalError:  # two that make the file at a time: SQLite itself does not wait here
+            if monotonic() > deadline:
+                raise
+            sleep(_WAL_PAUSE)
     connection.execute("PRAGMA synchronous = NORMAL")  # with WAL: no damage, at most the last commits at a loss of power
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import sqlite3
 import threading
 
 import pytest
@@ -47,6 +49,16 @@ def test_an_opened_database_is_left_as_it_was(opened, url):
     first.close()
     names = opened(url).read_now(lambda c: list(c.execute(sa.select(api_keys.c.name)).scalars()))
     assert names == ["n"]
+
+
+def test_an_sqlite_that_another_is_making_is_waited_for(tmp_path, opened):
+    """SQLite by itself fails at once here: its journal cannot be changed while another writes."""
+    with contextlib.closing(sqlite3.connect(tmp_path / "t", isolation_level=None, check_same_thread=False)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        release = threading.Timer(0.2, other.execute, ["COMMIT"])
+        release.start()
+        assert opened(f"sqlite:///{tmp_path}/t").condition.problem == ""
+        release.join()
 
 
 def test_several_servers_may_start_at_once_on_one_database(url, metrics):

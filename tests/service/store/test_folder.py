@@ -14,6 +14,7 @@ from ddakf_service.store.folder import DataFolder
 from ddakf.errors import InvalidConfig
 
 from ..conftest import TIMEOUT
+from .conftest import record
 
 
 def test_a_second_server_is_refused_until_the_first_lets_go(tmp_path):
@@ -62,6 +63,38 @@ def test_a_store_that_cannot_open_lets_go_of_the_folder(tmp_path, metrics):
         Store(Settings(data_dir=str(tmp_path), checkpoint_url="nothing://there"), metrics)
     store = Store(Settings(data_dir=str(tmp_path)), metrics)
     assert (tmp_path / "ddakf.sqlite").exists()
+    store.close()
+
+
+@pytest.mark.parametrize("setting", ["database_url", "checkpoint_url"])
+def test_what_lies_outside_of_the_folder_is_one_server_s_as_well(tmp_path, metrics, setting):
+    """Another one would end its sessions, or delete their checkpoints. By whatever way it names the place."""
+    place, link = tmp_path / "place", tmp_path / "link"
+    place.mkdir()
+    link.symlink_to(place)
+    scheme, name = {"database_url": ("sqlite://", "/some.sqlite"), "checkpoint_url": ("file://", "")}[setting]
+    first = Store(Settings(data_dir=str(tmp_path / "one"), **{setting: f"{scheme}/{place}{name}"}), metrics)
+    other = Settings(data_dir=str(tmp_path / "other"), **{setting: f"{scheme}/{link}{name}"})
+    with pytest.raises(InvalidConfig, match=f"{setting}: expected a place that no other server uses.*{place}"):
+        Store(other, metrics)
+    first.close()
+    Store(other, metrics).close()
+
+
+async def test_servers_of_different_names_share_a_folder_of_checkpoints(tmp_path, metrics):
+    stores = [
+        Store(Settings(data_dir=str(tmp_path / name), checkpoint_url=str(tmp_path / "all"), server_id=name), metrics)
+        for name in ("one", "other")
+    ]
+    for store in stores:
+        store.close()
+
+
+def test_an_sqlite_in_memory_works_by_any_of_its_names(metrics):
+    store = Store(Settings(data_dir="none", database_url="sqlite:///:memory:"), metrics)
+    store.registry.save(record())
+    assert store.database.flush(TIMEOUT)
+    assert store.database.in_memory
     store.close()
 
 
