@@ -42,7 +42,7 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
 
 def tables_of(results: dict[str, Result]) -> list[Table]:
     """The tables that the results can fill."""
-    return [*_faust(results), *_cloth(results), *_sweeps(results), *_reliability(results)]
+    return [*_faust(results), *_cloth(results), *_sweeps(results), *_occlusion(results), *_reliability(results)]
 
 
 def _faust(results: dict[str, Result]) -> list[Table]:
@@ -78,6 +78,13 @@ def _cloth(results: dict[str, Result]) -> list[Table]:
         if name in results:
             parts.append(tables.by_sequence(f"{name}-{value}", title, results[name], value))
     return parts
+
+
+def _occlusion(results: dict[str, Result]) -> list[Table]:
+    if "occlusion" not in results:
+        return []
+    title = "Frames after the occlusion until the error is within 1.5 times that before it; runs that never are do not count"
+    return [tables.by_sequence("recovery", title, results["occlusion"], "recovery_frames")]
 
 
 def _sweeps(results: dict[str, Result]) -> list[Table]:

@@ -19,7 +19,7 @@ HEADS = {
     "stretch_percent": "stretch, %", "stretch_error_percent": "stretch against the truth, %", "bend_deg": "bend, deg",
     "bend_error_deg": "bend against the truth, deg", "penetration_mm": "penetration, mm", "flicker": "flicker, mm/frame²",
     "acceleration_variance": "variance of acceleration, mm²", "ms_per_frame": "ms per frame", "fps": "frames per second",
-    "memory_mib_per_frame": "MiB per frame",
+    "memory_mib_per_frame": "MiB per frame", "recovery_frames": "frames to recover",
 }  # fmt: skip
 DECIMALS = {"iou": 3, "fps": 1, "penetration_mm": 2, "acceleration_variance": 2, "ms_per_frame": 0}
 HIGHER_IS_BETTER = ("iou", "fps")
