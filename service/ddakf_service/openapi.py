@@ -9,7 +9,8 @@ from fastapi import FastAPI
 from pydantic import BaseModel
 from pydantic.json_schema import models_json_schema
 
-from .rest_models import CreateSession, ErrorOut, ResetSession, UpdateSession
+from .rest_errors import ErrorOut
+from .rest_requests import CreateSession, ResetSession, UpdateSession
 
 _BODIES = (CreateSession, UpdateSession, ResetSession)
 _RETRY_AFTER = {"Retry-After": {"description": "seconds", "schema": {"type": "integer", "minimum": 1}}}

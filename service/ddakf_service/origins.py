@@ -16,7 +16,7 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from .rest_models import error_response
+from .rest_errors import error_response
 
 ANY = "*"
 _DOCUMENTATION = ("/docs", "/redoc")

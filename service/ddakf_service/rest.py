@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from datetime import datetime
 from typing import Annotated, Literal
@@ -26,7 +27,9 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI, Path, Query, Request, Response
 from fastapi.responses import PlainTextResponse
+from google.protobuf.message import Message
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
+from pydantic import BaseModel
 from starlette.convertors import Convertor, register_url_convertor
 
 import ddakf
@@ -35,21 +38,17 @@ from . import rest_bodies
 from .info import server_info
 from .openapi import binary_answer, binary_body, document_of, errors, json_body
 from .origins import add_origins
+from .rest_answers import Info, Readiness, SessionList, SessionOut, Statistics
 from .rest_errors import add_error_handlers
 from .rest_history import HistoryOut, history_request
-from .rest_models import (
+from .rest_requests import (
     EXAMPLE_ID,
     KEY_VALUES,
     STATES,
     TRIANGLE,
     CreateSession,
-    Info,
-    Readiness,
     ResetSession,
     RestoreSession,
-    SessionList,
-    SessionOut,
-    Statistics,
     UpdateSession,
     key_value,
     states_from,
@@ -90,6 +89,26 @@ class _SessionIdConvertor(Convertor[str]):
 register_url_convertor("session", _SessionIdConvertor())
 SessionId = Annotated[str, Path(description="of sessions/{session_id}", openapi_examples=_example(EXAMPLE_ID))]
 
+_PageSize = Annotated[
+    int, Query(ge=0, le=2**31, description="at most this many; 0: 50; lowered to 1000", openapi_examples=_example(2))
+]
+_States = Annotated[
+    list[str],
+    Query(
+        description="only sessions in one of these states",
+        json_schema_extra=STATES,
+        openapi_examples=_example(["idle", "tracking"]),
+    ),
+]
+_Labels = Annotated[
+    list[str],
+    Query(
+        description="only sessions with these labels, key=value",
+        json_schema_extra=KEY_VALUES,
+        openapi_examples=_example(["scene=stage"]),
+    ),
+]
+
 DESCRIPTION = """Garment tracking from point clouds.
 
 Frames travel over gRPC (`ddakf_api.v1.TrackingService/Track`) or over a WebSocket, `/v1/sessions/{session_id}/stream`; whoever
@@ -114,6 +133,7 @@ def create_app(
     add_error_handlers(app)
     add_origins(app, settings.cors_origins)
     _add_server_routes(app, sessions, settings, metrics, not_ready, store)
+    _add_collection_routes(app, sessions, settings)
     _add_session_routes(app, sessions, settings)
     _add_state_routes(app, sessions, settings)
     add_websockets(app, sessions, settings.reader_timeout)
@@ -150,8 +170,8 @@ def _add_server_routes(
         return Info.of(server_info(settings, sessions.draining))
 
 
-def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
-    """The standard methods of the resource."""
+def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
+    """The standard methods of all sessions."""
 
     @app.post(
         "/v1/sessions",
@@ -169,43 +189,30 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         message = await rest_bodies.parsed(request, settings, lambda body: CreateSession.model_validate_json(body).to_message())
         return _created(await sessions.create(message), response)
 
-    @app.get("/v1/sessions", tags=["sessions"], responses=errors(InvalidArgument))
+    @app.get("/v1/sessions", tags=["sessions"], response_model=SessionList, responses=errors(InvalidArgument))
     async def list_sessions(
-        page_size: Annotated[
-            int, Query(ge=0, le=2**31, description="at most this many; 0: 50; lowered to 1000", openapi_examples=_example(2))
-        ] = 0,
+        page_size: _PageSize = 0,
         page_token: Annotated[str, Query(description="next_page_token of the page before")] = "",
-        state: Annotated[
-            list[str],
-            Query(
-                description="only sessions in one of these states",
-                json_schema_extra=STATES,
-                openapi_examples=_example(["idle", "tracking"]),
-            ),
-        ] = [],  # noqa: B006
-        label: Annotated[
-            list[str],
-            Query(
-                description="only sessions with these labels, key=value",
-                json_schema_extra=KEY_VALUES,
-                openapi_examples=_example(["scene=stage"]),
-            ),
-        ] = [],  # noqa: B006
-    ) -> SessionList:
+        state: _States = [],  # noqa: B006
+        label: _Labels = [],  # noqa: B006
+    ) -> Response:
         """Lists sessions, oldest first."""
         request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=states_from(state))
         request.labels.update(key_value(text) for text in label)
-        answer = sessions.list(request)
-        return SessionList(sessions=[SessionOut.of(s) for s in answer.sessions], next_page_token=answer.next_page_token)
+        return await _written(SessionList.of, sessions.list(request))
 
-    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], responses=_NAMED)
+
+def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
+    """The standard methods of one session, and its history."""
+
+    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], response_model=SessionOut, responses=_NAMED)
     async def get_session(
         session_id: SessionId,
         view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
-    ) -> SessionOut:
+    ) -> Response:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
         wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
-        return SessionOut.of(await sessions.get(f"sessions/{session_id}", wanted))
+        return await _written(SessionOut.of, await sessions.get(f"sessions/{session_id}", wanted))
 
     @app.patch(
         "/v1/sessions/{session_id:session}",
@@ -233,17 +240,22 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         )
         return SessionOut.of(await sessions.update(message))
 
-    @app.get("/v1/sessions/{session_id:session}/history", tags=["sessions"], responses={**_NAMED, **errors(Unavailable)})
+    @app.get(
+        "/v1/sessions/{session_id:session}/history",
+        tags=["sessions"],
+        response_model=HistoryOut,
+        responses={**_NAMED, **errors(Unavailable)},
+    )
     async def get_session_history(
         session_id: SessionId,
         start: Annotated[datetime | None, Query(alias="from", description="without it the session's creation")] = None,
         end: Annotated[datetime | None, Query(alias="to", description="without it now, or the session's end")] = None,
         resolution: Annotated[float, Query(ge=0, lt=2**32, description="seconds per sample; 0: the finest that fits")] = 0,
         max_samples: Annotated[int, Query(ge=0, lt=2**32, description="at most this many; 0: 500; lowered to 10000")] = 0,
-    ) -> HistoryOut:
+    ) -> Response:
         """Reliability, coverage, latency, frames by outcome and changes of state over time, of a live or a past session."""
         request = history_request(session_id, start, end, resolution, max_samples)
-        return HistoryOut.of(await sessions.history(request))
+        return await _written(HistoryOut.of, await sessions.history(request))
 
     @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_NAMED)
     async def delete_session(session_id: SessionId) -> None:
@@ -300,3 +312,10 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
 def _created(session: pb.Session, response: Response) -> SessionOut:
     response.headers["Location"] = f"/v1/{session.name}"
     return SessionOut.of(session)
+
+
+async def _written(of: Callable[[Message], BaseModel], message: Message) -> Response:
+    """An answer that may be large, made in a thread: a hundred thousand vertices or ten thousand samples take a tenth of a
+    second, for which no stream should wait."""
+    text = await asyncio.to_thread(lambda: of(message).model_dump_json())
+    return Response(text, media_type="application/json")

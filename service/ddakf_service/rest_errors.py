@@ -2,21 +2,47 @@
 
 from __future__ import annotations
 
+import math
 from http import HTTPStatus
 
-from ddakf_api.errors import ServiceError
+from ddakf_api.errors import ServiceError, class_of, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
-from pydantic import ValidationError
+from pydantic import BaseModel, Field, ValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
 from ddakf.errors import DdakfError
 
-from .rest_models import ErrorOut, error_response
 from .validation import invalid_argument
+
+
+class ErrorBody(BaseModel):
+    """What went wrong, in one sentence and in parts."""
+
+    name: str
+    field: str
+    expected: str
+    got: str
+    message: str
+    retry_after: float = Field(0.0, description="seconds after which trying again makes sense; 0: not said")
+
+
+class ErrorOut(BaseModel):
+    error: ErrorBody
+
+    @classmethod
+    def of(cls, detail: pb.ErrorDetail) -> ErrorOut:
+        return cls(error=ErrorBody(**{name: getattr(detail, name) for name in ErrorBody.model_fields}))
+
+
+def error_response(error: Exception) -> JSONResponse:
+    """The answer to a call that failed."""
+    detail = to_detail(error)
+    headers = {"Retry-After": str(math.ceil(detail.retry_after))} if detail.retry_after else None
+    return JSONResponse(ErrorOut.of(detail).model_dump(), class_of(error).http_status, headers=headers)
 
 
 def add_error_handlers(app: FastAPI) -> None:

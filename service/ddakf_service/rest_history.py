@@ -8,7 +8,7 @@ from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 from pydantic import BaseModel, Field
 
-from .rest_models import StateName
+from .rest_answers import StateName, state_name
 
 
 class HistorySample(BaseModel):
@@ -51,7 +51,7 @@ class HistoryOut(BaseModel):
             state_changes=[
                 StateChange(
                     time=change.time.ToDatetime(UTC),
-                    state=pb.SessionState.Name(change.state).removeprefix("SESSION_STATE_").lower(),
+                    state=state_name(change.state),
                 )
                 for change in history.state_changes
             ],

@@ -9,7 +9,7 @@ import httpx
 import jsonschema
 import pytest
 import schemathesis
-from ddakf_service.rest_models import EXAMPLE_ID
+from ddakf_service.rest_requests import EXAMPLE_ID
 from hypothesis import HealthCheck, given, settings
 from schemathesis.checks import not_a_server_error
 from schemathesis.specs.openapi import checks

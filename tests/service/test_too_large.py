@@ -10,7 +10,7 @@ from ddakf_api.errors import InvalidFrame, MessageTooLarge, ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service import parts
 from ddakf_service.payload import require_payload_within
-from ddakf_service.rest_models import CreateSession, ResetSession
+from ddakf_service.rest_requests import CreateSession, ResetSession
 from google.protobuf.message import DecodeError
 from pydantic import ValidationError
 

@@ -13,7 +13,7 @@ from ddakf_api.errors import PermissionDenied, ServiceError, Unauthenticated, cl
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..origins import is_own_name
-from ..rest_models import error_response
+from ..rest_errors import error_response
 from ..status_details import trailers
 from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope, current_principal
