@@ -20,6 +20,7 @@ log = logging.getLogger(__name__)
 
 _PATIENCE = 60.0  # seconds that a session may take to be back, a new worker included
 _PAUSE = 0.1  # seconds between attempts
+_MOST_RESTORED = 8  # sessions at a time, of each of which the checkpoint, megabytes, is copied for its worker
 _MOST_BLAMES, _BLAME_SPAN = 3, 60.0  # workers lost over a session's own frames within so many seconds, after which it ends
 
 
@@ -50,6 +51,7 @@ class Durability:
         self._pool, self._records, self._metrics = pool, records, metrics
         self._every, self._give_up = every, give_up
         self._tasks: set[asyncio.Task] = set()
+        self._restoring = asyncio.Semaphore(_MOST_RESTORED)
         self._placed = 0
 
     def background(self, work: Coroutine) -> asyncio.Task:
@@ -157,8 +159,9 @@ class Durability:
             await self._wake(session)
         checkpoint = session.checkpoint
         if checkpoint is not None:
-            request = pb.RestoreSessionRequest(data=checkpoint.data)
-            answer = await self._pool.restore(session.id, request.SerializeToString(), session.memory)
+            async with self._restoring:
+                request = pb.RestoreSessionRequest(data=checkpoint.data).SerializeToString()
+                answer = await self._pool.restore(session.id, request, session.memory)
         else:
             answer = await self._pool.open(session.id, beginning(session).SerializeToString(), session.memory)
             if session.last_reset:

@@ -71,7 +71,10 @@ class HttpServer:
         if self._tls is not None:
             self._following = asyncio.create_task(self._tls.follow(self._server.config.ssl))
         self._task = asyncio.create_task(self._server.serve(sockets=[listener]))
-        while not self._server.started and not self._task.done():
+        while not self._server.started:
+            if self._task.done():
+                await self._task  # raises why it could not start
+                raise RuntimeError("the HTTP server ended while it started")
             await asyncio.sleep(0.01)
         return listener.getsockname()[1]
 

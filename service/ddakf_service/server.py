@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
@@ -144,12 +145,16 @@ class Server:
         await self._sessions.drain(self._settings.drain_grace)
 
     async def _shut_down(self) -> None:
-        await self._grpc.stop(_LAST_WORDS)
-        await self._http.stop()
-        await self._keys.stop()
-        await self._pool.stop()
-        await asyncio.to_thread(self._store.close)
-        await asyncio.to_thread(self._tracer.close)
+        async with contextlib.AsyncExitStack() as parts:  # each of them ends, from the last on, whatever becomes of another
+            for last, *of in (
+                (asyncio.to_thread, self._tracer.close),
+                (asyncio.to_thread, self._store.close),
+                (self._pool.stop,),
+                (self._keys.stop,),
+                (self._http.stop,),
+                (self._grpc.stop, _LAST_WORDS),
+            ):
+                parts.push_async_callback(last, *of)
         log.info("stopped")
 
     def _on_signal(self) -> None:
@@ -173,7 +178,10 @@ class Server:
         self._recycled_seen = health.recycled
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
-        self._telling = asyncio.ensure_future(self._grpc.serving(not self._not_ready()))
+        self._telling = asyncio.ensure_future(self._tell_health())
+
+    async def _tell_health(self) -> None:
+        await self._grpc.serving(not self._not_ready())  # of this moment, should there have been another change meanwhile
 
 
 def _anonymous(settings: Settings) -> bool:

@@ -14,6 +14,10 @@ import pytest
 from ddakf_api.errors import Draining
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.child import ServiceFailed, ServiceProcess
+from ddakf_service.server import Server
+from ddakf_service.settings import Settings
+from ddakf_service.store import Store
+from ddakf_service.telemetry import Metrics
 
 from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_running
 
@@ -199,3 +203,18 @@ def test_a_service_that_cannot_start_says_why(tmp_path):
     with pytest.raises(ServiceFailed, match="workers"):
         service.wait_until_ready()
     assert service.stop() == 2
+
+
+async def test_what_ends_badly_keeps_nothing_else_from_its_end(tmp_path, monkeypatch):
+    """What waits to be written is, and the folder is free."""
+    settings = Settings(workers=1, spare_workers=0, grpc_port=0, http_port=0, data_dir=str(tmp_path))
+    server = Server(settings)
+
+    async def fail():
+        raise RuntimeError("the port does not close")
+
+    monkeypatch.setattr(server._http, "stop", fail)
+    server.stop()
+    with pytest.raises(RuntimeError, match="does not close"):
+        await server.run(lambda *_: None, lambda _: None)
+    Store(settings, Metrics()).close()

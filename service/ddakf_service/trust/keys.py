@@ -98,7 +98,8 @@ class KeyRing:
 
     async def start(self) -> None:
         """Loads the keys and keeps following them."""
-        await self._load()
+        async with self._loading:
+            await self._load()
         self._task = asyncio.create_task(self._follow())
 
     async def stop(self) -> None:
@@ -133,8 +134,11 @@ class KeyRing:
     async def _follow(self) -> None:
         while True:
             await asyncio.sleep(_REFRESH)
-            async with self._loading:
-                await self._load()
+            try:
+                async with self._loading:
+                    await self._load()
+            except Exception:  # without this the next revoked key would be in force for ever
+                log.exception("a change of the keys could not be followed")
 
     async def _look(self) -> None:
         """Reads the keys, unless others have since this was asked; not more often than every so often, however many ask."""

@@ -51,3 +51,24 @@ async def test_many_who_come_with_unknown_keys_share_one_look():
     outcomes = await asyncio.gather(*(ring.principal(key) for key in unknown), return_exceptions=True)
     assert {type(outcome) for outcome in outcomes} == {Unauthenticated}
     assert store.looks == 1
+
+
+async def test_trouble_with_one_change_does_not_end_the_watch_for_others(monkeypatch):
+    told, (key, _) = [], keys.generate("somebody", [Scope.STREAM], 0.0)
+
+    def on_revoked(ids):
+        told.append(set(ids))
+        if len(told) == 2:
+            raise RuntimeError("a stream could not be ended")
+
+    monkeypatch.setattr(keys, "_REFRESH", 0.0)
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=on_revoked)
+    store.there, store.kept = True, [key]
+    await ring.start()
+    async with asyncio.timeout(20):
+        while len(told) < 3:
+            await asyncio.sleep(0)
+        store.kept = []
+        while told[-1] != {key.id}:
+            await asyncio.sleep(0)
+    await ring.stop()
