@@ -52,10 +52,10 @@ class EmbeddedSettings:
         neighbours: of a point, that give its normal.
     """
 
-    nodes: int = 200
+    nodes: int = 300
     influences: int = 4
-    point: float = 0.05
-    rotation: float = 3.0
+    point: float = 0.01
+    rotation: float = 1.0
     regularisation: float = 1.0
     smoothness: float = 1.0
     iterations: int = 8
