@@ -40,7 +40,8 @@ class Trial:
     """One run.
 
     Attributes:
-        sequence: ``sample``, the name of a recording under DDAKF_DATA (``faust_s3_p7`` of FAUST's clips), or a path.
+        sequence: ``sample`` or another one that ships (``skirt_walk``), the name of a recording under DDAKF_DATA (``faust_s3_p7``
+            of FAUST's clips), or a path.
         view: of :class:`ddakf.evaluation.sensors.Sensor`.
         body: the tracker is told the body of every frame.
         seed: of the sensor's noise.
@@ -108,6 +109,8 @@ def recording(name: str) -> Sequence | Recording | Pair:
         return load_faust(archive).clip(name.removeprefix(FAUST))
     if Path(name.partition("#")[0]).exists():
         return open_dataset(name)
+    if name in {path.stem for path in data.TRAINING.glob("*.npz")}:
+        return load_sequence(data.TRAINING / f"{name}.npz")
     folder = _folder()
     if folder is None or not (folder / f"{name}.npz").is_file():
         raise InvalidArgument("sequence", f"one of {', '.join(names())} (DDAKF_DATA names the folder)", repr(name))

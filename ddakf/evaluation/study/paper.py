@@ -12,7 +12,7 @@ from ddakf.evaluation.protocols import faust_split
 from ddakf.evaluation.sensors import front_camera
 from ddakf.evaluation.study import stills
 from ddakf.evaluation.study.plan import METHODS, Plan
-from ddakf.evaluation.trials import Trial
+from ddakf.evaluation.trials import SAMPLE, Trial
 
 NOISE_MM = (0, 1, 3, 5)  # Table 5
 DROP_PERCENT = (0, 10, 20, 30, 40)  # Table 6
@@ -33,8 +33,7 @@ class Size:
         swept_runs: seeds of the sweeps.
         frames: of every recording in the main study, ``A:B``.
         swept: of every recording in the sweeps.
-        sequences: at most.
-        systems: of :data:`ALL`.
+        names: of the sequences, where nobody says others; none: all that there are.
         sweeps: the first and the last level alone, or all.
         faust: clips at most.
     """
@@ -43,13 +42,13 @@ class Size:
     swept_runs: int = 5
     frames: str = ":"
     swept: str = SWEPT
-    sequences: int | None = None
+    names: tuple[str, ...] = ()
     sweeps: bool = True
-    faust: int | None = 16
+    faust: int = 16
 
 
 FULL = Size()
-QUICK = Size(runs=2, swept_runs=1, frames="0:31", swept="0:31", sequences=2, sweeps=False, faust=2)
+QUICK = Size(runs=2, swept_runs=1, frames="0:31", swept="0:31", names=(SAMPLE, "skirt_walk"), sweeps=False, faust=0)
 
 
 def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
@@ -57,17 +56,17 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
 
     Args:
         size: :data:`FULL` or :data:`QUICK`.
-        names: sequences with a body; None: the sample, and the recordings under DDAKF_DATA.
+        names: sequences with a body; None: those of the size, or the sample and the recordings under DDAKF_DATA.
     """
     bare = tuple(name for name in CAPTURES if name in trials.names())
-    known = names or [name for name in trials.names() if name not in CAPTURES]
-    chosen = tuple(known[: size.sequences])
+    known = names or list(size.names) or [name for name in trials.names() if name not in CAPTURES]
+    chosen = tuple(known)
     common = Trial("", surfaces=True)
-    noise = (NOISE_MM if size.sweeps else NOISE_MM[:: len(NOISE_MM) - 1])
-    drop = (DROP_PERCENT if size.sweeps else DROP_PERCENT[:: len(DROP_PERCENT) - 1])
+    noise = NOISE_MM if size.sweeps else (NOISE_MM[0], NOISE_MM[-1])
+    drop = DROP_PERCENT if size.sweeps else (DROP_PERCENT[0], DROP_PERCENT[-1])
     views = ("full+body", "front+body")
     plans = {}
-    if clips := _clips(size.faust):
+    if size.faust and (clips := _clips(size.faust)):
         plans["faust"] = Plan(clips, ALL, ("full",), size.runs, ":", common)
     plans |= {"main": Plan(chosen, ALL, views, size.runs, size.frames, common)}
     for level in noise:
