@@ -56,7 +56,7 @@ SEARCHES = {
         "facing": (True, False),
     }),
     "icp": Search(NonRigidPointToPlane, IcpSettings, {
-        "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8), "iterations": (8, 12),
+        "iterations": (12, 8), "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8),
     }),
     "icp-rigid": Search(RigidPointToPlane, RigidSettings, {
         "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
@@ -67,8 +67,8 @@ SEARCHES = {
         "passes": (3, 1, 5),
     }),
     "opt-ed": Search(EmbeddedDeformation, EmbeddedSettings, {
-        "rotation": (3.0, 1.0, 10.0), "point": (0.03, 0.01, 0.1), "regularisation": (1.0, 0.3, 3.0),
-        "nodes": (200, 100, 300), "gate": (0.10, 0.05),
+        "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
+        "regularisation": (1.0, 0.3, 3.0), "smoothness": (1.0, 0.3, 3.0), "gate": (0.10, 0.05),
     }),
     "nicp": Search(NonRigidIcp, NicpSettings, {"stiffness": (24.0, 16.0)}),
 }  # fmt: skip
@@ -88,13 +88,18 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=(DDAKF, *SEARCHES), default=(DDAKF, *SEARCHES), metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
+    parser.add_argument("--table", action="store_true", help="print --out as a Markdown table, and run nothing")
     parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
     arguments = parser.parse_args(argv)
+    if arguments.table:
+        print(table(json.loads(arguments.out.read_text())))
+        return 0
     threadpool_limits(1)
     kernels.warm()
     report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
     for name in arguments.only:
-        report["methods"][name] = ddakf(arguments.frames) if name == DDAKF else search(name, arguments.frames)
+        found = ddakf(arguments.frames) if name == DDAKF else search(name, arguments.frames)
+        report["methods"][name] = {"commit": machine.commit()} | found
         report["meta"] = meta(arguments.frames)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(readable(report))
@@ -178,7 +183,6 @@ def _clip(name: str, view: str, frames: int) -> Clip:
 def meta(frames: int) -> dict:
     return {
         "command": "python benchmarks/tuning.py",
-        "commit": machine.commit(),
         "date": time.strftime("%Y-%m-%d"),
         "machine": machine.describe(),
         "clips": [" ".join(clip) for clip in CLIPS],
@@ -188,6 +192,19 @@ def meta(frames: int) -> dict:
         "seed": SEED,
         "score": "geometric mean over the clips of the mean RMSE",
     }
+
+
+def table(report: dict) -> str:
+    """What every system reached with the chosen settings, best first, in Markdown."""
+    names = report["meta"]["clips"]
+    lines = [f"| | {' | '.join(names)} | geometric mean | ms per frame |", "|---" * (len(names) + 3) + "|"]
+    scored = {name: method["score"] for name, method in report["methods"].items() if "score" in method}
+    for name, row in sorted(scored.items(), key=lambda item: item[1]["rmse_mm"]):
+        cells = [f"{row['clips'][clip]['rmse_mm']:.1f} / {row['clips'][clip]['normal_rmse_mm']:.1f}" for clip in names]
+        times = [row["clips"][clip]["cpu_ms_p50"] for clip in names]
+        mean = f"{row['rmse_mm']:.1f} / {row['normal_rmse_mm']:.1f}"
+        lines.append(f"| `{name}` | {' | '.join(cells)} | {mean} | {min(times):.0f}-{max(times):.0f} |")
+    return "\n".join(lines)
 
 
 def readable(report: dict) -> str:

@@ -15,7 +15,7 @@ from ddakf.mesh import Mesh
 
 DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
-SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.03
+SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.1
 
 
 @dataclass(frozen=True)
