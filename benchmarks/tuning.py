@@ -62,9 +62,9 @@ SEARCHES = {
         "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
     }),
     "pf": Search(ParticleFilter, ParticleSettings, {
-        "harmonics": (5, 3, 10), "elasticity": (30.0, 10.0, 100.0), "likelihood_sd": (0.001, 0.0005, 0.002),
-        "shift_sd": (0.005, 0.0025, 0.01), "amplitude_sd": (0.004, 0.002, 0.008), "momentum": (0.5, 0.0, 0.8),
-        "passes": (3, 1, 5),
+        "amplitude_sd": (0.002, 0.001, 0.004), "harmonics": (3, 5), "elasticity": (10.0, 3.0, 30.0),
+        "likelihood_sd": (0.0005, 0.00025, 0.001), "shift_sd": (0.005, 0.0025), "turn_sd": (0.015, 0.0075),
+        "momentum": (0.8, 0.5, 1.0), "passes": (3, 1, 5),
     }),
     "opt-ed": Search(EmbeddedDeformation, EmbeddedSettings, {
         "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
