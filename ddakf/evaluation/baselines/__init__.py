@@ -59,9 +59,9 @@ class Baseline(Protocol):
 
 def _clothfit(scored: Scored) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
-    from ddakf.evaluation.baselines.clothfit.weights import network
+    from ddakf.evaluation.baselines.clothfit.weights import committee
 
-    return ClothFit(network(scored))
+    return ClothFit(committee(scored))
 
 
 BASELINES: dict[str, Callable[[Scored], Baseline]] = {

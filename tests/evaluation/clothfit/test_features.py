@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.evaluation.baselines.clothfit import features as module
-from ddakf.evaluation.baselines.clothfit.features import SCALARS, VECTORS, Features
+from ddakf.evaluation.baselines.clothfit.features import CHANGE, LONGEST, SCALARS, STILL, VECTORS, Features, bent
 from ddakf.evaluation.baselines.clothfit.network import invariants
 from ddakf.mesh import Mesh
 from tests.evaluation.clothfit.scene import BODY, GARMENT, swaying, turn
@@ -48,9 +48,8 @@ def test_a_still_body_gives_nothing_but_constants():
     for number in range(1, 5):
         inputs = features.step(BODY.vertices, number / 30)
     assert inputs.carried == pytest.approx(GARMENT.vertices, abs=1e-12)
-    still = {"skin's normal", "offset", "cloth's normal", "down at the start", "down", "nearest skin's normal"}
-    moving = [k for k, name in enumerate(VECTORS) if name not in still]
-    assert inputs.vectors[:, moving] == pytest.approx(np.zeros((GARMENT.n_vertices, len(moving), 3)), abs=1e-9)
+    change = inputs.vectors[:, len(STILL) :]
+    assert change == pytest.approx(np.zeros((GARMENT.n_vertices, len(CHANGE), 3)), abs=1e-9)
     depth = inputs.scalars[:, SCALARS.index("depth")] * module.DEEP
     assert np.median(depth) == pytest.approx(0.02, abs=0.005)
 
@@ -83,3 +82,9 @@ def test_a_finer_mesh_of_the_same_cloth_sees_much_the_same():
     assert np.sqrt(np.mean((inputs[0] - inputs[1])[:, cloth] ** 2)) < 0.05
     rest = [k for k in range(len(VECTORS)) if k not in cloth and VECTORS[k] != "cloth's normal"]
     assert inputs[0][:, rest] == pytest.approx(inputs[1][:, rest], abs=1e-9)
+
+
+def test_long_vectors_are_bent_back_in_their_direction():
+    short, long = np.array([0.02, 0.0, 0.01]), np.array([300.0, 0.0, -400.0])
+    assert bent(short) == pytest.approx(short, rel=1e-3)
+    assert bent(long) == pytest.approx(LONGEST * long / 500, rel=1e-3)

@@ -5,11 +5,10 @@ import numpy as np
 from ddakf import data
 from ddakf.evaluation.baselines import NOTHING_SAID, Scored
 from ddakf.evaluation.baselines.clothfit.library import Source, allowed, sources
+from ddakf.evaluation.baselines.clothfit.rehearsal import Part
 
-SOURCES = [
-    Source(Scored(*labels), data.SAMPLE, True)
-    for labels in (("a", "skirt", "jump"), ("b", "skirt", "dance"), ("c", "tank top", "jump"), ("d", "tank top", "walk"))
-]
+LABELS = (("a", "skirt", "jump"), ("b", "skirt", "dance"), ("c", "tank top", "jump"), ("d", "tank top", "walk"))
+SOURCES = [Source(Scored(*labels), data.SAMPLE) for labels in LABELS]
 
 
 def names(kept):
@@ -23,7 +22,7 @@ def test_name_garment_and_motion_are_left_out():
 
 
 def test_nothing_said_leaves_nothing_out():
-    assert names(allowed(NOTHING_SAID, [*SOURCES, Source(Scored("", "", ""), data.SAMPLE, True)])) == ["a", "b", "c", "d", ""]
+    assert names(allowed(NOTHING_SAID, [*SOURCES, Source(Scored("", "", ""), data.SAMPLE)])) == ["a", "b", "c", "d", ""]
 
 
 def test_recordings_at_hand_join_what_ships_if_they_have_a_body(tmp_path, monkeypatch):
@@ -34,9 +33,25 @@ def test_recordings_at_hand_join_what_ships_if_they_have_a_body(tmp_path, monkey
     np.savez(folder / "bare_dress.npz", **mesh)
     monkeypatch.setenv("DDAKF_DATA", str(tmp_path))
     found = {source.scored.name: source for source in sources()}
-    assert not found["sim_skirt_hop"].shipped
+    assert found["sim_skirt_hop"].at_hand
     assert (found["sim_skirt_hop"].scored.garment, found["sim_skirt_hop"].scored.motion) == ("skirt", "hop")
-    assert found["sample"].shipped
+    assert not found["sample"].at_hand
     assert "bare_dress" not in found
     monkeypatch.delenv("DDAKF_DATA")
-    assert all(source.shipped for source in sources())
+    assert not any(source.at_hand for source in sources())
+
+
+def test_rehearsals_are_left_out_by_garment_and_motion(monkeypatch):
+    monkeypatch.delenv("DDAKF_DATA", raising=False)
+    left = allowed(Scored("mine", "T-shirt", "jump"), sources())
+    rehearsed = {source.what[:2] for source in left if isinstance(source.what, Part)}
+    assert len(rehearsed) == 3 * 6
+    assert not {pair for pair in rehearsed if pair[0] == "tshirt" or pair[1] == "jump"}
+    assert data.SAMPLE not in {source.what for source in left}
+
+
+def test_digests_tell_files_and_rehearsals_apart(tmp_path):
+    (tmp_path / "a").write_bytes(b"a")
+    (tmp_path / "b").write_bytes(b"b")
+    made_from = tmp_path / "a", tmp_path / "b", Part("skirt", "walk", 1, 2), Part("skirt", "walk", 1, 3)
+    assert len({Source(Scored(), what).digest for what in made_from}) == 4

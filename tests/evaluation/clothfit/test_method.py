@@ -5,11 +5,11 @@ import pytest
 
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
-from ddakf.evaluation.baselines.clothfit.network import Network
+from ddakf.evaluation.baselines.clothfit.network import Committee, Network
 from tests.evaluation.clothfit.scene import BODY, GARMENT, turn
-from tests.evaluation.clothfit.test_network import random_network
+from tests.evaluation.clothfit.test_network import committee
 
-NO_POINTS = np.zeros((0, 3))
+NO_POINTS, NOTHING = np.zeros((0, 3)), Committee((Network.zero(),))
 
 
 def started(network):
@@ -19,7 +19,7 @@ def started(network):
 
 
 def test_a_zero_network_carries_the_garment_with_the_body():
-    method, motion = started(Network.zero()), turn(0.3) @ turn(0.2, "x")
+    method, motion = started(NOTHING), turn(0.3) @ turn(0.2, "x")
     for k in range(1, 4):
         estimate = method.step(NO_POINTS, k / 30, None, BODY.vertices @ motion.T + [0, 0.1 * k, 0])
     assert estimate == pytest.approx(GARMENT.vertices @ motion.T + [0, 0.3, 0], abs=1e-9)
@@ -27,19 +27,19 @@ def test_a_zero_network_carries_the_garment_with_the_body():
 
 def test_the_cloud_changes_nothing():
     points = np.random.default_rng(0).normal(size=(500, 3))
-    one, two = (started(random_network()).step(cloud, 1 / 30, None, BODY.vertices) for cloud in (NO_POINTS, points))
+    one, two = (started(committee()).step(cloud, 1 / 30, None, BODY.vertices) for cloud in (NO_POINTS, points))
     assert np.array_equal(one, two)
 
 
 def test_without_a_body_it_says_so():
     with pytest.raises(NotApplicable, match="no body is given"):
-        ClothFit(Network.zero()).start(GARMENT, GARMENT.vertices, None)
+        ClothFit(NOTHING).start(GARMENT, GARMENT.vertices, None)
     with pytest.raises(NotApplicable, match="no body is given"):
-        started(Network.zero()).step(NO_POINTS, 0.0, None, None)
+        started(NOTHING).step(NO_POINTS, 0.0, None, None)
 
 
 def test_a_new_start_forgets():
-    method, fresh = started(random_network()), started(random_network())
+    method, fresh = started(committee()), started(committee())
     method.step(NO_POINTS, 0.1, None, BODY.vertices + 0.1)
     method.start(GARMENT, GARMENT.vertices, BODY)
     assert np.array_equal(method.step(NO_POINTS, 0.2, None, BODY.vertices), fresh.step(NO_POINTS, 0.2, None, BODY.vertices))

@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from ddakf.evaluation.baselines.clothfit.features import SCALARS, VECTORS, Inputs
-from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Network, invariants
+from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, STILL, VECTORS, Inputs
+from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network, basis, invariants
 from tests.evaluation.clothfit.scene import turn
 
 MIRROR = np.diag([1.0, 1.0, -1.0])
@@ -28,21 +28,35 @@ def some_inputs(seed=1, count=7):
     return Inputs(np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)), vectors, scalars)
 
 
+def committee(count=3):
+    return Committee(tuple(random_network(seed) for seed in range(count)))
+
+
 def test_a_zero_network_adds_nothing():
-    assert not Network.zero().offsets(some_inputs()).any()
+    assert not Committee((Network.zero(),)).offsets(some_inputs()).any()
 
 
 @pytest.mark.parametrize("by", [turn(0.9) @ turn(0.4, "x"), MIRROR])
 def test_the_offset_turns_and_is_mirrored_with_the_vectors(by):
-    inputs, network = some_inputs(), random_network()
+    inputs = some_inputs()
     other = inputs._replace(vectors=inputs.vectors @ by.T)
-    assert network.offsets(other) == pytest.approx(network.offsets(inputs) @ by.T, abs=1e-4)
+    assert committee().offsets(other) == pytest.approx(committee().offsets(inputs) @ by.T, abs=1e-4)
+    assert np.abs(committee().offsets(inputs)).max() > 1e-3
 
 
 def test_vertices_are_answered_one_by_one():
-    inputs, network = some_inputs(), random_network()
+    inputs = some_inputs()
     part = Inputs(*(array[2:4] for array in inputs))
-    assert network.offsets(inputs)[2:4] == pytest.approx(network.offsets(part), abs=1e-6)
+    assert committee().offsets(inputs)[2:4] == pytest.approx(committee().offsets(part), abs=1e-6)
+
+
+def test_without_change_since_the_start_there_is_no_offset():
+    inputs = some_inputs()
+    inputs.vectors[:, len(STILL) :] = 0
+    assert not committee().offsets(inputs).any()
+    assert not basis(inputs.vectors).any()
+    inputs.vectors[:, -1] = [2.0, 1.0, 2.0]
+    assert basis(inputs.vectors)[:, : len(STILL)] == pytest.approx(0.75 * inputs.vectors[:, : len(STILL)])
 
 
 def test_invariants_are_the_inner_products_and_the_scalars():
@@ -59,7 +73,16 @@ def test_inputs_far_from_all_that_was_learned_from_count_as_the_limit():
     assert network.coefficients(far) == pytest.approx(network.coefficients(farther))
 
 
+def test_members_that_agree_are_believed_and_those_that_differ_less():
+    inputs, one = some_inputs(), random_network()
+    alone = Committee((one,)).offsets(inputs)
+    answer = np.einsum("qk,qka->qa", one.coefficients(invariants(inputs.vectors, inputs.scalars)), basis(inputs.vectors))
+    assert alone == pytest.approx(LENGTH * answer, abs=1e-6)
+    assert Committee((one, one)).offsets(inputs) == pytest.approx(alone, abs=1e-6)
+    with_nothing = Committee((one, Network.zero())).offsets(inputs)
+    assert with_nothing == pytest.approx(alone / 2 / (1 + Committee.caution), abs=1e-6)
+
+
 def test_arrays_there_and_back():
-    network = random_network()
-    again = Network.of(network.arrays())
-    assert np.array_equal(again.offsets(some_inputs()), network.offsets(some_inputs()))
+    again = Committee.of(committee().arrays())
+    assert np.array_equal(again.offsets(some_inputs()), committee().offsets(some_inputs()))

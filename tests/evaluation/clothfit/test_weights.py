@@ -13,35 +13,34 @@ from ddakf.evaluation.baselines.clothfit.examples import Stretches
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.training import Settings
 from tests.evaluation.clothfit.scene import swaying
-from tests.evaluation.clothfit.test_network import random_network, some_inputs
+from tests.evaluation.clothfit.test_network import committee, some_inputs
 
-TINY = Settings(Stretches(count=1, frames=12, every=2, vertices=60, shortest=10), hidden=8, steps=30, tuning_steps=10, batch=64)
+CUT = Stretches(count=1, frames=12, every=2, vertices=60, shortest=10)
+TINY = Settings(CUT, CUT, members=2, hidden=8, steps=30, tuning_steps=10, batch=64)
 
 
 @pytest.fixture
 def two_sources(tmp_path, monkeypatch):
     """Two recordings of a tube, in a cache of their own."""
     found = []
-    for name in ("tube_one", "tube_two"):
-        s, path = swaying(20, lag=0.1), tmp_path / f"{name}.npz"
+    for name, lag in (("tube_one", 0.1), ("tube_two", 0.2)):
+        s, path = swaying(20, lag), tmp_path / f"{name}.npz"
         body = {"body_V": s.body_vertices, "body_F": s.body_faces}
         np.savez(path, garment_V=s.garment_vertices, garment_F=s.garment_faces, fps=s.fps, **body)
-        found.append(Source(Scored(name, name, name), path, name == "tube_one"))
+        found.append(Source(Scored(name, name, name), path, name == "tube_two"))
     monkeypatch.setattr(library, "sources", lambda: found)
     monkeypatch.setenv("DDAKF_CACHE", str(tmp_path / "cache"))
     return found
 
 
 def test_saved_weights_come_back_as_they_were(tmp_path):
-    weights.save(tmp_path / "w.npz", random_network())
-    loaded = weights.load(tmp_path / "w.npz")
-    assert np.array_equal(loaded.offsets(some_inputs()), random_network().offsets(some_inputs()))
-    assert [path.name for path in tmp_path.iterdir()] == ["w.npz"]
+    np.savez(tmp_path / "w.npz", **committee().arrays())
+    assert np.array_equal(weights.load(tmp_path / "w.npz").offsets(some_inputs()), committee().offsets(some_inputs()))
 
 
 def test_weights_of_another_network_are_refused(tmp_path):
-    arrays = random_network().arrays()
-    np.savez(tmp_path / "w.npz", **(arrays | {"mean": arrays["mean"][1:]}))
+    arrays = committee().arrays()
+    np.savez(tmp_path / "w.npz", **(arrays | {"1.mean": arrays["1.mean"][1:]}))
     with pytest.raises(InvalidFile, match="weights of"):
         weights.load(tmp_path / "w.npz")
 
@@ -50,7 +49,7 @@ def test_the_key_tells_data_and_settings_apart(two_sources):
     keys = {weights.key(chosen, settings) for chosen in (two_sources, two_sources[:1]) for settings in (TINY, Settings())}
     assert len(keys) == 4
     before = weights.key(two_sources, TINY)
-    two_sources[0].path.write_bytes(two_sources[0].path.read_bytes() + b"\0")
+    two_sources[0].what.write_bytes(two_sources[0].what.read_bytes() + b"\0")
     assert weights.key(two_sources, TINY) != before
 
 
@@ -63,26 +62,38 @@ def test_what_is_scored_is_not_in_the_training(two_sources, monkeypatch):
         return train(chosen, *rest)
 
     monkeypatch.setattr(weights, "train", noted)
-    weights.network(Scored("tube_two"), TINY)
-    weights.network(Scored("other", "", "tube_one"), TINY)
+    weights.committee(Scored("tube_two"), TINY)
+    weights.committee(Scored("other", "", "tube_one"), TINY)
     assert seen == [["tube_one"], ["tube_two"]]
 
 
 def test_it_trains_once_and_then_needs_no_torch(two_sources, monkeypatch, capsys):
     pytest.importorskip("torch")
-    first = weights.network(Scored("elsewhere"), TINY)
+    first = weights.committee(Scored("elsewhere"), TINY)
     out = capsys.readouterr()
     assert out.out == ""
     monkeypatch.setitem(sys.modules, "torch", None)
-    again = weights.network(Scored("elsewhere"), TINY)
+    again = weights.committee(Scored("elsewhere"), TINY)
     assert all(np.array_equal(first.arrays()[name], again.arrays()[name]) for name in first.arrays())
-    assert first.layers[-1][0].any()
+    assert first.members[0].layers[-1][0].any()
 
 
 def test_sentences_where_it_cannot_be_used(two_sources, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(NotApplicable, match="torch is not installed"):
         baseline("clothfit")
-    monkeypatch.setattr(library, "sources", lambda: [Source(Scored("sample"), data.SAMPLE, True)])
+    monkeypatch.setattr(library, "sources", lambda: [Source(Scored("sample"), data.SAMPLE)])
     with pytest.raises(NotApplicable, match="nothing to learn from once sample is left out"):
         baseline("clothfit", Scored("sample"))
+
+
+def test_examples_are_made_once_for_all_that_leave_out_something_else(two_sources, monkeypatch):
+    pytest.importorskip("torch")
+    first = weights.committee(Scored("elsewhere"), TINY)
+    kept = {path.name for path in weights.folder().iterdir()}
+    assert len([name for name in kept if name.startswith("clothfit-examples-")]) == 2
+    monkeypatch.setattr(weights, "examples", None)
+    other = weights.committee(Scored("tube_two"), TINY)
+    assert not all(np.array_equal(first.arrays()[name], other.arrays()[name]) for name in first.arrays())
+    assert {path.name for path in weights.folder().iterdir()} > kept
+    assert not [path for path in weights.folder().iterdir() if path.suffix == ".part"]

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.evaluation.baselines.clothfit.features import LENGTH, Features
-from ddakf.evaluation.baselines.clothfit.network import invariants
+from ddakf.evaluation.baselines.clothfit.network import basis, invariants
 from ddakf.mesh import Mesh
 from ddakf.sequence import Sequence
 
@@ -36,7 +36,7 @@ class Examples(NamedTuple):
     """N vertices of some frames, float32."""
 
     inputs: np.ndarray  # (N, INPUTS) invariants
-    vectors: np.ndarray  # (N, K, 3) in the frame
+    basis: np.ndarray  # (N, K, 3) of which the offset is made, in the frame
     offsets: np.ndarray  # (N, 3) of the truth from the carried place, in the frame, LENGTH
 
 
@@ -59,5 +59,5 @@ def _stretch(sequence: Sequence, garment: Mesh, first: int, cut: Stretches, rng:
             away = sequence.garment_vertices[number][queries] - inputs.carried
             offset = np.einsum("qba,qb->qa", inputs.rotation, away) / LENGTH
             seen = invariants(inputs.vectors, inputs.scalars)
-            parts.append(Examples(seen, inputs.vectors.astype(np.float32), offset.astype(np.float32)))
+            parts.append(Examples(seen, basis(inputs.vectors), offset.astype(np.float32)))
     return parts

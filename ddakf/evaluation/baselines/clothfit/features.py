@@ -22,16 +22,18 @@ BODY_SAMPLES, GARMENT_SAMPLES = 1500, 500  # spread over the surfaces
 BINDING, REACH, REACH_GROWTH = 16, 0.03, 0.4  # samples of the body that carry a vertex; m and 1: see gaussian_weights
 NEARBY, NEARBY_REACH = 96, 0.12  # samples of the body whose motion against its frame a vertex sees; m
 CLOTH, CLOTH_REACHES = 32, (0.05, 0.12)  # samples of the garment, likewise; m
-LENGTH, SPEED, ACCELERATION = 0.05, 1.0, 10.0  # m, m/s, m/s^2: units of the vectors
+LENGTH, ACCELERATION = 0.05, 10.0  # m, m/s^2: units of the vectors
+LONGEST = 2.0  # units: vectors of change are bent back to be shorter than this
 TALL, LONG, HEM, DEEP = 1.6, 0.3, 0.1, 0.02  # m: units of the scalars
 FAR = 3.0  # units: scalars beyond are all alike
 FADE = 0.5  # s: how long the start is remembered
 
-VECTORS = (
-    "skin's normal", "offset", "cloth's normal", "down at the start", "down", "velocity", "acceleration", "mean acceleration",
-    *(f"swing of {frequency:g} Hz" for frequency, _ in SWINGS), "nearest skin's normal",
+STILL = ("skin's normal", "offset", "cloth's normal", "down", "nearest skin's normal")
+CHANGE = (
+    "down since the start", "acceleration", "mean acceleration", *(f"swing of {frequency:g} Hz" for frequency, _ in SWINGS),
     *(f"cloth within {100 * reach:g} cm" for reach in CLOTH_REACHES), "body nearby",
 )  # fmt: skip
+VECTORS = STILL + CHANGE
 SCALARS = ("distance", "height on the body", "height in the garment", "hem", "time", "depth")
 
 
@@ -63,9 +65,8 @@ class Features:
         weights, distance = gaussian_weights(places, samples, BINDING, REACH, REACH_GROWTH)
         self._skinning = Skinning.of(weights, places, samples)
         skin = (weights @ vertex_normals(body.vertices, body.faces)[self._samples])[: self._count]
-        normal = vertex_normals(start, garment.faces)[queries]
-        offset, down = self._skinning.offset[: self._count] / LENGTH, np.broadcast_to(DOWN, normal.shape)
-        self._still = np.stack([skin, offset, normal, down], axis=1)
+        offset = self._skinning.offset[: self._count] / LENGTH
+        self._still = np.stack([skin, offset, vertex_normals(start, garment.faces)[queries]], axis=1)
         self._nearby, _ = gaussian_weights(start[queries], samples, NEARBY, NEARBY_REACH)
         rest, rest_support = garment.vertices[queries], garment.vertices[support]
         self._cloth = [gaussian_weights(rest, rest_support, CLOTH, reach)[0] for reach in CLOTH_REACHES]
@@ -87,14 +88,16 @@ class Features:
         motion = self._motion.step(carried, timestamp)
         normal, depth = self._skin(carried, body)
         down = np.broadcast_to(DOWN, carried.shape)
-        units = [motion.velocity / SPEED, motion.acceleration / ACCELERATION, motion.mean_acceleration / ACCELERATION]
+        accelerations = motion.acceleration / ACCELERATION, motion.mean_acceleration / ACCELERATION
         about = self._about(carried, support, centre, samples)
-        world = np.stack([down, *units, *(swing / LENGTH for swing in motion.swings), normal, *about], axis=1)
+        world = np.stack([down, normal, *accelerations, *(swing / LENGTH for swing in motion.swings), *about], axis=1)
         local = np.einsum("qba,qvb->qva", rotation, world)
         local[:, -len(about) :] -= np.stack(self._about_at_start, axis=1)
+        still = np.concatenate([self._still, local[:, :2]], axis=1)
+        change = np.insert(local[:, 2:], 0, local[:, 0] - DOWN, axis=1)
         time = np.full(self._count, 1 - np.exp(-motion.elapsed / FADE))
-        scalars = np.stack([*self._still_scalars, time, depth / DEEP], axis=1)
-        return Inputs(carried, rotation, np.concatenate([self._still, local], axis=1), np.clip(scalars, -FAR, FAR))
+        scalars = np.clip(np.stack([*self._still_scalars, time, depth / DEEP], axis=1), -FAR, FAR)
+        return Inputs(carried, rotation, np.concatenate([still, bent(change)], axis=1), scalars)
 
     def _about(self, queries: np.ndarray, support: np.ndarray, centre: np.ndarray, samples: np.ndarray) -> list[np.ndarray]:
         """(Q, 3) vectors, in LENGTH, from each query to the cloth around it, and from its centre to the body around it."""
@@ -106,3 +109,8 @@ class Features:
         _, nearest = cKDTree(body).query(queries)
         normal = vertex_normals(body, self._body_faces)[nearest]
         return normal, np.einsum("qa,qa->q", queries - body[nearest], normal)
+
+
+def bent(vectors: np.ndarray) -> np.ndarray:
+    """Vectors (..., 3) of the same directions, no longer than LONGEST; short ones stay as they are."""
+    return vectors / np.sqrt(1 + np.square(vectors / LONGEST).sum(axis=-1, keepdims=True))

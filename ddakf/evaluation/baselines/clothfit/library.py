@@ -1,4 +1,4 @@
-"""What ClothFit learns from, and what not: recordings of garments with the body beneath, without what will be scored."""
+"""What ClothFit learns from, and what not: garments in motion with the body beneath, without what will be scored."""
 
 from __future__ import annotations
 
@@ -13,35 +13,39 @@ import numpy as np
 
 from ddakf import data
 from ddakf.evaluation.baselines import Scored
+from ddakf.evaluation.baselines.clothfit.rehearsal import Part, parts
 
 
 class Source(NamedTuple):
-    """A recording, not yet read."""
+    """A recording, not yet read, or not yet made."""
 
     scored: Scored  # its name, garment and motion
-    path: Path
-    shipped: bool  # with the project (CC0), and not only at hand
+    what: Path | Part
+    at_hand: bool = False  # and not the project's own (CC0)
+
+    @property
+    def digest(self) -> str:
+        """Of what it is made from."""
+        made_from = repr(self.what).encode() if isinstance(self.what, Part) else self.what.read_bytes()
+        return hashlib.sha256(made_from).hexdigest()
 
 
 def sources() -> list[Source]:
-    """Everything there is to learn from: the bundled sample, the simulations in ``ddakf/data/training``, and the recordings with
-    a body in the folder ``sequences`` of DDAKF_DATA."""
+    """Everything there is to learn from: rehearsals, the bundled sample, those that ship for learning, and the
+    recordings with a body in the folder ``sequences`` of DDAKF_DATA."""
     from ddakf.evaluation.protocols import scored  # which imports the baselines
 
-    shipped = [data.SAMPLE, *sorted(data.SAMPLE.parent.glob("training/*.npz"))]
+    rehearsed = [Source(scored(part.name)._replace(name=f"rehearsed {part.name}"), part) for part in parts()]
+    shipped = [data.SAMPLE, *sorted(data.TRAINING.glob("*.npz"))]
     root = os.environ.get("DDAKF_DATA")
     at_hand = sorted(Path(root, "sequences").glob("*.npz")) if root else []
-    return [Source(scored(path.stem), path, path in shipped) for path in [*shipped, *at_hand] if _has_body(path)]
+    read = [Source(scored(path.stem), path, path in at_hand) for path in [*shipped, *at_hand] if _has_body(path)]
+    return [*rehearsed, *read]
 
 
 def allowed(scored: Scored, among: Iterable[Source]) -> list[Source]:
     """The sources without the scored sequence, its garment and its motion."""
     return [source for source in among if not any(a and a == b for a, b in zip(scored, source.scored, strict=True))]
-
-
-def digest(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _has_body(path: Path) -> bool:

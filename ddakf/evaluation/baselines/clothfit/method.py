@@ -1,4 +1,4 @@
-"""ClothFit at work: the garment rides on the body, and the network says what it does beyond that. It never sees the cloud."""
+"""ClothFit at work: the garment rides on the body, and the networks say what it does beyond that. It never sees the cloud."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from scipy import sparse
 
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.features import Features
-from ddakf.evaluation.baselines.clothfit.network import Network
+from ddakf.evaluation.baselines.clothfit.network import Committee
 from ddakf.mesh import Mesh
 
 SMOOTHING = 2  # averages of an offset with its neighbours'
@@ -18,11 +18,11 @@ class ClothFit:
     """Pose-conditioned deformation, learned: see docs/baselines.md.
 
     Args:
-        network: see :mod:`.network`; of :func:`.weights.network` or your own.
+        committee: see :mod:`.network`; of :func:`.weights.committee` or your own.
     """
 
-    def __init__(self, network: Network):
-        self._network = network
+    def __init__(self, committee: Committee):
+        self._committee = committee
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`.
@@ -49,7 +49,7 @@ class ClothFit:
         if body_vertices is None:
             raise NotApplicable(NO_BODY)
         inputs = self._features.step(body_vertices, timestamp)
-        offset = np.einsum("qab,qb->qa", inputs.rotation, self._network.offsets(inputs))
+        offset = np.einsum("qab,qb->qa", inputs.rotation, self._committee.offsets(inputs))
         for _ in range(SMOOTHING):
             offset = self._average @ offset
         return inputs.carried + offset

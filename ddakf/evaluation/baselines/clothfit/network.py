@@ -1,8 +1,9 @@
-"""ClothFit's network: one small perceptron for all vertices, which answers in the local frame; NumPy alone.
+"""ClothFit's network: a small perceptron for all vertices, which answers in the local frame; some of them decide. NumPy alone.
 
 Of the vectors v_k of a vertex it sees what no rotation changes, their inner products, and the scalars; its outputs are the
 coefficients a_k of the offset sum_k a_k v_k. The offset turns with the frame and is mirrored with it (Villar et al. 2021,
-"Scalars are universal", show that any such function can be written so).
+"Scalars are universal", show that any such function can be written so). Vectors that are there when nothing has changed since
+the start count in it by as much as something has, so that a body that stays as it was leaves the garment where it is.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, VECTORS, Inputs
+from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, STILL, VECTORS, Inputs
 
+TINY = 1e-12
 UPPER = np.triu_indices(len(VECTORS))
 INPUTS, OUTPUTS = len(UPPER[0]) + len(SCALARS), len(VECTORS)
 
@@ -22,6 +24,15 @@ def invariants(vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
     vectors = np.asarray(vectors, np.float32)
     products = (vectors @ vectors.transpose(0, 2, 1))[:, UPPER[0], UPPER[1]]
     return np.concatenate([np.arcsinh(products), np.asarray(scalars, np.float32)], axis=1)
+
+
+def basis(vectors: np.ndarray) -> np.ndarray:
+    """(Q, K, 3) float32 of which the offset is made: the vectors of change, and before them those of what is still, times
+    c / (1 + c), c^2 the sum of the squares of the others."""
+    vectors = np.array(vectors, np.float32)
+    change = np.sqrt(np.square(vectors[:, len(STILL) :]).sum(axis=(1, 2)))
+    vectors[:, : len(STILL)] *= (change / (1 + change))[:, None, None]
+    return vectors
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +65,6 @@ class Network:
         matrix, bias = self.layers[-1]
         return x @ matrix + bias
 
-    def offsets(self, inputs: Inputs) -> np.ndarray:
-        """(Q, 3) metres, in the frame's axes."""
-        coefficients = self.coefficients(invariants(inputs.vectors, inputs.scalars))
-        return LENGTH * np.einsum("qk,qka->qa", coefficients, inputs.vectors)
-
     def arrays(self) -> dict[str, np.ndarray]:
         """By the names under which they are saved."""
         named = {"mean": self.mean, "sd": self.sd}
@@ -71,3 +77,35 @@ class Network:
         """Inverse of :meth:`arrays`."""
         count = sum(name.startswith("matrix") for name in arrays)
         return cls(arrays["mean"], arrays["sd"], tuple((arrays[f"matrix{k}"], arrays[f"bias{k}"]) for k in range(count)))
+
+
+@dataclass(frozen=True, eq=False)
+class Committee:
+    """Networks that learned from different recordings (Breiman 1996, "Bagging predictors"). They answer with their mean m, and
+    the less of it the more they differ: m |m|^2 / (|m|^2 + :attr:`caution` s^2), s^2 the mean squared distance of their answers
+    from it."""
+
+    members: tuple[Network, ...]
+
+    caution = 2.0
+
+    def offsets(self, inputs: Inputs) -> np.ndarray:
+        """(Q, 3) metres, in the frame's axes."""
+        seen, vectors = invariants(inputs.vectors, inputs.scalars), basis(inputs.vectors)
+        answers = np.array([np.einsum("qk,qka->qa", member.coefficients(seen), vectors) for member in self.members])
+        mean = answers.mean(axis=0)
+        square, spread = np.square(mean).sum(axis=1), np.square(answers - mean).sum(axis=2).mean(axis=0)
+        return LENGTH * mean * (square / np.maximum(square + self.caution * spread, TINY))[:, None]
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """By the names under which they are saved."""
+        return {f"{k}.{name}": array for k, member in enumerate(self.members) for name, array in member.arrays().items()}
+
+    @classmethod
+    def of(cls, arrays: dict[str, np.ndarray]) -> Committee:
+        """Inverse of :meth:`arrays`."""
+        split: dict[int, dict[str, np.ndarray]] = {}
+        for name, array in arrays.items():
+            member, _, rest = name.partition(".")
+            split.setdefault(int(member), {})[rest] = array
+        return cls(tuple(Network.of(split[k]) for k in sorted(split)))

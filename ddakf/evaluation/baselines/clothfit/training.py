@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.examples import Examples, Stretches
-from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Network
+from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network
 
+SMALLEST_SD = np.float32(1e-3)  # of an input
 Progress = Callable[[int, int, str], None]  # done, of how many, what
 
 
@@ -20,8 +22,10 @@ class Settings:
 
     Attributes:
         cut: of every recording.
+        rehearsed: of every rehearsal.
+        members: of the committee; each learns from all recordings but every so manyth.
         hidden: width of the two hidden layers.
-        steps: on the recordings that ship.
+        steps: of each, on the project's own recordings.
         tuning_steps: after them, on those and the recordings at hand, half of each batch from either.
         batch: examples of a step, as many from each recording.
         rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
@@ -31,9 +35,11 @@ class Settings:
     """
 
     cut: Stretches = field(default_factory=Stretches)
+    rehearsed: Stretches = field(default_factory=lambda: Stretches(count=3, frames=70, vertices=250))
+    members: int = 4
     hidden: int = 96
-    steps: int = 3000
-    tuning_steps: int = 1000
+    steps: int = 1000
+    tuning_steps: int = 300
     batch: int = 2048
     rate: float = 3e-3
     tuning_rate: float = 5e-4
@@ -57,38 +63,52 @@ def torch():
     return torch
 
 
-def fit(shipped: list[Examples], at_hand: list[Examples], settings: Settings, progress: Progress) -> tuple[Network, list[float]]:
+def committee(own: list[Examples], at_hand: list[Examples], settings: Settings, progress: Progress) -> Committee:
+    """Trains :attr:`Settings.members` networks, each without its share of the recordings; see :func:`fit`."""
+    count, whole, members = settings.members, settings.members * (settings.steps + settings.tuning_steps), []
+    for member in range(count):
+        done = member * (settings.steps + settings.tuning_steps)
+        parts = [[part for k, part in enumerate(group) if k % count != member or len(group) < count] for group in (own, at_hand)]
+
+        def step(number: int, what: str, done: int = done) -> None:
+            progress(done + number, whole, what)
+
+        members.append(fit(*parts, settings, settings.seed + member, step)[0])
+    return Committee(tuple(members))
+
+
+def fit(
+    own: list[Examples], at_hand: list[Examples], settings: Settings, seed: int, progress: Callable[[int, str], None]
+) -> tuple[Network, list[float]]:
     """Trains a network, and then tunes it.
 
     Args:
-        shipped: one per recording; to train on.
-        at_hand: likewise, to tune on; trained on where nothing ships.
+        own: the project's recordings, to train on.
+        at_hand: others, to tune on; trained on where there are none of the first kind.
         settings: see :class:`Settings`.
+        seed: of this network.
         progress: is told of every step.
 
     Returns:
         The network, and the loss of every step: the mean over the batch of sqrt(|error|^2 + robust^2) in LENGTH.
     """
     t = torch()
-    t.manual_seed(settings.seed)
-    inputs = np.concatenate([part.inputs for part in [*shipped, *at_hand]])
-    mean, sd = inputs.mean(axis=0), inputs.std(axis=0) + 1e-3
-    layers = [t.nn.Linear(INPUTS, settings.hidden), t.nn.Linear(settings.hidden, settings.hidden)]
-    last = t.nn.Linear(settings.hidden, OUTPUTS)
-    t.nn.init.zeros_(last.weight)
-    t.nn.init.zeros_(last.bias)
-    silu = t.nn.SiLU()
-    net = t.nn.Sequential(layers[0], silu, layers[1], silu, last)
-    rng, losses = np.random.default_rng(settings.seed), []
-    whole = settings.steps + settings.tuning_steps
+    t.manual_seed(seed)
+    inputs = np.concatenate([part.inputs for part in [*own, *at_hand]])
+    mean, sd = inputs.mean(axis=0, dtype=np.float64).astype(np.float32), inputs.std(axis=0) + SMALLEST_SD
+    sizes = INPUTS, settings.hidden, settings.hidden, OUTPUTS
+    layers = [t.nn.Linear(a, b) for a, b in pairwise(sizes)]
+    t.nn.init.zeros_(layers[-1].weight)
+    t.nn.init.zeros_(layers[-1].bias)
+    net = t.nn.Sequential(layers[0], t.nn.SiLU(), layers[1], t.nn.SiLU(), layers[2])
+    rng, losses, middle, scale = np.random.default_rng(seed), [], t.from_numpy(mean), t.from_numpy(sd)
 
     def phase(groups: list[list[Examples]], steps: int, rate: float, what: str) -> None:
-        groups = [group for group in groups if group]
         optimiser = t.optim.AdamW(net.parameters(), lr=rate, weight_decay=settings.decay)
         schedule = t.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
         for _ in range(steps):
             x, vectors, offsets = map(t.from_numpy, _batch(groups, settings.batch, rng))
-            x = ((x - t.from_numpy(mean)) / t.from_numpy(sd)).clamp(-Network.limit, Network.limit)
+            x = ((x - middle) / scale).clamp(-Network.limit, Network.limit)
             error = (net(x)[:, :, None] * vectors).sum(dim=1) - offsets
             loss = ((error**2).sum(dim=1) + settings.robust**2).sqrt().mean()
             optimiser.zero_grad()
@@ -96,12 +116,12 @@ def fit(shipped: list[Examples], at_hand: list[Examples], settings: Settings, pr
             optimiser.step()
             schedule.step()
             losses.append(float(loss.detach()))
-            progress(len(losses), whole, what)
+            progress(len(losses), what)
 
-    phase([shipped or at_hand], settings.steps, settings.rate, "training")
-    if shipped and at_hand:
-        phase([shipped, at_hand], settings.tuning_steps, settings.tuning_rate, "tuning")
-    arrays = [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in [*layers, last]]
+    phase([own or at_hand], settings.steps, settings.rate, "training")
+    if own and at_hand:
+        phase([own, at_hand], settings.tuning_steps, settings.tuning_rate, "tuning")
+    arrays = [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in layers]
     return Network(mean, sd, tuple(arrays)), losses
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,12 +14,16 @@ import numpy as np
 
 from ddakf.errors import InvalidFile, NotApplicable
 from ddakf.evaluation.baselines import Scored
-from ddakf.evaluation.baselines.clothfit import library
+from ddakf.evaluation.baselines.clothfit import library, training
 from ddakf.evaluation.baselines.clothfit.examples import Examples, examples
 from ddakf.evaluation.baselines.clothfit.library import Source
-from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Network
-from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, fit, torch
-from ddakf.sequence import load_sequence
+from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee
+from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
+from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, torch
+from ddakf.evaluation.simulation import garments
+from ddakf.sequence import Sequence, load_sequence
+
+TOGETHER = 7  # rehearsals simulated at once
 
 
 def folder() -> Path:
@@ -31,17 +35,15 @@ def folder() -> Path:
 
 def key(chosen: list[Source], settings: Settings) -> str:
     """Of the code, the settings and the data that weights are made from; what is left out is not among these."""
-    code = [library.digest(path) for path in sorted(Path(__file__).parent.glob("*.py"))]
-    made = [code, asdict(settings), [[source.scored.name, library.digest(source.path)] for source in chosen]]
-    return hashlib.sha256(json.dumps(made).encode()).hexdigest()[:16]
+    return _hash([_code(), asdict(settings), [[source.scored.name, source.digest] for source in chosen]])
 
 
-def network(scored: Scored, settings: Settings | None = None) -> Network:
-    """The network for what is about to be scored: from the cache, or trained, which takes minutes
-    and shows its progress on stderr.
+def committee(scored: Scored, settings: Settings | None = None) -> Committee:
+    """The networks for what is about to be scored: from the cache, or trained, which takes minutes and shows its progress on
+    stderr.
 
     Raises:
-        NotApplicable: nothing is left to learn from, or it has to be trained and PyTorch is not installed.
+        NotApplicable: nothing is left to learn from, or they have to be trained and PyTorch is not installed.
     """
     settings, chosen = Settings() if settings is None else settings, library.allowed(scored, library.sources())
     if not chosen:
@@ -49,56 +51,100 @@ def network(scored: Scored, settings: Settings | None = None) -> Network:
     path = folder() / f"clothfit-{key(chosen, settings)}.npz"
     if not path.is_file():
         torch()  # refuses before any work
-        save(path, _trained(chosen, settings, _named(scored)))
+        _save(path, _shown(chosen, settings, _named(scored)).arrays())
     return load(path)
 
 
-def save(path: Path, network: Network) -> None:
-    """Writes weights; whoever reads meanwhile finds all or nothing."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
-        np.savez(file, **network.arrays())
-    os.replace(file.name, path)
-
-
-def load(path: Path) -> Network:
+def load(path: Path) -> Committee:
     """Reads weights.
 
     Raises:
-        InvalidFile: they are not of this network.
+        InvalidFile: they are not of these networks.
     """
+    trained = Committee.of(_load(path))
+    for member in trained.members:
+        sizes = len(member.mean), member.layers[-1][0].shape[1]
+        if sizes != (INPUTS, OUTPUTS):
+            raise InvalidFile(str(path), f"weights of {INPUTS} inputs and {OUTPUTS} outputs", str(sizes))
+    return trained
+
+
+def train(chosen: list[Source], settings: Settings, progress: Progress) -> Committee:
+    """Networks trained on recordings."""
+    found = _examples(chosen, settings, progress)
+    own, at_hand = ([found[source.scored.name] for source in chosen if source.at_hand == kind] for kind in (False, True))
+    return training.committee(own, at_hand, settings, progress)
+
+
+def _examples(chosen: list[Source], settings: Settings, progress: Progress) -> dict[str, Examples]:
+    """By name. They are kept, about 6 MB a recording: networks that leave out something else need most of them again."""
+    paths = {source: _kept(source, settings) for source in chosen}
+    missing = [source for source, path in paths.items() if not path.is_file()]
+    for source, sequence in _sequences(missing, progress):
+        cut = settings.rehearsed if isinstance(source.what, Part) else settings.cut
+        made = examples(sequence, cut, settings.seed)
+        _save(paths[source], {name: array.astype(np.float16) for name, array in made._asdict().items()})
+    progress(0, 1, "reading")
+    return {s.scored.name: Examples(**{n: a.astype(np.float32) for n, a in _load(path).items()}) for s, path in paths.items()}
+
+
+def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Source, Sequence]]:
+    """What is read, one by one, and what is rehearsed, some together."""
+    for done, source in enumerate(read := [source for source in missing if isinstance(source.what, Path)]):
+        progress(done, len(read), f"following {source.scored.name}")
+        yield source, load_sequence(source.what)
+    rehearsed = [source for source in missing if isinstance(source.what, Part)]
+    for first in range(0, len(rehearsed), TOGETHER):
+        some = rehearsed[first : first + TOGETHER]
+
+        def frames(done: int, total: int, before: int = first, now: int = len(some)) -> None:
+            progress(before * total + now * done, len(rehearsed) * total, "rehearsing")
+
+        yield from zip(some, rehearse([source.what for source in some], frames), strict=True)
+
+
+def _kept(source: Source, settings: Settings) -> Path:
+    made_from = [_code(), asdict(settings.cut), asdict(settings.rehearsed), settings.seed, source.digest]
+    return folder() / f"clothfit-examples-{_hash(made_from)}.npz"
+
+
+def _code() -> list[str]:
+    """Digests of what ClothFit's weights depend on besides data."""
+    files = [path for module in (__file__, garments.__file__) for path in sorted(Path(module).parent.glob("*.py"))]
+    return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+
+
+def _hash(values: list) -> str:
+    return hashlib.sha256(json.dumps(values).encode()).hexdigest()[:16]
+
+
+def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Whoever reads meanwhile finds all or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+        np.savez(file, **arrays)
+    os.replace(file.name, path)
+
+
+def _load(path: Path) -> dict[str, np.ndarray]:
     with np.load(path, allow_pickle=False) as archive:
-        network = Network.of({name: archive[name] for name in archive.files})
-    sizes = [len(network.mean), *(matrix.shape[1] for matrix, _ in network.layers)]
-    if (sizes[0], sizes[-1]) != (INPUTS, OUTPUTS):
-        raise InvalidFile(str(path), f"weights of {INPUTS} inputs and {OUTPUTS} outputs", str(sizes))
-    return network
+        return {name: archive[name] for name in archive.files}
 
 
 def _named(scored: Scored) -> str:
     return ", ".join(filter(None, scored)) or "nothing"
 
 
-def _trained(chosen: list[Source], settings: Settings, without: str) -> Network:
+def _shown(chosen: list[Source], settings: Settings, without: str) -> Committee:
+    """Trains with a progress bar."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
-    console = Console(stderr=True)
     columns = TextColumn("{task.description}"), BarColumn(), TextColumn("time left"), TimeRemainingColumn()
-    with Progress(*columns, console=console, transient=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("clothfit: reading", total=None)
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task("clothfit", total=None)
 
         def progress(done: int, total: int, what: str) -> None:
-            bar.update(task, completed=done, total=total, description=f"clothfit: {what}, without {without}")
+            bar.update(task, completed=done, total=total, description=f"clothfit, without {without}: {what}")
 
         return train(chosen, settings, progress)
-
-
-def train(chosen: list[Source], settings: Settings, progress: Progress) -> Network:
-    """A network trained on recordings, with files that need not be read twice."""
-    shipped: list[Examples] = []
-    at_hand: list[Examples] = []
-    for done, source in enumerate(chosen):
-        progress(done, len(chosen), f"following {source.scored.name}")
-        (shipped if source.shipped else at_hand).append(examples(load_sequence(source.path), settings.cut, settings.seed + done))
-    return fit(shipped, at_hand, settings, progress)[0]
