@@ -23,6 +23,11 @@ HEADS = {
 }  # fmt: skip
 DECIMALS = {"iou": 3, "fps": 1, "penetration_mm": 2, "acceleration_variance": 2, "ms_per_frame": 0}
 HIGHER_IS_BETTER = ("iou", "fps")
+TRUTH = {  # what the truth itself has of what is not measured against it
+    "stretch_percent": "stretch_truth_percent", "bend_deg": "bend_truth_deg", "penetration_mm": "penetration_truth_mm",
+    "acceleration_variance": "acceleration_variance_truth",
+}  # fmt: skip
+UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance")  # a frozen or rigid garment would win them
 
 
 @dataclass
@@ -83,11 +88,24 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
             if value in paper:
                 row.append(_paper(paper[value].get(method), value))
         rows.append(row)
+    if any(value in TRUTH for value in values):
+        rows.append(_truth(result, values, paper, chosen))
     notes = [f"{TITLES.get(m, m)}: {result.reason(m)}" for m in methods if result.reason(m)]
     for method in methods:
         if count := result.lost(method):
             notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {len(result.of(method))} cells.")
     return Table(name, title, heads, rows, notes, [result])
+
+
+def _truth(result: Result, values: list[str], paper: dict, chosen: Callable[[dict], bool]) -> list[Cell]:
+    """The truth's own row."""
+    system, row = next(iter(result.methods)), [Cell("the truth itself")]
+    for value in values:
+        pool = result.pooled(system, TRUTH[value], chosen) if value in TRUTH else None
+        row.append(_cell(pool, value, result, system, best=False))
+        if value in paper:
+            row.append(_paper(None, value))
+    return row
 
 
 def significance(name: str, title: str, result: Result, values: Iterable[str], paper: dict, view: str = "all") -> Table:
@@ -212,7 +230,9 @@ def p_text(p: float | None) -> str:
 
 
 def _best(pools: dict[str, Pooled | None], value: str) -> str | None:
-    """The method with the best mean, of those that apply everywhere."""
+    """The method with the best mean, of those that apply everywhere; None where less is not better."""
+    if value in UNRANKED:
+        return None
     means = {method: pool.mean for method, pool in pools.items() if pool is not None and pool.cells == pool.of}
     pick = max if value in HIGHER_IS_BETTER else min
     return pick(means, key=means.get) if means else None
