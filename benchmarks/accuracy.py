@@ -58,7 +58,7 @@ def grid(arguments) -> list[Trial]:
         if (body or arguments.unsegmented) and not trials.recording(name).has_body:
             continue
         for variant in arguments.variants:
-            if variant in BASELINES if body else variant == "no-carrying":
+            if variant in BASELINES and variant != "clothfit" if body else variant == "no-carrying":
                 continue  # the ones know no body, the other knows it only to be carried by it
             trial = _trial(arguments, name, view, bool(body), seed, variant)
             wanted += [replace(trial, disturbance=script.name) for script in DISTURBANCES] if arguments.disturbances else [trial]

@@ -88,11 +88,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=(DDAKF, *SEARCHES), default=(DDAKF, *SEARCHES), metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
-    parser.add_argument("--table", action="store_true", help="print --out as a Markdown table, and run nothing")
+    parser.add_argument("--table", action="store_true", help="print --out in Markdown, and run nothing")
     parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
     arguments = parser.parse_args(argv)
     if arguments.table:
-        print(table(json.loads(arguments.out.read_text())))
+        report = json.loads(arguments.out.read_text())
+        print(table(report), chosen_settings(report), sep="\n\n")
         return 0
     threadpool_limits(1)
     kernels.warm()
@@ -204,6 +205,18 @@ def table(report: dict) -> str:
         times = [row["clips"][clip]["cpu_ms_p50"] for clip in names]
         mean = f"{row['rmse_mm']:.1f} / {row['normal_rmse_mm']:.1f}"
         lines.append(f"| `{name}` | {' | '.join(cells)} | {mean} | {min(times):.0f}-{max(times):.0f} |")
+    return "\n".join(lines)
+
+
+def chosen_settings(report: dict) -> str:
+    """What was chosen of every baseline, in Markdown; the values of axes that were searched come first."""
+    lines = []
+    for name, method in report["methods"].items():
+        if "chosen" in method:
+            searched = method["score"]["settings"]
+            others = {key: value for key, value in method["chosen"].items() if key not in searched}
+            texts = [", ".join(f"{key} {value}" for key, value in part.items()) for part in (searched, others)]
+            lines.append(f"- `{name}`, {len(method['tries'])} tries: {texts[0]}" + (f"; as set: {texts[1]}" if others else ""))
     return "\n".join(lines)
 
 

@@ -54,12 +54,12 @@ class EmbeddedSettings:
 
     nodes: int = 300
     influences: int = 4
-    point: float = 0.01
+    point: float = 0.003
     rotation: float = 1.0
     regularisation: float = 1.0
-    smoothness: float = 1.0
+    smoothness: float = 3.0
     iterations: int = 8
-    gate: float = 0.10
+    gate: float = 0.1
     normal_cosine: float = 0.5
     neighbours: int = 8
 

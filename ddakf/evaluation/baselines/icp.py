@@ -32,7 +32,7 @@ class IcpSettings:
 
     stiffness: float = 2.0
     iterations: int = 12
-    gate: float = 0.10
+    gate: float = 0.1
     normal_cosine: float = 0.5
     neighbours: int = 8
 
@@ -101,7 +101,7 @@ class RigidSettings:
 
     iterations: int = 30
     gate: float = 0.15
-    robust_scale: float = 0.30
+    robust_scale: float = 0.3
 
 
 class RigidPointToPlane:

@@ -32,9 +32,9 @@ class KalmanSettings:
         facing: vertices that face away from the sensor take no measurement.
     """
 
-    measurement_sd: float = 0.02
-    acceleration_density: float = 1.0
-    gate: float = 0.05
+    measurement_sd: float = 0.3
+    acceleration_density: float = 0.1
+    gate: float = 0.15
     facing: bool = True
 
 

@@ -49,7 +49,7 @@ class NicpSettings:
 
     stiffness: float = 24.0
     iterations: int = 24
-    gate: float = 0.10
+    gate: float = 0.1
     neighbours: int = 4
     momentum: float = 0.8
 

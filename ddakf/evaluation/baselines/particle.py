@@ -58,15 +58,15 @@ class ParticleSettings:
     """
 
     particles: int = 500
-    harmonics: int = 5
+    harmonics: int = 3
     shift_sd: float = 0.005
     turn_sd: float = 0.015
-    amplitude_sd: float = 0.004
-    likelihood_sd: float = 0.001
+    amplitude_sd: float = 0.001
+    likelihood_sd: float = 0.00025
     elasticity: float = 30.0
     passes: int = 3
     cooling: float = 0.5
-    momentum: float = 0.5
+    momentum: float = 0.8
     gate: float = 0.08
     vertices: int = 400
     voxel: float = 0.015

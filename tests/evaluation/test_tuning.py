@@ -1,0 +1,89 @@
+"""The baselines' defaults are the ones that the recorded search chose, and the document shows what it reached."""
+
+import json
+import sys
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+REPORT = json.loads((ROOT / "benchmarks/results/tuning.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def tuning():
+    sys.path.insert(0, str(ROOT / "benchmarks"))
+    try:
+        import tuning
+    finally:
+        sys.path.remove(str(ROOT / "benchmarks"))
+    return tuning
+
+
+def test_every_baseline_was_searched_over_its_axes(tuning):
+    assert set(REPORT["methods"]) == {*tuning.SEARCHES, tuning.DDAKF}
+    for name, (_, _, axes) in tuning.SEARCHES.items():
+        tries = [row["settings"] for row in REPORT["methods"][name]["tries"]]
+        assert len(tries) == 1 + sum(len(values) - 1 for values in axes.values())
+        for axis, values in axes.items():
+            assert {row[axis] for row in tries} == set(values), (name, axis)
+
+
+def test_the_defaults_are_the_chosen_settings(tuning):
+    for name, (_, settings, _) in tuning.SEARCHES.items():
+        assert asdict(settings()) == REPORT["methods"][name]["chosen"], name
+
+
+def test_what_was_chosen_has_the_least_error_of_all_tries(tuning):
+    for name in tuning.SEARCHES:
+        method = REPORT["methods"][name]
+        assert method["score"]["rmse_mm"] == min(row["rmse_mm"] for row in method["tries"])
+        assert method["score"]["settings"].items() <= method["chosen"].items()
+
+
+def test_the_document_shows_the_tables_of_the_record(tuning):
+    text = (ROOT / "docs/baselines.md").read_text()
+    assert tuning.table(REPORT) in text
+    assert tuning.chosen_settings(REPORT) in text
+
+
+def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):
+    from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
+
+    def score(make, frames):
+        settings = make().settings
+        return {"rmse_mm": abs(settings.gate - 0.2) + abs(settings.measurement_sd - 0.3), "normal_rmse_mm": 0.0}
+
+    class Made:
+        def __init__(self, method):
+            self.settings = method.settings
+
+    axes = {"gate": (0.05, 0.2, 0.3), "measurement_sd": (0.1, 0.3), "facing": (True, False)}
+    monkeypatch.setitem(tuning.SEARCHES, "kf", tuning.Search(KalmanFilter, KalmanSettings, axes))
+    monkeypatch.setattr(tuning, "score", score)
+    monkeypatch.setattr(tuning, "started_by", Made)
+    found = tuning.search("kf", 3)
+    assert found["chosen"] == asdict(KalmanSettings(gate=0.2, measurement_sd=0.3, facing=True))
+    assert len(found["tries"]) == 5
+
+
+def test_the_score_is_the_error_of_a_method_that_stands_still(tuning):
+    class Still:
+        def start(self, garment, vertices, body):
+            self.vertices = vertices
+
+        def step(self, *frame):
+            return self.vertices
+
+    row = tuning.score(lambda: tuning.started_by(Still()), 2) if _recordings() else pytest.skip("DDAKF_DATA names no recordings")
+    clip = next(tuning.clips(2))
+    moved = [tuning.metrics.rmse_mm(clip.start, frame.truth) for frame in clip.frames]
+    assert row["clips"]["sample full"]["rmse_mm"] == pytest.approx(sum(moved) / 2, abs=0.006)
+    assert row["clips"]["sample front"]["rmse_mm"] == row["clips"]["sample full"]["rmse_mm"]
+
+
+def _recordings() -> bool:
+    from ddakf.evaluation import trials
+
+    return {"pergamo_005", "sim_tshirt_jump"} <= set(trials.names())
