@@ -57,6 +57,13 @@ class Baseline(Protocol):
         """
 
 
+def _carried(scored: Scored) -> Baseline:
+    from ddakf.evaluation.baselines.clothfit.method import ClothFit
+    from ddakf.evaluation.baselines.clothfit.network import Committee, Network
+
+    return ClothFit(Committee((Network.zero(),)))
+
+
 def _clothfit(scored: Scored) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
     from ddakf.evaluation.baselines.clothfit.weights import committee
@@ -66,6 +73,7 @@ def _clothfit(scored: Scored) -> Baseline:
 
 BASELINES: dict[str, Callable[[Scored], Baseline]] = {
     "clothfit": _clothfit,
+    "carried": _carried,
     "kf": lambda scored: KalmanFilter(),
     "icp": lambda scored: NonRigidPointToPlane(),
     "icp-rigid": lambda scored: RigidPointToPlane(),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.errors import NotApplicable
+from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.network import Committee, Network
 from tests.evaluation.clothfit.scene import BODY, GARMENT, turn
@@ -13,7 +14,7 @@ NO_POINTS, NOTHING = np.zeros((0, 3)), Committee((Network.zero(),))
 
 
 def started(network):
-    method = ClothFit(network)
+    method = baseline("carried") if network is NOTHING else ClothFit(network)
     method.start(GARMENT, GARMENT.vertices, BODY)
     return method
 
