@@ -1,6 +1,7 @@
 """Weights are kept by what they were made from, and come back as they were."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -97,3 +98,13 @@ def test_examples_are_made_once_for_all_that_leave_out_something_else(two_source
     assert not all(np.array_equal(first.arrays()[name], other.arrays()[name]) for name in first.arrays())
     assert {path.name for path in weights.folder().iterdir()} > kept
     assert not [path for path in weights.folder().iterdir() if path.suffix == ".part"]
+
+
+def test_two_that_need_the_same_weights_train_once(two_sources, monkeypatch):
+    pytest.importorskip("torch")
+    trained, train = [], weights.train
+    monkeypatch.setattr(weights, "train", lambda *of: trained.append(1) or train(*of))
+    with ThreadPoolExecutor(2) as pool:
+        one, two = pool.map(lambda _: weights.committee(Scored("elsewhere"), TINY), range(2))
+    assert len(trained) == 1
+    assert np.array_equal(one.offsets(some_inputs()), two.offsets(some_inputs()))

@@ -7,6 +7,7 @@ import json
 import os
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
@@ -51,7 +52,9 @@ def committee(scored: Scored, settings: Settings | None = None) -> Committee:
     path = folder() / f"clothfit-{key(chosen, settings)}.npz"
     if not path.is_file():
         torch()  # refuses before any work
-        _save(path, _shown(chosen, settings, _named(scored)).arrays())
+        with _alone():
+            if not path.is_file():
+                _save(path, _shown(chosen, settings, _named(scored)).arrays())
     return load(path)
 
 
@@ -129,6 +132,20 @@ def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
 def _load(path: Path) -> dict[str, np.ndarray]:
     with np.load(path, allow_pickle=False) as archive:
         return {name: archive[name] for name in archive.files}
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """While no other process trains, where the system has locks: most of what they do is the same, and a gigabyte each."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    folder().mkdir(parents=True, exist_ok=True)
+    with (folder() / "clothfit.lock").open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _named(scored: Scored) -> str:
