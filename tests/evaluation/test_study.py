@@ -172,7 +172,7 @@ def test_two_processes_give_the_rows_of_one(tmp_path):
 
 def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
     out = tmp_path / "out.json"
-    command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", "3", "--frames", "0:8",
+    command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", "8", "--frames", "0:8",
                "--points", "1500", "--procs", "1", "--json", str(out)]  # fmt: skip
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     rows = tmp_path / "out.rows.jsonl"
@@ -183,12 +183,12 @@ def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
     _, said = process.communicate(timeout=60)
     before = rows.read_text()
     assert process.returncode == 130
-    assert "of 3 runs are in" in said
-    assert before.count("\n") < 3
+    assert "of 8 runs are in" in said
+    assert before.count("\n") < 8
     subprocess.run(command, check=True, capture_output=True, timeout=120)
     assert rows.read_text().startswith(before)
-    assert rows.read_text().count("\n") == 3
-    assert len(json.loads(out.read_text())["results"][0]["runs"]) == 3
+    assert rows.read_text().count("\n") == 8
+    assert len(json.loads(out.read_text())["results"][0]["runs"]) == 8
 
 
 def row(system: str, seed: int, rmse: list[float], sequence: str = "a") -> dict:

@@ -84,8 +84,8 @@ def over_time(path: Path, result: Result, sequence: str, view: str) -> None:
         axis.axvspan(first - 0.5, end - 0.5, color="0.88", zorder=0)
         axis.spines[["top", "right"]].set_visible(False)
     below.legend(frameon=False, fontsize=8, loc="lower left")
-    above.legend(frameon=False, fontsize=8, ncols=2, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    above.set_title(f"{sequence}, {view}: a side of the garment is hidden in the shaded frames", fontsize=10)
+    above.legend(frameon=False, fontsize=8, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    above.set_title(f"{sequence}, {view}: a side of the garment is hidden in the shaded frames", fontsize=10, loc="left")
     _save(drawn, path)
 
 
