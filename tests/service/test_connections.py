@@ -22,7 +22,7 @@ ORIGIN = "https://example.org"
 def strict(tmp_path_factory):
     """Small messages, impatient pings, one foreign origin, a short farewell."""
     settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "0.5", "--cors-origins", ORIGIN]
-    settings += ["--drain-grace", "0.5"]
+    settings += ["--drain-grace", "0.5", "--spare-workers", "0"]  # a spare that starts later would be one more descriptor
     with running(settings, tmp_path_factory.mktemp("strict")) as service:
         yield service
 
