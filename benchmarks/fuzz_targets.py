@@ -171,7 +171,8 @@ def _frame() -> Target:
         require_payload_within(request.frame, LIMITS.max_points, LIMITS.max_image_pixels)
         compute.reset("fuzz", b"")  # or one frame far in the future would have all that follow refused
         given = request.start.result_options if request.HasField("start") else options
-        result = pb.Result.FromString(compute.frame("fuzz", join(given.SerializeToString(), request.frame.SerializeToString())))
+        payload = join(given.SerializeToString(), request.frame.SerializeToString(), LIMITS.max_points)
+        result = pb.Result.FromString(compute.frame("fuzz", payload))
         vertices = unpack(result.vertices, 3, field="vertices", max_items=LIMITS.max_vertices)
         assert np.isfinite(vertices).all()
 
