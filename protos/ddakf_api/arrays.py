@@ -123,7 +123,8 @@ def unpack(
     if packed.encoding == pb.ARRAY_ENCODING_BOOL:
         return raw != 0
     if packed.encoding == pb.ARRAY_ENCODING_FLOAT16:
-        return raw.astype(np.float32)
+        with np.errstate(invalid="ignore"):  # a signalling NaN, of which NumPy warns here, is not finite as any other
+            return raw.astype(np.float32)
     return raw.astype(dtype.newbyteorder("="))
 
 

@@ -233,7 +233,8 @@ def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:
         raise InvalidFrame(field="body_vertices", expected="float32 triples, 12 bytes each", got=f"{len(data)} bytes")
     if len(data) > 12 * max_vertices:
         raise InvalidFrame(field="body_vertices", expected=f"at most {max_vertices}", got=str(len(data) // 12))
-    return np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN, of which NumPy warns here, is refused with the others
+        return np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float64)
 
 
 @contextmanager

@@ -388,3 +388,11 @@ def cloud():
 @pytest.fixture(scope="session")
 def damaged_source(cloud):
     return {codec: encode(cloud[:200], codec).cloud for codec in CODECS}
+
+
+def test_a_signalling_nan_is_refused_as_any_other():
+    cloud = encode(np.zeros((3, 3)), "raw").cloud
+    cloud.data = b"\x01\x00\x80\x7f" * 9
+    cloud.ClearField("crc32")
+    with pytest.raises(CodecError, match="finite positions"):
+        decode(cloud, max_points=10)
