@@ -21,7 +21,7 @@ from ddakf.errors import InvalidConfig
 from .server import Addresses, Server
 from .settings import ENV_PREFIX, Origin, Settings, load, shown
 from .telemetry import configure_logging
-from .workers.local import WorkerStartFailed
+from .workers.worker import WorkerStartFailed
 
 EXIT_FAILED, EXIT_MISUSED = 1, 2
 

@@ -10,7 +10,8 @@ import pytest
 from ddakf_api.errors import SessionNotFound, Unavailable
 from ddakf_service.workers import Memory, wire
 from ddakf_service.workers.compute import Compute
-from ddakf_service.workers.local import WorkerStartFailed, _Home
+from ddakf_service.workers.local import _Home
+from ddakf_service.workers.worker import WorkerStartFailed
 
 from .test_workers import LIMITS, creation, local
 

@@ -1,45 +1,29 @@
-"""Worker processes of this machine: spawned, watched, replaced."""
+"""The worker processes of this machine: which session lives in which, which of them are watched, replaced and recycled."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
-import json
 import logging
 import math
-import os
-import socket
-import subprocess
-import sys
 from collections.abc import AsyncIterator, Awaitable, Coroutine
-from pathlib import Path
 from time import monotonic
 
-from ddakf_api.errors import DeadlineExceeded, ResourceExhausted, ServiceError, Unavailable, from_detail
+from ddakf_api.errors import DeadlineExceeded, ResourceExhausted, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from . import wire
 from .pool import RETRY_AFTER, UNKNOWN, Health, Limits, Memory, OnLost, Progress, worker_lost
+from .worker import Worker, WorkerStartFailed
 
 log = logging.getLogger(__name__)
 
-# One compute thread per worker: sessions are the unit of parallelism, and more threads than cores only add waiting.
-ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-
-_STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
-_EXIT_PATIENCE = 5.0  # seconds that a worker has to end by itself once its pipe is closed
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 10.0  # seconds between attempts to replace a worker that dies before it is ready
-_FRAMES_IN_PIPE = 2  # one that is tracked, and one so that the worker need not wait; the others' turns come in order
 _LOOK_INTERVAL = 1.0  # seconds between looks for workers that are due to be recycled
 _RETRY_WHEN_FULL = 5.0  # seconds, told to clients
 # A process that starts takes a core for seconds, which belong to the sessions that have lost theirs: a new spare waits until
 # they are placed, or for so many seconds; they have begun to be after the first.
 _HEAD_START, _LONGEST_HEAD_START = 0.5, 10.0
-
-
-class WorkerStartFailed(RuntimeError):
-    """A worker died or hung before it had tracked its first frame."""
 
 
 class LocalPool:
@@ -77,9 +61,9 @@ class LocalPool:
         self._max_memory = max_memory
         self._recycle_frames, self._recycle_memory = recycle_frames or math.inf, recycle_memory or math.inf
         self._on_lost, self._on_change = on_lost, on_change
-        self._workers: list[_Worker] = []  # those that take frames
-        self._spares: list[_Worker] = []
-        self._retiring: set[_Worker] = set()
+        self._workers: list[Worker] = []  # those that take frames
+        self._spares: list[Worker] = []
+        self._retiring: set[Worker] = set()
         self._homes: dict[str, _Home] = {}  # by session id
         self._tasks: set[asyncio.Task] = set()
         self._starting = self._restarts = self._recycled = 0
@@ -174,7 +158,7 @@ class LocalPool:
             raise
 
     @contextlib.asynccontextmanager
-    async def _place_in(self, worker: _Worker) -> AsyncIterator[None]:
+    async def _place_in(self, worker: Worker) -> AsyncIterator[None]:
         """One session after the other, between which the frames of those that are there have their turns."""
         self._placing += 1
         try:
@@ -194,10 +178,10 @@ class LocalPool:
         async with home.lock:
             return await self._call(home.worker, kind, session_id, payload)
 
-    async def _call(self, worker: _Worker, kind: wire.Kind, session_id: str, payload: bytes = b"") -> bytes:
+    async def _call(self, worker: Worker, kind: wire.Kind, session_id: str, payload: bytes = b"") -> bytes:
         return await self._in_time(worker, session_id, worker.send(kind, session_id, payload))
 
-    async def _in_time(self, worker: _Worker, session_id: str, answer: asyncio.Future[bytes]) -> bytes:
+    async def _in_time(self, worker: Worker, session_id: str, answer: asyncio.Future[bytes]) -> bytes:
         try:
             async with asyncio.timeout(self._frame_timeout):
                 return await answer
@@ -215,7 +199,7 @@ class LocalPool:
         return task
 
     async def _add_worker(self, progress: Progress = lambda *_: None) -> None:
-        self._admit(await _Worker.start(self._limits, self._warm_timeout, progress))
+        self._admit(await Worker.start(self._limits, self._warm_timeout, progress))
 
     def _refill(self) -> None:
         """Starts as many workers as are missing."""
@@ -246,13 +230,13 @@ class LocalPool:
             await asyncio.sleep(pause)
             pause = _HEAD_START if self._placing and monotonic() < latest else 0
 
-    def _admit(self, worker: _Worker) -> None:
+    def _admit(self, worker: Worker) -> None:
         """A worker that is warm takes frames, or waits until one is missing."""
         (self._workers if len(self._workers) < self._size else self._spares).append(worker)
         worker.keeper = self._background(self._keep(worker))
         self._on_change()
 
-    async def _keep(self, worker: _Worker) -> None:
+    async def _keep(self, worker: Worker) -> None:
         """Waits for the end of a worker, tells whom it concerns, and replaces it."""
         await worker.gone.wait()
         self._remove(worker)
@@ -265,7 +249,7 @@ class LocalPool:
         self._refill()
         self._on_change()
 
-    def _remove(self, worker: _Worker) -> None:
+    def _remove(self, worker: Worker) -> None:
         """Takes a worker out; a spare takes its place."""
         self._retiring.discard(worker)
         for workers in (self._workers, self._spares):
@@ -283,7 +267,7 @@ class LocalPool:
                 if due and self._spares and worker in self._workers:
                     await self._recycle(worker)
 
-    async def _recycle(self, worker: _Worker) -> None:
+    async def _recycle(self, worker: Worker) -> None:
         """Moves the sessions of a worker to a spare and ends it; none of their frames is lost."""
         log.info(
             "a worker is recycled",
@@ -306,7 +290,7 @@ class LocalPool:
             await worker.end()
         self._on_change()
 
-    async def _move(self, session_id: str, old: _Worker, new: _Worker) -> None:
+    async def _move(self, session_id: str, old: Worker, new: Worker) -> None:
         """Moves a session between two frames; it stays where it is when that fails."""
         home = self._homes.get(session_id)
         if home is None or home.worker is not old:
@@ -336,141 +320,6 @@ class _Home:
         lock: held by whoever has a call of the session in the worker, or moves it.
     """
 
-    def __init__(self, worker: _Worker):
+    def __init__(self, worker: Worker):
         self.worker = worker
         self.lock = asyncio.Lock()
-
-
-class _Worker:
-    """One process and the server's end of its pipe.
-
-    Attributes:
-        sessions: with the memory that each is estimated to take.
-        turns: taken by a frame, or a session that is placed, for as long as it is in the pipe or the worker.
-        placing: taken by a session that waits for such a turn, so that no frame waits for several of them.
-        frames: submitted so far.
-        gone: set once the process is.
-        keeper: waits for that.
-    """
-
-    keeper: asyncio.Task
-
-    def __init__(self, process: subprocess.Popen, reader: asyncio.StreamReader, writer: asyncio.StreamWriter):
-        self.process = process
-        self.sessions: dict[str, Memory] = {}
-        self.turns, self.placing = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Lock()
-        self.frames = 0
-        self.gone = asyncio.Event()
-        self._reader, self._writer = reader, writer
-        self._numbers = itertools.count(1)
-        self._waiting: dict[int, tuple[str, asyncio.Future[bytes]]] = {}
-        self._listener: asyncio.Task | None = None
-
-    @classmethod
-    async def start(cls, limits: Limits, timeout: float, progress: Progress) -> _Worker:
-        """Spawns a process and returns when it has tracked its first frame."""
-        ours, theirs = socket.socketpair()
-        with theirs:
-            reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
-            # Not the event loop's own way to start a process: it forks, which gRPC's threads forbid, while this one
-            # goes straight to the new program.
-            try:
-                process = subprocess.Popen(
-                    [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],
-                    pass_fds=(theirs.fileno(),),
-                    stdin=subprocess.DEVNULL,
-                    env={**os.environ, **ONE_THREAD},
-                )
-            except OSError:
-                writer.close()
-                raise
-        worker = cls(process, reader, writer)
-        try:
-            async with asyncio.timeout(timeout):
-                await worker._become_ready(progress)
-        except TimeoutError:
-            await worker.end(patience=0)
-            raise WorkerStartFailed(f"a worker was not ready after {timeout:.0f} s") from None
-        except BaseException:
-            await worker.end(patience=0)
-            raise
-        worker._listener = asyncio.create_task(worker._listen())
-        return worker
-
-    def memory_with(self, more: Memory = UNKNOWN) -> int:
-        """Estimated bytes of its sessions, with one more."""
-        all_of_them = [*self.sessions.values(), more]
-        return sum(memory.kept for memory in all_of_them) + max(memory.frame for memory in all_of_them)
-
-    def resident_bytes(self) -> int:
-        """What the process has in memory; 0 where the system does not say."""
-        try:
-            return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-        except OSError:
-            return 0
-
-    def send(self, kind: wire.Kind, session_id: str, payload: bytes = b"") -> asyncio.Future[bytes]:
-        """Places a request at once; its answer comes later.
-
-        Raises:
-            WorkerLost: the worker is gone. The answer may be so, too.
-        """
-        if self.gone.is_set():
-            raise worker_lost(session_id)
-        number = next(self._numbers)
-        answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = session_id, answer
-        answer.add_done_callback(lambda _: self._waiting.pop(number, None))
-        self._writer.writelines((wire.Message(kind, number, session_id, payload).head(), payload))
-        return answer
-
-    def tell(self, kind: wire.Kind, session_id: str) -> None:
-        """A request whose answer nobody waits for."""
-        if not self.gone.is_set():
-            self._writer.write(wire.Message(kind, 0, session_id).head())
-
-    async def end(self, patience: float = _EXIT_PATIENCE) -> None:
-        """Closes the pipe, at which the process ends; kills it if it does not."""
-        if self._listener not in (None, asyncio.current_task()):
-            self._listener.cancel()
-        self._writer.close()
-        try:
-            await asyncio.to_thread(self.process.wait, patience)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            await asyncio.to_thread(self.process.wait)
-
-    async def _become_ready(self, progress: Progress) -> None:
-        try:
-            while (message := await wire.read(self._reader)).kind is not wire.Kind.READY:
-                progress(*json.loads(message.payload))
-        except (asyncio.IncompleteReadError, ConnectionError):
-            code = await asyncio.to_thread(self.process.wait)
-            raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; its log says why") from None
-        except ValueError as error:
-            raise WorkerStartFailed(f"a worker sent what cannot be read before it was ready: {error}") from None
-
-    async def _listen(self) -> None:
-        try:
-            while True:
-                message = await wire.read(self._reader)
-                _, answer = self._waiting.get(message.number, ("", None))
-                if answer is None or answer.done():
-                    continue  # whoever asked has left
-                if message.kind is wire.Kind.ERROR:
-                    answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.payload)))
-                else:
-                    answer.set_result(message.payload)
-        except (asyncio.IncompleteReadError, ConnectionError):
-            # The kernel closes the pipe of a killed process at once, so this is also how a kill is noticed.
-            await self._lose()
-        except Exception:
-            log.exception("a worker sent what cannot be read and is replaced", extra={"worker": self.process.pid})
-            await self._lose()
-
-    async def _lose(self) -> None:
-        self.gone.set()
-        for session_id, answer in list(self._waiting.values()):
-            if not answer.done():
-                answer.set_exception(worker_lost(session_id))
-        await self.end(patience=0)
