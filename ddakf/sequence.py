@@ -74,14 +74,29 @@ def load_sequence(path) -> Sequence:
         InvalidFile: not an ``.npz``, a missing key, a wrong shape or dtype, an index out of range, non-finite numbers.
     """
     path = Path(path)
+    return _checked(path, _arrays(path))
+
+
+def read_names(path) -> tuple[str, str]:
+    """What a sequence file calls its garment and its motion, "" where it does not say; nothing else of it is read.
+
+    Raises:
+        InvalidFile: not an ``.npz``, or not one word each.
+    """
+    path = Path(path)
+    arrays = _arrays(path, ("garment", "motion"))
+    return _name(path, arrays, "garment"), _name(path, arrays, "motion")
+
+
+def _arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
+    """Those of an archive, or of the wanted ones those that it has."""
     if not path.is_file():
         raise InvalidFile(str(path), "a sequence file (.npz)", "nothing there")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-            arrays = {key: archive[key] for key in archive.files}
+            return {key: archive[key] for key in archive.files if wanted is None or key in wanted}
     except UNREADABLE as error:
         raise InvalidFile(str(path), "an .npz archive of plain arrays", f"{type(error).__name__}: {error}") from error
-    return _checked(path, arrays)
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from pathlib import Path
 from typing import NamedTuple
 
 from ddakf.evaluation.baselines import Scored
 from ddakf.evaluation.datasets.faust import CLIP
-from ddakf.sequence import Sequence
+from ddakf.sequence import Sequence, read_names
 
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))
 BODY = "whole body"
-# By the words of a sequence's name; CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress. Some recordings are
-# named by where they are from, and hold one garment.
+# By the words of a garment, or of a sequence's name; CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.
+# Some recordings are named by where they are from, and hold one garment.
 CATEGORIES = {
     "T-shirt": ("tshirt", "shirt", "tee"),
     "tank top": ("tank", "top", "vest"),
@@ -42,18 +43,45 @@ class Split(NamedTuple):
 def scored(sequence: Sequence | str) -> Scored:
     """What scoring on a sequence, or on one of that name, means: its garment's category and its motion.
 
-    Both are read off the name: ``sim_skirt_dance`` is a skirt and a dance, ``samba_dress`` and ``samba_whole`` one motion. A name
-    that says no category is one of its own.
+    A sequence that says its garment or motion is believed. What it leaves open is read off the name: ``sim_skirt_dance`` is a
+    skirt and a dance, ``samba_dress`` and ``samba_whole`` one motion. A name that says no category is one of its own.
     """
-    name = sequence if isinstance(sequence, str) else sequence.name
-    words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in MADE_BY]
+    if isinstance(sequence, str):
+        return Scored(sequence, *_by_name(sequence))
+    return _said(sequence.name, sequence.garment, sequence.motion)
+
+
+def scored_file(path: Path) -> Scored:
+    """:func:`scored` of a sequence file, of which only the two names are read.
+
+    Raises:
+        InvalidFile: not a sequence file, or names that are no words.
+    """
+    return _said(path.stem, *read_names(path))
+
+
+def _said(name: str, garment: str, motion: str) -> Scored:
+    words = _words(garment)
+    by_name = _by_name(name)
+    return Scored(name, _category(words) or "_".join(words) or by_name[0], "_".join(_words(motion)) or by_name[1])
+
+
+def _by_name(name: str) -> tuple[str, str]:
+    """Garment and motion."""
+    words = [word for word in _words(name) if word not in MADE_BY]
     if words and words[0] == "faust":
-        return Scored(name, BODY, words[-1])
-    for category, known in CATEGORIES.items():
-        if any(word in known for word in words):
-            return Scored(name, category, "_".join(word for word in words if word not in known) or name)
-    origin = next((ORIGINS[word] for word in words if word in ORIGINS), name)
-    return Scored(name, origin, "_".join(words))
+        return BODY, words[-1]
+    if category := _category(words):
+        return category, "_".join(word for word in words if word not in CATEGORIES[category]) or name
+    return next((ORIGINS[word] for word in words if word in ORIGINS), name), "_".join(words)
+
+
+def _category(words: list[str]) -> str | None:
+    return next((category for category, known in CATEGORIES.items() if any(word in known for word in words)), None)
+
+
+def _words(text: str) -> list[str]:
+    return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
 
 
 def faust_split(clips: Iterable[str]) -> Split:

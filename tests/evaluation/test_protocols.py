@@ -1,9 +1,13 @@
 """Who is trained on what: categories and motions by name, and no fold scores what it trains on."""
 
+import numpy as np
 import pytest
 
+from ddakf import data
 from ddakf.data import sample
-from ddakf.evaluation.protocols import faust_split, scored
+from ddakf.errors import InvalidFile
+from ddakf.evaluation.protocols import faust_split, scored, scored_file
+from ddakf.sequence import Sequence
 
 NAMES = ("sample", "pergamo_005", "samba_dress", "samba_whole", "sim_skirt_dance", "sim_tank_move", "sim_tshirt_jump")
 CLIPS = tuple(f"s{subject}_p{pose}" for subject in (0, 3, 7, 8, 9) for pose in (1, 2))
@@ -32,6 +36,34 @@ def test_a_name_says_garment_and_motion(name, garment, motion):
 
 def test_a_sequence_is_scored_by_its_name():
     assert scored(sample()) == scored("sample")
+
+
+@pytest.mark.parametrize(
+    ("said", "garment", "motion"),
+    [
+        (("tshirt", "walk"), "T-shirt", "walk"),
+        (("tshirt", "crossed-arms"), "T-shirt", "crossed_arms"),
+        (("Silk scarf", ""), "silk_scarf", "dance"),
+        (("", "hop"), "skirt", "hop"),
+        (("", ""), "skirt", "dance"),
+    ],
+)
+def test_what_a_sequence_says_comes_before_its_name(tmp_path, said, garment, motion):
+    vertices, faces, path = np.zeros((2, 3, 3)), np.array([[0, 1, 2]]), tmp_path / "sim_skirt_dance.npz"
+    assert scored(Sequence(path.stem, vertices, faces, 30.0, None, None, None, *said)) == (path.stem, garment, motion)
+    np.savez(path, garment_V=vertices, garment_F=faces, fps=30.0, **dict(zip(("garment", "motion"), said, strict=True)))
+    assert scored_file(path) == (path.stem, garment, motion)
+
+
+def test_what_ships_says_what_its_name_says():
+    for path in (data.SAMPLE, *data.TRAINING.glob("*.npz")):
+        assert scored_file(path) == scored(path.stem)
+
+
+def test_a_file_whose_garment_is_no_word_is_refused(tmp_path):
+    np.savez(tmp_path / "a.npz", garment=np.arange(3))
+    with pytest.raises(InvalidFile, match=r"a\.npz: garment: expected one word, got int64 of shape \(3,\)"):
+        scored_file(tmp_path / "a.npz")
 
 
 def test_faust_is_parted_as_in_the_paper():

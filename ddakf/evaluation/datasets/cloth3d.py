@@ -48,7 +48,7 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
             None for a sequence without the body.
 
     Returns:
-        With the name ``<folder>_<garment>``.
+        With the name ``<folder>_<garment>``, and the garment's.
 
     Raises:
         InvalidFile: not a sequence as published. InvalidArgument: no such garment.
@@ -78,7 +78,8 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
             raise InvalidFile(str(smpl), f"{poses.shape[1] // 3} joints as in info.mat", str(len(model.parents)))
         body, body_faces = _turned(model(poses, info["shape"].ravel()) + trans, turn), model.faces
     vertices = _turned(relative + trans, turn)
-    return Sequence(f"{path.name}_{garment}", vertices, faces, FPS, _laid_onto(rest, vertices[0]), body, body_faces)
+    name, rest = f"{path.name}_{garment}", _laid_onto(rest, vertices[0])
+    return Sequence(name, vertices, faces, FPS, rest, body, body_faces, garment=garment)
 
 
 def _turned(vertices: np.ndarray, turn: np.ndarray) -> np.ndarray:

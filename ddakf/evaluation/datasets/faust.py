@@ -95,7 +95,7 @@ class Faust:
         way = Interpolation(neutral, self.registration(subject, pose))
         moving = [way(minimum_jerk(frame / MOVING)) for frame in range(MOVING + 1)]
         vertices = np.stack(moving + [moving[-1]] * HELD).astype(np.float32)
-        return Sequence(f"faust_{part}", vertices, self.faces, FPS)
+        return Sequence(f"faust_{part}", vertices, self.faces, FPS, garment="whole body", motion=f"p{pose}")
 
 
 def load_faust(path) -> Faust:

@@ -33,13 +33,13 @@ class Source(NamedTuple):
 def sources() -> list[Source]:
     """Everything there is to learn from: rehearsals, the bundled sample, those that ship for learning, and the
     recordings with a body in the folder ``sequences`` of DDAKF_DATA."""
-    from ddakf.evaluation.protocols import scored  # which imports the baselines
+    from ddakf.evaluation.protocols import scored, scored_file  # which imports the baselines
 
     rehearsed = [Source(scored(part.name)._replace(name=f"rehearsed {part.name}"), part) for part in parts()]
     shipped = [data.SAMPLE, *sorted(data.TRAINING.glob("*.npz"))]
     root = os.environ.get("DDAKF_DATA")
     at_hand = sorted(Path(root, "sequences").glob("*.npz")) if root else []
-    read = [Source(scored(path.stem), path, path in at_hand) for path in [*shipped, *at_hand] if _has_body(path)]
+    read = [Source(scored_file(path), path, path in at_hand) for path in [*shipped, *at_hand] if _has_body(path)]
     return [*rehearsed, *read]
 
 
