@@ -8,6 +8,8 @@ import numpy as np
 
 from ddakf.errors import InvalidFile, MissingDependency
 
+HEADER_BYTES = 4096  # of a .pcd, at most
+MOST_POINTS_PER_BYTE = 30  # of a compressed .pcd: its LZF makes 264 bytes of 3 at best
 SYSTEM_LIBRARIES = "libegl1 libgl1 libx11-6 libusb-1.0-0 libgomp1"
 
 
@@ -32,12 +34,27 @@ def import_open3d():
 def read_points(path: Path) -> np.ndarray:
     """(N, 3) float64 points of a file that Open3D reads, for instance .pcd; NaN rows (no return) are left out."""
     o3d = import_open3d()
+    if path.suffix.lower() == ".pcd":
+        _require_possible(path)
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=True, remove_infinite_points=True)
     points = np.asarray(cloud.points, np.float64).reshape(-1, 3)
     if len(points) == 0:
         raise InvalidFile(str(path), "a point cloud that Open3D reads", "no points")
     return points
+
+
+def _require_possible(path: Path) -> None:
+    """Refuses a .pcd that announces more points than its bytes can hold: Open3D makes room for them before it reads any."""
+    announced = {b"POINTS": 0, b"WIDTH": 0, b"HEIGHT": 0}
+    with path.open("rb") as file:
+        for line in file.read(HEADER_BYTES).splitlines():
+            name, *values = line.split() or [b""]
+            if name in announced and len(values) == 1 and values[0].isdigit():
+                announced[name] = int(values[0][:20])
+    points, size = max(announced[b"POINTS"], announced[b"WIDTH"] * announced[b"HEIGHT"]), path.stat().st_size
+    if points > MOST_POINTS_PER_BYTE * size:
+        raise InvalidFile(f"{path.name}: POINTS", f"a number of points that {size} bytes can hold", str(points))
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray]:

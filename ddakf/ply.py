@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,7 @@ SCALARS = {
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
 FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+COUNT = re.compile(r"0*[0-9]{1,18}")
 INDEX_LISTS = ("vertex_indices", "vertex_index")
 
 
@@ -86,7 +88,7 @@ def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], 
                 continue
             case ["format", name, *_] if name in FORMATS:
                 order = FORMATS[name]
-            case ["element", name, count] if count.isdigit():
+            case ["element", name, count] if COUNT.fullmatch(count):
                 declared.append((name, int(count), []))
             case ["property", "list", length, kind, name] if declared and length in SCALARS and kind in SCALARS:
                 declared[-1][2].append(_Property(name, SCALARS[kind], SCALARS[length]))

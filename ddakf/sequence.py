@@ -88,6 +88,11 @@ def read_names(path) -> tuple[str, str]:
     return _name(path, arrays, "garment"), _name(path, arrays, "motion")
 
 
+def why(error: Exception) -> str:
+    """The kind of an error and the beginning of what it says; zipfile's quote what they read."""
+    return f"{type(error).__name__}: {error!s:.120}"
+
+
 def _arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, np.ndarray]:
     """Those of an archive, or of the wanted ones those that it has."""
     if not path.is_file():
@@ -96,14 +101,14 @@ def _arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, np.n
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files if wanted is None or key in wanted}
     except UNREADABLE as error:
-        raise InvalidFile(str(path), "an .npz archive of plain arrays", f"{type(error).__name__}: {error}") from error
+        raise InvalidFile(str(path), "an .npz archive of plain arrays", why(error)) from error
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
     garment = _vertices(path, arrays, "garment_V", "(T, V, 3)")
     faces = _faces(path, arrays, "garment_F", garment.shape[1])
     fps = _required(path, arrays, "fps")
-    if fps.shape != () or fps.dtype.kind not in "fiu" or not 0 < fps < 1e6:
+    if fps.shape != () or fps.dtype.kind not in "fiu" or not 1e-6 < fps < 1e6:
         raise InvalidFile(f"{path.name}: fps", "one positive number", f"{fps.dtype} {fps!s:.40}")
     rest = body = body_faces = None
     if "garment_rest" in arrays:
@@ -182,8 +187,9 @@ def _faces(path: Path, arrays: dict[str, np.ndarray], key: str, n_vertices: int)
 
 def _unpacked(path: Path, key: str, differences: np.ndarray, quantum: np.ndarray) -> np.ndarray:
     """(T, V, 3) metres from int16 (T, 3, V); inverse of :func:`ddakf.data.pack.second_differences`."""
-    if differences.ndim != 3 or differences.dtype.kind != "i" or quantum.shape != () or quantum.dtype.kind != "f":
-        expected = "integers of shape (T, 3, V) and one number quantum"
-        raise InvalidFile(f"{path.name}: {key}", expected, str(differences.shape))
+    if differences.ndim != 3 or differences.dtype.kind != "i" or differences.dtype.itemsize != 2:
+        raise InvalidFile(f"{path.name}: {key}", "int16 of shape (T, 3, V)", f"{differences.dtype} of shape {differences.shape}")
+    if quantum.shape != () or quantum.dtype.kind != "f" or not 0 < quantum <= 1:
+        raise InvalidFile(f"{path.name}: quantum", "one float in (0, 1], metres", f"{quantum.dtype} {quantum!s:.40}")
     steps = np.cumsum(np.cumsum(differences, axis=0, dtype=np.int64), axis=0)
     return (steps * float(quantum)).astype(np.float32).transpose(0, 2, 1)

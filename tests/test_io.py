@@ -104,6 +104,9 @@ PLY = "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float
         ("a.ply", b"ply\nelement vertex 0\nproperty float x\nend_header\n", "format line"),
         ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1\nproperty int x\nend_header\n1\n", "properties x, y and z"),
         ("a.ply", (PLY + "end_header\n").encode(), "1 records"),
+        ("a.ply", (PLY.replace("vertex 1", "vertex \xb2") + "end_header\n1 2 3\n").encode("latin-1"), "header line 3"),
+        ("a.ply", (PLY.replace("vertex 1", "vertex " + "9" * 5000) + "end_header\n1 2 3\n").encode(), "header line 3"),
+        ("a.ply", (PLY.replace("vertex 1", "vertex 99999999999") + "end_header\n1 2 3\n").encode(), "99999999999 records, got 1"),
         ("a.ply", (PLY + "end_header\n1 2\n").encode(), "vertex 0"),
         ("a.ply", (PLY + "end_header\n1 2 nan\n").encode(), "finite"),
         ("a.ply", (PLY + FACE + "1 2 3\n3 0 0\n").encode(), "face 0"),
@@ -186,6 +189,15 @@ def test_pcd_through_open3d(tmp_path):
         io.read_points(tmp_path / "cloud.pcd")
 
 
+@pytest.mark.parametrize("count", ["WIDTH 2\nHEIGHT 1\nPOINTS 99999999999\n", "WIDTH 900000\nHEIGHT 900000\nPOINTS 2\n"])
+def test_a_pcd_that_announces_more_points_than_it_can_hold_is_refused_before_room_is_made(tmp_path, monkeypatch, count):
+    monkeypatch.setattr(open3d_bridge, "import_open3d", lambda: None)
+    header = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n"
+    (tmp_path / "cloud.pcd").write_bytes(f"{header}{count}DATA binary\n".encode() + bytes(24))
+    with pytest.raises(InvalidFile, match=r"cloud\.pcd: POINTS: expected a number of points that 1\d\d bytes can hold"):
+        io.read_points(tmp_path / "cloud.pcd")
+
+
 def test_sample_is_complete_and_small():
     sequence = sample()
     assert sequence.garment_vertices.shape == (150, 2658, 3)
@@ -215,6 +227,7 @@ def test_packing_keeps_coordinates_within_half_a_quantum(tmp_path):
 
 
 GOOD = dict(garment_V=VERTICES[None], garment_F=FACES, fps=30.0)
+PACKED = {"garment_V": None, "garment_V_second_difference": np.zeros((1, 3, 4), np.int16), "quantum": 1e-3}
 
 
 @pytest.mark.parametrize(
@@ -236,6 +249,11 @@ GOOD = dict(garment_V=VERTICES[None], garment_F=FACES, fps=30.0)
         ({"body_V": VERTICES[None]}, "body_F"),
         ({"body_V": np.stack([VERTICES] * 2), "body_F": FACES}, "1 frames"),
         ({"garment_V": None, "garment_V_second_difference": np.zeros((1, 3, 4), np.int16)}, "quantum"),
+        ({"fps": np.array(1e-320)}, "fps"),
+        (PACKED | {"quantum": np.inf}, "quantum: expected one float"),
+        (PACKED | {"quantum": np.nan}, "quantum: expected one float"),
+        (PACKED | {"garment_V_second_difference": np.full((1, 3, 4), 2**62)}, "int16 of shape"),
+        (PACKED | {"garment_V_second_difference": np.zeros((1, 2, 4), np.int16)}, "garment_V: expected shape"),
         ({"body_rotations": np.zeros((1, 20, 3))}, "body_shift"),
         ({"body_rotations": np.zeros((1, 7, 3)), "body_shift": np.zeros((1, 3))}, "body_rotations: expected with"),
         ({"body_rotations": np.zeros((2, 20, 3)), "body_shift": np.zeros((2, 3))}, "body_rotations"),
@@ -249,6 +267,16 @@ def test_broken_sequences_name_the_key(tmp_path, change, names):
     with pytest.raises(InvalidFile, match=names) as caught:
         io.load_sequence(tmp_path / "sequence.npz")
     assert "\n" not in str(caught.value)
+
+
+def test_an_error_that_quotes_what_it_read_stays_a_sentence(tmp_path):
+    np.savez_compressed(tmp_path / "a.npz", **GOOD)
+    data = (tmp_path / "a.npz").read_bytes()
+    place = data.index(b"garment_V.npy")
+    (tmp_path / "a.npz").write_bytes(data[: place - 4] + b"\xff\x01" + data[place - 2 :])  # the length of that name
+    with pytest.raises(InvalidFile, match="BadZipFile") as caught:
+        io.load_sequence(tmp_path / "a.npz")
+    assert len(str(caught.value)) < 250 + len(str(tmp_path))
 
 
 def test_a_single_array_is_no_sequence(tmp_path):

@@ -49,7 +49,7 @@ def upright(points):
 
 def test_a_garment_is_where_and_how_it_was(sequence):
     read = load_cloth3d(sequence)
-    assert (read.name, len(read), read.fps) == ("00042_Tshirt", FRAMES, 30.0)
+    assert (read.name, len(read), read.fps, read.garment) == ("00042_Tshirt", FRAMES, 30.0, "Tshirt")
     turn = Rotation.from_euler("z", ZROT)
     for frame in range(FRAMES):
         expected = upright(turn.apply(relative(frame) + TRANS[frame]))
@@ -86,7 +86,9 @@ def _info(folder, **changes):
     ("changes", "said"),
     [
         ({"trans": None}, "trans"),
-        ({"trans": np.zeros((3, 2))}, "of 5 frames"),
+        ({"trans": np.zeros((3, 2))}, r"of 5 frames as in Tshirt\.pc16, got 5 and 2"),
+        ({"poses": np.zeros((72, 3))}, r"of 5 frames as in Tshirt\.pc16, got 3 and 5"),
+        ({"trans": np.full((3, 5), 1e300)}, "numbers up to 1e"),
         ({"poses": np.zeros((70, 5))}, "poses"),
         ({"zrot": np.nan}, "zrot"),
         ({"gender": 7}, "gender"),
@@ -230,12 +232,21 @@ def test_a_pickle_is_never_read_and_arrays_have_to_fit(sequence, tmp_path):
         ("posedirs", arrays["posedirs"][:, :, 1:]),
         ("kintree_table", loop),
         ("f", arrays["f"] + 1),
+        ("f", arrays["f"] + 0.5),
+        ("f", arrays["f"][:0]),
+        ("v_template", np.zeros(())),
+        ("kintree_table", np.zeros((3, 24))),
         ("v_template", arrays["v_template"] * np.nan),
         ("shapedirs", np.array([{"not": "plain"}])),
     ):
         np.savez(tmp_path / "model_m.npz", **arrays | {name: value})
         with pytest.raises(InvalidFile, match=name):
             load_cloth3d(sequence, smpl=tmp_path)
+    np.savez(tmp_path / "model_m.npz", **arrays | {"shapedirs": arrays["shapedirs"][:, :, :6]})
+    with pytest.raises(InvalidFile, match=r"10 shape directions as in info\.mat, got 6"):
+        load_cloth3d(sequence, smpl=tmp_path)
+    with pytest.raises(InvalidFile, match="got nothing there"):
+        load_cloth3d(sequence, smpl=tmp_path / "model_f.npz")
     np.savez(tmp_path / "model_m.npz", **model_arrays(joints=20))
     with pytest.raises(InvalidFile, match="24 joints"):
         load_cloth3d(sequence, smpl=tmp_path)

@@ -131,8 +131,25 @@ def test_folders_without_frames_and_rates_without_sense(tmp_path):
     with pytest.raises(InvalidFile, match="no folder"):
         datasets.load_folder(tmp_path / "none")
     io.write_points(tmp_path / "0.xyz", np.eye(3))
-    with pytest.raises(InvalidArgument, match="fps"):
-        datasets.load_folder(tmp_path, fps=0)
+    for fps in (0, 1e-320, np.inf):
+        with pytest.raises(InvalidArgument, match="fps"):
+            datasets.load_folder(tmp_path, fps=fps)
+
+
+def test_points_beyond_single_precision_are_refused_and_no_points_are_a_frame(tmp_path):
+    (tmp_path / "0.xyz").write_text("1e300 0 0\n")
+    (tmp_path / "1.xyz").write_text("")
+    frames = datasets.load_folder(tmp_path)
+    with pytest.raises(InvalidFile, match=r"0\.xyz: expected coordinates up to 1e\+12, got 1e\+300"):
+        frames.cloud(0)
+    assert frames.cloud(1).points.shape == (0, 3)
+
+
+def test_depths_that_are_no_numbers_are_not_seen(tmp_path):
+    depth = np.full((240, 320, 1), np.nan)
+    depth[:, 160:], depth[100:140, 100:140] = np.inf, 2000
+    savemat(tmp_path / "a.mat", {"d_depth": depth})
+    assert np.count_nonzero(datasets.load_depth(tmp_path / "a.mat").depth) == 40 * 40
 
 
 @pytest.mark.parametrize("name", ["a1_s1_t1", "a12_s2_t1", "a26_s3_t1"])

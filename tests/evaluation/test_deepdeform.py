@@ -105,6 +105,10 @@ def test_what_does_not_fit_together_is_refused(folder):
     _write_flow(flow, np.zeros((3, 40, 80)))
     with pytest.raises(InvalidFile, match="scene flow: expected shape"):
         load_pair(folder)
+    _write_flow(flow, np.zeros((3, 60, 80)))
+    Image.fromarray(np.zeros((60, 80), np.uint16)).save(folder / "depth/000030.png")
+    with pytest.raises(InvalidFile, match=r"depth/000030\.png: expected a surface within 0\.3 m"):
+        load_pair(folder)
     (folder / "depth/000030.png").unlink()
     with pytest.raises(InvalidFile, match=r"000030\.png"):
         load_pair(folder)

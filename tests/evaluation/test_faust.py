@@ -52,7 +52,7 @@ def test_the_published_layout_is_found_from_any_of_its_folders(published, below)
 def test_a_clip_leaves_the_neutral_pose_and_holds_the_other_one(published):
     found = load_faust(published)
     clip = found.clip("s3_p2")
-    assert clip.name == "faust_s3_p2"
+    assert (clip.name, clip.garment, clip.motion) == ("faust_s3_p2", "whole body", "p2")
     assert (len(clip), clip.fps) == (1 + faust.MOVING + faust.HELD, 30.0)
     assert clip.garment_vertices[0] == pytest.approx(found.registration(3, 0), abs=1e-6)
     assert np.array_equal(clip.template, clip.garment_vertices[0])
@@ -80,7 +80,7 @@ def test_what_is_not_there_is_named_with_what_is(published):
     found = load_faust(published)
     with pytest.raises(InvalidArgument, match="s9_p3"):
         found.clip("s9_p3")
-    with pytest.raises(InvalidArgument, match=r"one of s0_p1, .* got 's3_p0'"):
+    with pytest.raises(InvalidArgument, match=r"one of those at hand \(s0_p1, .* got 's3_p0'"):
         found.clip("s3_p0")
     with pytest.raises(InvalidArgument, match=r"one of s0_p0, .* got s9_p1"):
         found.registration(9, 1)
@@ -92,6 +92,9 @@ def test_what_is_not_faust_is_refused(published, tmp_path):
     io.write_mesh(published / "training/registrations/tr_reg_001.ply", TUBE.vertices, TUBE.faces[1:])
     with pytest.raises(InvalidFile, match="those of the other registrations"):
         load_faust(published).clip("s0_p1")
+    io.write_mesh(published / "training/registrations/tr_reg_001.ply", np.concatenate([TUBE.vertices] * 2), TUBE.faces)
+    with pytest.raises(InvalidFile, match=f"s0_p1: expected {TUBE.n_vertices} vertices as s0_p0, got {2 * TUBE.n_vertices}"):
+        load_faust(published).clip("s0_p1")
     with pytest.raises(InvalidFile, match=r"tr_reg_000\.ply and so on"):
         load_faust(tmp_path)
     with pytest.raises(InvalidFile, match="nothing there"):
@@ -102,6 +105,7 @@ def test_what_is_not_faust_is_refused(published, tmp_path):
     good = np.zeros((10, 3, 3)) + np.eye(3)
     for vertices, faces, said in (
         (good[:9], [[0, 1, 2]], "shape"),
+        (good[:0], [[0, 1, 2]], "shape"),
         (good * np.nan, [[0, 1, 2]], "finite"),
         (good, [[0, 1, 3]], "indices"),
         (good * 0, [[0, 1, 2]], "area"),

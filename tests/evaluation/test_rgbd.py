@@ -22,6 +22,10 @@ def depth_metres(camera):
     return camera.render([(WALL, FACES)])[0]
 
 
+def with_pose(matrix):
+    return json.dumps({"fx": 1, "fy": 1, "cx": 1, "cy": 1, "T_world_sensor": matrix.tolist()})
+
+
 @pytest.fixture
 def folder(tmp_path):
     """Three frames, numbered 2, 10 and 11, of a wall that comes closer, and its intrinsics as a 4 x 4 matrix."""
@@ -99,7 +103,7 @@ def test_timestamps_are_the_sensors(folder):
     recording = load_rgbd(folder)
     assert [recording.timestamp(frame) for frame in range(3)] == [0.0, 0.5, 1.5]
     assert recording.fps == pytest.approx(2 / 1.5)
-    for text in ("1\n2\n", "1\n1\n2\n", "1\n2\nthree\n", "1\n2\nnan\n"):
+    for text in ("1\n2\n", "1\n1\n2\n", "1\n2\nthree\n", "1\n2\nnan\n", "0\n1e-320\n1\n", "-1e308\n0\n1e308\n", "", "\n"):
         (folder / "timestamps.txt").write_text(text)
         with pytest.raises(InvalidFile, match=r"timestamps\.txt"):
             load_rgbd(folder)
@@ -118,7 +122,15 @@ def test_timestamps_are_the_sensors(folder):
         ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 0}', "depth_scale"),
         ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": "m"}', "depth_scale"),
         ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "fps": "fast"}', "fps"),
+        ("camera.json", '{"fx": true, "fy": 1, "cx": 1, "cy": 1}', "fx, fy, cx, cy"),
+        ("camera.json", '{"fx": 1' + "0" * 400 + ', "fy": 1, "cx": 1, "cy": 1}', "fx, fy, cx, cy"),
+        ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "depth_scale": 1e-300}', "depth_scale"),
+        ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "fps": 1' + "0" * 400 + "}", "fps"),
         ("camera.json", '{"fx": 1, "fy": 1, "cx": 1, "cy": 1, "T_world_sensor": [[1]]}', "T_world_sensor"),
+        ("camera.json", with_pose(np.diag([1.0, 1.0, -1.0, 1.0])), "a rotation"),  # a mirror
+        ("camera.json", with_pose(np.diag([1e3, 1e3, 1e3, 1.0])), "a rotation"),  # in millimetres
+        ("camera.json", with_pose(np.eye(4) + np.eye(4, k=-3)), "row 0, 0, 0, 1"),  # written by columns
+        ("camera.json", with_pose(np.diag([1.0, 1.0, 1.0, np.nan])), "finite"),
         ("camera.json", "[" * 100_000, "JSON"),
         ("camera.json", " " * (1 << 21), "bytes"),
     ],

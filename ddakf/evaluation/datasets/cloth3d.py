@@ -23,6 +23,7 @@ from ddakf.sequence import Sequence
 
 FPS = 30.0
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from z up
+LARGEST = 1e6  # metres and radians: beyond, single precision says nothing any more
 MODELS = {0: "model_f.npz", 1: "model_m.npz"}  # by gender, in a folder of models
 NUMBERS = {"poses": "(72, T)", "shape": "(10,)", "trans": "(3, T)", "zrot": "one number", "gender": "0 or 1"}
 
@@ -67,7 +68,8 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
     if relative.shape[1] != len(rest):
         raise InvalidFile(f"{garment}.pc16", f"{len(rest)} vertices as in {garment}.obj", str(relative.shape[1]))
     if info["trans"].shape[1] < frames or info["poses"].shape[1] < frames:
-        raise InvalidFile("info.mat", f"poses and trans of {frames} frames", str(info["trans"].shape[1]))
+        found = f"{info['poses'].shape[1]} and {info['trans'].shape[1]}"
+        raise InvalidFile("info.mat", f"poses and trans of {frames} frames as in {garment}.pc16", found)
     turn = Y_UP @ Rotation.from_euler("z", float(info["zrot"][0, 0])).as_matrix()
     trans = info["trans"].T[:frames, None]
     body = body_faces = None
@@ -76,6 +78,8 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
         poses = info["poses"].T[:frames]
         if poses.shape[1] != 3 * len(model.parents):
             raise InvalidFile(str(smpl), f"{poses.shape[1] // 3} joints as in info.mat", str(len(model.parents)))
+        if info["shape"].size > (most := model.shape_directions.shape[2]):
+            raise InvalidFile(str(smpl), f"{info['shape'].size} shape directions as in info.mat", str(most))
         body, body_faces = _turned(model(poses, info["shape"].ravel()) + trans, turn), model.faces
     vertices = _turned(relative + trans, turn)
     name, rest = f"{path.name}_{garment}", _laid_onto(rest, vertices[0])
@@ -111,6 +115,8 @@ def _info(path: Path) -> dict[str, np.ndarray]:
         info[name] = value.astype(np.float64)
     if info["gender"][0, 0] not in MODELS:
         raise InvalidFile("info.mat: gender", NUMBERS["gender"], f"{info['gender'][0, 0]:g}")
+    if max(np.abs(info[name]).max() for name in ("trans", "zrot", "poses", "shape")) > LARGEST:
+        raise InvalidFile("info.mat", f"numbers up to {LARGEST:g}", "larger ones")
     # one frame only is written as a row
     for name, rows in (("poses", 72), ("trans", 3)):
         if info[name].shape[0] != rows and info[name].size == rows:

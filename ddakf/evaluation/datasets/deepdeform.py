@@ -108,6 +108,8 @@ def load_pair(path, part: str | None = None) -> Pair:
     seconds = (int(found["target"]) - int(found["source"])) / FPS
     garment = template_from_depth(np.where(mask, source, 0.0), camera)
     near = _near(camera, target, np.concatenate([points, garment.vertices]))
+    if len(near.points) == 0:
+        raise InvalidFile(f"depth/{found['target']}.png", f"a surface within {REACH:g} m of the object in the source", "none")
     return Pair(f"{path.resolve().name}_{part}", garment, points, flow[:, labelled].T @ camera.axes, near, seconds)
 
 

@@ -20,7 +20,7 @@ from ddakf.errors import InvalidArgument, InvalidFile, InvalidMesh
 from ddakf.evaluation.interpolation import Interpolation, minimum_jerk
 from ddakf.io import read_mesh, read_points
 from ddakf.mesh import Mesh
-from ddakf.sequence import UNREADABLE, Sequence
+from ddakf.sequence import UNREADABLE, Sequence, why
 
 POSES = 10  # of every subject; the first one is neutral
 NEUTRAL = 0
@@ -89,10 +89,15 @@ class Faust:
             InvalidArgument: not at hand. InvalidFile, InvalidMesh: not registrations.
         """
         if part not in self.clips:
-            raise InvalidArgument("clip", f"one of {', '.join(self.clips) or 'none at hand'}", repr(part))
+            known = ", ".join(self.clips) or "none, as there is no subject with the neutral pose and another"
+            raise InvalidArgument("clip", f"one of those at hand ({known})", repr(part))
         subject, pose = (int(number) for number in CLIP.fullmatch(part).groups())
         neutral = Mesh(self.registration(subject, NEUTRAL), self.faces)
-        way = Interpolation(neutral, self.registration(subject, pose))
+        last = self.registration(subject, pose)
+        if last.shape != neutral.vertices.shape:
+            expected = f"{neutral.n_vertices} vertices as s{subject}_p{NEUTRAL}"
+            raise InvalidFile(f"{self.path.name}: {part}", expected, str(len(last)))
+        way = Interpolation(neutral, last)
         moving = [way(minimum_jerk(frame / MOVING)) for frame in range(MOVING + 1)]
         vertices = np.stack(moving + [moving[-1]] * HELD).astype(np.float32)
         return Sequence(f"faust_{part}", vertices, self.faces, FPS, garment="whole body", motion=f"p{pose}")
@@ -142,8 +147,8 @@ def _from_archive(path: Path, modified: int, size: int) -> Faust:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             vertices, faces = archive["V"], archive["F"]
     except UNREADABLE as error:
-        raise InvalidFile(str(path), "an .npz archive with V and F", f"{type(error).__name__}: {error}") from error
-    if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or len(vertices) % POSES:
+        raise InvalidFile(str(path), "an .npz archive with V and F", why(error)) from error
+    if vertices.ndim != 3 or vertices.shape[2] != 3 or vertices.dtype.kind != "f" or len(vertices) % POSES or not len(vertices):
         raise InvalidFile(f"{path.name}: V", f"floats of shape ({POSES} S, V, 3)", f"{vertices.dtype} of shape {vertices.shape}")
     if not np.isfinite(vertices).all():
         raise InvalidFile(f"{path.name}: V", "finite numbers", f"{(~np.isfinite(vertices)).sum()} non-finite")

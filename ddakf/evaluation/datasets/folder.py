@@ -14,6 +14,8 @@ from ddakf.evaluation.sensors import Cloud
 from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
 from ddakf.mesh import Mesh
 
+LARGEST = 1e12  # of whatever unit
+
 
 @dataclass(frozen=True, eq=False)
 class FolderRecording:
@@ -38,8 +40,15 @@ class FolderRecording:
         return frame / self.fps
 
     def cloud(self, frame: int) -> Cloud:
-        """The points of one frame; where the sensor was is not known."""
-        return Cloud(read_points(self.paths[frame]).astype(np.float32), None)
+        """The points of one frame; where the sensor was is not known.
+
+        Raises:
+            InvalidFile: no points that can be read, or beyond :data:`LARGEST`.
+        """
+        points = read_points(self.paths[frame])
+        if np.abs(points).max(initial=0.0) > LARGEST:
+            raise InvalidFile(self.paths[frame].name, f"coordinates up to {LARGEST:g}", f"{np.abs(points).max():g}")
+        return Cloud(points.astype(np.float32), None)
 
     def template(self, frame: int = 0) -> Mesh:
         """The mesh that a frame's file holds, cleaned.

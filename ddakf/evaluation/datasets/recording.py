@@ -82,6 +82,6 @@ def positive_rate(fps: float) -> float:
     Raises:
         InvalidArgument: they do not.
     """
-    if not 0 < fps < np.inf:
-        raise InvalidArgument("fps", "a positive number", str(fps))
+    if not 1e-6 < fps < 1e6:
+        raise InvalidArgument("fps", "a positive number of frames per second", str(fps))
     return float(fps)

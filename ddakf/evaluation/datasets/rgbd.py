@@ -27,6 +27,9 @@ LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = ("1", "L", "I", "I;16", "I;16B")  # Pillow's names
 MILLIMETRES = 1000.0  # per metre
+LEAST_SCALE = 1e-3  # units per metre
+LARGEST = 1e12  # number in a text file, of whatever unit
+SHORTEST = 1e-6  # s between two frames
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,15 +86,15 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     shape = read_grey(paths[0]).shape
     camera, said = load_camera(path, shape)
     scale = said.get("depth_scale", MILLIMETRES)
-    if not isinstance(scale, int | float) or not 0 < scale < np.inf:
-        raise InvalidFile("camera.json: depth_scale", "a positive number", str(scale)[:40])
+    if not _is_number(scale) or scale < LEAST_SCALE:
+        raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
     images = DepthImages(paths, _masks(path, paths), float(scale), shape)
     times = _timestamps(path / "timestamps.txt", len(paths))
     if times is not None and len(times) > 1:
         fps = (len(times) - 1) / (times[-1] - times[0])
     else:
         fps = said.get("fps", fps)
-    if not isinstance(fps, int | float):
+    if not _is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
     return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
 
@@ -113,7 +116,7 @@ def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
     matrix = _numbers(path / "intrinsics.txt")
     if matrix.shape not in ((3, 3), (4, 4)):
         raise InvalidFile("intrinsics.txt", "a 3 x 3 or 4 x 4 matrix", f"shape {matrix.shape}")
-    lens = _checked_lens("intrinsics.txt", [matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]])
+    lens = _checked_lens("intrinsics.txt", matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     return Camera.at_origin(Intrinsics(width, height, *lens)), {}
 
 
@@ -164,8 +167,12 @@ def _timestamps(path: Path, count: int) -> np.ndarray | None:
     if not path.is_file():
         return None
     times = _numbers(path).ravel()
-    if len(times) != count or (np.diff(times) <= 0).any():
-        raise InvalidFile(path.name, f"{count} increasing numbers", f"{len(times)}")
+    if len(times) != count:
+        raise InvalidFile(path.name, f"{count} numbers, one per image", f"{len(times)}")
+    early = np.flatnonzero(np.diff(times) < SHORTEST) + 1
+    if len(early):
+        got = f"{times[early[0]]:.9g} after {times[early[0] - 1]:.9g}"
+        raise InvalidFile(path.name, f"seconds, each at least {SHORTEST:g} after the one before", got)
     return times
 
 
@@ -182,8 +189,10 @@ def _numbers(path: Path) -> np.ndarray:
         values = np.array(rows, np.float64)
     except ValueError:
         raise InvalidFile(path.name, "rows of numbers, equally long", str(rows[0])[:40]) from None
-    if values.ndim != 2 or not np.isfinite(values).all():
-        raise InvalidFile(path.name, "rows of finite numbers", f"shape {values.shape}")
+    if values.ndim != 2:
+        raise InvalidFile(path.name, "rows of numbers", "none")
+    if not (np.abs(values) <= LARGEST).all():
+        raise InvalidFile(path.name, f"finite numbers up to {LARGEST:g}", str(values[~(np.abs(values) <= LARGEST)][0]))
     return values
 
 
@@ -206,9 +215,14 @@ def _lens(said: dict) -> list[float]:
 
 
 def _checked_lens(where: str, values: list) -> list[float]:
-    if not all(isinstance(value, int | float) and np.isfinite(value) for value in values) or min(values[:2]) <= 0:
+    if not all(map(_is_number, values)) or min(values[:2]) <= 0:
         raise InvalidFile(where, "fx, fy, cx, cy in pixels, the first two positive", str(values)[:80])
     return [float(value) for value in values]
+
+
+def _is_number(value) -> bool:
+    """A finite one; JSON has whole numbers beyond all floats, and true is none."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
 def _placed(intrinsics: Intrinsics, pose) -> Camera:
@@ -218,6 +232,10 @@ def _placed(intrinsics: Intrinsics, pose) -> Camera:
         matrix = np.array(pose, np.float64)
     except (TypeError, ValueError):
         matrix = np.zeros(0)
-    if matrix.shape != (4, 4) or not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-3):
-        raise InvalidFile("camera.json: T_world_sensor", "4 rows of 4 numbers, a rigid motion", f"shape {matrix.shape}")
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= LARGEST).all():
+        raise InvalidFile("camera.json: T_world_sensor", "4 rows of 4 finite numbers", str(pose)[:80])
+    turn = matrix[:3, :3]
+    orthogonal = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
+    if not orthogonal or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
+        raise InvalidFile("camera.json: T_world_sensor", "a rotation, a shift and the row 0, 0, 0, 1", str(pose)[:80])
     return Camera(intrinsics, matrix[:3, 3], matrix[:3, :3].T)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidFile
-from ddakf.sequence import UNREADABLE
+from ddakf.sequence import UNREADABLE, why
 
 CHUNK = 64  # poses at once: a few hundred megabytes at most
 FIELDS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")
@@ -70,13 +70,13 @@ def load_smpl(path) -> Smpl:
     path = Path(path)
     if path.suffix.lower() != ".npz" or not path.is_file():
         expected = f"an .npz of the arrays {', '.join(FIELDS)} (numpy.savez; no pickle is read)"
-        raise InvalidFile(str(path), expected, path.suffix or "nothing there")
+        raise InvalidFile(str(path), expected, path.suffix if path.exists() else "nothing there")
     try:
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in FIELDS}
     except UNREADABLE as error:
-        raise InvalidFile(str(path), f"an .npz of {', '.join(FIELDS)}", f"{type(error).__name__}: {error}") from error
-    vertices, joints = arrays["v_template"].shape[0], arrays["kintree_table"].shape[-1]
+        raise InvalidFile(str(path), f"an .npz of {', '.join(FIELDS)}", why(error)) from error
+    vertices, joints = len(np.atleast_1d(arrays["v_template"])), np.atleast_1d(arrays["kintree_table"]).shape[-1]
     shapes = {
         "v_template": (vertices, 3),
         "shapedirs": (vertices, 3, None),
@@ -88,7 +88,7 @@ def load_smpl(path) -> Smpl:
     }
     for name, shape in shapes.items():
         found = arrays[name].shape
-        if len(found) != len(shape) or any(want not in (None, got) for want, got in zip(shape, found, strict=True)):
+        if 0 in found or len(found) != len(shape) or any(want not in (None, got) for want, got in zip(shape, found, strict=True)):
             raise InvalidFile(f"{path.name}: {name}", f"shape {shape}".replace("None", "any"), str(found))
         if arrays[name].dtype.kind not in "fiu" or not np.isfinite(arrays[name]).all():
             raise InvalidFile(f"{path.name}: {name}", "finite numbers", str(arrays[name].dtype))
@@ -96,8 +96,9 @@ def load_smpl(path) -> Smpl:
     parents[0] = -1  # the file has 2^32 - 1 there
     if (parents[1:] >= np.arange(1, joints)).any() or (parents[1:] < 0).any():
         raise InvalidFile(f"{path.name}: kintree_table", "joints after their parents", str(parents.tolist()))
-    faces = arrays["f"].astype(np.int64)
-    if faces.min() < 0 or faces.max() >= vertices:
-        raise InvalidFile(f"{path.name}: f", f"indices in [0, {vertices})", f"{faces.min()} to {faces.max()}")
+    faces = arrays["f"]
+    if faces.dtype.kind == "f" or faces.min() < 0 or faces.max() >= vertices:
+        found = f"{faces.dtype}, {faces.min():g} to {faces.max():g}"
+        raise InvalidFile(f"{path.name}: f", f"whole indices in [0, {vertices})", found)
     floats = [arrays[name].astype(np.float64) for name in FIELDS[:5]]
-    return Smpl(*floats, parents, faces)
+    return Smpl(*floats, parents, faces.astype(np.int64))

@@ -31,7 +31,8 @@ def load_depth(path, fps: float = 30.0) -> DepthRecording:
         raise InvalidFile(f"{path.name}: d_depth", "to be in the file", "nothing of that name")
     shape = (KINECT.height, KINECT.width)
     if depth.ndim != 3 or depth.shape[:2] != shape or depth.shape[2] == 0:
-        raise InvalidFile(f"{path.name}: d_depth", f"millimetres of shape {(*shape, 'T')}", f"{depth.dtype} {depth.shape}")
-    images = np.clip(np.nan_to_num(depth), 0, np.iinfo(np.uint16).max).astype(np.uint16)
+        expected = f"millimetres of shape ({KINECT.height}, {KINECT.width}, T)"
+        raise InvalidFile(f"{path.name}: d_depth", expected, f"{depth.dtype} {depth.shape}")
+    images = np.clip(np.nan_to_num(depth, posinf=0), 0, np.iinfo(np.uint16).max).astype(np.uint16)
     upright = np.ascontiguousarray(images.transpose(2, 0, 1)[:, :, ::-1])
     return DepthRecording(path.stem, upright, Camera.at_origin(KINECT), positive_rate(fps))
