@@ -15,7 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,7 +31,7 @@ from ddakf.evaluation.baselines.icp import IcpSettings, NonRigidPointToPlane, Ri
 from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
 from ddakf.evaluation.baselines.particle import ParticleFilter, ParticleSettings
-from ddakf.evaluation.methods import Estimate, named
+from ddakf.evaluation.methods import Maker, named, started
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
@@ -113,7 +113,7 @@ def search(name: str, frames: int) -> dict:
     chosen, tries = {axis: values[0] for axis, values in axes.items()}, []
 
     def tried(values: dict) -> dict:
-        row = {"settings": values} | score(lambda: started_by(make(settings(**values))), frames)
+        row = {"settings": values} | score(lambda: partial(started, make(settings(**values))), frames)
         tries.append(row)
         print(f"{name} {values}: RMSE {row['rmse_mm']} mm, normal {row['normal_rmse_mm']}", file=sys.stderr, flush=True)
         return row
@@ -133,17 +133,7 @@ def ddakf(frames: int) -> dict:
     return {"score": score(lambda: named("default"), frames)}
 
 
-def started_by(method: Baseline) -> Callable:
-    """A baseline as :func:`ddakf.evaluation.methods.named` gives it."""
-
-    def made(garment: Mesh, start: np.ndarray, body: None) -> Callable[[Frame], Estimate]:
-        method.start(garment, start, body)
-        return lambda f: Estimate(method.step(f.points, f.timestamp, f.sensor_origin, f.body_vertices))
-
-    return made
-
-
-def score(make: Callable, frames: int) -> dict:
+def score(make: Callable[[], Maker], frames: int) -> dict:
     """A method on all clips: geometric means of the errors, and the median time per frame; all of them per clip too."""
     rows = {}
     for clip in clips(frames):

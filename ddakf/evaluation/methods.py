@@ -12,7 +12,7 @@ import numpy as np
 
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.baselines import BASELINES, NOTHING_SAID, Scored, baseline
+from ddakf.evaluation.baselines import BASELINES, NOTHING_SAID, Baseline, Scored, baseline
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.tracker import Tracker
@@ -103,13 +103,15 @@ def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None
 
 
 def _baseline(name: str, scored: Scored, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
-    method = baseline(name, scored)
+    return started(baseline(name, scored), garment, start, body)
+
+
+def started(method: Baseline, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    """A baseline at work, started from garment, start (V, 3) in metres and body."""
     method.start(garment, start, body)
 
     def step(frame: Frame) -> Estimate:
-        vertices = method.step(frame.points, frame.timestamp, frame.sensor_origin, frame.body_vertices)
-        sizes = getattr(method, "effective_sample_sizes", None)
-        return Estimate(vertices, effective_sample_size=sizes[-1] if sizes else None)
+        return Estimate(method.step(frame), effective_sample_size=getattr(method, "effective_sample_size", None))
 
     return step
 

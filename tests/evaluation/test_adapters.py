@@ -9,6 +9,7 @@ from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.metrics import normal_rmse_mm
 from ddakf.evaluation.sensors import sample_surface
+from ddakf.evaluation.source import Frame
 from tests.evaluation.shapes import tube
 
 PACKAGES = {"open3d-arap": "open3d", "trimesh-nricp": "trimesh", "probreg-cpd": "probreg"}
@@ -39,17 +40,17 @@ def test_without_its_package_it_says_what_to_install(name, monkeypatch):
 def test_it_comes_nearer_to_a_surface_that_moved(name, garment):
     truth = garment.vertices + [0.02, 0, 0.02]
     points = sample_surface(truth, garment.faces, 2000, np.random.default_rng(0)).astype(np.float32)
-    estimate = made(name, garment).step(points, 0.1, None, None)
+    estimate = made(name, garment).step(Frame(0, 0.1, points))
     assert normal_rmse_mm(estimate, truth, garment.faces) < 0.6 * normal_rmse_mm(garment.vertices, truth, garment.faces)
 
 
 @pytest.mark.parametrize("name", PACKAGES)
 def test_without_points_it_stays_where_it_is(name, garment):
-    assert np.array_equal(made(name, garment).step(np.zeros((0, 3), np.float32), 0.1, None, None), garment.vertices)
+    assert np.array_equal(made(name, garment).step(Frame(0, 0.1, np.zeros((0, 3), np.float32))), garment.vertices)
 
 
 def test_a_part_that_nobody_sees_is_not_left_to_chance(garment):
     """Open3D would solve a singular system: the garment stays where it is."""
     method = made("open3d-arap", garment)
-    estimate = method.step(garment.vertices + [5.0, 0, 0], 0.1, None, None)
+    estimate = method.step(Frame(0, 0.1, garment.vertices + [5.0, 0, 0]))
     assert np.array_equal(estimate, garment.vertices)

@@ -46,7 +46,7 @@ def test_it_follows_a_rigid_motion(name, garment):
         return moved(garment.vertices, 0.012 * k, [0.010 * k, 0.003 * k, 0])
 
     for k, points in enumerate(clouds(garment, pose, 8), 1):
-        estimate = method.step(points, k / 30, None, None)
+        estimate = method.step(Frame(0, k / 30, points))
     assert rmse_mm(garment.vertices, pose(8)) > 80
     assert rmse_mm(estimate, pose(8)) < 15
 
@@ -59,7 +59,7 @@ def test_it_follows_a_deformation(name, garment):
         return widened(garment.vertices, 0.02 * k)
 
     for k, points in enumerate(clouds(garment, pose, 8), 1):
-        estimate = method.step(points, k / 30, None, None)
+        estimate = method.step(Frame(0, k / 30, points))
     assert normal_rmse_mm(estimate, pose(8), garment.faces) < 0.5 * normal_rmse_mm(garment.vertices, pose(8), garment.faces)
 
 
@@ -67,16 +67,16 @@ def test_it_follows_a_deformation(name, garment):
 def test_without_points_it_stays_where_it_starts(name, garment):
     start = widened(garment.vertices, 0.1) + 1.0
     method = made(name, garment, start)
-    first = method.step(np.zeros((0, 3), np.float32), 0.1, None, None)
+    first = method.step(Frame(0, 0.1, np.zeros((0, 3), np.float32)))
     assert rmse_mm(first, start) < FITTED_MM
-    assert np.allclose(method.step(np.zeros((0, 3), np.float32), 0.2, None, None), first, atol=1e-9)
+    assert np.allclose(method.step(Frame(0, 0.2, np.zeros((0, 3), np.float32))), first, atol=1e-9)
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_points_out_of_reach_do_not_pull(name, garment):
     method = made(name, garment, garment.vertices)
     for k in range(1, 4):
-        estimate = method.step((garment.vertices + [5.0, 0, 0]).astype(np.float32), k / 30, None, None)
+        estimate = method.step(Frame(0, k / 30, (garment.vertices + [5.0, 0, 0]).astype(np.float32)))
     assert rmse_mm(estimate, garment.vertices) < 10
 
 
@@ -86,7 +86,7 @@ def test_the_same_frames_give_the_same_result(name, garment):
     for _ in range(2):
         method = made(name, garment, garment.vertices)
         for k, points in enumerate(clouds(garment, lambda k: widened(garment.vertices, 0.02 * k), 3), 1):
-            result = method.step(points, k / 30, None, None)
+            result = method.step(Frame(0, k / 30, points))
         results.append(result)
     assert results[0].shape == garment.vertices.shape
     assert np.allclose(*results, atol=1e-9)
@@ -96,20 +96,20 @@ def test_the_same_frames_give_the_same_result(name, garment):
 def test_a_new_start_forgets_what_was_before(name, garment):
     method = made(name, garment, garment.vertices)
     for k, points in enumerate(clouds(garment, lambda k: garment.vertices + 0.01 * k, 3), 1):
-        method.step(points, k / 30, None, None)
+        method.step(Frame(0, k / 30, points))
     method.start(garment, garment.vertices, None)
     fresh = made(name, garment, garment.vertices)
     points = clouds(garment, lambda k: garment.vertices, 1)[0]
-    assert np.allclose(method.step(points, 9.0, None, None), fresh.step(points, 9.0, None, None), atol=1e-9)
+    assert np.allclose(method.step(Frame(0, 9.0, points)), fresh.step(Frame(0, 9.0, points)), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_results_belong_to_the_caller(name, garment):
     points = clouds(garment, lambda k: garment.vertices + 0.002 * k, 2)
     one, other = made(name, garment, garment.vertices), made(name, garment, garment.vertices)
-    one.step(points[0], 0.1, None, None)[:] = 7.0
-    other.step(points[0], 0.1, None, None)
-    assert np.allclose(one.step(points[1], 0.2, None, None), other.step(points[1], 0.2, None, None), atol=1e-9)
+    one.step(Frame(0, 0.1, points[0]))[:] = 7.0
+    other.step(Frame(0, 0.1, points[0]))
+    assert np.allclose(one.step(Frame(0, 0.2, points[1])), other.step(Frame(0, 0.2, points[1])), atol=1e-9)
 
 
 @pytest.mark.parametrize("name", ["kf", *SHAPED])
@@ -119,7 +119,7 @@ def test_what_faces_away_from_the_sensor_takes_no_point(name, garment):
     wall = garment.vertices[back] - [0, 0, 0.03]
     pulled = {}
     for view, origin in (("blind", None), ("seeing", np.array([0, 0.3, 3.0])), ("each", np.tile([0, 0.3, 3.0], (len(wall), 1)))):
-        estimate = made(name, garment, garment.vertices).step(wall, 0.1, origin, None)
+        estimate = made(name, garment, garment.vertices).step(Frame(0, 0.1, wall, origin))
         pulled[view] = -(estimate - garment.vertices)[back, 2].mean()
     assert pulled["blind"] > 5 * max(pulled["seeing"], 1e-6)
     assert pulled["each"] == pytest.approx(pulled["seeing"], abs=1e-6)
@@ -131,8 +131,8 @@ def test_a_turned_world_gives_a_turned_result(name, garment):
     plain = made(name, garment, garment.vertices)
     turned = made(name, garment, moved(garment.vertices, 2.0, [3.0, 1.0, -2.0]))
     for k, cloud in enumerate(points, 1):
-        here = plain.step(cloud, k / 30, None, None)
-        there = turned.step(moved(cloud, 2.0, [3.0, 1.0, -2.0]), k / 30, None, None)
+        here = plain.step(Frame(0, k / 30, cloud))
+        there = turned.step(Frame(0, k / 30, moved(cloud, 2.0, [3.0, 1.0, -2.0])))
     assert rmse_mm(there, moved(here, 2.0, [3.0, 1.0, -2.0])) < 1.0
 
 

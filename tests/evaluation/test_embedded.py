@@ -12,6 +12,7 @@ from ddakf.evaluation.baselines.embedded import (
     spread,
 )
 from ddakf.evaluation.metrics import rmse_mm
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from tests.evaluation.shapes import moved, tube, widened
 
@@ -125,4 +126,4 @@ def test_gauss_newton_descends_to_where_the_energy_has_no_slope(garment):
 def test_it_starts_where_it_is_told_whatever_the_turn(garment):
     method, start = EmbeddedDeformation(), moved(widened(garment.vertices, 0.1), 3.0, [1, 0, 0])
     method.start(garment, start, None)
-    assert rmse_mm(method.step(np.zeros((0, 3)), 0.1, None, None), start) < 1
+    assert rmse_mm(method.step(Frame(0, 0.1, np.zeros((0, 3)))), start) < 1

@@ -5,7 +5,7 @@ import pytest
 
 from ddakf.evaluation.baselines import icp
 from ddakf.evaluation.baselines.icp import DAMPING, IcpSettings, NonRigidPointToPlane
-from ddakf.evaluation.baselines.matching import rigid_motion
+from ddakf.evaluation.baselines.matching import Matches, rigid_motion
 from tests.evaluation.shapes import moved, tube
 
 
@@ -19,7 +19,7 @@ def test_a_step_is_the_dense_least_squares_solution(monkeypatch):
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     method = NonRigidPointToPlane(IcpSettings(stiffness=stiffness))
     method.start(garment, x, None)
-    move = method._move(points, normals, weight)
+    move = method._move(x, Matches(points, normals, weight))
 
     i, j = garment.edges.T
     turn, shift = rigid_motion(garment.vertices, x)

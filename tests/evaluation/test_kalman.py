@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.evaluation.baselines.kalman import FIRST_STEP, START_SD, START_SPEED_SD, KalmanFilter, KalmanSettings
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 
 TRIANGLE = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
@@ -33,7 +34,7 @@ def test_a_vertex_is_filtered_as_in_the_textbook():
     method.start(TRIANGLE, TRIANGLE.vertices, None)
     for place, time in zip(places, times, strict=True):
         cloud = np.zeros((0, 3)) if place is None else place[None]
-        estimate = method.step(cloud, time, None, None)
+        estimate = method.step(Frame(0, time, cloud))
     assert estimate[0] == pytest.approx(textbook(places, times, settings))
     assert estimate[1:] == pytest.approx(TRIANGLE.vertices[1:])
 
@@ -42,6 +43,6 @@ def test_a_vertex_without_points_flies_on_at_its_speed():
     method = KalmanFilter(KalmanSettings(measurement_sd=0.001, acceleration_density=10.0, gate=0.2))
     method.start(TRIANGLE, TRIANGLE.vertices, None)
     for k in range(1, 40):
-        method.step(TRIANGLE.vertices + [0.01 * k, 0, 0], k / 30, None, None)
-    estimate = method.step(np.zeros((0, 3)), 49 / 30, None, None)
+        method.step(Frame(0, k / 30, TRIANGLE.vertices + [0.01 * k, 0, 0]))
+    estimate = method.step(Frame(0, 49 / 30, np.zeros((0, 3))))
     assert estimate - TRIANGLE.vertices == pytest.approx(np.tile([0.49, 0, 0], (3, 1)), abs=0.005)

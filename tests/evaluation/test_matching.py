@@ -5,11 +5,13 @@ import pytest
 from scipy import sparse
 
 from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised, graph_laplacian
-from ddakf.evaluation.baselines.matching import Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.matching import MatchSettings, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import vertex_normals
 from tests.evaluation.shapes import moved, tube
 
 UP = np.array([0.0, 1.0, 0.0])
+SETTINGS = MatchSettings(gate=0.1, normal_cosine=0.5, neighbours=8)
 
 
 def plane(rng, count=400):
@@ -24,8 +26,8 @@ def test_normals_of_a_mesh_are_the_library_s():
 
 
 def test_a_vertex_above_a_plane_is_matched_with_its_normal_and_tukey_s_weight():
-    scan = Scan(plane(np.random.default_rng(0)), None, 8)
-    found = scan.match(np.array([[0, 0.03, 0], [0, -0.03, 0], [0, 0.2, 0]]), np.array([UP, -UP, UP]), 0.1, 0.5)
+    scan = Scan(Frame(0, 0.0, plane(np.random.default_rng(0))), SETTINGS)
+    found = scan.match(np.array([[0, 0.03, 0], [0, -0.03, 0], [0, 0.2, 0]]), np.array([UP, -UP, UP]))
     distance = np.linalg.norm(found.points[:2] - [[0, 0.03, 0], [0, -0.03, 0]], axis=1)
     assert found.normals[:2] == pytest.approx(np.array([UP, -UP]), abs=1e-6)
     assert found.weight == pytest.approx([*((1 - (distance / 0.1) ** 2) ** 2), 0])
@@ -34,13 +36,14 @@ def test_a_vertex_above_a_plane_is_matched_with_its_normal_and_tukey_s_weight():
 def test_normals_that_disagree_are_no_match():
     points, x = plane(np.random.default_rng(0)), np.array([[0, 0.01, 0], [0, 0.01, 0]])
     slanted = np.array([[np.sin(1.2), np.cos(1.2), 0], [np.sin(0.5), np.cos(0.5), 0]])
-    assert (Scan(points, None, 8).match(x, slanted, 0.1, 0.5).weight > 0).tolist() == [False, True]
+    assert (Scan(Frame(0, 0.0, points), SETTINGS).match(x, slanted).weight > 0).tolist() == [False, True]
 
 
 def test_seen_from_below_a_plane_is_not_matched_with_what_looks_up():
     points, x = plane(np.random.default_rng(0)), np.array([[0, 0.01, 0], [0, -0.01, 0]])
     for origin in (np.array([0, -2.0, 0]), np.tile([0, -2.0, 0], (len(points), 1))):
-        assert (Scan(points, origin, 8).match(x, np.array([UP, -UP]), 0.1, 0.5).weight > 0).tolist() == [False, True]
+        found = Scan(Frame(0, 0.0, points, origin), SETTINGS).match(x, np.array([UP, -UP]))
+        assert (found.weight > 0).tolist() == [False, True]
 
 
 def test_conjugate_gradients_agree_with_a_dense_solve():

@@ -8,6 +8,7 @@ from ddakf.evaluation.baselines import BASELINES, baseline
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp, best_rotations, turned
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import sample_surface
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.physics.bend import build as hinges
 
@@ -50,7 +51,7 @@ def test_it_follows_a_rigid_motion(garment):
     for k in range(1, 8):
         truth = moved(garment.vertices, 0.03 * k, [0.01 * k, 0.005 * k, 0])
         points = sample_surface(truth, garment.faces, 3000, rng)
-        estimate = method.step(points, k / 30, None, None)
+        estimate = method.step(Frame(0, k / 30, points))
     assert rmse_mm(garment.vertices, truth) > 60
     assert rmse_mm(estimate, truth) < 6
 
@@ -59,7 +60,7 @@ def test_without_points_it_stays_where_it_is(garment):
     method = baseline("nicp")
     method.start(garment, garment.vertices + 1.0, None)
     for k in range(3):
-        assert np.array_equal(method.step(np.zeros((0, 3)), k / 30, None, None), garment.vertices + 1.0)
+        assert np.array_equal(method.step(Frame(0, k / 30, np.zeros((0, 3)))), garment.vertices + 1.0)
 
 
 def test_without_points_it_goes_on_and_comes_to_rest(garment):
@@ -67,9 +68,9 @@ def test_without_points_it_goes_on_and_comes_to_rest(garment):
     method.start(garment, garment.vertices, None)
     near = garment.vertices + [0.004, 0, 0]
     for _ in range(30):
-        first = method.step(near, 0.0, None, None)
-    last = method.step(near + [0.004, 0, 0], 0.0, None, None)
-    ahead = [method.step(np.zeros((0, 3)), 0.0, None, None) for _ in range(60)]
+        first = method.step(Frame(0, 0.0, near))
+    last = method.step(Frame(0, 0.0, near + [0.004, 0, 0]))
+    ahead = [method.step(Frame(0, 0.0, np.zeros((0, 3)))) for _ in range(60)]
     step = (last - first).mean(axis=0)[0]
     assert (ahead[0] - last).mean(axis=0)[0] == pytest.approx(0.8 * step)
     assert (ahead[-1] - last).mean(axis=0)[0] == pytest.approx(4 * step, rel=1e-4)  # 0.8 + 0.8^2 + ...
@@ -78,7 +79,7 @@ def test_without_points_it_goes_on_and_comes_to_rest(garment):
 def test_points_beyond_the_gate_do_not_pull(garment):
     method = NonRigidIcp(NicpSettings(gate=0.05))
     method.start(garment, garment.vertices, None)
-    estimate = method.step(garment.vertices + [10.0, 0, 0], 0.0, None, None)
+    estimate = method.step(Frame(0, 0.0, garment.vertices + [10.0, 0, 0]))
     assert np.allclose(estimate, garment.vertices, atol=1e-9)
 
 
@@ -90,7 +91,7 @@ def test_what_faces_away_from_the_sensor_takes_no_point(garment):
     for name, origin in (("blind", None), ("seeing", np.array([0, 0, 3.0])), ("each", np.tile([0, 0, 3.0], (len(wall), 1)))):
         method = baseline("nicp")
         method.start(garment, garment.vertices, None)
-        pulled[name] = -(method.step(wall, 0.0, origin, None) - garment.vertices)[back, 2].mean()
+        pulled[name] = -(method.step(Frame(0, 0.0, wall, origin)) - garment.vertices)[back, 2].mean()
     assert pulled["blind"] > 0.015
     assert pulled["seeing"] < 0.002
     assert pulled["each"] == pytest.approx(pulled["seeing"])
@@ -99,10 +100,10 @@ def test_what_faces_away_from_the_sensor_takes_no_point(garment):
 def test_results_belong_to_the_caller(garment):
     method = baseline("nicp")
     method.start(garment, garment.vertices, None)
-    first = method.step(garment.vertices, 0.0, None, None)
+    first = method.step(Frame(0, 0.0, garment.vertices))
     kept = first.copy()
     first += 1.0
-    assert rmse_mm(method.step(garment.vertices, 0.1, None, None), kept) < 2
+    assert rmse_mm(method.step(Frame(0, 0.1, garment.vertices)), kept) < 2
 
 
 def test_best_rotations_are_rotations_also_of_reflections_and_flat_matrices():

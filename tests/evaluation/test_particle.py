@@ -8,6 +8,7 @@ from ddakf.evaluation.baselines.linear import graph_laplacian
 from ddakf.evaluation.baselines.particle import NearestPoints, ParticleFilter, ParticleSettings, harmonics, systematic
 from ddakf.evaluation.metrics import normal_rmse_mm
 from ddakf.evaluation.sensors import sample_surface
+from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from tests.evaluation.shapes import tube, widened
 
@@ -58,20 +59,23 @@ def test_looked_up_distances_are_near_the_true_ones():
 def test_the_mean_is_that_of_all_particles(garment):
     method = ParticleFilter(ParticleSettings(particles=30))
     method.start(garment, garment.vertices, None)
-    method.step(garment.vertices + 0.01, 0.1, None, None)
+    method.step(Frame(0, 0.1, garment.vertices + 0.01))
     everything = method._vertices_of_all(np.arange(garment.n_vertices))
     assert method._mean_vertices() == pytest.approx(np.einsum("n,nva->va", method._weight, everything))
 
 
-def test_every_frame_with_points_has_an_effective_sample_size(garment):
+def test_the_effective_sample_size_is_that_of_the_last_frame_with_points(garment):
     method = ParticleFilter(ParticleSettings(particles=50))
     method.start(garment, garment.vertices, None)
-    for k in range(4):
-        method.step(garment.vertices if k != 2 else np.zeros((0, 3)), 0.1 * (k + 1), None, None)
-    assert len(method.effective_sample_sizes) == 3
-    assert all(1 <= size <= 50 + 1e-9 for size in method.effective_sample_sizes)
+    assert method.effective_sample_size == pytest.approx(50)
+    method.step(Frame(0, 0.1, garment.vertices))
+    size = method.effective_sample_size
+    assert size == pytest.approx(1 / sum(weight**2 for weight in method._weight))
+    assert 1 <= size < 49
+    method.step(Frame(1, 0.2, np.zeros((0, 3))))
+    assert method.effective_sample_size == size
     method.start(garment, garment.vertices, None)
-    assert method.effective_sample_sizes == []
+    assert method.effective_sample_size == pytest.approx(50)
 
 
 def test_soft_enough_it_follows_a_smooth_deformation(garment):
@@ -79,5 +83,5 @@ def test_soft_enough_it_follows_a_smooth_deformation(garment):
     method.start(garment, garment.vertices, None)
     for k in range(1, 9):
         truth = widened(garment.vertices, 0.02 * k)
-        estimate = method.step(sample_surface(truth, garment.faces, 4000, rng), k / 30, None, None)
+        estimate = method.step(Frame(0, k / 30, sample_surface(truth, garment.faces, 4000, rng)))
     assert normal_rmse_mm(estimate, truth, garment.faces) < 0.6 * normal_rmse_mm(garment.vertices, truth, garment.faces)

@@ -30,7 +30,7 @@ class Frozen:
     def start(self, garment, vertices, body):
         self.vertices = vertices
 
-    def step(self, points, timestamp, sensor_origin, body_vertices):
+    def step(self, frame):
         return self.vertices
 
 

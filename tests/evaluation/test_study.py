@@ -39,7 +39,7 @@ class Broken:
     def start(self, garment, vertices, body):
         self.vertices, self.left = vertices, 2
 
-    def step(self, points, timestamp, sensor_origin, body_vertices):
+    def step(self, frame):
         self.left -= 1
         if self.left < 0:
             raise np.linalg.LinAlgError("singular")
@@ -49,7 +49,7 @@ class Broken:
 class Frozen(Broken):
     """Stays where it was."""
 
-    def step(self, points, timestamp, sensor_origin, body_vertices):
+    def step(self, frame):
         return self.vertices
 
 

@@ -90,7 +90,7 @@ def test_what_there_is_not_is_named_and_no_row():
 
 def test_what_a_method_cannot_do_is_a_row_that_says_so(monkeypatch, rows):
     class Breaks(NonRigidIcp):
-        def step(self, points, timestamp, sensor_origin, body_vertices):
+        def step(self, frame):
             raise np.linalg.LinAlgError("singular matrix")
 
     monkeypatch.setitem(BASELINES, "breaks", lambda scored: Breaks())

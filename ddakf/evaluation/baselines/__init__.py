@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,6 +15,9 @@ from ddakf.evaluation.baselines.kalman import KalmanFilter
 from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
 from ddakf.evaluation.baselines.particle import ParticleFilter
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 
 class Scored(NamedTuple):
@@ -43,17 +46,14 @@ class Baseline(Protocol):
             NotApplicable: it cannot be used here; the sentence says what it lacks.
         """
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
-        """One frame; the arguments are those of :meth:`ddakf.Tracker.step`.
+    def step(self, frame: Frame) -> np.ndarray:
+        """One frame, of which the method sees the points, their sensor's place, the time and the body's vertices.
 
         Returns:
             (V, 3) the garment in this frame, metres.
+
+        Raises:
+            NotApplicable: this frame lacks what the method cannot do without.
         """
 
 

@@ -7,45 +7,26 @@ time.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
 from ddakf.evaluation.baselines.embedded import spread
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, VertexNormals, facing, rigid_motion
+from ddakf.evaluation.baselines.matching import facing, rigid_motion
 from ddakf.evaluation.baselines.optional import package
+from ddakf.evaluation.baselines.registration import Registration
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 GATE = 0.10  # m: a correspondence is nearer
 SEED = 0  # of the choice of points
 
 
-class Adapter:
-    """What the adapters share: a frame with too few points leaves the garment where it is."""
-
-    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        self._garment, self._position = garment, np.array(vertices, np.float64)
-        self._normals = VertexNormals(garment)
-
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        if len(points) >= LEAST_POINTS:
-            self._position = self._registered(np.array(points, np.float64), sensor_origin)
-        return self._position.copy()
-
-    def _registered(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
-        """(V, 3) the garment laid onto points (N, 3)."""
-        raise NotImplementedError
-
-
-class Open3dArap(Adapter):
+class Open3dArap(Registration):
     """Open3D's as-rigid-as-possible deformation (Sorkine and Alexa 2007) of the rest shape, laid rigidly onto the last estimate:
     handles spread over the garment are pinned where they were, moved along their normals as far as the nearest points are, and
     the rest follows. (Pinned to the points themselves they would wander along the surface.)
@@ -64,10 +45,10 @@ class Open3dArap(Adapter):
         self._handles, distance = spread(garment, min(self.HANDLES, garment.n_vertices))
         self._part = np.unique(np.isfinite(distance), axis=0)  # (parts, V): vertices that hang together
 
-    def _registered(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
-        tree, x = cKDTree(points), self._position
+    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+        tree = cKDTree(np.array(frame.points, np.float64))
         for _ in range(self.ROUNDS):
-            x = self._deformed(x, tree, sensor_origin)
+            x = self._deformed(x, tree, frame.sensor_origin)
         return x
 
     def _deformed(self, x: np.ndarray, tree: cKDTree, sensor_origin: np.ndarray | None) -> np.ndarray:
@@ -87,7 +68,7 @@ class Open3dArap(Adapter):
         return np.asarray(mesh.deform_as_rigid_as_possible(*pins, self.ITERATIONS).vertices).copy()
 
 
-class TrimeshNricp(Adapter):
+class TrimeshNricp(Registration):
     """trimesh's ``nricp_amberg`` (Amberg, Romdhani and Vetter 2007), from the last estimate, which is the only source shape that
     its interface can begin with.
 
@@ -100,15 +81,15 @@ class TrimeshNricp(Adapter):
     def __init__(self) -> None:
         self._trimesh, self._registration = package("trimesh", "trimesh"), package("trimesh.registration", "trimesh")
 
-    def _registered(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
-        mesh = self._trimesh.Trimesh(self._position, self._garment.faces, process=False)
-        cloud = self._trimesh.PointCloud(points)
+    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+        mesh = self._trimesh.Trimesh(x, self._garment.faces, process=False)
+        cloud = self._trimesh.PointCloud(np.array(frame.points, np.float64))
         threshold = GATE / mesh.scale  # it scales the mesh to 1
         found = self._registration.nricp_amberg(mesh, cloud, steps=self.STEPS, distance_threshold=threshold, use_faces=False)
         return np.asarray(found, np.float64)
 
 
-class ProbregCpd(Adapter):
+class ProbregCpd(Registration):
     """probreg's non-rigid coherent point drift (Myronenko and Song 2010) of control points on the last estimate, brought to
     unit variance; the vertices follow by its Gaussian kernel. More control points than this take seconds per frame.
 
@@ -127,9 +108,9 @@ class ProbregCpd(Adapter):
         self._control, _ = spread(garment, min(self.CONTROL, garment.n_vertices))
         self._rng = np.random.default_rng(SEED)
 
-    def _registered(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
-        middle, scale = self._position.mean(axis=0), self._position.std()
-        x = (self._position - middle) / scale
+    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+        points, middle, scale = np.array(frame.points, np.float64), x.mean(axis=0), x.std()
+        x = (x - middle) / scale
         source, target = x[self._control], points[self._rng.permutation(len(points))[: self.POINTS]]
         drift = self._cpd.NonRigidCPD(source, beta=self.BETA, lmd=self.STIFFNESS)
         found = drift.registration((target - middle) / scale, w=self.OUTLIERS, maxiter=self.ITERATIONS)

@@ -21,14 +21,18 @@ is factorised once, and preconditions the conjugate gradients that solve each Ga
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
 from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, MatchSettings, Scan, VertexNormals, rigid_motion
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
 TYPICAL_ROTATION = 2.0  # eigenvalue of Rot's Hessian at a rotation, likewise
@@ -39,17 +43,14 @@ STILL = 5e-4  # m: a frame is done when its vertices move less, RMS
 
 
 @dataclass(frozen=True)
-class EmbeddedSettings:
-    """Numbers of the method; the defaults are the best of ``benchmarks/results/tuning.json``.
+class EmbeddedSettings(MatchSettings):
+    """Numbers of the method, beside those of matching; the defaults are the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
         nodes: of the graph.
         influences: nearest nodes that move a vertex.
         point, rotation, regularisation, smoothness: weights of the terms, see the module.
         iterations: of Gauss-Newton per frame, at most.
-        gate: metres; see :func:`ddakf.evaluation.baselines.matching.Scan.match`.
-        normal_cosine: least between the normals of a vertex and its point.
-        neighbours: of a point, that give its normal.
     """
 
     nodes: int = 300
@@ -59,16 +60,16 @@ class EmbeddedSettings:
     regularisation: float = 1.0
     smoothness: float = 3.0
     iterations: int = 8
-    gate: float = 0.1
-    normal_cosine: float = 0.5
-    neighbours: int = 8
+
+
+TUNED = EmbeddedSettings()
 
 
 class EmbeddedDeformation:
     """See the module. Knows no body and no time."""
 
-    def __init__(self, settings: EmbeddedSettings | None = None):
-        self.settings = EmbeddedSettings() if settings is None else settings
+    def __init__(self, settings: EmbeddedSettings = TUNED):
+        self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
@@ -87,20 +88,14 @@ class EmbeddedDeformation:
         for _ in range(STARTING_STEPS):
             self._unknowns = self._unknowns + self._step(vertices, np.zeros_like(vertices), everywhere, 1.0)
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
+    def step(self, frame: Frame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
         x = self._graph.blend @ self._unknowns
-        if len(points) < LEAST_POINTS:
+        if len(frame.points) < LEAST_POINTS:
             return x
-        settings, scan = self.settings, Scan(points, sensor_origin, self.settings.neighbours)
+        settings, scan = self.settings, Scan(frame, self.settings)
         for _ in range(settings.iterations):
-            found = scan.match(x, self._normals(x), settings.gate, settings.normal_cosine)
+            found = scan.match(x, self._normals(x))
             self._unknowns = self._unknowns + self._step(found.points, found.normals, found.weight[:, None], settings.point)
             before, x = x, self._graph.blend @ self._unknowns
             if np.square(x - before).sum(axis=1).mean() < STILL**2:

@@ -1,17 +1,21 @@
-"""Point-to-plane ICP: rigid, and non-rigid with a smooth displacement field. No memory: of the frames before, nothing but where
-the last one ended, which is where the iterations begin."""
+"""Point-to-plane ICP: rigid, and non-rigid with a smooth displacement field."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 
 from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised, graph_laplacian
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.matching import Matches, MatchSettings, Scan, rigid_motion
 from ddakf.evaluation.baselines.optional import package
+from ddakf.evaluation.baselines.registration import Registration
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
@@ -19,25 +23,22 @@ SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.1
 
 
 @dataclass(frozen=True)
-class IcpSettings:
-    """Numbers of the non-rigid method; the defaults are the best of ``benchmarks/results/tuning.json``.
+class IcpSettings(MatchSettings):
+    """Numbers of the non-rigid method, beside those of matching; the defaults are the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
         iterations: per frame.
-        gate: metres; see :func:`ddakf.evaluation.baselines.matching.Scan.match`.
-        normal_cosine: least between the normals of a vertex and its point.
-        neighbours: of a point, that give its normal.
     """
 
     stiffness: float = 2.0
     iterations: int = 12
-    gate: float = 0.1
-    normal_cosine: float = 0.5
-    neighbours: int = 8
 
 
-class NonRigidPointToPlane:
+TUNED = IcpSettings()
+
+
+class NonRigidPointToPlane(Registration):
     """Non-rigid ICP (Amberg, Romdhani and Vetter 2007) with the point-to-plane distance (Chen and Medioni 1992).
 
     Energy: sum_i w_i (n_i . (x_i - c_i))^2 + stiffness sum_ij |d_i - d_j|^2 over the edges, with c_i the point nearest to x_i,
@@ -47,35 +48,24 @@ class NonRigidPointToPlane:
     Knows no body and no time.
     """
 
-    def __init__(self, settings: IcpSettings | None = None):
-        self.settings = IcpSettings() if settings is None else settings
+    def __init__(self, settings: IcpSettings = TUNED):
+        self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        self._normals, self._position = VertexNormals(garment), np.array(vertices, np.float64)
+        super().start(garment, vertices, body)
         self._rest = garment.vertices
         self._smoothness = self.settings.stiffness * graph_laplacian(garment)
         self._factor = factorised(self._smoothness + (TYPICAL_WEIGHT + DAMPING) * sparse.eye_array(garment.n_vertices))
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        if len(points) >= LEAST_POINTS:
-            settings, scan = self.settings, Scan(points, sensor_origin, self.settings.neighbours)
-            for _ in range(settings.iterations):
-                normals = self._normals(self._position)
-                found = scan.match(self._position, normals, settings.gate, settings.normal_cosine)
-                self._position = self._position + self._move(*found)
-        return self._position.copy()
+    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+        scan = Scan(frame, self.settings)
+        for _ in range(self.settings.iterations):
+            x = x + self._move(x, scan.match(x, self._normals(x)))
+        return x
 
-    def _move(self, points: np.ndarray, normals: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """(V, 3) that minimises the energy, for these correspondences."""
-        x, weight = self._position, weight[:, None]
+    def _move(self, x: np.ndarray, matches: Matches) -> np.ndarray:
+        """(V, 3) from x (V, 3) to the least energy, for these correspondences."""
+        points, normals, weight = matches.points, matches.normals, matches.weight[:, None]
         turn, shift = rigid_motion(self._rest, x)
         displacement = x - (self._rest @ turn.T + shift)
 
@@ -104,7 +94,10 @@ class RigidSettings:
     robust_scale: float = 0.3
 
 
-class RigidPointToPlane:
+RIGID_TUNED = RigidSettings()
+
+
+class RigidPointToPlane(Registration):
     """Open3D's rigid point-to-plane ICP (Chen and Medioni 1992), with Tukey's robust kernel: one motion for the whole garment,
     whose shape stays that of the start.
 
@@ -115,33 +108,20 @@ class RigidPointToPlane:
         NotApplicable: Open3D cannot be imported.
     """
 
-    def __init__(self, settings: RigidSettings | None = None):
-        self.settings = RigidSettings() if settings is None else settings
+    def __init__(self, settings: RigidSettings = RIGID_TUNED):
+        self.settings = settings
         self._open3d = package("open3d", "'ddakf[evaluation]'")
 
-    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        self._normals, self._position = VertexNormals(garment), np.array(vertices, np.float64)
+    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+        motion = self._motion(x, np.array(frame.points, np.float64))
+        return x @ motion[:3, :3].T + motion[:3, 3]
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        if len(points) >= LEAST_POINTS:
-            motion = self._motion(np.array(points, np.float64), self._normals(self._position))
-            self._position = self._position @ motion[:3, :3].T + motion[:3, 3]
-        return self._position.copy()
-
-    def _motion(self, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(4, 4) that lays the garment, with these normals (V, 3), onto the points (N, 3)."""
+    def _motion(self, x: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """(4, 4) that lays the vertices x (V, 3) onto the points (N, 3)."""
         o3d, settings = self._open3d, self.settings
         registration, vector = o3d.pipelines.registration, o3d.utility.Vector3dVector
-        cloud, surface = (o3d.geometry.PointCloud(vector(array)) for array in (points, self._position))
-        surface.normals = vector(normals)
+        cloud, surface = (o3d.geometry.PointCloud(vector(array)) for array in (points, x))
+        surface.normals = vector(self._normals(x))
         estimation = registration.TransformationEstimationPointToPlane(registration.TukeyLoss(settings.robust_scale))
         criteria = registration.ICPConvergenceCriteria(max_iteration=settings.iterations)
         found = registration.registration_icp(cloud, surface, settings.gate, np.eye(4), estimation, criteria)

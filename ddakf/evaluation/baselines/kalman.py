@@ -10,12 +10,16 @@ isotropic, so that the three coordinates share one 2 x 2 covariance per vertex.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ddakf.evaluation.baselines.matching import VertexNormals, facing
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 FIRST_STEP = 1 / 30  # s between the start and the first frame
 START_SD, START_SPEED_SD = 0.005, 0.3  # m, m/s
@@ -38,11 +42,14 @@ class KalmanSettings:
     facing: bool = True
 
 
+TUNED = KalmanSettings()
+
+
 class KalmanFilter:
     """See the module. Knows no body."""
 
-    def __init__(self, settings: KalmanSettings | None = None):
-        self.settings = KalmanSettings() if settings is None else settings
+    def __init__(self, settings: KalmanSettings = TUNED):
+        self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
@@ -52,18 +59,12 @@ class KalmanFilter:
         self._covariance = np.tile(np.diag([START_SD**2, START_SPEED_SD**2]), (len(vertices), 1, 1))
         self._time = None
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
+    def step(self, frame: Frame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
-        self._predict(FIRST_STEP if self._time is None else timestamp - self._time)
-        self._time = timestamp
-        if len(points):
-            self._update(np.asarray(points, np.float64), sensor_origin)
+        self._predict(FIRST_STEP if self._time is None else frame.timestamp - self._time)
+        self._time = frame.timestamp
+        if len(frame.points):
+            self._update(np.asarray(frame.points, np.float64), frame.sensor_origin)
         return self._position.copy()
 
     def _predict(self, dt: float) -> None:

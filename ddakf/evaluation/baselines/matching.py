@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 LEAST_POINTS = 20  # a smaller cloud is a frame without measurements
 TINY = 1e-30  # m^2
@@ -41,22 +45,36 @@ class Matches(NamedTuple):
     weight: np.ndarray  # (V,) in [0, 1]
 
 
-class Scan:
-    """A cloud that can be searched, and has normals.
+@dataclass(frozen=True)
+class MatchSettings:
+    """Which points vertices are matched with.
 
-    Args:
-        points: (N, 3) metres.
-        sensor_origin: (3,), (N, 3) or None, metres.
+    Attributes:
+        gate: metres; points farther off are none, see :meth:`Scan.match`.
+        normal_cosine: least between the normals of a vertex and its point; of either sign where there is no sensor.
         neighbours: the normal of a point is the direction in which so many points around it vary least.
     """
 
-    def __init__(self, points: np.ndarray, sensor_origin: np.ndarray | None, neighbours: int):
+    gate: float = 0.1
+    normal_cosine: float = 0.5
+    neighbours: int = 8
+
+
+class Scan:
+    """A frame's cloud that can be searched, and has normals.
+
+    Args:
+        frame: its points and their sensor's place.
+        settings: see :class:`MatchSettings`.
+    """
+
+    def __init__(self, frame: Frame, settings: MatchSettings):
         # a tree of many boxes is quick to build, and to leave when nothing is near
-        self._tree = cKDTree(np.asarray(points, np.float64), balanced_tree=False, compact_nodes=False)
-        self._origin, self._neighbours = sensor_origin, neighbours
+        self._tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
+        self._origin, self._settings = frame.sensor_origin, settings
         self._normals, self._known = np.zeros_like(self._tree.data), np.zeros(self._tree.n, bool)
 
-    def match(self, x: np.ndarray, normals: np.ndarray, gate: float, normal_cosine: float) -> Matches:
+    def match(self, x: np.ndarray, normals: np.ndarray) -> Matches:
         """The nearest point of every vertex, if it lies within the gate and its normal agrees.
 
         A point at distance d weighs (1 - (d / gate)^2)^2 (Tukey's biweight). Where there is a sensor, vertices that face away
@@ -64,9 +82,8 @@ class Scan:
 
         Args:
             x, normals: (V, 3) of the vertices.
-            gate: metres.
-            normal_cosine: least between the normals of a vertex and its point; of either sign where there is no sensor.
         """
+        gate = self._settings.gate
         distance, nearest = self._tree.query(x, distance_upper_bound=gate)
         weight = np.square(1 - np.square(np.minimum(distance / gate, 1)))
         nearest = np.where(nearest < self._tree.n, nearest, 0)
@@ -75,7 +92,7 @@ class Scan:
         if self._origin is None:
             its = np.where(cosine[:, None] < 0, -its, its)
             cosine = np.abs(cosine)
-        seen = (cosine > normal_cosine) & facing(x, normals, self._origin, nearest)
+        seen = (cosine > self._settings.normal_cosine) & facing(x, normals, self._origin, nearest)
         return Matches(self._tree.data[nearest], its, weight * seen)
 
     def _normals_of(self, index: np.ndarray) -> np.ndarray:
@@ -83,7 +100,7 @@ class Scan:
         new = np.unique(index[~self._known[index]])
         if len(new):
             points = self._tree.data
-            around = points[self._tree.query(points[new], k=min(self._neighbours, len(points)))[1]]
+            around = points[self._tree.query(points[new], k=min(self._settings.neighbours, len(points)))[1]]
             around = around - around.mean(axis=1, keepdims=True)
             normals = np.linalg.eigh(around.transpose(0, 2, 1) @ around)[1][:, :, 0]
             if self._origin is not None:

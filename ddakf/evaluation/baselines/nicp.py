@@ -14,13 +14,19 @@ serves a whole recording.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from ddakf.evaluation.baselines.linear import graph_laplacian
+from ddakf.evaluation.baselines.matching import facing
 from ddakf.mesh import Mesh, vertex_normals
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 LEAST_POINTS = 8  # a frame with fewer moves on as predicted
 ROTATION_STEPS = 2  # per iteration; they start where the last one ended
@@ -54,22 +60,21 @@ class NicpSettings:
     momentum: float = 0.8
 
 
+TUNED = NicpSettings()
 TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # cheaper and softer, as often quoted
 
 
 class NonRigidIcp:
     """See the module. Knows no body and no time: the displacement of a frame is that of the last one, however long it was."""
 
-    def __init__(self, settings: NicpSettings | None = None):
-        self.settings = NicpSettings() if settings is None else settings
+    def __init__(self, settings: NicpSettings = TUNED):
+        self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
         n, (first, second) = garment.n_vertices, garment.edges.T
         i, j = np.concatenate([first, second]), np.concatenate([second, first])
-        adjacency = sparse.csr_array((np.ones(len(i)), (i, j)), (n, n))
-        laplacian = sparse.diags_array(adjacency.sum(axis=1)) - adjacency
-        self._factor = splu((self.settings.stiffness * laplacian + sparse.eye_array(n)).tocsc())
+        self._factor = splu((self.settings.stiffness * graph_laplacian(garment) + sparse.eye_array(n)).tocsc())
         # row 3 i + k: component k of r_i - r_j in column j, and minus their sum in column i
         edge = garment.vertices[i] - garment.vertices[j]
         entries, row = np.concatenate([edge.ravel(), -edge.ravel()]), (3 * i[:, None] + np.arange(3)).ravel()
@@ -81,21 +86,15 @@ class NonRigidIcp:
         self._position = np.array(vertices, np.float64)
         self._last = self._position.copy()
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
+    def step(self, frame: Frame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
         x = self._position + self.settings.momentum * (self._position - self._last)
         self._last = self._position
-        if len(points) >= max(LEAST_POINTS, self.settings.neighbours):
+        if len(frame.points) >= max(LEAST_POINTS, self.settings.neighbours):
             # a tree of many boxes is quick to build, and to leave when nothing is near
-            tree = cKDTree(np.asarray(points, np.float64), balanced_tree=False, compact_nodes=False)
+            tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
             for _ in range(self.settings.iterations):
-                x = self._iterate(x, tree, sensor_origin)
+                x = self._iterate(x, tree, frame.sensor_origin)
         self._position = x
         return x.copy()
 
@@ -106,8 +105,7 @@ class NonRigidIcp:
         nearest = np.where(nearest < tree.n, nearest, np.where(found, nearest[:, 0], 0)[:, None])
         weight = np.where(found, np.square(1 - np.square(np.where(found, distance[:, 0], 0) / settings.gate)), 0)
         if sensor_origin is not None:
-            origin = sensor_origin[nearest[:, 0]] if np.ndim(sensor_origin) == 2 else sensor_origin
-            weight *= (vertex_normals(x, self._faces) * (origin - x)).sum(axis=1) > 0
+            weight *= facing(x, vertex_normals(x, self._faces), sensor_origin, nearest[:, 0])
         pull = weight[:, None] * (tree.data[nearest].mean(axis=1) - x)
         self._rotation = turned(self._rotation, self._edge_products(x), ROTATION_STEPS)
         # sum_j (R_i + R_j) / 2 (r_i - r_j), by both ends of every edge

@@ -20,6 +20,7 @@ mean.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -31,6 +32,9 @@ from scipy.spatial.transform import Rotation
 from ddakf.evaluation.baselines.linear import graph_laplacian
 from ddakf.evaluation.baselines.matching import LEAST_POINTS, VertexNormals, facing
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 CONSTANT = 1e-9  # an eigenvalue below is that of a constant function
 SHIFT = -1e-3  # of the spectrum: the smallest eigenvalues of a matrix that has none below 0
@@ -73,20 +77,18 @@ class ParticleSettings:
     seed: int = 0
 
 
+TUNED = ParticleSettings()
+
+
 class ParticleFilter:
-    """See the module. Knows no body and no time.
+    """See the module. Knows no body and no time."""
 
-    Attributes:
-        effective_sample_sizes: one per frame with points since the start, of the weights of its last pass.
-    """
-
-    def __init__(self, settings: ParticleSettings | None = None):
-        self.settings = ParticleSettings() if settings is None else settings
+    def __init__(self, settings: ParticleSettings = TUNED):
+        self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
         settings, vertices = self.settings, np.array(vertices, np.float64)
-        self.effective_sample_sizes: list[float] = []
         self._normals, self._rng = VertexNormals(garment), np.random.default_rng(settings.seed)
         self._harmonics, self._eigenvalues = harmonics(garment, settings.harmonics)
         self._amplitude_sd = settings.amplitude_sd * np.sqrt(self._eigenvalues[:1] / self._eigenvalues)[:, None]
@@ -101,23 +103,22 @@ class ParticleFilter:
         self._last = self._mean_state()
         self._drift = Rotation.identity(), np.zeros(3), np.zeros_like(self._amplitude[0])
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
+    def step(self, frame: Frame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.Baseline`."""
         self._move_on()
-        if len(points) >= LEAST_POINTS:
-            self._look(np.asarray(points, np.float64), sensor_origin)
+        if len(frame.points) >= LEAST_POINTS:
+            self._look(np.asarray(frame.points, np.float64), frame.sensor_origin)
         turn, shift, amplitude = state = self._mean_state()
         last, self._last = self._last, state
         momentum = self.settings.momentum
         by = Rotation.from_rotvec(momentum * (turn * last[0].inv()).as_rotvec())
         self._drift = by, momentum * (shift - last[1]), momentum * (amplitude - last[2])
         return self._mean_vertices()
+
+    @property
+    def effective_sample_size(self) -> float:
+        """1 / sum w^2 of the weights now (Kong, Liu and Wong 1994): those of the last pass of the last frame with points."""
+        return float(1 / np.square(self._weight).sum())
 
     def _move_on(self) -> None:
         """Every particle as the estimate did before."""
@@ -131,14 +132,13 @@ class ParticleFilter:
             return
         visible = self._visible(expected, points, sensor_origin)
         for number in range(settings.passes):
-            if 1 / np.square(self._weight).sum() < 0.5 * len(self._weight):
+            if self.effective_sample_size < 0.5 * len(self._weight):
                 self._resample()
             self._diffuse(settings.cooling**number)
             sd = settings.likelihood_sd * settings.cooling ** (number + 1 - settings.passes)
             logarithm = np.log(self._weight) - 0.5 * self._energy(nearby, visible) / sd**2
             weight = np.exp(logarithm - logarithm.max())
             self._weight = np.maximum(weight / weight.sum(), np.finfo(float).tiny)
-        self.effective_sample_sizes.append(float(1 / np.square(self._weight).sum()))
 
     def _energy(self, nearby: NearestPoints, visible: np.ndarray) -> np.ndarray:
         """(particles,) E, square metres."""

@@ -7,6 +7,7 @@ from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.network import Committee, Network
+from ddakf.evaluation.source import Frame
 from tests.evaluation.clothfit.scene import BODY, GARMENT, turn
 from tests.evaluation.clothfit.test_network import committee
 
@@ -22,13 +23,13 @@ def started(network):
 def test_a_zero_network_carries_the_garment_with_the_body():
     method, motion = started(NOTHING), turn(0.3) @ turn(0.2, "x")
     for k in range(1, 4):
-        estimate = method.step(NO_POINTS, k / 30, None, BODY.vertices @ motion.T + [0, 0.1 * k, 0])
+        estimate = method.step(Frame(0, k / 30, NO_POINTS, None, BODY.vertices @ motion.T + [0, 0.1 * k, 0]))
     assert estimate == pytest.approx(GARMENT.vertices @ motion.T + [0, 0.3, 0], abs=1e-9)
 
 
 def test_the_cloud_changes_nothing():
     points = np.random.default_rng(0).normal(size=(500, 3))
-    one, two = (started(committee()).step(cloud, 1 / 30, None, BODY.vertices) for cloud in (NO_POINTS, points))
+    one, two = (started(committee()).step(Frame(0, 1 / 30, cloud, None, BODY.vertices)) for cloud in (NO_POINTS, points))
     assert np.array_equal(one, two)
 
 
@@ -36,11 +37,12 @@ def test_without_a_body_it_says_so():
     with pytest.raises(NotApplicable, match="no body is given"):
         ClothFit(NOTHING).start(GARMENT, GARMENT.vertices, None)
     with pytest.raises(NotApplicable, match="no body is given"):
-        started(NOTHING).step(NO_POINTS, 0.0, None, None)
+        started(NOTHING).step(Frame(0, 0.0, NO_POINTS))
 
 
 def test_a_new_start_forgets():
     method, fresh = started(committee()), started(committee())
-    method.step(NO_POINTS, 0.1, None, BODY.vertices + 0.1)
+    method.step(Frame(0, 0.1, NO_POINTS, None, BODY.vertices + 0.1))
     method.start(GARMENT, GARMENT.vertices, BODY)
-    assert np.array_equal(method.step(NO_POINTS, 0.2, None, BODY.vertices), fresh.step(NO_POINTS, 0.2, None, BODY.vertices))
+    frame = Frame(0, 0.2, NO_POINTS, None, BODY.vertices)
+    assert np.array_equal(method.step(frame), fresh.step(frame))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from scipy import sparse
 
@@ -9,6 +11,9 @@ from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.features import Features
 from ddakf.evaluation.baselines.clothfit.network import Committee
 from ddakf.mesh import Mesh
+
+if TYPE_CHECKING:
+    from ddakf.evaluation.source import Frame
 
 SMOOTHING = 2  # averages of an offset with its neighbours'
 NO_BODY = "clothfit moves the garment by the body alone, and no body is given"
@@ -34,21 +39,15 @@ class ClothFit:
             raise NotApplicable(NO_BODY)
         self._features, self._average = Features(garment, vertices, body), _average(garment)
 
-    def step(
-        self,
-        points: np.ndarray,
-        timestamp: float,
-        sensor_origin: np.ndarray | None,
-        body_vertices: np.ndarray | None,
-    ) -> np.ndarray:
+    def step(self, frame: Frame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.Baseline`.
 
         Raises:
             NotApplicable: no body in this frame.
         """
-        if body_vertices is None:
+        if frame.body_vertices is None:
             raise NotApplicable(NO_BODY)
-        inputs = self._features.step(body_vertices, timestamp)
+        inputs = self._features.step(frame.body_vertices, frame.timestamp)
         offset = np.einsum("qab,qb->qa", inputs.rotation, self._committee.offsets(inputs))
         for _ in range(SMOOTHING):
             offset = self._average @ offset
