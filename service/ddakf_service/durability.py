@@ -18,8 +18,8 @@ from .workers import WorkerPool, worker_lost
 
 log = logging.getLogger(__name__)
 
-_PATIENCE = 60.0  # seconds that a session may take to be back, a new worker included
 _PAUSE = 0.1  # seconds between attempts
+_TELL_EVERY = 2.0  # seconds between two notices that a session waits: less than any client's patience
 _MOST_RESTORED = 8  # sessions at a time, of each of which the checkpoint, megabytes, is copied for its worker
 _MOST_BLAMES, _BLAME_SPAN = 3, 60.0  # workers lost over a session's own frames within so many seconds, after which it ends
 
@@ -33,7 +33,7 @@ class Irrecoverable(Exception):
 
 
 class Durability:
-    """Takes checkpoints of sessions, and seats those that have lost their worker on another one.
+    """Takes checkpoints of sessions, and has those that have lost their worker restored in another one.
 
     Args:
         every: frames between two checkpoints.
@@ -52,6 +52,7 @@ class Durability:
         self._every, self._give_up = every, give_up
         self._tasks: set[asyncio.Task] = set()
         self._restoring = asyncio.Semaphore(_MOST_RESTORED)
+        self._reviving: dict[int, asyncio.Task[ServiceError | None]] = {}  # by the session's uid
         self._placed = 0
 
     def background(self, work: Coroutine) -> asyncio.Task:
@@ -123,31 +124,44 @@ class Durability:
         if sum(now - moment < _BLAME_SPAN for moment in session.blames) > _MOST_BLAMES:
             self._end(session, WorkerLost(f"{session.name} has ended: {_MOST_BLAMES + 1} workers were lost over its frames"))
 
-    async def seat(self, session: Session) -> None:
-        """Returns when the session has a tracker in a worker. The caller holds the session's lock.
+    def revive(self, session: Session) -> asyncio.Task[ServiceError | None]:
+        """Has a session restored in the background, for as long as that takes and the session lives; why it could not be.
 
-        Raises:
-            Irrecoverable: it cannot be had back, or has ended meanwhile.
+        The lock of the session is taken for that: whoever waits for the answer must not hold it.
         """
-        if session.seated:
-            return
-        began = monotonic()
-        while not (session.seated or session.closed):
-            try:
-                await self._restore(session)
-            except (WorkerLost, Unavailable, ResourceExhausted) as error:
-                # At the start the workers are not warm yet, or others have their memory: its client may ask again.
-                if session.asleep and not isinstance(error, WorkerLost):
-                    raise Irrecoverable(error) from error
-                if monotonic() - began > _PATIENCE:
-                    self._end(session, worker_lost(session.id))
-                log.debug("the session waits for a worker: %s", error, extra={"session": session.id})
-                await asyncio.sleep(_PAUSE)
-            except ServiceError as error:
-                log.error("the session could not be restored: %s", error, extra={"session": session.id})
-                self._end(session, WorkerLost(f"{session.name} was lost with its worker and could not be restored: {error}"))
-        if session.closed:
-            raise Irrecoverable(worker_lost(session.id))
+        reviving = self._reviving.get(session.uid)
+        if reviving is None:
+            reviving = self._reviving[session.uid] = self.background(self._revive(session))
+            reviving.add_done_callback(lambda _: self._reviving.pop(session.uid))
+        return reviving
+
+    async def _revive(self, session: Session) -> ServiceError | None:
+        async with session.lock:
+            began = told = monotonic()
+            while not (session.seated or session.closed):
+                try:
+                    await self._restore(session)
+                except Irrecoverable as error:
+                    return error.reason
+                except (WorkerLost, Unavailable, ResourceExhausted) as error:
+                    # At the start the workers are not warm yet, or others have their memory: its client may ask again.
+                    if session.asleep and not isinstance(error, WorkerLost):
+                        return error
+                    if (now := monotonic()) - told > _TELL_EVERY:
+                        told = now
+                        self._tell_to_wait(session, now - began, error)
+                    await asyncio.sleep(_PAUSE)
+                except ServiceError as error:
+                    log.error("the session could not be restored: %s", error, extra={"session": session.id})
+                    reason = WorkerLost(f"{session.name} was lost with its worker and could not be restored: {error}")
+                    self._give_up(session, reason)
+                    return reason
+        return None if session.seated else worker_lost(session.id)
+
+    def _tell_to_wait(self, session: Session, seconds: float, error: ServiceError) -> None:
+        log.warning("the session waits for a worker: %s", error, extra={"session": session.id})
+        message = "the session's worker is gone and no other is ready yet: its frames wait"
+        session.tell(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message=message, value=seconds))
 
     def _end(self, session: Session, reason: ServiceError) -> None:
         self._give_up(session, reason)

@@ -27,7 +27,7 @@ from ddakf_api.version import require_compatible
 from . import admission
 from .admission import Admission
 from .directory import LOAD_PAUSE, Directory, not_found, revoked
-from .durability import Durability, Irrecoverable, taken_meshes
+from .durability import Durability, taken_meshes
 from .outcomes import Outcomes
 from .records import Records
 from .session import Session
@@ -52,6 +52,7 @@ _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
 # in the worker has been tracked.
 _NOTICE_PATIENCE = 0.5  # seconds that a stream has to turn out to be left
 _ENDING_PATIENCE = 5.0  # seconds that a stream which is ending has to end
+_WORKER_PATIENCE = 5.0  # seconds that a call waits for its session to have a worker: less than clients wait for an answer
 
 
 class Sessions:
@@ -179,15 +180,30 @@ class Sessions:
     @contextlib.asynccontextmanager
     async def _using(self, session: Session) -> AsyncIterator[None]:
         """For a call of the session in its worker, which it is given back before if it has lost it."""
-        async with session.lock:
-            if self._directory.readable(session.name) is not session:  # it ended while this waited, and another has its name
-                raise not_found(session.name)
-            try:
-                await self._durability.seat(session)
-            except Irrecoverable as error:
-                raise error.reason from None
-            session.touch()
-            yield
+        while True:
+            if not session.seated:
+                await self._seated_in_time(session)
+            async with session.lock:
+                if self._directory.readable(session.name) is not session:  # it ended meanwhile, and another has its name
+                    raise not_found(session.name)
+                if session.seated:  # still
+                    session.touch()
+                    yield
+                    return
+
+    async def _seated_in_time(self, session: Session) -> None:
+        """Has the session restored, which goes on even where this gives up, so that its caller has an answer.
+
+        Raises:
+            Unavailable: it takes longer.
+        """
+        reviving = self._durability.revive(session)
+        await asyncio.wait({reviving}, timeout=_WORKER_PATIENCE)
+        if not reviving.done():
+            raise Unavailable(f"{session.name} waits for a worker; try again later", retry_after=_WORKER_PATIENCE)
+        reason = reviving.result()
+        if reason and not session.closed:  # of one that has ended the directory knows why
+            raise reason
 
     async def delete(self, name: str) -> None:
         session = self._directory.mine(name)
@@ -284,12 +300,7 @@ class Sessions:
         for session in lost:
             session.seated = False
         for session in lost:
-            self._durability.background(self._revive(session))
-
-    async def _revive(self, session: Session) -> None:
-        with contextlib.suppress(Irrecoverable):  # it has been ended with the reason
-            async with session.lock:
-                await self._durability.seat(session)
+            self._durability.revive(session)
 
     async def expire_idle(self) -> None:
         """Ends sessions whose time is over, and registers what has changed of the others; runs until it is cancelled."""

@@ -21,7 +21,7 @@ from .session import Session
 from .telemetry import current_session
 from .trust.principal import current_principal
 from .watch import without_arrays
-from .workers import WorkerPool
+from .workers import WorkerPool, worker_lost
 
 log = logging.getLogger(__name__)
 
@@ -255,44 +255,58 @@ class Stream:
             Irrecoverable: the session cannot be had back.
         """
         started, session = monotonic(), self.session
-        async with session.lock:
-            await self._durability.seat(session)
-            try:
-                self._check_order(waiting.frame)
-                result = await self._submit(waiting)
-            except WorkerLost as error:
-                self._durability.lost(session)
-                response = self._outcomes.refused(session, waiting.frame, error, waiting.arrived)
-                await self._durability.seat(session)
-                return response
-            except ServiceError as error:
-                response = self._outcomes.refused(session, waiting.frame, error, waiting.arrived)
-                if isinstance(error, DeadlineExceeded):
-                    self._count_missed(1)
-                return response
-            self._outcomes.applied(session, result, waiting, started, self._mode)
-            self._overload.applied()
-            self._durability.tracked(session)
+        try:
+            result = await self._tracked(waiting, started)
+        except ServiceError as error:
+            if isinstance(error, DeadlineExceeded):
+                self._count_missed(1)
+            return self._outcomes.refused(session, waiting.frame, error, waiting.arrived)
         response = pb.TrackResponse(result=result)
         return without_arrays(response) if result.frames_applied % self._every_nth else response
 
-    async def _submit(self, waiting: Waiting) -> pb.Result:
+    async def _tracked(self, waiting: Waiting, started: float) -> pb.Result:
         """Has a frame tracked, once more in another worker if the first one is lost."""
-        frame, session = waiting.frame, self.session
-        turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
-        payload = frame.SerializeToString()
-
-        async def once() -> pb.Result:
-            most = session.limits.max_points
-            answer = await self._pool.submit(session.id, payload, self._options, max_points=most, turn_by=turn_by)
-            return pb.Result.FromString(answer)
-
         try:
-            return await once()
+            return await self._submit(waiting, started)
         except WorkerLost:
-            self._durability.lost(session)
-            await self._durability.seat(session)
-        return await once()
+            return await self._submit(waiting, started)
+
+    async def _submit(self, waiting: Waiting, started: float) -> pb.Result:
+        frame, session = waiting.frame, self.session
+        if not session.seated:
+            await self._seated()
+        async with session.lock:
+            if not session.seated:  # any more
+                raise worker_lost(session.id)
+            self._check_order(frame)
+            turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
+            most = session.limits.max_points
+            try:
+                answer = await self._pool.submit(
+                    session.id, frame.SerializeToString(), self._options, max_points=most, turn_by=turn_by
+                )
+            except WorkerLost:
+                self._durability.lost(session)
+                raise
+            result = pb.Result.FromString(answer)
+            self._outcomes.applied(session, result, waiting, started, self._mode)
+            self._overload.applied()
+            self._durability.tracked(session)
+        return result
+
+    async def _seated(self) -> None:
+        """Returns when the session has a worker.
+
+        Raises:
+            WorkerLost: the stream is about to end before that. Irrecoverable: it will have none.
+        """
+        reviving, ending = self._durability.revive(self.session), asyncio.create_task(self.ending.wait())
+        await asyncio.wait((reviving, ending), return_when=asyncio.FIRST_COMPLETED)
+        ending.cancel()
+        if not reviving.done():
+            raise worker_lost(self.session.id)
+        if reason := reviving.result():
+            raise Irrecoverable(reason)
 
     def _check_order(self, frame: pb.Frame) -> None:
         last = self.session.statistics.last_sequence_number

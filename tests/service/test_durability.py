@@ -11,7 +11,7 @@ import threading
 
 import httpx
 import pytest
-from ddakf_api.errors import Draining, SessionNotFound, WorkerLost
+from ddakf_api.errors import Draining, SessionNotFound, StreamTakenOver, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, connect
 from ddakf_service.child import ServiceProcess
@@ -125,6 +125,36 @@ def test_the_frame_that_a_killed_worker_had_is_tracked_again(durable, sheet):
     assert notice.notice.value == 1
     assert result.result.sequence_number == 6
     talk.end()
+    api.delete(name)
+    api.channel.close()
+
+
+def test_without_a_spare_frames_wait_and_who_asks_is_told(restartable, sheet):
+    """The only worker dies, and the next one takes longer to start than clients are patient."""
+    api, service = Api(restartable.process.grpc), restartable.process
+    name = api.create(sheet).name
+    talk = Talk(api, name)
+    talk.ask(frame_of(sheet, 1))
+    (victim,) = children(service.pid)
+    os.kill(victim, signal.SIGKILL)
+    successor = eventually(lambda: next((pid for pid in children(service.pid) if pid != victim), None))
+    os.kill(successor, signal.SIGSTOP)
+    talk.send(frame_of(sheet, 2))
+    notices = [next(talk.answers).notice for _ in range(3)]
+    assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_WAITING] * 3
+    assert notices[0].value < notices[1].value < notices[2].value
+    with pytest.raises(Unavailable, match="waits for a worker") as reset:
+        api.call("ResetSession", pb.ResetSessionRequest(name=name))
+    assert reset.value.retry_after > 0
+    with pytest.raises(Unavailable, match="waits for a worker"):
+        Talk(api, name, takeover=True)
+    with pytest.raises(StreamTakenOver):
+        list(talk.answers)
+    os.kill(successor, signal.SIGCONT)
+    eventually(lambda: api.get(name).statistics.recoveries == 1, WARM)
+    again = Talk(api, name)
+    assert again.ask(frame_of(sheet, 3))[-1].result.sequence_number == 3
+    again.end()
     api.delete(name)
     api.channel.close()
 

@@ -84,10 +84,10 @@ class Notice:
     """What the server says between results.
 
     Attributes:
-        kind: "draining", "slow_down", "reconnect" or "resumed".
+        kind: "draining", "slow_down", "reconnect", "resumed" or "waiting".
         message: one sentence.
         value: draining: seconds left; slow_down: frames per second that can be tracked; resumed: tracked frames that the
-            server has forgotten.
+            server has forgotten; waiting: seconds so far.
         target: reconnect: where to, may be empty.
     """
 

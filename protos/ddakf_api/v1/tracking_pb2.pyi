@@ -85,6 +85,7 @@ class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     NOTICE_KIND_SLOW_DOWN: _ClassVar[NoticeKind]
     NOTICE_KIND_RECONNECT: _ClassVar[NoticeKind]
     NOTICE_KIND_RESUMED: _ClassVar[NoticeKind]
+    NOTICE_KIND_WAITING: _ClassVar[NoticeKind]
 ARRAY_ENCODING_UNSPECIFIED: ArrayEncoding
 ARRAY_ENCODING_FLOAT32: ArrayEncoding
 ARRAY_ENCODING_FLOAT64: ArrayEncoding
@@ -132,6 +133,7 @@ NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
 NOTICE_KIND_RECONNECT: NoticeKind
 NOTICE_KIND_RESUMED: NoticeKind
+NOTICE_KIND_WAITING: NoticeKind
 
 class Vector3(_message.Message):
     __slots__ = ("x", "y", "z")
