@@ -10,6 +10,8 @@ from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
+import ddakf
+
 PACKAGES = ("ddakf", "numpy", "scipy", "numba", "grpcio", "protobuf", "zstandard", "open3d-cpu", "open3d", "torch")
 
 
@@ -51,6 +53,11 @@ def commit() -> str | None:
         return subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
+
+
+def code() -> str:
+    """What ran: the :func:`commit`, or outside a checkout the version."""
+    return commit() or f"version {ddakf.__version__}"
 
 
 def _cpu() -> str:

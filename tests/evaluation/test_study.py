@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
+import multiprocessing
+import os
 import signal
 import subprocess
 import sys
@@ -15,8 +18,8 @@ from rich.console import Console
 
 from ddakf import cli
 from ddakf.errors import InvalidArgument, InvalidFile, NotApplicable
-from ddakf.evaluation import baselines, trials
-from ddakf.evaluation.study import results
+from ddakf.evaluation import baselines, machine, trials
+from ddakf.evaluation.study import results, workers
 from ddakf.evaluation.study.command import study
 from ddakf.evaluation.study.execute import execute
 from ddakf.evaluation.study.journal import Journal
@@ -25,7 +28,7 @@ from ddakf.evaluation.trials import Trial
 
 SMALL = Trial("", points=800, surfaces=True)
 QUIET = Console(quiet=True)
-TIMES = {"wall_ms_p50", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99", "fps", "memory_mib"}
+TIMES = {"wall_ms_p50", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99", "fps", "memory_mib", "processes"}
 
 
 def plan(*systems: str, **how) -> Plan:
@@ -161,6 +164,53 @@ def test_a_line_that_was_cut_off_is_run_again_and_another_file_is_refused(system
         Journal(path)
 
 
+def test_a_line_without_its_end_is_written_anew_and_not_continued(systems, tmp_path):
+    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
+    execute(wanted, Journal(path), 1, QUIET)
+    path.write_text(path.read_text()[:-1])
+    execute(wanted, Journal(path), 1, QUIET)
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [1, 2]
+
+
+@pytest.fixture
+def code(monkeypatch):
+    """What the code calls itself from now on."""
+    return lambda name: monkeypatch.setattr(machine, "code", lambda: name)
+
+
+def test_runs_of_older_code_are_kept_and_named_and_those_of_some_systems_run_again(systems, tmp_path, code):
+    out, said = tmp_path / "out.json", Console(file=io.StringIO(), width=200)
+    code("old")
+    study(plan("frozen", "nicp"), out, 1, QUIET)
+    code("new")
+    kept = study(plan("frozen", "nicp"), out, 1, said)
+    assert "2 of them are of other code than new (old: 2); --again frozen,nicp runs them again" in said.file.getvalue()
+    assert kept["meta"]["commits"] == ["old"]
+    changed = study(plan("frozen", "nicp"), out, 1, QUIET, again=["frozen"])
+    assert [cell["runs"][0]["commit"] for cell in changed["results"]] == ["new", "old"]
+    assert changed["meta"]["commits"] == ["new", "old"]
+    before = (tmp_path / "out.rows.jsonl").read_bytes()
+    study(plan("frozen", "nicp"), out, 1, QUIET, again=["frozen"])
+    assert (tmp_path / "out.rows.jsonl").read_bytes() == before, "these are of this code already"
+
+
+def test_uncommitted_code_is_not_known_to_be_the_same_and_what_did_not_apply_may_now(systems, tmp_path, code):
+    out, rows = tmp_path / "out.json", tmp_path / "out.rows.jsonl"
+    for name, lines in (("one-dirty", 2), ("one-dirty", 4)):
+        code(name)
+        study(plan("frozen", "absent"), out, 1, QUIET, again=["all"])
+        assert rows.read_text().count("\n") == lines
+    for again, lines in (([], 4), (["absent"], 5)):
+        study(plan("frozen", "absent"), out, 1, QUIET, again=again)
+        assert rows.read_text().count("\n") == lines
+
+
+def test_a_system_to_be_run_again_is_one_of_the_study(tmp_path, capsys):
+    command = ["evaluate", "sample", "--methods", "nicp", "--again", "icp", "--json", str(tmp_path / "out.json")]
+    assert cli.main(command) == 2
+    assert "again" in capsys.readouterr().err
+
+
 def test_two_processes_give_the_rows_of_one(tmp_path):
     wanted = plan("nicp", runs=2).trials()
     one, two = Journal(tmp_path / "1"), Journal(tmp_path / "2")
@@ -170,25 +220,68 @@ def test_two_processes_give_the_rows_of_one(tmp_path):
         assert {k: v for k, v in a.items() if k not in TIMES} == {k: v for k, v in b.items() if k not in TIMES}
 
 
-def test_an_interrupted_study_goes_on_where_it_was(tmp_path):
-    out = tmp_path / "out.json"
-    command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", "8", "--frames", "0:8",
-               "--points", "1500", "--procs", "1", "--json", str(out)]  # fmt: skip
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    rows = tmp_path / "out.rows.jsonl"
-    while not (rows.is_file() and rows.read_text().count("\n")):
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.02)
-    process.send_signal(signal.SIGINT)
-    _, said = process.communicate(timeout=60)
-    before = rows.read_text()
-    assert process.returncode == 130
+class Started:
+    """``ddakf evaluate`` in a process group of its own, as a terminal has it, when its first row is there."""
+
+    def __init__(self, folder, procs: int, runs: int):
+        self.out, self.rows = folder / "out.json", folder / "out.rows.jsonl"
+        self.command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", str(runs),
+                        "--frames", "0:8", "--points", "1500", "--procs", str(procs), "--json", str(self.out)]  # fmt: skip
+        self.process = subprocess.Popen(
+            self.command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+        )
+        while not (self.rows.is_file() and self.rows.read_text().count("\n")):
+            assert self.process.poll() is None, self.process.communicate()
+            time.sleep(0.02)
+
+    def all_ended(self) -> bool:
+        """Within 20 seconds, the workers too."""
+        for _ in range(200):
+            try:
+                os.killpg(self.process.pid, 0)
+            except ProcessLookupError:
+                return True
+            time.sleep(0.1)
+        return False
+
+    def resumed(self) -> dict:
+        before = self.rows.read_bytes()
+        subprocess.run(self.command, check=True, capture_output=True, timeout=120)
+        assert self.rows.read_bytes().startswith(before[: before.rindex(b"\n") + 1])
+        return json.loads(self.out.read_text())["results"][0]
+
+
+@pytest.mark.parametrize("procs", [1, 2])
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path, procs):
+    started = Started(tmp_path, procs, 8)
+    os.killpg(started.process.pid, signal.SIGINT)
+    _, said = started.process.communicate(timeout=60)
+    assert started.process.returncode == 130
     assert "of 8 runs are in" in said
-    assert before.count("\n") < 8
-    subprocess.run(command, check=True, capture_output=True, timeout=120)
-    assert rows.read_text().startswith(before)
-    assert rows.read_text().count("\n") == 8
-    assert len(json.loads(out.read_text())["results"][0]["runs"]) == 8
+    assert "Traceback" not in said
+    assert started.all_ended()
+    assert started.rows.read_text().count("\n") < 8
+    assert len(started.resumed()["runs"]) == 8
+
+
+def test_a_killed_study_leaves_no_process(tmp_path):
+    started = Started(tmp_path, 2, 8)
+    started.process.kill()
+    started.process.communicate(timeout=60)
+    assert started.all_ended()
+
+
+def test_a_process_that_dies_costs_its_trial_alone(tmp_path):
+    wanted, journal = plan("nicp", runs=3).trials(), Journal(tmp_path / "j")
+    rows = workers.rows(wanted, 2)
+    journal.add({"commit": "x"} | next(rows))
+    multiprocessing.active_children()[-1].kill()
+    for row in rows:
+        journal.add({"commit": "x"} | row)
+    failed = [row["failed"] for row in journal.rows() if "failed" in row]
+    assert len(failed) == 1
+    assert "status -9" in failed[0]
+    assert len(journal.rows(wanted)) == 3
 
 
 def row(system: str, seed: int, rmse: list[float], sequence: str = "a") -> dict:

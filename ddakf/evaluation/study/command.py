@@ -8,6 +8,7 @@ import os
 import shlex
 import sys
 import time
+from collections.abc import Collection
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for calm times)"
     )
+    what = "run these systems again, or all, where their runs are of another commit or did not apply"
+    parser.add_argument("--again", default="", metavar="A,B", help=what)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
     sensor_options.add(parser, several_views=True)
     parser.set_defaults(run=run)
@@ -57,22 +60,22 @@ def run(arguments: argparse.Namespace) -> int:
     from ddakf.evaluation.study import plan as plans
     from ddakf.evaluation.trials import Trial
 
+    if arguments.procs < 1:
+        raise InvalidArgument("procs", "at least 1", str(arguments.procs))
     if arguments.paper:
         return _paper(arguments, Console(stderr=True))
     if arguments.json is None:
         raise InvalidArgument("json", "OUT.json for the result, or --paper", "neither")
     if arguments.json.suffix != ".json" or not arguments.json.parent.is_dir():
         raise InvalidArgument("json", "OUT.json in a folder that exists", str(arguments.json))
-    if arguments.procs < 1:
-        raise InvalidArgument("procs", "at least 1", str(arguments.procs))
     sensor = asdict(sensor_options.sensor(arguments, view="ring4"))  # the plan sets the view, and checks the sensor with it
     settings = Trial("", **sensor, surfaces=True)
     methods = tuple(_names(arguments.methods)) or plans.METHODS
     sequences, views = tuple(arguments.sequences), tuple(_names(arguments.view))
     plan = plans.Plan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
     plan.check()
-    console = Console(stderr=True)
-    result = study(plan, arguments.json, arguments.procs, console)
+    console, again = Console(stderr=True), _again(arguments, plan.systems)
+    result = study(plan, arguments.json, arguments.procs, console, again)
     shown = Console()
     shown.width = max(shown.width, WIDE)
     shown.print(table(result))
@@ -96,18 +99,29 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     plans = {name: plan for name, plan in plans.items() if name in chosen}
     for plan in plans.values():
         plan.check()
+    again = _again(arguments, {system for plan in plans.values() for system in plan.systems})
     arguments.results.mkdir(parents=True, exist_ok=True)
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
-        study(plan, arguments.results / f"{name}.json", arguments.procs, console)
+        study(plan, arguments.results / f"{name}.json", arguments.procs, console, again)
     if not arguments.only:
         paper.save_stills(size, plans["main"].sequences, arguments.results, console)
     console.print(f"ddakf report --results {arguments.results} renders them")
     return 0
 
 
-def study(plan, out: Path, procs: int, console) -> dict:
-    """Runs what is missing of a checked plan, writes its result and returns it."""
+def _again(arguments: argparse.Namespace, systems) -> list[str]:
+    """The systems to be run again."""
+    from ddakf.evaluation.study.execute import ALL
+
+    names = _names(arguments.again)
+    if unknown := [name for name in names if name not in {ALL, *systems}]:
+        raise InvalidArgument("again", f"{ALL}, or some of {', '.join(sorted(systems))}", unknown[0])
+    return names
+
+
+def study(plan, out: Path, procs: int, console, again: Collection[str] = ()) -> dict:
+    """Runs what is missing of a checked plan, and what is to be run again, writes its result and returns it."""
     from ddakf.evaluation import machine
     from ddakf.evaluation.sensors import Sensor
     from ddakf.evaluation.study import results
@@ -116,7 +130,7 @@ def study(plan, out: Path, procs: int, console) -> dict:
 
     wanted, journal = plan.trials(), Journal(out.with_suffix(".rows.jsonl"))
     try:
-        execute(wanted, journal, procs, console)
+        execute(wanted, journal, procs, console, again)
     except KeyboardInterrupt:
         done = sum(map(journal.done, wanted))
         console.print(f"interrupted; {done} of {len(wanted)} runs are in {journal.path}, the same command goes on from there")

@@ -1,24 +1,24 @@
-"""Runs the trials of a study that have not been run, in several processes, with the time that is left."""
+"""Runs the trials of a study that have not been run, with the time that is left."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Collection
 from contextlib import closing
-from multiprocessing import get_context
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from threadpoolctl import threadpool_limits
 
-from ddakf import kernels
-from ddakf.evaluation import machine, trials
+from ddakf.evaluation import machine
+from ddakf.evaluation.study import workers
 from ddakf.evaluation.study.journal import Journal
 from ddakf.evaluation.trials import Trial
 
 SPEED_OVER = 3600.0  # s: the time left is judged by the runs of the last hour at most
+ALL = "all"  # for the names of all systems
 
 
-def execute(wanted: list[Trial], journal: Journal, procs: int, console: Console) -> None:
+def execute(wanted: list[Trial], journal: Journal, procs: int, console: Console, again: Collection[str] = ()) -> None:
     """Runs what the journal lacks, and adds it there as it comes.
 
     Args:
@@ -26,43 +26,45 @@ def execute(wanted: list[Trial], journal: Journal, procs: int, console: Console)
         journal: see :class:`~ddakf.evaluation.study.journal.Journal`.
         procs: processes; each computes with one thread.
         console: for progress.
+        again: systems, or :data:`ALL`, whose trials are run again where they are of other code or did not apply.
     """
-    missing = [trial for trial in wanted if not journal.done(trial)]
-    if len(missing) < len(wanted):
-        console.print(f"{len(wanted) - len(missing)} of {len(wanted)} runs are in {journal.path}")
-    if not missing:
+    code = machine.code()
+    kept = [trial for trial in wanted if journal.done(trial) and not (_named(trial, again) and not journal.current(trial, code))]
+    if kept:
+        console.print(f"{len(kept)} of {len(wanted)} runs are in {journal.path}")
+        _say_which_are_older(journal.rows(kept), code, console)
+    if missing := [trial for trial in wanted if trial not in set(kept)]:
+        _run(missing, journal, procs, console, {"commit": code, "processes": procs})
+
+
+def _named(trial: Trial, systems: Collection[str]) -> bool:
+    return ALL in systems or trial.variant in systems
+
+
+def _say_which_are_older(rows: list[dict], code: str, console: Console) -> None:
+    """Results of several versions beside each other are no error, but nobody shall overlook them."""
+    others = [row for row in rows if row.get("commit") != code]
+    if not others:
         return
+    counts = Counter(str(row.get("commit")) for row in others)
+    commits = ", ".join(f"{commit}: {count}" for commit, count in counts.items())
+    systems = ",".join(dict.fromkeys(row["variant"] for row in others))
+    console.print(f"{len(others)} of them are of other code than {code} ({commits}); --again {systems} runs them again")
+
+
+def _run(missing: list[Trial], journal: Journal, procs: int, console: Console, origin: dict) -> None:
     columns = (TextColumn("{task.fields[what]:48.48s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left:"), TimeRemainingColumn())  # fmt: skip
     with (
         Progress(*columns, console=console, speed_estimate_period=SPEED_OVER) as bar,
-        closing(_run(missing, procs)) as rows,
+        closing(workers.rows(missing, procs)) as rows,
     ):
         task = bar.add_task("", total=len(missing), what="starting")
         for row in rows:
-            journal.add(row)
+            journal.add(origin | row)
             bar.update(task, advance=1, what=title(row))
             if "failed" in row:
                 bar.console.print(f"{title(row)}: {row['failed']}")
-
-
-def _run(missing: list[Trial], procs: int) -> Iterator[dict]:
-    commit = machine.commit()
-    run: Callable[[Trial], dict] = trials.run
-    if procs == 1:
-        prepare()
-        for trial in missing:
-            yield {"commit": commit} | run(trial)
-        return
-    with get_context("spawn").Pool(procs, prepare) as pool:
-        for row in pool.imap_unordered(run, missing):
-            yield {"commit": commit} | row
-
-
-def prepare() -> None:
-    """One thread, and compiled kernels: no time holds anything else."""
-    threadpool_limits(1)
-    kernels.warm()
 
 
 def title(row: dict) -> str:

@@ -23,37 +23,36 @@ class Journal:
     def __init__(self, path: Path):
         self.path = path
         self._rows: dict[Trial, dict] = {}
-        lines = path.read_bytes().split(b"\n") if path.is_file() else []
+        *lines, rest = path.read_bytes().split(b"\n") if path.is_file() else [b""]
+        self._cut_off = len(rest)  # bytes of a line that was not written to its end; they go before the next row comes
         for number, line in enumerate(lines, 1):
-            if not line:
-                continue
             try:
                 row = json.loads(line)
-                trial = Trial.of(row)
+                self._rows[Trial.of(row)] = row
             except (ValueError, TypeError, KeyError, AttributeError) as error:
-                if number == len(lines):  # cut off while it was written
-                    self._cut(len(line))
-                    break
                 raise InvalidFile(f"{path}, line {number}", "a row of a study", f"{line[:40]!r}") from error
-            self._rows[trial] = row
-
-    def _cut(self, count: int) -> None:
-        with self.path.open("rb+") as file:
-            file.truncate(self.path.stat().st_size - count)
 
     def done(self, trial: Trial) -> bool:
         """It was run; one that failed is run again."""
         return trial in self._rows and "failed" not in self._rows[trial]
 
-    def rows(self, trials: list[Trial]) -> list[dict]:
-        """Of those trials that were run, in their order."""
-        return [self._rows[trial] for trial in trials if trial in self._rows]
+    def current(self, trial: Trial, code: str) -> bool:
+        """It was run by this code, see :func:`ddakf.evaluation.machine.code`, and applied. Of changed files nobody knows."""
+        row = self._rows.get(trial, {"failed": ""})
+        return not {"failed", "not_applicable"} & set(row) and row.get("commit") == code and not code.endswith("-dirty")
+
+    def rows(self, trials: list[Trial] | None = None) -> list[dict]:
+        """Of those trials that were run, in their order; None: all rows."""
+        chosen = self._rows if trials is None else [trial for trial in trials if trial in self._rows]
+        return [complete(self._rows[trial]) for trial in chosen]
 
     def add(self, row: dict) -> None:
-        """Writes a row."""
+        """Writes a row; it takes the place of an older one of the same trial, which stays in the file."""
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+        with self.path.open("ab") as file:
+            file.truncate(file.tell() - self._cut_off)
+            file.write(json.dumps(row).encode() + b"\n")
+        self._cut_off = 0
         self._rows[Trial.of(row)] = row
 
 

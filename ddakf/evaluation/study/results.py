@@ -96,7 +96,8 @@ def ran(row: dict) -> bool:
 
 
 def _run(row: dict) -> dict:
-    run = {"seed": row["seed"]} | {name: row.get(key) for name, key in VALUES.items()}
+    run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes")}
+    run |= {name: row.get(key) for name, key in VALUES.items()}
     frames = row["per_frame"]
     for score in ("reliability", "paper_score"):
         for error in ("rmse_mm", "penetration_mm"):
