@@ -29,13 +29,15 @@ def recording_row(make: Maker, recording: Recording, frames: range, sensor: Sens
         seed: of its random numbers.
 
     Returns:
-        ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm`` and, where the method says them, ``reliability``,
-        ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``; ``per_frame``.
+        ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm``, ``stretch_pct`` against the template and, where the
+        method says them, ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``;
+        ``per_frame``.
     """
     sensor = replace(sensor, noise=0.0)
     garment = recording.template(frames.start - frames.step)
     step, distance = make(garment, garment.vertices, None), metrics.SurfaceDistance(garment)
-    values: dict[str, list] = {"number": [], "residual_mm": [], "residual_p95_mm": []}
+    shape = metrics.ShapeDifference(garment)
+    values: dict[str, list] = {"number": [], "residual_mm": [], "residual_p95_mm": [], "stretch_pct": []}
     estimates, wall, cpu = [], [], []
     for number in frames:
         cloud = sensor.degrade(recording.cloud(number), np.random.default_rng([seed, number]), number)
@@ -49,6 +51,7 @@ def recording_row(make: Maker, recording: Recording, frames: range, sensor: Sens
         values["number"].append(number)
         values["residual_mm"].append(residual.mean_mm)
         values["residual_p95_mm"].append(residual.p95_mm)
+        values["stretch_pct"].append(shape.stretch(estimate.vertices, garment.vertices))
         for name in ("reliability", "paper_score", "coverage", "state"):
             if getattr(estimate, name) is not None:
                 values.setdefault(name, []).append(getattr(estimate, name))
@@ -62,6 +65,7 @@ def recording_row(make: Maker, recording: Recording, frames: range, sensor: Sens
             "first": frames[part.start],
             "frames": part.stop - part.start,
             "residual_mm": float(np.nanmean(values["residual_mm"][part])),
+            "stretch_pct": float(np.nanmean(values["stretch_pct"][part])),
             "own_flicker_mm": metrics.own_flicker_mm(np.array(estimates[part])),
         }
         for part in statistics.clips(len(frames))
@@ -74,7 +78,7 @@ def pair_row(make: Maker, pair: Pair) -> dict:
     """Follows the surface of one frame into another one far away, which is shown :data:`STEPS` times.
 
     Returns:
-        ``end_point_error_mm``, ``within_5cm``, ``residual_mm``, times; ``per_frame`` of the steps.
+        ``end_point_error_mm``, ``within_5cm``, ``residual_mm``, ``stretch_pct``, times; ``per_frame`` of the steps.
     """
     step, distance = make(pair.garment, pair.garment.vertices, None), metrics.SurfaceDistance(pair.garment)
     errors, wall = [], []
@@ -90,6 +94,7 @@ def pair_row(make: Maker, pair: Pair) -> dict:
         "end_point_error_mm": last.mean_mm,
         "within_5cm": last.within_5cm,
         "residual_mm": distance.residual(pair.target.points, vertices).mean_mm,
+        "stretch_pct": metrics.ShapeDifference(pair.garment).stretch(vertices, pair.garment.vertices),
         "wall_ms_p50": float(np.median(wall)),
         "fps": 1e3 / float(np.mean(wall)),
         "clips": [{"first": 1, "frames": STEPS, "end_point_error_mm": last.mean_mm}],

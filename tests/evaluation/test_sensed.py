@@ -1,0 +1,95 @@
+"""What is said of a method where no vertex has a truth: by hand, with methods whose faults are known."""
+
+import numpy as np
+import pytest
+
+from ddakf.evaluation.datasets import Pair
+from ddakf.evaluation.methods import Estimate
+from ddakf.evaluation.sensed import STEPS, pair_row, recording_row
+from ddakf.evaluation.sensors import Cloud, Sensor
+from ddakf.mesh import Mesh
+
+SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+MESH = Mesh(SQUARE, np.array([[0, 1, 2], [0, 2, 3]]))
+UP = np.array([0.0, 0.0, 0.01])  # m per frame
+POINTS = np.random.default_rng(0).uniform([0.1, 0.1, 0], [0.9, 0.9, 0], (200, 3))
+
+
+class Rising:
+    """A square that rises by 10 mm per frame, 10 frames per second."""
+
+    name, fps = "rising", 10.0
+
+    def __len__(self):
+        return 6
+
+    def timestamp(self, frame):
+        return frame / self.fps
+
+    def cloud(self, frame):
+        return Cloud((POINTS + frame * UP).astype(np.float32), np.zeros(3))
+
+    def template(self, frame=0):
+        return Mesh(SQUARE + frame * UP, MESH.faces)
+
+
+def method(vertices_of, seen=None):
+    """Makes what says that the vertices are ``vertices_of(start, frame)``."""
+
+    def make(garment, start, body):
+        assert body is None
+
+        def step(frame):
+            if seen is not None:
+                seen.append(frame)
+            return Estimate(vertices_of(start, frame))
+
+        return step
+
+    return make
+
+
+FROZEN = method(lambda start, frame: start)
+
+
+def test_who_follows_has_no_residual_and_who_stands_still_has_the_motion():
+    followed = recording_row(method(lambda start, frame: SQUARE + frame.number * UP), Rising(), range(1, 6), Sensor(), 1)
+    assert followed["frames_tracked"] == 5
+    assert followed["residual_mm"] == pytest.approx(0, abs=1e-4)
+    assert followed["own_flicker_mm"] == pytest.approx(0, abs=1e-3)
+    frozen = recording_row(FROZEN, Rising(), range(3, 6), Sensor(), 1)  # the template is of frame 2
+    assert frozen["per_frame"]["residual_mm"] == pytest.approx([10, 20, 30], rel=1e-5)
+    assert frozen["residual_mm"] == frozen["residual_p95_mm"] == pytest.approx(20, rel=1e-5)
+    still = {"residual_mm": frozen["residual_mm"], "stretch_pct": 0, "own_flicker_mm": 0}
+    assert frozen["clips"] == [{"first": 3, "frames": 3} | still]
+
+
+def test_a_mesh_torn_to_the_points_is_betrayed_by_its_stretch():
+    torn = recording_row(method(lambda start, frame: 2 * SQUARE + frame.number * UP), Rising(), range(1, 6), Sensor(), 1)
+    assert torn["residual_mm"] == pytest.approx(0, abs=1e-4)
+    assert torn["stretch_pct"] == pytest.approx(100)
+
+
+def test_the_frames_are_the_sensors_without_further_noise():
+    seen = []
+    recording_row(method(lambda start, frame: start, seen), Rising(), range(1, 6, 2), Sensor(points=50, noise=0.5, every=2), 1)
+    assert [frame.number for frame in seen] == [1, 3, 5]
+    assert [frame.timestamp for frame in seen] == [0.1, 0.3, 0.5]
+    for frame in seen:
+        assert frame.points.shape == (50, 3)
+        assert frame.points[:, 2] == pytest.approx(0.01 * frame.number)
+
+
+def test_the_end_point_error_of_a_pair_is_of_the_last_of_its_steps():
+    shift = np.array([0.3, 0.0, 0.4])
+    points = SQUARE.mean(axis=0) + np.array([[0.1, 0, 0], [0, 0.2, 0]])
+    pair = Pair("pair", MESH, points, np.tile(shift, (2, 1)), Cloud((POINTS + shift).astype(np.float32), np.zeros(3)), 2.0)
+    seen = []
+    gradual = pair_row(method(lambda start, frame: start + min(frame.number / 5, 1) * shift, seen), pair)
+    errors = [400, 300, 200, 100] + [0] * (STEPS - 4)
+    assert gradual["per_frame"]["end_point_error_mm"] == pytest.approx(errors, abs=1e-6)
+    assert (gradual["end_point_error_mm"], gradual["within_5cm"]) == (pytest.approx(0, abs=1e-6), 1)
+    assert (gradual["residual_mm"], gradual["stretch_pct"]) == pytest.approx((0, 0), abs=1e-4)
+    assert [frame.timestamp for frame in seen] == pytest.approx([2.0 * k / STEPS for k in range(1, STEPS + 1)])
+    still = pair_row(FROZEN, pair)
+    assert (still["end_point_error_mm"], still["within_5cm"]) == (pytest.approx(500), 0)
