@@ -72,7 +72,7 @@ def _cloth(results: dict[str, Result]) -> list[Table]:
         parts.append(tables.by_sequence("captures", "RMSE in mm on real captures without a body", results["captures"], "rmse_mm"))
     for name, title, value in (
         ("depth", "Real depth without truth: mean distance of the points to the surface, mm", "residual_mm"),
-        ("depth", "Real depth without truth: stretch against the first frame, %: what tears the mesh to the points has no residual",
+        ("depth", "Real depth without truth: stretch against the first frame, %: a mesh torn to the points has no residual",
          "stretch_percent"),
         ("depth", "Real depth without truth: flicker of the estimate itself, mm/frame²", "own_flicker"),
         ("scene-flow", "DeepDeform: end-point error of the scene flow, mm", "end_point_error_mm"),
