@@ -44,6 +44,8 @@ def template_from_depth(depth: np.ndarray, camera: Camera, vertices: int = 3000,
     step = max(1.0, np.sqrt(inside.sum() / vertices))
     grid, grid_camera = _resampled(smooth, camera, step, jump)
     faces = _largest_components(_grid_faces(grid, jump), grid.size)
+    if len(faces) == 0:
+        raise InvalidArgument("depth", f"a surface without jumps of {jump:g} m, for {vertices} vertices", "none")
     number = np.cumsum(grid.ravel() > 0) - 1
     return Mesh.cleaned(grid_camera.unproject(grid), number[faces])[0]
 

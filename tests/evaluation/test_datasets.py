@@ -79,6 +79,12 @@ def test_template_does_not_bridge_depth_jumps_and_forgets_specks():
     assert len(template.vertices) > 2500
 
 
+def test_template_of_noise_is_refused():
+    noise = np.random.default_rng(0).uniform(0.5, 5.0, (KINECT.height, KINECT.width))
+    with pytest.raises(InvalidArgument, match=r"depth: expected a surface without jumps of 0\.06 m, for 3000 vertices, got none"):
+        template_from_depth(noise, Camera.at_origin(KINECT))
+
+
 def test_template_of_nothing_is_refused():
     with pytest.raises(InvalidArgument, match="16 connected pixels"):
         template_from_depth(np.zeros((KINECT.height, KINECT.width)), Camera.at_origin(KINECT))

@@ -45,7 +45,7 @@ class DepthRecording:
         camera: in whose world the points are.
         fps: frames per second.
         smooth: even out the sensor's depth steps (22 mm at 2.8 m), which otherwise make every local plane face the
-            camera. Tracking without it ends 10-30 % farther from the points as they were measured.
+            camera.
         times: (T,) seconds, or None where the frames are evenly spaced.
     """
 
