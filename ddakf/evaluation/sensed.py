@@ -32,7 +32,11 @@ def recording_row(make: Maker, recording: Recording, frames: range, sensor: Sens
         ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm``, ``stretch_pct`` against the template and, where the
         method says them, ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``;
         ``per_frame``.
+
+    Raises:
+        InvalidArgument: a sensor with errors of a depth camera.
     """
+    sensor.require_no_camera()
     sensor = replace(sensor, noise=0.0)
     garment = recording.template(frames.start - frames.step)
     step, distance = make(garment, garment.vertices, None), metrics.SurfaceDistance(garment)

@@ -22,6 +22,7 @@ INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=
 FLIER_JUMP = 0.03  # m: see ddakf.depth.without_fliers
 BACKGROUND = 1.0  # m: behind the garment's first centroid is what edge fliers mix with
 OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
+OF_A_CAMERA = ("depth_noise", "depth_step", "fliers")  # fields of a sensor
 COVERED = 0.06  # m: skin this near to cloth counts as covered
 
 
@@ -77,11 +78,21 @@ class Sensor:
         for name in ("drop", "outliers", "fliers", "occluded"):
             if not 0 <= getattr(self, name) <= 1:
                 raise InvalidArgument(name, "a share in [0, 1]", str(getattr(self, name)))
-        for name in ("depth_noise", "depth_step", "fliers"):
+        for name in OF_A_CAMERA:
             if self.view == "full" and getattr(self, name):
                 raise InvalidArgument(name, "0 where there is no camera, as in the view full", str(getattr(self, name)))
         if self.occlude is not None and not 0 <= self.occlude[0] < self.occlude[1]:
             raise InvalidArgument("occlude", "frames FROM:TO with 0 <= FROM < TO", "{}:{}".format(*self.occlude))
+
+    def require_no_camera(self) -> None:
+        """Refuses errors of a depth camera, where the frames are those of a real one.
+
+        Raises:
+            InvalidArgument: there are some.
+        """
+        for name in OF_A_CAMERA:
+            if value := getattr(self, name):
+                raise InvalidArgument(name, "0 for a recording, whose camera has errors of its own", str(value))
 
     def frames(self, frames: range) -> range:
         """Of a range of frames those that this sensor takes; what it takes last is the last one that is due."""

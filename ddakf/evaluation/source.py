@@ -169,9 +169,7 @@ class RecordingSource:
     body_faces: None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
-        for name in ("depth_noise", "depth_step", "fliers"):
-            if value := getattr(self.sensor, name):
-                raise InvalidArgument(name, "0 for a recording, whose camera has errors of its own", str(value))
+        self.sensor.require_no_camera()
         garment = self.recording.template(self.frames[0]) if self.template is None else self.template
         object.__setattr__(self, "garment", garment)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets import Pair
 from ddakf.evaluation.methods import Estimate
 from ddakf.evaluation.sensed import STEPS, pair_row, recording_row
@@ -78,6 +79,11 @@ def test_the_frames_are_the_sensors_without_further_noise():
     for frame in seen:
         assert frame.points.shape == (50, 3)
         assert frame.points[:, 2] == pytest.approx(0.01 * frame.number)
+
+
+def test_errors_of_a_virtual_camera_are_refused_and_not_passed_over():
+    with pytest.raises(InvalidArgument, match="fliers: expected 0 for a recording"):
+        recording_row(FROZEN, Rising(), range(1, 4), Sensor(fliers=0.1), 1)
 
 
 def test_the_end_point_error_of_a_pair_is_of_the_last_of_its_steps():
