@@ -177,3 +177,34 @@ def test_the_studies_of_the_paper_have_its_levels(monkeypatch):
     assert whole["main"].runs == 5
     assert len(quick["main"].views) == quick["main"].runs == 2
     assert {plan.frames for plan in quick.values()} == {"0:31"}
+
+
+def result(runs: dict[str, list[dict]]) -> read.Result:
+    """A study of one sequence and view whose methods have these runs."""
+    cells = [
+        {"sequence": "a", "view": "full", "method": method, "runs": own, "mean": {"rmse_mm": own[0]["rmse_mm"]}}
+        for method, own in runs.items()
+    ]
+    return read.Result("main", {"commits": sorted({run["commit"] for own in runs.values() for run in own})}, cells, {})
+
+
+def run(rmse: float, commit: str = "old", processes: int = 1, seed: int = 1) -> dict:
+    return {"rmse_mm": rmse, "commit": commit, "processes": processes, "seed": seed}
+
+
+def test_results_of_several_commits_say_so_and_those_of_one_do_not():
+    assert result({"icp": [run(3.0)], "ddakf": [run(2.0)]}).mixed is None
+    mixed = result({"icp": [run(3.0)], "kf": [run(4.0)], "ddakf": [run(2.0, "new", 2)]}).mixed
+    assert mixed == "main.json has runs of several commits: new (ddakf), old (icp, kf); times with 1 and 2 processes at once."
+
+
+def test_where_another_system_is_better_it_stands_in_the_table_of_what_is_not_won():
+    assert tables.behind("b", "b", result({"icp": [run(3.0)], "ddakf": [run(2.0)]}), ["rmse_mm"]).rows == []
+    lost = tables.behind("b", "b", result({"icp": [run(3.0)], "nicp": [run(1.5)], "ddakf": [run(2.0)]}), ["rmse_mm"])
+    assert [cell.text for cell in lost.rows[0]] == ["RMSE, mm", "a", "full", "non-rigid ICP (ARAP)", "1.5", "2.0"]
+
+
+def test_seeds_that_no_two_cells_share_still_have_a_mean():
+    both = result({"icp": [run(3.0, seed=1)]})
+    both.cells.append(both.cells[0] | {"sequence": "b", "runs": [run(5.0, seed=2)], "mean": {"rmse_mm": 5.0}})
+    assert both.pooled("icp", "rmse_mm")[:3] == (4.0, None, 0)

@@ -313,7 +313,9 @@ def test_the_unit_of_a_test_is_the_clip_and_the_seeds_are_averaged():
 def test_recovery_is_counted_from_the_end_of_the_occlusion_against_what_was_before():
     run = row("ddakf", 1, [1.0]) | {"occlude": [4, 6]}
     run["per_frame"] = {"number": list(range(1, 11)), "rmse_mm": [2.0, 2, 2, 9, 9, 8, 4, 3, 3, 2.5]}
-    assert results.summed_up([run], {})["results"][0]["runs"][0]["recovery_frames"] == 3
+    summed = results.summed_up([run], {})["results"][0]["runs"][0]
+    assert summed["recovery_frames"] == 3
+    assert summed["recovery_ratio"] == 2.05, "frames 6 to 10 over frames 1 to 3"
     run["per_frame"]["rmse_mm"][5:] = [9.0] * 5
     assert results.summed_up([run], {})["results"][0]["runs"][0]["recovery_frames"] is None
 

@@ -28,6 +28,9 @@ CLOTH = ("rmse_mm", "rmse_normal_mm", "iou", "stretch_percent", "stretch_error_p
 TESTED = ("rmse_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg", "penetration_mm", "flicker")
 
 
+JUDGED = ("rmse_mm", "rmse_normal_mm", *TESTED[1:])
+
+
 def write(results: dict[str, Result], folder: Path, out: Path) -> None:
     """Renders what the results can fill.
 
@@ -36,13 +39,17 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
         folder: they were read from; the stills are there too.
         out: for index.html and the pictures.
     """
-    parts = [*tables_of(results), *_stills(folder, out), *_drawn(results, out)]
+    parts = [*tables_of(results, each_view=True), *_stills(folder, out), *_drawn(results, out)]
     (out / "index.html").write_text(page(TITLE, INTRODUCTION, parts, list(results.values())))
 
 
-def tables_of(results: dict[str, Result]) -> list[Table]:
-    """The tables that the results can fill."""
-    return [*_faust(results), *_cloth(results), *_sweeps(results), *_occlusion(results), *_reliability(results)]
+def tables_of(results: dict[str, Result], *, each_view: bool = False) -> list[Table]:
+    """The tables that the results can fill, with Table 4 also view by view if wanted."""
+    cloth, others = _cloth(results, each_view), [*_sweeps(results), *_occlusion(results), *_reliability(results)]
+    parts = [*_faust(results), *cloth, *others]
+    for table in parts:
+        table.notes += [source.mixed for source in table.sources if source.mixed]
+    return parts
 
 
 def _faust(results: dict[str, Result]) -> list[Table]:
@@ -56,7 +63,7 @@ def _faust(results: dict[str, Result]) -> list[Table]:
     ]  # fmt: skip
 
 
-def _cloth(results: dict[str, Result]) -> list[Table]:
+def _cloth(results: dict[str, Result], each_view: bool) -> list[Table]:
     parts = []
     if "main" in results:
         result = results["main"]
@@ -65,6 +72,10 @@ def _cloth(results: dict[str, Result]) -> list[Table]:
             parts.append(tables.comparison(f"table-3-{view}", heading, result, CLOTH, printed.CLOTH3D, view))
         title = "Table 4: CLOTH3D-like, every system against DD-AKF, all views"
         parts.append(tables.significance("table-4", title, result, TESTED, printed.CLOTH3D_P))
+        for view in result.views if each_view and len(result.views) > 1 else ():
+            title = f"Table 4: CLOTH3D-like, every system against DD-AKF, {view}"
+            parts.append(tables.significance(f"table-4-{view}", title, result, TESTED, printed.CLOTH3D_P, view))
+        parts.append(tables.behind("behind", "Where DD-AKF does not win", result, JUDGED))
         parts.append(tables.by_sequence("by-sequence", "RMSE in mm by sequence", result, "rmse_mm"))
         parts.append(tables.by_sequence("by-category", "RMSE in mm by garment category; ClothFit was trained without it", result,
                                         "rmse_mm", lambda name: scored(name).garment))  # fmt: skip
@@ -85,8 +96,13 @@ def _cloth(results: dict[str, Result]) -> list[Table]:
 def _occlusion(results: dict[str, Result]) -> list[Table]:
     if "occlusion" not in results:
         return []
-    title = "Frames after the occlusion until the error is within 1.5 times that before it; runs that never are do not count"
-    return [tables.by_sequence("recovery", title, results["occlusion"], "recovery_frames")]
+    result = results["occlusion"]
+    never = "Frames after the occlusion until the error is within 1.5 times that before it; runs that never are do not count"
+    parts = [tables.by_sequence("recovery", never, result, "recovery_frames")]
+    if any(result.pooled(method, "recovery_ratio") for method in result.methods):
+        title = "Error of the last ten frames after the occlusion, in multiples of that of the ten before it"
+        parts.append(tables.by_sequence("recovery-ratio", title, result, "recovery_ratio"))
+    return parts
 
 
 def _sweeps(results: dict[str, Result]) -> list[Table]:

@@ -14,6 +14,7 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #23262e; max-width: 1180px; 
 h1 { font-size: 1.6rem; } h2 { font-size: 1.15rem; margin: 2.4rem 0 .5rem; border-top: 1px solid #e2e4e9; padding-top: 1.2rem; }
 .wide { overflow-x: auto; } table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .86rem; }
 th { text-align: right; vertical-align: bottom; font-weight: 600; padding: .3rem .6rem; border-bottom: 2px solid #23262e; }
+th:first-child, td:first-child { position: sticky; left: 0; background: #fff; }
 th:first-child, td:first-child, .names td:nth-child(2), .names th:nth-child(2) { text-align: left; }
 td { text-align: right; padding: .22rem .6rem; border-bottom: 1px solid #eceef2; white-space: nowrap; }
 td.best { font-weight: 700; } td.paper, th.paper { color: #7a6a4f; background: #faf7f0; } td.none { color: #999; }
@@ -63,7 +64,7 @@ def _table(table: Table) -> str:
     heads = "".join(f'<th{" class=paper" if head == "in the paper" else ""}>{escape(head)}</th>' for head in table.heads)
     rows = "\n".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in table.rows)
     notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
-    names = ' class="names"' if table.heads[1] in ("system", "view") else ""
+    names = ' class="names"' if table.heads[1] in ("system", "view", "sequence") else ""
     files = ", ".join(f'<a href="#{escape(result.name)}">{escape(result.name)}.json</a>' for result in table.sources)
     return (
         f'<h2 id="{escape(table.name)}">{escape(table.title)}</h2>\n<div class="wide"><table{names}>'

@@ -19,7 +19,7 @@ class Pooled(NamedTuple):
 
     mean: float
     sd: float | None  # None with one run
-    runs: int
+    runs: int  # seeds that all of them have; 0: none, the mean is that over the cells
     cells: int  # sequences x views that it is the mean of
     of: int  # that there are
 
@@ -69,6 +69,8 @@ class Result:
         if not used:
             return None
         means = [np.mean(numbers) for numbers in by_seed.values() if len(numbers) == used]
+        if not means:  # no seed has a value everywhere
+            return Pooled(float(np.mean([cell["mean"][value] for cell in cells if _has(cell, value)])), None, 0, used, len(cells))
         sd = float(np.std(means, ddof=1)) if len(means) > 1 else None
         return Pooled(float(np.mean(means)), sd, len(means), used, len(cells))
 
@@ -77,9 +79,31 @@ class Result:
         sentences = [cell.get("failed") or cell.get("not_applicable") for cell in self.of(method)]
         return "; ".join(dict.fromkeys(filter(None, sentences)))
 
-    def lost(self, method: str) -> int:
+    def lost(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> int:
         """Cells in which some run of the method no longer followed the garment."""
-        return sum(any(statistics.lost(run["rmse_mm"] for run in cell["runs"])) for cell in self.of(method))
+        return sum(any(statistics.lost(run["rmse_mm"] for run in cell["runs"])) for cell in self.of(method, chosen))
+
+    @property
+    def mixed(self) -> str | None:
+        """Which runs are of which commit, and of how many processes at once, in a sentence; None where all are alike."""
+        commits: dict[str, dict[str, None]] = {commit: {} for commit in self.meta["commits"]}
+        processes = set()
+        for cell in self.cells:
+            for run in cell["runs"]:
+                processes.add(run.get("processes"))
+                if "commit" in run:
+                    commits.setdefault(run["commit"], {})[cell["method"]] = None
+        parts = []
+        if len(commits) > 1:
+            named = (f"{commit} ({', '.join(methods)})" if methods else commit for commit, methods in commits.items())
+            parts.append(f"runs of several commits: {', '.join(named)}")
+        if len(processes - {None}) > 1:
+            parts.append(f"times with {' and '.join(map(str, sorted(processes - {None})))} processes at once")
+        return f"{self.name}.json has {'; '.join(parts)}." if parts else None
+
+
+def _has(cell: dict, value: str) -> bool:
+    return cell["mean"] is not None and cell["mean"].get(value) is not None
 
 
 def read(folder: Path) -> dict[str, Result]:

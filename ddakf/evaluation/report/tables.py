@@ -92,8 +92,8 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
         rows.append(_truth(result, values, paper, chosen))
     notes = [f"{TITLES.get(m, m)}: {result.reason(m)}" for m in methods if result.reason(m)]
     for method in methods:
-        if count := result.lost(method):
-            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {len(result.of(method))} cells.")
+        if count := result.lost(method, chosen):
+            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {len(result.of(method, chosen))} cells.")
     return Table(name, title, heads, rows, notes, [result])
 
 
@@ -199,6 +199,26 @@ def by_sequence(name: str, title: str, result: Result, value: str, group: Callab
     return Table(name, title, ["sequence", "view", *(TITLES.get(m, m) for m in methods)], rows, [], [result])
 
 
+def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Table:
+    """Where DD-AKF does not win: metric, sequence and view, the best system there, and how far DD-AKF is from it."""
+    rows, places = [], list(dict.fromkeys((cell["sequence"], cell["view"]) for cell in result.cells))
+    values = list(values)
+    for value in values:
+        for sequence, view in places:
+            means = {
+                cell["method"]: cell["mean"][value]
+                for cell in result.cells
+                if (cell["sequence"], cell["view"]) == (sequence, view) and cell["mean"] and cell["mean"][value] is not None
+            }
+            best = _first(means, value)
+            if best is None or "ddakf" not in means or means[best] == means["ddakf"]:
+                continue
+            names = TITLES.get(best, best), _number(means[best], value), _number(means["ddakf"], value)
+            rows.append([Cell(text) for text in (HEADS[value], Path(sequence).name, view, *names)])
+    notes = [f"Of {len(values)} metrics on {len(places)} pairs of sequence and view; all others are won by DD-AKF."]
+    return Table(name, title, ["metric", "sequence", "view", "best system", "its mean", "DD-AKF's"], rows, notes, [result])
+
+
 def reliability(name: str, title: str, results: list[Result]) -> Table:
     """Rank correlations of the two scores of DD-AKF with its error and its penetration: mean over runs, within each."""
     rows = []
@@ -233,7 +253,11 @@ def _best(pools: dict[str, Pooled | None], value: str) -> str | None:
     """The method with the best mean, of those that apply everywhere; None where less is not better."""
     if value in UNRANKED:
         return None
-    means = {method: pool.mean for method, pool in pools.items() if pool is not None and pool.cells == pool.of}
+    return _first({method: pool.mean for method, pool in pools.items() if pool is not None and pool.cells == pool.of}, value)
+
+
+def _first(means: dict[str, float], value: str) -> str | None:
+    """The method with the best mean."""
     pick = max if value in HIGHER_IS_BETTER else min
     return pick(means, key=means.get) if means else None
 

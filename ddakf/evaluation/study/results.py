@@ -107,24 +107,29 @@ def _run(row: dict) -> dict:
     run["states"] = row.get("states") or None
     groups = {name: row[name] for name in ("observed", "hidden") if row.get(name)}
     run["calibration"] = {name: {key: group[key] for key in CALIBRATION} for name, group in groups.items()}
-    run["recovery_frames"] = _recovery(row)
+    run |= dict(zip(("recovery_frames", "recovery_ratio"), _recovery(row), strict=True))
     if row.get("occlude"):  # all others' are in the file of the rows
         run["per_frame"] = {"number": frames["number"]} | {name: frames[name] for name in PER_FRAME if name in frames}
     return run
 
 
-def _recovery(row: dict) -> int | None:
-    """Frames after the occlusion until the error is within :data:`RECOVERED` times its mean of the :data:`BEFORE` frames before;
-    None where there was none, or the error never is."""
+def _recovery(row: dict) -> tuple[int | None, float | None]:
+    """How a run comes back from an occlusion.
+
+    Returns:
+        Frames after it until the error is within :data:`RECOVERED` times its mean of the :data:`BEFORE` frames before, None where
+        it never is; and the mean error of the run's last :data:`BEFORE` frames over that before. None without an occlusion.
+    """
     window, errors = row.get("occlude"), row["per_frame"].get("rmse_mm")
     if not window or errors is None:
-        return None
+        return None, None
     number, errors = np.array(row["per_frame"]["number"]), np.array(errors)
     before = errors[number < window[0]][-BEFORE:]
     after = errors[number >= window[1]]
     if len(before) == 0 or len(after) == 0:
-        return None
-    return metrics.frames_until_within(after, np.full(len(after), before.mean()), RECOVERED)
+        return None, None
+    frames = metrics.frames_until_within(after, np.full(len(after), before.mean()), RECOVERED)
+    return frames, short(after[-BEFORE:].mean() / before.mean())
 
 
 def tests(rows: list[dict]) -> dict:
