@@ -78,7 +78,7 @@ def _cloth(results: dict[str, Result], each_view: bool) -> list[Table]:
         parts.append(tables.behind("behind", "Where DD-AKF does not win", result, JUDGED))
         parts.append(tables.by_sequence("by-sequence", "RMSE in mm by sequence", result, "rmse_mm"))
         parts.append(tables.by_sequence("by-category", "RMSE in mm by garment category; ClothFit was trained without it", result,
-                                        "rmse_mm", lambda name: scored(name).garment))  # fmt: skip
+                                        "rmse_mm", lambda name: scored(Path(name).stem).garment))  # fmt: skip
     if "captures" in results:
         parts.append(tables.by_sequence("captures", "RMSE in mm on real captures without a body", results["captures"], "rmse_mm"))
     for name, title, value in (
