@@ -10,19 +10,17 @@ import argparse
 import itertools
 import json
 import sys
-import time
-from contextlib import ExitStack
-from dataclasses import asdict, replace
-from multiprocessing import get_context
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from rich.console import Console
 
-from ddakf import kernels
 from ddakf.evaluation import figures, machine, methods, tables, trials
 from ddakf.evaluation.baselines import BASELINES
 from ddakf.evaluation.degradations import DISTURBANCES
+from ddakf.evaluation.study.execute import execute
+from ddakf.evaluation.study.journal import Journal
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -43,10 +41,7 @@ def main(argv: list[str] | None = None) -> int:
         figures.reliability_diagram(arguments.figure, tables.reliability_curves(read(arguments.out)))
         return 0
     wanted = starts(arguments) if arguments.starts else grid(arguments)
-    done = {Trial.of(row) for row in read(arguments.out)}
-    missing = [trial for trial in wanted if trial not in done]
-    print(f"{len(wanted)} trials, {len(wanted) - len(missing)} of them in {arguments.out}", file=sys.stderr)
-    execute(missing, arguments.out, arguments.procs)
+    execute(wanted, Journal(arguments.out), arguments.procs, Console(stderr=True), arguments.again)
     return 0
 
 
@@ -80,33 +75,9 @@ def starts(arguments) -> list[Trial]:
     return wanted
 
 
-def execute(wanted: list[Trial], out: Path, procs: int) -> None:
-    """Runs trials in ``procs`` processes and appends their rows to a file as they come."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    commit, begun = machine.commit(), time.monotonic()
-    with out.open("a") as file, ExitStack() as stack:
-        if procs > 1:
-            rows = stack.enter_context(get_context("spawn").Pool(procs, prepare)).imap_unordered
-        else:
-            rows = map
-            prepare()
-        for count, row in enumerate(rows(trials.run, wanted), 1):
-            file.write(json.dumps({"commit": commit} | row) + "\n")
-            file.flush()
-            left = (time.monotonic() - begun) / count * (len(wanted) - count)
-            print(f"{count}/{len(wanted)}, {left / 60:.0f} min left: {line(row)}", file=sys.stderr, flush=True)
-
-
-def prepare() -> None:
-    """One thread, and compiled kernels: no time holds anything else."""
-    threadpool_limits(1)
-    kernels.warm()
-
-
 def read(path: Path) -> list[dict]:
-    """The rows of a file, with the fields of a trial that they do not know; none where there is no file yet."""
-    rows = [json.loads(text) for text in path.read_text().splitlines()] if path.is_file() else []
-    return [asdict(Trial.of(row)) | row for row in rows]
+    """The rows of a file; none where there is no file yet."""
+    return Journal(path).rows()
 
 
 def lines(report: dict) -> str:
@@ -116,18 +87,6 @@ def lines(report: dict) -> str:
         text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if isinstance(value, list) else json.dumps(value)
         parts.append(f" {json.dumps(name)}: {text}")
     return "{\n" + ",\n".join(parts) + "\n}\n"
-
-
-def line(row: dict) -> str:
-    """A row in a few words."""
-    name = f"{row['sequence']} {row['view']}{'+body' if row['body'] else ''} {row['variant']} seed {row['seed']}"
-    if "failed" in row:
-        return f"{name}: {row['failed']}"
-    text = f"{name}: RMSE {row['rmse_mm']:.1f} mm, normal {row['normal_rmse_mm']:.1f}, {row['cpu_ms_p50']:.0f} ms"
-    if "frames_until_rmse_mm" in row:
-        text += f", {row['disturbance'] or 'start astray'}: over after {row['frames_until_rmse_mm']} frames"
-        text += f", normal after {row['frames_until_normal_rmse_mm']}"
-    return text
 
 
 def _trial(arguments, name: str, view: str, body: bool, seed: int, variant: str) -> Trial:
@@ -159,6 +118,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--starts", type=int, metavar="N", help="N random starts off the truth instead of the grid")
     parser.add_argument("--first-frame", action="store_true", help="start them in frame 0 instead of random frames")
     parser.add_argument("--procs", type=int, default=1, help="processes")
+    parser.add_argument("--again", nargs="+", default=[], metavar="VARIANT",
+                        help="run these, or all, again where their rows are of another commit")  # fmt: skip
     parser.add_argument("--out", type=Path, default=OUT, help=f"file of the rows (default {OUT.relative_to(ROOT)})")
     ending = parser.add_mutually_exclusive_group()
     ending.add_argument("--table", action="store_true", help="print the tables of --out, and run nothing")

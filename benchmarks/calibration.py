@@ -16,11 +16,14 @@ from pathlib import Path
 
 import accuracy
 import numpy as np
+from rich.console import Console
 from scipy.stats import chi2
 
 from ddakf.config import Uncertainty
 from ddakf.evaluation import figures, machine, tables, trials
 from ddakf.evaluation.records import NOMINAL
+from ddakf.evaluation.study.execute import execute
+from ddakf.evaluation.study.journal import Journal
 from ddakf.evaluation.trials import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,9 +40,9 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.fit:
         arguments.out.unlink(missing_ok=True)  # rows of another tracker
     wanted = grid(arguments, sorted(arguments.sequences or trials.names()))
-    done = {Trial.of(row) for row in accuracy.read(arguments.out)}
-    accuracy.execute([trial for trial in wanted if trial not in done], arguments.out, arguments.procs)
-    rows = [row for row in accuracy.read(arguments.out) if Trial.of(row) in set(wanted)]
+    journal = Journal(arguments.out)
+    execute(wanted, journal, arguments.procs, Console(stderr=True))
+    rows = journal.rows(wanted)
     factors = fitted(rows) if arguments.fit else {}
     constants = {
         "observed_scale": Uncertainty.observed_scale * factors.get(OBSERVED, 1.0),

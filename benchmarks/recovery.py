@@ -24,6 +24,7 @@ import multiprocessing
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -213,8 +214,8 @@ def main() -> int:
     arguments = parser.parse_args()
     names = arguments.sequences or [sequence.name for sequence in sequences()]
     report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
-    with multiprocessing.Pool(arguments.procs) as pool:
-        run: Callable = pool.imap if arguments.procs > 1 else map
+    with multiprocessing.get_context("spawn").Pool(arguments.procs) if arguments.procs > 1 else nullcontext() as pool:
+        run: Callable = pool.imap if pool else map
         for part in arguments.parts:
             jobs = [(part, names[k % len(names)], view, k) for view in arguments.views for k in range(arguments.cases)]
             cases = []

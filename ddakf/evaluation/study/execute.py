@@ -53,7 +53,7 @@ def _say_which_are_older(rows: list[dict], code: str, console: Console) -> None:
 
 
 def _run(missing: list[Trial], journal: Journal, procs: int, console: Console, origin: dict) -> None:
-    columns = (TextColumn("{task.fields[what]:48.48s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+    columns = (TextColumn("{task.fields[what]:36.36s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left:"), TimeRemainingColumn())  # fmt: skip
     with (
         Progress(*columns, console=console, speed_estimate_period=SPEED_OVER) as bar,
