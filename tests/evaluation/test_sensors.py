@@ -104,6 +104,15 @@ def test_limit_drop_and_outliers_have_the_stated_shares(sequence, to_garment):
     assert far.mean() == pytest.approx(0.1, abs=0.02)
 
 
+def test_outliers_are_uniform_in_the_box_of_the_cloud_grown_on_every_side():
+    cloud = sensors.Cloud(np.array([[0, 0, 0], [1, 2, 3]] * 5000, float), None)
+    points = replace(CLEAN, outliers=1.0).degrade(cloud, np.random.default_rng(0)).points
+    low, high = np.array([0, 0, 0]) - 0.3, np.array([1, 2, 3]) + 0.3
+    assert (points >= low).all()
+    assert (points <= high).all()
+    assert np.percentile(points, [1, 50, 99], axis=0) == pytest.approx(low + np.outer([0.01, 0.5, 0.99], high - low), abs=0.05)
+
+
 def test_the_same_seed_gives_the_same_cloud(sequence):
     sensor = Sensor("ring4", drop=0.1, outliers=0.05)
     first, again, other = (_capture(sensor, sequence, seed).points for seed in (1, 1, 2))
@@ -172,6 +181,8 @@ def test_fliers_float_behind_edges_only():
     assert mixed[:, 19].mean() == pytest.approx(2.25, abs=0.1)
     none = depth_errors.mixed_at_edges(depth, 0.0, 0.03, 3.0, np.random.default_rng(0))
     assert np.array_equal(none, depth)
+    slope = np.broadcast_to(2.0 + 0.02 * np.arange(40), (40, 40))
+    assert np.array_equal(depth_errors.mixed_at_edges(slope, 1.0, 0.03, 3.0, np.random.default_rng(0)), slope), "no edge"
 
 
 def test_a_camera_with_fliers_sees_points_behind_the_outline(sequence, to_garment):
