@@ -9,7 +9,9 @@ import pytest
 
 from ddakf import io, open3d_bridge
 from ddakf.data import SAMPLE, sample
+from ddakf.data.pack import main as pack_main
 from ddakf.data.pack import pack
+from ddakf.data.pack_body import main as pack_body_main
 from ddakf.errors import DdakfError, InvalidFile, MissingDependency
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]])
@@ -224,6 +226,22 @@ def test_packing_keeps_coordinates_within_half_a_quantum(tmp_path):
     assert 0 < error <= 0.5e-3 + 1e-7
     assert np.abs(packed.body_vertices - motion - 1).max() <= error + 1e-7
     assert packed.fps == 25
+
+
+def test_packing_refuses_in_a_sentence(tmp_path, capsys):
+    np.savez(tmp_path / "fast.npz", garment_V=np.array([VERTICES, VERTICES + 50]), garment_F=FACES, fps=30.0)
+    for words, said in (
+        (["none.npz", "b.npz"], "nothing there"),
+        (["fast.npz", "b.npy"], "ends in .npz"),
+        (["fast.npz", "b.npz"], "32768 quanta"),
+    ):
+        with pytest.raises(SystemExit):
+            pack_main([str(tmp_path / word) for word in words])
+        assert said in capsys.readouterr().err.splitlines()[-1]
+    with pytest.raises(SystemExit):
+        pack_body_main([str(tmp_path), str(tmp_path / "body.npz")])
+    assert "MakeHuman's base.obj, got none" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["fast.npz"]
 
 
 GOOD = dict(garment_V=VERTICES[None], garment_F=FACES, fps=30.0)

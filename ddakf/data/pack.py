@@ -7,10 +7,11 @@ about half the size of the plain coordinates under LZMA: smooth motion leaves on
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
 
-from ddakf.errors import InvalidFile
+from ddakf.errors import DdakfError, InvalidFile
 from ddakf.sequence import PACKED, Sequence, load_sequence
 
 DEFAULT_QUANTUM = 2.0**-13  # m
@@ -51,7 +52,12 @@ def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
 
     Returns:
         The largest difference of a coordinate between source and target, metres.
+
+    Raises:
+        InvalidFile: no sequence, motion too fast for the quantum, or a target that does not end in ``.npz``.
     """
+    if Path(target).suffix != ".npz":
+        raise InvalidFile(str(target), "a name that ends in .npz", Path(target).suffix or "none")
     sequence = load_sequence(source)
     arrays = packed(sequence, quantum)
     with np.load(source, allow_pickle=False) as archive:
@@ -66,13 +72,16 @@ def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
     return float(max(errors))
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("source")
     parser.add_argument("target")
     parser.add_argument("--quantum", type=float, default=DEFAULT_QUANTUM, help="metres (default: 2^-13, 0.122 mm)")
-    arguments = parser.parse_args()
-    error = pack(arguments.source, arguments.target, arguments.quantum)
+    arguments = parser.parse_args(words)
+    try:
+        error = pack(arguments.source, arguments.target, arguments.quantum)
+    except DdakfError as refused:
+        parser.error(str(refused))
     print(f"{arguments.target}: largest difference of a coordinate to the source {error * 1e3:.3f} mm")
 
 

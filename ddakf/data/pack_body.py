@@ -15,9 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.data.body import INFLUENCES, POSITION_STEP, WEIGHT_STEPS, load_body
+from ddakf.errors import DdakfError, InvalidFile
 from ddakf.mesh import Mesh
 from ddakf.physics import proximity
 
+BASE, RIG, WEIGHTS, SHAPE = "base.obj", "rig.game_engine.json", "weights.game_engine.json", "*.target.gz"
 DECIMETRE = 0.1  # m, the unit of the base mesh
 DROPPED_BONES = ("Root", "ball_l", "ball_r")  # fingers go as well
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
@@ -34,14 +36,20 @@ def pack_body(folder, target, triangles: int) -> int:
 
     Returns:
         The number of its vertices.
+
+    Raises:
+        InvalidFile: a file that is not there.
     """
     folder = Path(folder)
-    vertices, groups = _read_groups(folder / "base.obj")
-    _add_target(vertices, next(folder.glob("*.target.gz")))
+    for pattern in (BASE, RIG, WEIGHTS, SHAPE):
+        if not any(folder.glob(pattern)):
+            raise InvalidFile(str(folder), f"MakeHuman's {pattern}", "none")
+    vertices, groups = _read_groups(folder / BASE)
+    _add_target(vertices, next(folder.glob(SHAPE)))
     vertices *= DECIMETRE
     vertices -= [0.0, vertices[np.unique(groups[GROUND])].mean(axis=0)[1], 0.0]
-    names, parents, heads, of_bone = _skeleton(json.loads((folder / "rig.game_engine.json").read_text()), vertices, groups)
-    weights = _dense_weights(json.loads((folder / "weights.game_engine.json").read_text())["weights"], of_bone, len(vertices))
+    names, parents, heads, of_bone = _skeleton(json.loads((folder / RIG).read_text()), vertices, groups)
+    weights = _dense_weights(json.loads((folder / WEIGHTS).read_text())["weights"], of_bone, len(vertices))
 
     original, kept = _part(vertices, groups[BODY])
     body = _decimated(original, triangles)
@@ -151,13 +159,16 @@ def _strongest(dense: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return joints.astype(np.uint8), weights.astype(np.uint8)
 
 
-def main() -> None:
+def main(words: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folder")
     parser.add_argument("target")
     parser.add_argument("--triangles", type=int, default=11_000)
-    arguments = parser.parse_args()
-    vertices = pack_body(arguments.folder, arguments.target, arguments.triangles)
+    arguments = parser.parse_args(words)
+    try:
+        vertices = pack_body(arguments.folder, arguments.target, arguments.triangles)
+    except DdakfError as refused:
+        parser.error(str(refused))
     print(f"{arguments.target}: {vertices} vertices, {Path(arguments.target).stat().st_size / 1e3:.0f} kB")
 
 

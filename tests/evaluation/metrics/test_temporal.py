@@ -37,6 +37,8 @@ def test_own_flicker_has_the_motion_in_it():
 def test_acceleration_variance_by_hand():
     moving = SQUARE + [0.1, 0, 0.2] * np.arange(8.0)[:, None, None]
     assert metrics.acceleration_variance_mm2(moving) == pytest.approx(0, abs=1e-9), "a steady motion is smooth"
+    quartic = SQUARE + [0.001, 0, 0] * np.arange(8.0)[:, None, None] ** 4  # what smoothing takes away has a steady acceleration
+    assert metrics.acceleration_variance_mm2(quartic) == pytest.approx(0, abs=1e-6), "a variance, not a mean square"
     moving[::2, 0, 2] += 0.001
     # 0, 1, 0, 1 ... is 1/2 when smoothed; +-1/2 has second differences of +-2 mm, on one vertex of four
     assert metrics.acceleration_variance_mm2(moving) == pytest.approx(1)
