@@ -1,13 +1,17 @@
 """What is said of a method where no vertex has a truth: by hand, with methods whose faults are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ddakf.errors import InvalidArgument
+from ddakf.evaluation import trials
 from ddakf.evaluation.datasets import Pair
 from ddakf.evaluation.methods import Estimate
 from ddakf.evaluation.sensed import STEPS, pair_row, recording_row
 from ddakf.evaluation.sensors import Cloud, Sensor
+from ddakf.evaluation.study import paper
 from ddakf.mesh import Mesh
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
@@ -99,3 +103,9 @@ def test_the_end_point_error_of_a_pair_is_of_the_last_of_its_steps():
     assert [frame.timestamp for frame in seen] == pytest.approx([2.0 * k / STEPS for k in range(1, STEPS + 1)])
     still = pair_row(FROZEN, pair)
     assert (still["end_point_error_mm"], still["within_5cm"]) == (pytest.approx(500), 0)
+
+
+def test_the_frames_of_a_study_are_those_of_recordings_too(monkeypatch):
+    monkeypatch.setattr(trials, "sensed_names", lambda: (["a.mat", "b.mat"], []))
+    plan = paper.studies(replace(paper.FULL, frames="0:12", faust=0))["depth"]
+    assert (plan.sequences, plan.frames) == (("a.mat", "b.mat"), "0:12")

@@ -81,7 +81,7 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
         plans["captures"] = Plan(bare, CLOUD, ("full", "ring4"), size.runs, size.frames, common)
     recordings, pairs = trials.sensed_names()
     if recordings and names is None and size.sweeps:
-        plans["depth"] = Plan(_spread(recordings, DEPTH), CLOUD, ("front",), 1, ":", common)
+        plans["depth"] = Plan(_spread(recordings, DEPTH), CLOUD, ("front",), 1, size.frames, common)
     if pairs and names is None and size.sweeps:
         plans["scene-flow"] = Plan(tuple(pairs), CLOUD, ("front",), 1, ":", common)
     plans["ablation"] = Plan(

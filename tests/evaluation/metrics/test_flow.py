@@ -13,6 +13,8 @@ def test_end_point_error_by_hand():
     result = metrics.end_point_error(flow, truth)
     assert result.mean_mm == pytest.approx((50 + 30 * np.sqrt(2) + 10) / 3)
     assert metrics.end_point_error(flow[1:], truth[1:]).within_5cm == 1
+    assert metrics.end_point_error(truth[1:2] + [[0.0505, 0, 0]], truth[1:2]).within_5cm == 0
+    assert metrics.end_point_error(truth[1:2] + [[0.0495, 0, 0]], truth[1:2]).within_5cm == 1
     assert metrics.end_point_error(flow + [0.005, 0, 0], truth).within_5cm == pytest.approx(2 / 3), "53, 46 and 11 mm"
 
 
