@@ -6,7 +6,7 @@ DDAKF_DATA ?= ../shared/data
 export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help install demo test lint serve bench load soak chaos fuzz evaluate report report-quick clean
+.PHONY: help install demo test lint serve bench load soak chaos kill fuzz evaluate report report-quick clean
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
@@ -16,6 +16,7 @@ help:
 	@echo "make load    four clients at 30 frames per second: what the service sustains (ARGS='--clients 8 --codec raw ...')"
 	@echo "make soak    ten minutes of clients that come and leave: memory, descriptors (ARGS='--seconds 60 ...')"
 	@echo "make chaos   kills, cuts, stalls, a full disk, a stopped database; is every session as before? (ARGS='--seed 2 ...')"
+	@echo "make kill    how long a session stands still when its worker is killed (ARGS='--vertices 2500 ...')"
 	@echo "make fuzz    100,000 damaged inputs to everything that reads bytes, and schemathesis (ARGS='--inputs 10000 ...')"
 	@echo "make evaluate  every system of the paper on every sequence, into results/ (hours; goes on where it was; ARGS='--runs 1')"
 	@echo "make report    the paper's tables and figures from results/, into out/report"
@@ -67,6 +68,9 @@ soak: $(DEV)
 
 chaos: $(DEV)
 	@$(BIN)/python benchmarks/chaos.py $(ARGS)
+
+kill: $(DEV)
+	@$(BIN)/python benchmarks/kill.py $(ARGS)
 
 fuzz: $(DEV)
 	@$(PIP) install --quiet -e '.[fuzz]' || echo "atheris cannot be installed here: hypothesis alone"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import os
 import tempfile
 import time
@@ -92,6 +93,8 @@ class Record:
 
     Attributes:
         latency: seconds of each answered frame, from when it was due: a late send counts as the service's delay.
+        answers: when each came (monotonic clock, seconds).
+        resumed: when each notice came that the session goes on in another worker, and how many frames were forgotten.
         rmse: mm of each.
         errors: refusals and ends of streams, by name.
         ended: name of the error that ended the stream before its time; empty when none did.
@@ -102,6 +105,8 @@ class Record:
     dropped: int = 0
     late: int = 0
     latency: list[float] = field(default_factory=list)
+    answers: list[float] = field(default_factory=list)
+    resumed: list[tuple[float, float]] = field(default_factory=list)
     rmse: list[float] = field(default_factory=list)
     states: list[int] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
@@ -163,6 +168,7 @@ async def play(
                 result = response.result
                 record.answered += 1
                 record.dropped, record.late = result.frames_dropped, result.frames_late
+                record.answers.append(now)
                 record.latency.append(now - due.get(result.sequence_number, now))
                 record.states.append(result.state)
                 record.numbers.append(result.sequence_number)
@@ -170,6 +176,8 @@ async def play(
                     record.rmse.append(script.rmse_mm(result))
             elif kind == "frame_error":
                 record.failed(from_detail(response.frame_error.error))
+            elif kind == "notice" and response.notice.kind == pb.NOTICE_KIND_RESUMED:
+                record.resumed.append((now, response.notice.value))
     except grpc.RpcError as error:
         record.ended = record.failed(from_rpc_error(error))
 
@@ -214,6 +222,11 @@ class Usage:
     def descriptors(self) -> dict[int, int]:
         """Open files, pipes and sockets of each."""
         return {pid: count for pid in self.tree() if (count := _descriptors(pid)) is not None}
+
+
+def started(pid: int) -> float:
+    """When a process was, in ticks since the system was; infinite when it is gone."""
+    return int(stat[19]) if (stat := _stat(pid)) else math.inf
 
 
 def _stat(pid: int) -> list[str] | None:

@@ -1,4 +1,4 @@
-"""Load, soak and chaos, short: that they run, what they find, and that they can find something. Nothing is said about speed."""
+"""Load, soak, chaos and kill, short: that they run, find what they shall, and can find something. Nothing is said about speed."""
 
 from __future__ import annotations
 
@@ -53,3 +53,13 @@ def test_sessions_outlive_what_goes_wrong(tmp_path):
     assert part["troubles"], "nothing went wrong"
     assert part["failed"] == []
     assert status == 0
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_after_each_kill_of_its_worker(tmp_path):
+    size = ("--vertices", "400", "--points", "1000", "--rate", "5")
+    part, status = run("kill", tmp_path / "kill.json", "--kills", "2", *size)
+    (row,) = part["rows"]
+    assert row["kills"] == len(row["stood_s"]) == len(row["frames_forgotten"]) == 2
+    assert row["ended"] == ""
+    assert status == int(max(row["stood_s"]) > part["limit_s"])

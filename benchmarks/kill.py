@@ -1,0 +1,138 @@
+"""How long a session stands still: ``python benchmarks/kill.py [--kills 5] [--vertices 2500 20000] [--rate 10] ...``.
+
+A client streams the sample; again and again, whenever a spare worker is warm, the worker that has its session is killed with
+SIGKILL, and the time is taken until the first answer to a frame that the next worker has tracked. Exit status 1 where that
+is ever longer than 2 s, or the stream ends. Writes benchmarks/results/kill.json, with the load average of each size: whoever
+has the cores meanwhile makes it longer.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import bisect
+import json
+import os
+import random
+import signal
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import traffic
+from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
+from ddakf_service.child import ServiceProcess
+from rich.console import Console
+
+from ddakf.evaluation import machine
+
+RESULT = Path(__file__).parent / "results" / "kill.json"
+LIMIT = 2.0  # seconds that a session may stand still
+PAUSE = (1.5, 3.0)  # seconds between a spare that is warm and the next kill, so that it comes at any moment of a frame
+PATIENCE = 300.0  # seconds in which a spare has to be warm, and a session back
+console = Console(stderr=True, highlight=False)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Returns the exit status."""
+    a = _parser().parse_args(argv)
+    report = {"name": "kill", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
+    report["kill"] = part = {"rate": a.rate, "points": a.points, "body": a.body, "limit_s": LIMIT, "rows": [], "failed": []}
+    for vertices in a.vertices:
+        script = traffic.Script(vertices, a.points, body=a.body)
+        with traffic.service(["--workers", "1"]) as process:
+            row = asyncio.run(_row(a, script, process))
+        part["rows"].append(row)
+        part["failed"] += [f"V = {row['vertices']}: {sentence}" for sentence in _failures(row)]
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    a.out.write_text(json.dumps(report, indent=1) + "\n")
+    for sentence in part["failed"]:
+        print(f"FAILED: {sentence}")
+    print(a.out)
+    return 1 if part["failed"] else 0
+
+
+async def _row(a: argparse.Namespace, script: traffic.Script, process: ServiceProcess) -> dict:
+    record, random_, killed = traffic.Record(), random.Random(a.seed), []
+    async with traffic.channel_to(process.grpc) as channel:
+        stub = TrackingServiceStub(channel)
+        name = await traffic.created(stub, script)
+        playing = asyncio.create_task(traffic.play(stub, name, script, a.rate, 3600.0, record))
+        busy = []
+        while len(killed) < a.kills and not playing.done():
+            await _until(lambda: _has_spare(process), playing)
+            await asyncio.sleep(random_.uniform(*PAUSE))
+            busy.append(os.getloadavg()[0])
+            console.print(f"V = {script.vertices}: kill {len(killed) + 1} of {a.kills}")
+            killed.append(time.monotonic())
+            os.kill(_oldest_worker(process), signal.SIGKILL)
+            back = len(killed)
+            await _until(lambda: len(_stood(record, killed)) == back, playing)  # noqa: B023
+        playing.cancel()
+        await asyncio.gather(playing, return_exceptions=True)
+    stood = _stood(record, killed)
+    return {
+        "vertices": script.vertices,
+        "kills": len(killed),
+        "load_average": round(float(np.mean(busy)), 1),
+        "stood_s": [round(seconds, 2) for seconds in stood],
+        "median_s": round(float(np.median(stood)), 2) if stood else None,
+        "longest_s": round(max(stood), 2) if stood else None,
+        "frames_forgotten": [round(forgotten) for _, forgotten in record.resumed],
+        "ended": record.ended,
+    }
+
+
+async def _until(condition, playing: asyncio.Task) -> None:
+    """Returns when the condition holds, or when the stream has ended."""
+    async with asyncio.timeout(PATIENCE):
+        while not (playing.done() or await asyncio.to_thread(condition)):
+            await asyncio.sleep(0.05)
+
+
+def _stood(record: traffic.Record, killed: list[float]) -> list[float]:
+    """Seconds from each kill to the first answer behind the notice that the session goes on."""
+    stood = []
+    for kill, (resumed, _) in zip(killed, record.resumed, strict=False):
+        after = bisect.bisect_left(record.answers, resumed)
+        if after < len(record.answers):
+            stood.append(record.answers[after] - kill)
+    return stood
+
+
+def _failures(row: dict) -> list[str]:
+    slow = [seconds for seconds in row["stood_s"] if seconds > LIMIT]
+    found = [f"stood still for more than {LIMIT:g} s in {len(slow)} of {row['kills']} kills"] if slow else []
+    if row["ended"] or len(row["stood_s"]) < row["kills"]:
+        found.append(f"the stream did not go on: {row['ended'] or 'no answer'}")
+    return found
+
+
+def _has_spare(process: ServiceProcess) -> bool:
+    with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
+        return b"ddakf_workers_spare 1.0" in answer.read()
+
+
+def _oldest_worker(process: ServiceProcess) -> int:
+    """The one that takes frames; the spare is younger."""
+    workers = [pid for pid in traffic.Usage(process.pid).tree() if pid != process.pid]
+    return min(workers, key=traffic.started)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kills", type=int, default=5, help="of each size")
+    parser.add_argument("--vertices", type=int, nargs="+", default=[2_500, 20_000])
+    parser.add_argument("--points", type=int, default=10_000)
+    parser.add_argument("--body", action="store_true", help="the body's vertices travel with every frame")
+    parser.add_argument("--rate", type=float, default=10.0, help="frames per second")
+    parser.add_argument("--seed", type=int, default=1, help="of the moments of the kills")
+    parser.add_argument("--out", type=Path, default=RESULT)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())
