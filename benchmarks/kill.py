@@ -30,7 +30,8 @@ from ddakf.evaluation import machine
 
 RESULT = Path(__file__).parent / "results" / "kill.json"
 LIMIT = 2.0  # seconds that a session may stand still
-PAUSE = (1.5, 3.0)  # seconds between a spare that is warm and the next kill, so that it comes at any moment of a frame
+# Seconds between two kills, so that one comes at any moment of a frame; four within a minute would end the session.
+PAUSE = (20.5, 22.0)
 PATIENCE = 300.0  # seconds in which a spare has to be warm, and a session back
 console = Console(stderr=True, highlight=False)
 
@@ -64,7 +65,8 @@ async def _row(a: argparse.Namespace, script: traffic.Script, process: ServicePr
         busy = []
         while len(killed) < a.kills and not playing.done():
             await _until(lambda: _has_spare(process), playing)
-            await asyncio.sleep(random_.uniform(*PAUSE))
+            due = killed[-1] + random_.uniform(*PAUSE) if killed else 0.0
+            await asyncio.sleep(max(random_.random(), due - time.monotonic()))
             busy.append(os.getloadavg()[0])
             console.print(f"V = {script.vertices}: kill {len(killed) + 1} of {a.kills}")
             killed.append(time.monotonic())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import logging
 import sys
@@ -14,6 +15,7 @@ from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, Proc
 # Set by whoever works for a session, so that every line logged meanwhile carries its id.
 current_session: ContextVar[str] = ContextVar("current_session", default="-")
 
+_REMEMBERED = 512  # labels that are looked up once: stages by codec and flow; clients may send any number as a codec
 _PLAIN_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "session"}
 
 
@@ -107,15 +109,19 @@ class Metrics:
         ProcessCollector(registry=self.registry)
         for outcome in ("applied", "dropped", "late", "rejected", "failed"):
             self.frames.labels(outcome)
+        # What every frame asks for, a dozen times.
+        self._applied = self.frames.labels("applied")
+        self._whole = functools.lru_cache(_REMEMBERED)(self.frame_seconds.labels)
+        self._stage = functools.lru_cache(_REMEMBERED)(self.stage_seconds.labels)
 
     def observe(self, result: pb.Result, codec: str, flow: str) -> None:
         """Counts an applied frame; see :func:`codec_of` and :func:`flow_of`."""
-        self.frames.labels("applied").inc()
-        self.frame_seconds.labels(codec, flow).observe(result.timings["server"])
+        self._applied.inc()
+        self._whole(codec, flow).observe(result.timings["server"])
         self.reliability.observe(result.reliability)
         for stage, seconds in result.timings.items():
             if stage != "server":
-                self.stage_seconds.labels(stage, codec, flow).observe(seconds)
+                self._stage(stage, codec, flow).observe(seconds)
 
 
 def codec_of(frame: pb.Frame) -> str:
@@ -134,6 +140,7 @@ def flow_of(mode: pb.FlowMode) -> str:
     return _label(pb.FlowMode, mode, pb.FLOW_MODE_REALTIME, "FLOW_MODE_")
 
 
+@functools.lru_cache(_REMEMBERED)
 def _label(enum, value: int, default: int, prefix: str) -> str:
     value = value or default
     return enum.Name(value).removeprefix(prefix).lower() if value in enum.values() else "unknown"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -284,6 +285,7 @@ def _array(message, name: str, components: int | None, missing: np.ndarray | Non
     return unpack(getattr(message, name), components, field=name, max_items=_MAX_ITEMS)
 
 
+@functools.lru_cache(256)
 def value_name(enum, value: int) -> str:
     """The value's name as the library writes it: without the enum's own name, in lower case."""
     if value not in enum.values():

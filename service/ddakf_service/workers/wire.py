@@ -78,5 +78,5 @@ class BlockingChannel:
         return Message(Kind(kind), number, session_id, payload) if len(payload) == size else None
 
     def send(self, message: Message) -> None:
-        self._connection.sendall(message.head())
-        self._connection.sendall(message.payload)
+        # In one piece: the event loop at the other end is woken once.
+        self._connection.sendall(message.head() + message.payload)
