@@ -44,6 +44,7 @@ class Session:
         checkpoint_time: when that was taken, seconds since 1970.
         checkpoint_number: of that one; later ones have larger numbers.
         placed: frames that were applied when a checkpoint was last asked for.
+        resumed: frames that were applied when it last went on from a checkpoint: those before are not forgotten twice.
         last_reset: the serialised request of the last reset, where a session without a checkpoint begins again.
         blames: when a worker was lost while it tracked a frame of this session (monotonic clock, seconds).
         closed: it is no more.
@@ -71,6 +72,7 @@ class Session:
     checkpoint_time: float | None = None
     checkpoint_number: int = 0
     placed: int = 0
+    resumed: int = 0
     last_reset: bytes = b""
     blames: deque[float] = field(default_factory=lambda: deque(maxlen=8))
     closed: bool = False
@@ -133,7 +135,8 @@ class Session:
     def forget_since(self, checkpoint: pb.SessionStatistics) -> int:
         """The tracker went back to a checkpoint; returns how many applied frames were forgotten by that."""
         s = self.statistics
-        forgotten = max(s.frames_applied - checkpoint.frames_applied, 0)
+        forgotten = max(s.frames_applied - max(checkpoint.frames_applied, self.resumed), 0)
+        self.resumed = s.frames_applied
         s.recoveries += 1
         s.frames_lost += forgotten
         s.last_sequence_number, s.last_capture_time = checkpoint.last_sequence_number, checkpoint.last_capture_time

@@ -159,6 +159,16 @@ def test_without_a_spare_frames_wait_and_who_asks_is_told(restartable, sheet):
     api.channel.close()
 
 
+def test_a_frame_is_forgotten_once_however_often_its_session_goes_back_to_a_checkpoint():
+    session = Session("unlucky", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
+    forgotten = []
+    for applied, checkpoint in ((10, 4), (13, 4), (17, 15)):
+        session.statistics.frames_applied = applied
+        forgotten.append(session.forget_since(pb.SessionStatistics(frames_applied=checkpoint)))
+    assert forgotten == [6, 3, 2]
+    assert session.statistics.frames_lost == 11
+
+
 def test_a_session_that_takes_worker_after_worker_down_ends():
     given_up = []
     durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)))
