@@ -89,6 +89,8 @@ def test_signs_are_flipped_per_sequence_where_there_are_eight():
     assert (result.n, result.groups, result.flipped, result.dependence) == (32, 8, "sequence", None)
     assert (result.p, result.p_smallest, result.verdict) == (2**-7, 2**-7, "better")
     assert result.gain == pytest.approx(1 + 0.1 * 15.5)
+    seven = statistics.compare(theirs[:28] - 1, theirs[:28], sequences[:28], clip[:28])
+    assert (seven.groups, seven.flipped) == (14, "clip")
 
 
 def test_signs_are_flipped_per_clip_where_sequences_are_few():
