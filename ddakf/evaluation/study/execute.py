@@ -7,7 +7,7 @@ from collections.abc import Collection
 from contextlib import closing
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from ddakf.evaluation import machine
 from ddakf.evaluation.study import workers
@@ -63,8 +63,15 @@ def _run(missing: list[Trial], journal: Journal, procs: int, console: Console, o
         for row in rows:
             journal.add(origin | row)
             bar.update(task, advance=1, what=title(row))
+            if not console.is_terminal:  # no bar in a log
+                console.print(_line(bar.tasks[0], title(row)))
             if "failed" in row:
                 bar.console.print(f"{title(row)}: {row['failed']}")
+
+
+def _line(task: Task, what: str) -> str:
+    left = "" if task.time_remaining is None else f", {task.time_remaining / 60:.0f} min left"
+    return f"{task.completed:.0f} of {task.total:.0f}: {what}{left}"
 
 
 def title(row: dict) -> str:
