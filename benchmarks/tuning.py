@@ -1,10 +1,10 @@
-"""How the baselines' settings were chosen: ``python benchmarks/tuning.py [--only NAME ...]``, about a quarter of an hour.
+"""How the baselines' settings were chosen: ``python benchmarks/tuning.py [--only NAME ...]``, about three quarters of an hour.
 
-Every baseline is tuned on the same clips, by its error alone: from the first value of each of its axes on, one axis after the
-other, the best value is kept (coordinate search). All tries are written to ``benchmarks/results/tuning.json``, which a later
-call with ``--only`` completes; the defaults of the settings are the ones chosen there, and a test compares them. The score is
-the geometric mean over the clips of the RMSE, so that every clip counts alike. DD-AKF runs beside them as it is, untuned here.
-Recordings are found through DDAKF_DATA.
+Every baseline but the learned one, which has clips of its own, is tuned on the same clips, by its error alone: from the first
+value of each of its axes on, one axis after the other, the best value is kept (coordinate search). All tries are written to
+``benchmarks/results/tuning.json``, which a later call with ``--only`` completes; the defaults of the settings are the ones
+chosen there, and a test compares them. The score is the geometric mean over the clips of the RMSE, so that every clip counts
+alike. DD-AKF runs beside them as it is, untuned here. Recordings are found through DDAKF_DATA.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import argparse
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
 from functools import lru_cache, partial
 from pathlib import Path
@@ -22,16 +22,21 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ddakf import kernels
+from ddakf import data, kernels
 from ddakf.errors import NotApplicable
 from ddakf.evaluation import machine, metrics, trials
-from ddakf.evaluation.baselines import Baseline
+from ddakf.evaluation.baselines import Baseline, Scored
+from ddakf.evaluation.baselines.clothfit import library, weights
+from ddakf.evaluation.baselines.clothfit.method import ClothFit
+from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
+from ddakf.evaluation.baselines.clothfit.training import Settings as Training
 from ddakf.evaluation.baselines.embedded import EmbeddedDeformation, EmbeddedSettings
 from ddakf.evaluation.baselines.icp import IcpSettings, NonRigidPointToPlane, RigidPointToPlane, RigidSettings
 from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
 from ddakf.evaluation.baselines.particle import ParticleFilter, ParticleSettings
 from ddakf.evaluation.methods import Maker, named, started
+from ddakf.evaluation.protocols import scored
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
@@ -39,68 +44,103 @@ from ddakf.mesh import Mesh
 RESULT = Path(__file__).parent / "results/tuning.json"
 CLIPS = (("sample", "full"), ("sample", "front"), ("pergamo_005", "full"), ("sim_tshirt_jump", "full"))
 FRAMES, SEED, SENSOR = 44, 1, Sensor(points=10_000, noise=0.003)  # tracked, after frame 0, which is the start
-DDAKF = "ddakf"
 
-
-class Search(NamedTuple):
-    """What is tried of a baseline: its settings, made into a method; and per axis the values, the first one to begin with."""
-
-    make: Callable[[Any], Baseline]
-    settings: type
-    axes: dict[str, tuple]
-
-
-SEARCHES = {
-    "kf": Search(KalmanFilter, KalmanSettings, {
-        "measurement_sd": (0.1, 0.03, 0.3), "acceleration_density": (0.3, 0.1, 1.0), "gate": (0.05, 0.1, 0.15),
-        "facing": (True, False),
-    }),
-    "icp": Search(NonRigidPointToPlane, IcpSettings, {
-        "iterations": (12, 8), "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8),
-    }),
-    "icp-rigid": Search(RigidPointToPlane, RigidSettings, {
-        "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
-    }),
-    "pf": Search(ParticleFilter, ParticleSettings, {
-        "amplitude_sd": (0.002, 0.001, 0.004), "harmonics": (3, 5), "elasticity": (10.0, 3.0, 30.0),
-        "likelihood_sd": (0.0005, 0.00025, 0.001), "shift_sd": (0.005, 0.0025), "turn_sd": (0.015, 0.0075),
-        "momentum": (0.8, 0.5, 1.0), "passes": (3, 1, 5),
-    }),
-    "opt-ed": Search(EmbeddedDeformation, EmbeddedSettings, {
-        "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
-        "regularisation": (1.0, 0.3, 3.0), "smoothness": (1.0, 0.3, 3.0), "gate": (0.10, 0.05),
-    }),
-    "nicp": Search(NonRigidIcp, NicpSettings, {"stiffness": (24.0, 16.0)}),
-}  # fmt: skip
+LEARNED_STEPS = 300  # of the learned method's training, for every try alike; in use there are more
 
 
 class Clip(NamedTuple):
     """The first frames of a recording, seen by a sensor."""
 
     name: str
+    scored: Scored
     garment: Mesh
     start: np.ndarray  # (V, 3) m
+    body: Mesh | None
     frames: list[Frame]  # with their truth
+
+
+def clips(frames: int) -> Iterator[Clip]:
+    """What all but the learned method is tuned on."""
+    for name, view in CLIPS:
+        yield _clip(name, view, frames)
+
+
+def learned_clips(frames: int) -> Iterator[Clip]:
+    """What the learned method is tuned on: the recordings that ship for learning; their bodies, no clouds."""
+    for path in sorted(data.TRAINING.glob("*.npz")):
+        yield _learned_clip(path.stem, frames)
+
+
+class Search(NamedTuple):
+    """What is tried of a baseline: its settings, made into a method for what will be scored; per axis the values, the first one
+    to begin with; and on what."""
+
+    make: Callable[[Any, Scored], Baseline]
+    settings: type
+    axes: dict[str, tuple]
+    clips: Callable[[int], Iterator[Clip]] = clips
+
+
+def of(method: type) -> Callable[[Any, Scored], Baseline]:
+    """Of a method that does not care what will be scored."""
+    return lambda settings, scored: method(settings)
+
+
+def clothfit(settings: AnswerSettings, scored: Scored) -> ClothFit:
+    """Learned from what ships for learning alone, without the clip, its garment and its motion; from nothing that the study
+    scores, neither the sample nor what DDAKF_DATA names."""
+    among = [source for source in library.sources() if not source.at_hand and source.what != data.SAMPLE]
+    return ClothFit(partial(weights.committee, scored, Training(gate=settings.gate, steps=LEARNED_STEPS), among), settings)
+
+
+SEARCHES = {
+    "kf": Search(of(KalmanFilter), KalmanSettings, {
+        "measurement_sd": (0.1, 0.03, 0.3), "acceleration_density": (0.3, 0.1, 1.0), "gate": (0.05, 0.1, 0.15),
+        "facing": (True, False),
+    }),
+    "icp": Search(of(NonRigidPointToPlane), IcpSettings, {
+        "iterations": (12, 8), "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8),
+    }),
+    "icp-rigid": Search(of(RigidPointToPlane), RigidSettings, {
+        "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
+    }),
+    "pf": Search(of(ParticleFilter), ParticleSettings, {
+        "amplitude_sd": (0.002, 0.001, 0.004), "harmonics": (3, 5), "elasticity": (10.0, 3.0, 30.0),
+        "likelihood_sd": (0.0005, 0.00025, 0.001), "shift_sd": (0.005, 0.0025), "turn_sd": (0.015, 0.0075),
+        "momentum": (0.8, 0.5, 1.0), "passes": (3, 1, 5),
+    }),
+    "opt-ed": Search(of(EmbeddedDeformation), EmbeddedSettings, {
+        "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
+        "regularisation": (1.0, 0.3, 3.0), "smoothness": (1.0, 0.3, 3.0), "gate": (0.10, 0.05),
+    }),
+    "nicp": Search(of(NonRigidIcp), NicpSettings, {"stiffness": (24.0, 16.0)}),
+    "clothfit": Search(clothfit, AnswerSettings, {
+        "gate": (1.0, 0.0), "caution": (2.0, 0.0, 0.5, 1.0, 4.0, 8.0), "smoothing": (2, 0, 4),
+    }, learned_clips),
+}  # fmt: skip
+UNTUNED = {"ddakf": (lambda clip: named("default"), clips), "carried": (lambda clip: named("carried"), learned_clips)}
+NAMES = *UNTUNED, *SEARCHES
 
 
 def main(argv: list[str] | None = None) -> int:
     """Searches what is asked for; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--only", nargs="+", choices=(DDAKF, *SEARCHES), default=(DDAKF, *SEARCHES), metavar="NAME")
+    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
     parser.add_argument("--table", action="store_true", help="print --out in Markdown, and run nothing")
     parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
     arguments = parser.parse_args(argv)
     if arguments.table:
         report = json.loads(arguments.out.read_text())
-        print(table(report), chosen_settings(report), sep="\n\n")
+        print(table(report), chosen_settings(report), learned_tries(report), sep="\n\n")
         return 0
     threadpool_limits(1)
     kernels.warm()
     report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
     for name in arguments.only:
-        found = ddakf(arguments.frames) if name == DDAKF else search(name, arguments.frames)
-        report["methods"][name] = {"commit": machine.commit()} | found
+        found = untuned(name, arguments.frames) if name in UNTUNED else search(name, arguments.frames)
+        how = {"commit": machine.commit(), "date": time.strftime("%Y-%m-%d"), "machine": machine.describe()}
+        report["methods"][name] = how | found
         report["meta"] = meta(arguments.frames)
         arguments.out.parent.mkdir(parents=True, exist_ok=True)
         arguments.out.write_text(readable(report))
@@ -109,11 +149,11 @@ def main(argv: list[str] | None = None) -> int:
 
 def search(name: str, frames: int) -> dict:
     """Coordinate search of a baseline's settings: ``chosen``, ``score`` and all ``tries``."""
-    make, settings, axes = SEARCHES[name]
+    make, settings, axes, shown = SEARCHES[name]
     chosen, tries = {axis: values[0] for axis, values in axes.items()}, []
 
     def tried(values: dict) -> dict:
-        row = {"settings": values} | score(lambda: partial(started, make(settings(**values))), frames)
+        row = {"settings": values} | score(lambda clip: partial(started, make(settings(**values), clip.scored)), shown(frames))
         tries.append(row)
         print(f"{name} {values}: RMSE {row['rmse_mm']} mm, normal {row['normal_rmse_mm']}", file=sys.stderr, flush=True)
         return row
@@ -128,16 +168,17 @@ def search(name: str, frames: int) -> dict:
     return {"chosen": asdict(settings(**best["settings"])), "score": best, "tries": tries}
 
 
-def ddakf(frames: int) -> dict:
-    """DD-AKF's default on the same clips."""
-    return {"score": score(lambda: named("default"), frames)}
+def untuned(name: str, frames: int) -> dict:
+    """DD-AKF's default, and the garment that goes with the body, on the clips of those that they are compared with."""
+    make, shown = UNTUNED[name]
+    return {"score": score(make, shown(frames))}
 
 
-def score(make: Callable[[], Maker], frames: int) -> dict:
-    """A method on all clips: geometric means of the errors, and the median time per frame; all of them per clip too."""
+def score(make: Callable[[Clip], Maker], shown: Iterable[Clip]) -> dict:
+    """A method on clips: geometric means of the errors, and the median time per frame; all of them per clip too."""
     rows = {}
-    for clip in clips(frames):
-        step, errors, normal, times = make()(clip.garment, clip.start, None), [], [], []
+    for clip in shown:
+        step, errors, normal, times = make(clip)(clip.garment, clip.start, clip.body), [], [], []
         for frame in clip.frames:
             begun = time.thread_time()
             vertices = step(frame).vertices
@@ -154,11 +195,6 @@ def geometric_mean(values: list[float]) -> float:
     return float(np.exp(np.mean(np.log(values))))
 
 
-def clips(frames: int) -> Iterator[Clip]:
-    for name, view in CLIPS:
-        yield _clip(name, view, frames)
-
-
 @lru_cache(maxsize=len(CLIPS))
 def _clip(name: str, view: str, frames: int) -> Clip:
     sequence = trials.recording(name)
@@ -167,16 +203,23 @@ def _clip(name: str, view: str, frames: int) -> Clip:
     for k in range(1, min(frames, len(sequence) - 1) + 1):
         cloud = sensor.capture(sequence, k, np.random.default_rng([SEED, k]))
         seen.append(Frame(k, sequence.timestamp(k), *cloud, truth=sequence.garment_vertices[k]))
-    garment = Mesh(sequence.template, sequence.garment_faces)
-    return Clip(f"{name} {view}", garment, sequence.garment_vertices[0].astype(np.float64), seen)
+    garment, start = Mesh(sequence.template, sequence.garment_faces), sequence.garment_vertices[0].astype(np.float64)
+    return Clip(f"{name} {view}", scored(sequence), garment, start, None, seen)
+
+
+def _learned_clip(name: str, frames: int) -> Clip:
+    s, nothing = trials.recording(name), np.zeros((0, 3), np.float32)
+    seen = [Frame(k, s.timestamp(k), nothing, None, s.body_vertices[k], s.garment_vertices[k]) for k in range(1, frames + 1)]
+    garment, body = Mesh(s.template, s.garment_faces), Mesh(s.body_vertices[0], s.body_faces)
+    return Clip(name, scored(s), garment, s.garment_vertices[0].astype(np.float64), body, seen)
 
 
 def meta(frames: int) -> dict:
     return {
         "command": "python benchmarks/tuning.py",
-        "date": time.strftime("%Y-%m-%d"),
-        "machine": machine.describe(),
         "clips": [" ".join(clip) for clip in CLIPS],
+        "learned_clips": sorted(path.stem for path in data.TRAINING.glob("*.npz")),
+        "learned_steps": LEARNED_STEPS,
         "frames": frames,
         "points": SENSOR.points,
         "noise_mm": 1e3 * SENSOR.noise,
@@ -189,12 +232,25 @@ def table(report: dict) -> str:
     """What every system reached with the chosen settings, best first, in Markdown."""
     names = report["meta"]["clips"]
     lines = [f"| | {' | '.join(names)} | geometric mean | ms per frame |", "|---" * (len(names) + 3) + "|"]
-    scored = {name: method["score"] for name, method in report["methods"].items() if "score" in method}
-    for name, row in sorted(scored.items(), key=lambda item: item[1]["rmse_mm"]):
+    reached = {name: method["score"] for name, method in report["methods"].items() if "score" in method}
+    reached = {name: row for name, row in reached.items() if set(row["clips"]) == set(names)}
+    for name, row in sorted(reached.items(), key=lambda item: item[1]["rmse_mm"]):
         cells = [f"{row['clips'][clip]['rmse_mm']:.1f} / {row['clips'][clip]['normal_rmse_mm']:.1f}" for clip in names]
         times = [row["clips"][clip]["cpu_ms_p50"] for clip in names]
         mean = f"{row['rmse_mm']:.1f} / {row['normal_rmse_mm']:.1f}"
         lines.append(f"| `{name}` | {' | '.join(cells)} | {mean} | {min(times):.0f}-{max(times):.0f} |")
+    return "\n".join(lines)
+
+
+def learned_tries(report: dict) -> str:
+    """Every try of the learned method, and the garment that goes with the body, in Markdown."""
+    carried, tries = report["methods"]["carried"]["score"], report["methods"]["clothfit"]["tries"]
+    names = list(tries[0]["settings"])
+    lines = [f"| {' | '.join(names)} | RMSE / normal RMSE in mm |", "|---" * (len(names) + 1) + "|"]
+    lines.append(f"| `carried` {'| ' * (len(names) - 1)}| {carried['rmse_mm']:.2f} / {carried['normal_rmse_mm']:.2f} |")
+    for row in tries:
+        values = " | ".join(str(row["settings"][name]) for name in names)
+        lines.append(f"| {values} | {row['rmse_mm']:.2f} / {row['normal_rmse_mm']:.2f} |")
     return "\n".join(lines)
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 def run(progress: Callable[[int, int, str], None]) -> None:
     """See :func:`ddakf.kernels.warm`."""
+    from ddakf import kernels
     from ddakf.config import Config
+    from ddakf.kept import drop_unused, used
     from ddakf.tracker import Tracker
 
     garment, body = _tube(0.22, 36, 32), _tube(0.2, 10, 8)  # large enough to have a coarser version
@@ -32,6 +34,8 @@ def run(progress: Callable[[int, int, str], None]) -> None:
         # where it is, 3 cm farther for the coarse level, and elsewhere, which is searched after a gap
         for shift, timestamp in ((0.0, 0.0), (0.03, 1 / 30), (0.5, 1.5)):
             tracker.step(np.concatenate([cloud + [shift, 0, 0], astray]), timestamp=timestamp, **how)
+    used(kernels.CACHE_DIRECTORY)
+    drop_unused(kernels.CACHE_DIRECTORY.parent.glob("kernels-*"))
     progress(len(steps), len(steps), "done")
 
 

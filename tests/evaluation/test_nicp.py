@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from ddakf.errors import InvalidArgument
-from ddakf.evaluation.baselines import BASELINES, baseline
+from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp, best_rotations, turned
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.physics.bend import build as hinges
+from tests.evaluation.shapes import moved
 
 
 def box(n=8):
@@ -32,11 +32,6 @@ def box(n=8):
 @pytest.fixture(scope="module")
 def garment():
     return box()
-
-
-def moved(vertices, angle, shift):
-    c, s = np.cos(angle), np.sin(angle)
-    return vertices @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]]) + shift
 
 
 def test_the_box_is_closed_and_its_faces_point_outward(garment):
@@ -122,9 +117,3 @@ def test_turning_step_by_step_ends_at_the_best_rotations():
     rotation = turned(np.tile(np.eye(3), (200, 1, 1)), matrices, 60)
     assert np.allclose(rotation, best, atol=1e-6)
     assert np.allclose(turned(best, matrices, 1), best, atol=1e-12)
-
-
-def test_baselines_go_by_name():
-    assert "nicp" in BASELINES
-    with pytest.raises(InvalidArgument, match="baseline"):
-        baseline("magic")

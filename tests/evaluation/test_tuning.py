@@ -23,8 +23,8 @@ def tuning():
 
 
 def test_every_baseline_was_searched_over_its_axes(tuning):
-    assert set(REPORT["methods"]) == {*tuning.SEARCHES, tuning.DDAKF}
-    for name, (_, _, axes) in tuning.SEARCHES.items():
+    assert set(REPORT["methods"]) == set(tuning.NAMES)
+    for name, (_, _, axes, _) in tuning.SEARCHES.items():
         tries = [row["settings"] for row in REPORT["methods"][name]["tries"]]
         assert len(tries) == 1 + sum(len(values) - 1 for values in axes.values())
         for axis, values in axes.items():
@@ -32,7 +32,7 @@ def test_every_baseline_was_searched_over_its_axes(tuning):
 
 
 def test_the_defaults_are_the_chosen_settings(tuning):
-    for name, (_, settings, _) in tuning.SEARCHES.items():
+    for name, (_, settings, _, _) in tuning.SEARCHES.items():
         assert asdict(settings()) == REPORT["methods"][name]["chosen"], name
 
 
@@ -47,17 +47,32 @@ def test_the_document_shows_the_tables_of_the_record(tuning):
     text = (ROOT / "docs/baselines.md").read_text()
     assert tuning.table(REPORT) in text
     assert tuning.chosen_settings(REPORT) in text
+    assert tuning.learned_tries(REPORT) in text
+
+
+def test_the_learned_method_is_tuned_on_nothing_that_is_scored(tuning, monkeypatch):
+    asked = []
+    monkeypatch.setattr(tuning.weights, "committee", lambda *of: asked.append(of))
+    shown = list(tuning.learned_clips(2))
+    names = [clip.name for clip in shown]
+    assert names == REPORT["meta"]["learned_clips"] == list(REPORT["methods"]["clothfit"]["score"]["clips"])
+    for clip in shown:
+        tuning.clothfit(tuning.AnswerSettings(), clip.scored).start(clip.garment, clip.start, clip.body)
+    assert [scored.name for scored, _, _ in asked] == names
+    for _, _, among in asked:
+        assert {source.scored.name for source in among} >= set(names)
+        assert not any(source.at_hand or source.what == tuning.data.SAMPLE for source in among)
 
 
 def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):
     from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
 
-    def score(make, frames):
-        settings = make().args[0].settings
+    def score(make, shown):
+        settings = make(next(shown)).args[0].settings
         return {"rmse_mm": abs(settings.gate - 0.2) + abs(settings.measurement_sd - 0.3), "normal_rmse_mm": 0.0}
 
     axes = {"gate": (0.05, 0.2, 0.3), "measurement_sd": (0.1, 0.3), "facing": (True, False)}
-    monkeypatch.setitem(tuning.SEARCHES, "kf", tuning.Search(KalmanFilter, KalmanSettings, axes))
+    monkeypatch.setitem(tuning.SEARCHES, "kf", tuning.Search(tuning.of(KalmanFilter), KalmanSettings, axes, tuning.learned_clips))
     monkeypatch.setattr(tuning, "score", score)
     found = tuning.search("kf", 3)
     assert found["chosen"] == asdict(KalmanSettings(gate=0.2, measurement_sd=0.3, facing=True))
@@ -74,7 +89,7 @@ def test_the_score_is_the_error_of_a_method_that_stands_still(tuning):
 
     if not _recordings():
         pytest.skip("DDAKF_DATA names no recordings")
-    row = tuning.score(lambda: partial(tuning.started, Still()), 2)
+    row = tuning.score(lambda clip: partial(tuning.started, Still()), tuning.clips(2))
     clip = next(tuning.clips(2))
     moved = [tuning.metrics.rmse_mm(clip.start, frame.truth) for frame in clip.frames]
     assert row["clips"]["sample full"]["rmse_mm"] == pytest.approx(sum(moved) / 2, abs=0.006)

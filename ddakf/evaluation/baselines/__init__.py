@@ -61,14 +61,14 @@ def _carried(scored: Scored) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
     from ddakf.evaluation.baselines.clothfit.network import Committee, Network
 
-    return ClothFit(Committee((Network.zero(),)))
+    return ClothFit(lambda: Committee((Network.zero(),)))
 
 
 def _clothfit(scored: Scored) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
     from ddakf.evaluation.baselines.clothfit.weights import committee
 
-    return ClothFit(committee(scored))
+    return ClothFit(lambda: committee(scored))
 
 
 BASELINES: dict[str, Callable[[Scored], Baseline]] = {

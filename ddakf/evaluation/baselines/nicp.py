@@ -35,15 +35,7 @@ TINY = 1e-20  # m^2
 
 @dataclass(frozen=True)
 class NicpSettings:
-    """Numbers of the method.
-
-    The defaults are the best of those tried on the first 44 tracked frames of two recordings, scanned all around and from one
-    depth camera (pergamo_005 full, sim_tshirt_jump full, pergamo_005 front; RMSE in mm):
-
-    - stiffness 4, 8, 16, 32 at 12 iterations: 11.6, 24.0, 41.2; 7.5, 14.5, 29.9; 6.7, 10.2, 21.8; 6.7, 9.7, 17.8
-    - stiffness 16, 24, 32 at 24 iterations: 6.1, 7.6, 20.2; 6.1, 7.9, 17.9; 6.3, 8.5, 16.7
-    - 36 iterations at 16: 6.0, 7.0, 19.7; 48 at 32: 6.2, 8.2, 16.4; twice the time for little
-    - a gate of 15 cm, or a momentum of 1, changes them by a few per cent in either direction
+    """Numbers of the method; the default stiffness is the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
@@ -61,7 +53,7 @@ class NicpSettings:
 
 
 TUNED = NicpSettings()
-TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # cheaper and softer, as often quoted
+TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # half the time of a frame, and softer
 
 
 class NonRigidIcp:

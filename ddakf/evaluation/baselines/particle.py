@@ -6,12 +6,12 @@ processing with manifold harmonics"), the smoothest functions on the garment, on
     x_i = R (s_i + sum_k phi_k(i) q_k) + t
 
 with s the vertices of the start around their centroid. It is a bootstrap filter (Gordon, Salmond and Smith 1993): every particle
-moves on as the estimate did between the last two frames, plus noise, and is weighted by exp(-E / (2 sd^2)). E is the mean over
-the visible vertices of the squared distance to the nearest point, cut off at a gate, and elasticity sum_k lambda_k |q_k|^2, with
-the eigenvalues lambda: the squared difference of the displacements of neighbouring vertices, per vertex. Where the effective
-sample size 1 / sum w^2 is below half of the particles, they are drawn anew by systematic resampling (Kitagawa 1996). Passes per
-frame, each with less noise and a sharper likelihood than the one before, make it an annealed one (Deutscher, Blake and Reid
-2000). The estimate is the weighted mean of all particles, vertex by vertex.
+moves on as the estimate did between the last two frames, plus noise, and its weight is multiplied by exp(-E / (2 sd^2)). E is
+the mean over the visible vertices of the squared distance to the nearest point, cut off at a gate, and elasticity
+sum_k lambda_k |q_k|^2, with the eigenvalues lambda: the squared difference of the displacements of neighbouring vertices, per
+vertex. Where the effective sample size 1 / sum w^2 is below half of the particles, they are drawn anew by systematic resampling
+(Kitagawa 1996). Passes per frame, each with less noise and a sharper likelihood than the one before, make it an annealed one
+(Deutscher, Blake and Reid 2000). The estimate is the weighted mean of all particles, vertex by vertex.
 
 Distances are looked up: the box around the garment is cut into voxels, and each knows the nearest voxel with points, and their
 mean.
@@ -138,7 +138,7 @@ class ParticleFilter:
             sd = settings.likelihood_sd * settings.cooling ** (number + 1 - settings.passes)
             logarithm = np.log(self._weight) - 0.5 * self._energy(nearby, visible) / sd**2
             weight = np.exp(logarithm - logarithm.max())
-            self._weight = np.maximum(weight / weight.sum(), np.finfo(float).tiny)
+            self._weight = np.maximum(weight / weight.sum(), np.finfo(float).tiny)  # it has a logarithm
 
     def _energy(self, nearby: NearestPoints, visible: np.ndarray) -> np.ndarray:
         """(particles,) E, square metres."""

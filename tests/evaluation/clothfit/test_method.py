@@ -7,15 +7,16 @@ from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.network import Committee, Network
+from ddakf.evaluation.baselines.clothfit.settings import TUNED, AnswerSettings
 from ddakf.evaluation.source import Frame
-from tests.evaluation.clothfit.scene import BODY, GARMENT, turn
+from tests.evaluation.clothfit.scene import BODY, GARMENT, bent, turn
 from tests.evaluation.clothfit.test_network import committee
 
 NO_POINTS, NOTHING = np.zeros((0, 3)), Committee((Network.zero(),))
 
 
-def started(network):
-    method = baseline("carried") if network is NOTHING else ClothFit(network)
+def started(network, settings=TUNED):
+    method = baseline("carried") if network is NOTHING else ClothFit(lambda: network, settings)
     method.start(GARMENT, GARMENT.vertices, BODY)
     return method
 
@@ -27,15 +28,28 @@ def test_a_zero_network_carries_the_garment_with_the_body():
     assert estimate == pytest.approx(GARMENT.vertices @ motion.T + [0, 0.3, 0], abs=1e-9)
 
 
+def test_smoothing_evens_out_what_neighbours_do():
+    frame, (i, j) = Frame(0, 0.1, NO_POINTS, None, bent(BODY.vertices, 0.3)), GARMENT.edges.T
+    carried, rough, smooth = (
+        started(network, AnswerSettings(caution=0.0, smoothing=rounds)).step(frame)
+        for network, rounds in ((NOTHING, 0), (committee(), 0), (committee(), 2))
+    )
+    uneven = [np.square((estimate - carried)[i] - (estimate - carried)[j]).sum() for estimate in (rough, smooth)]
+    assert 0 < uneven[1] < 0.9 * uneven[0]
+
+
 def test_the_cloud_changes_nothing():
     points = np.random.default_rng(0).normal(size=(500, 3))
     one, two = (started(committee()).step(Frame(0, 1 / 30, cloud, None, BODY.vertices)) for cloud in (NO_POINTS, points))
     assert np.array_equal(one, two)
 
 
-def test_without_a_body_it_says_so():
+def test_without_a_body_it_says_so_before_anything_is_trained():
+    def never():
+        raise AssertionError("asked for networks")
+
     with pytest.raises(NotApplicable, match="no body is given"):
-        ClothFit(NOTHING).start(GARMENT, GARMENT.vertices, None)
+        ClothFit(never).start(GARMENT, GARMENT.vertices, None)
     with pytest.raises(NotApplicable, match="no body is given"):
         started(NOTHING).step(Frame(0, 0.0, NO_POINTS))
 

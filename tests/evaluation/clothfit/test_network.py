@@ -7,8 +7,10 @@ import pytest
 
 from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, STILL, VECTORS, Inputs
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network, basis, invariants
+from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 from tests.evaluation.clothfit.scene import turn
 
+SETTINGS = AnswerSettings(gate=1.0, caution=2.0, smoothing=0)
 MIRROR = np.diag([1.0, 1.0, -1.0])
 
 
@@ -33,30 +35,33 @@ def committee(count=3):
 
 
 def test_a_zero_network_adds_nothing():
-    assert not Committee((Network.zero(),)).offsets(some_inputs()).any()
+    assert not Committee((Network.zero(),)).offsets(some_inputs(), SETTINGS).any()
 
 
 @pytest.mark.parametrize("by", [turn(0.9) @ turn(0.4, "x"), MIRROR])
 def test_the_offset_turns_and_is_mirrored_with_the_vectors(by):
     inputs = some_inputs()
     other = inputs._replace(vectors=inputs.vectors @ by.T)
-    assert committee().offsets(other) == pytest.approx(committee().offsets(inputs) @ by.T, abs=1e-4)
-    assert np.abs(committee().offsets(inputs)).max() > 1e-3
+    assert committee().offsets(other, SETTINGS) == pytest.approx(committee().offsets(inputs, SETTINGS) @ by.T, abs=1e-4)
+    assert np.abs(committee().offsets(inputs, SETTINGS)).max() > 1e-3
 
 
 def test_vertices_are_answered_one_by_one():
     inputs = some_inputs()
     part = Inputs(*(array[2:4] for array in inputs))
-    assert committee().offsets(inputs)[2:4] == pytest.approx(committee().offsets(part), abs=1e-6)
+    assert committee().offsets(inputs, SETTINGS)[2:4] == pytest.approx(committee().offsets(part, SETTINGS), abs=1e-6)
 
 
 def test_without_change_since_the_start_there_is_no_offset():
     inputs = some_inputs()
     inputs.vectors[:, len(STILL) :] = 0
-    assert not committee().offsets(inputs).any()
-    assert not basis(inputs.vectors).any()
+    assert not committee().offsets(inputs, SETTINGS).any()
+    assert not basis(inputs.vectors, 1.0).any()
+    assert not basis(inputs.vectors, 0.0).any()
     inputs.vectors[:, -1] = [2.0, 1.0, 2.0]
-    assert basis(inputs.vectors)[:, : len(STILL)] == pytest.approx(0.75 * inputs.vectors[:, : len(STILL)])
+    still = inputs.vectors[:, : len(STILL)]
+    for gate, share in ((0.0, 1.0), (1.0, 0.75), (3.0, 0.5)):
+        assert basis(inputs.vectors, gate)[:, : len(STILL)] == pytest.approx(share * still)
 
 
 def test_invariants_are_the_inner_products_and_the_scalars():
@@ -75,14 +80,15 @@ def test_inputs_far_from_all_that_was_learned_from_count_as_the_limit():
 
 def test_members_that_agree_are_believed_and_those_that_differ_less():
     inputs, one = some_inputs(), random_network()
-    alone = Committee((one,)).offsets(inputs)
-    answer = np.einsum("qk,qka->qa", one.coefficients(invariants(inputs.vectors, inputs.scalars)), basis(inputs.vectors))
+    alone = Committee((one,)).offsets(inputs, SETTINGS)
+    coefficients = one.coefficients(invariants(inputs.vectors, inputs.scalars))
+    answer = np.einsum("qk,qka->qa", coefficients, basis(inputs.vectors, SETTINGS.gate))
     assert alone == pytest.approx(LENGTH * answer, abs=1e-6)
-    assert Committee((one, one)).offsets(inputs) == pytest.approx(alone, abs=1e-6)
-    with_nothing = Committee((one, Network.zero())).offsets(inputs)
-    assert with_nothing == pytest.approx(alone / 2 / (1 + Committee.caution), abs=1e-6)
+    assert Committee((one, one)).offsets(inputs, SETTINGS) == pytest.approx(alone, abs=1e-6)
+    with_nothing = Committee((one, Network.zero())).offsets(inputs, SETTINGS)
+    assert with_nothing == pytest.approx(alone / 2 / (1 + SETTINGS.caution), abs=1e-6)
 
 
 def test_arrays_there_and_back():
     again = Committee.of(committee().arrays())
-    assert np.array_equal(again.offsets(some_inputs()), committee().offsets(some_inputs()))
+    assert np.array_equal(again.offsets(some_inputs(), SETTINGS), committee().offsets(some_inputs(), SETTINGS))

@@ -6,7 +6,7 @@ import pytest
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit import training
 from ddakf.evaluation.baselines.clothfit.examples import Stretches, examples
-from ddakf.evaluation.baselines.clothfit.network import Network
+from ddakf.evaluation.baselines.clothfit.network import Network, basis, invariants
 from tests.evaluation.clothfit.scene import swaying
 
 CUT = Stretches(count=2, frames=30, every=2, vertices=80, shortest=20)
@@ -20,8 +20,12 @@ def late():
     return examples(swaying(60, lag=0.1), CUT, seed=0)
 
 
+def answered(network: Network, by) -> np.ndarray:
+    return np.einsum("qk,qka->qa", network.coefficients(invariants(by.vectors, by.scalars)), basis(by.vectors, TINY.gate))
+
+
 def error(network: Network, of) -> float:
-    answer = np.einsum("qk,qka->qa", network.coefficients(of.inputs), of.basis)
+    answer = answered(network, of)
     return float(np.sqrt(np.mean(np.sum((answer - of.offsets) ** 2, axis=1))))
 
 
@@ -35,8 +39,7 @@ def test_training_lowers_the_error(late):
 def test_numpy_answers_as_torch_did(late):
     """The loss of the exported network, on the very last batch's recording, is that of the training's end."""
     network, losses = training.fit([late], [], TINY, 0, lambda *_: None)
-    answer = np.einsum("qk,qka->qa", network.coefficients(late.inputs), late.basis)
-    loss = np.sqrt(np.sum((answer - late.offsets) ** 2, axis=1) + TINY.robust**2).mean()
+    loss = np.sqrt(np.sum((answered(network, late) - late.offsets) ** 2, axis=1) + TINY.robust**2).mean()
     assert loss == pytest.approx(np.mean(losses[-20:]), rel=0.1)
 
 

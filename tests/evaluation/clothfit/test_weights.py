@@ -1,6 +1,8 @@
 """Weights are kept by what they were made from, and come back as they were."""
 
+import os
 import sys
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -13,8 +15,8 @@ from ddakf.evaluation.baselines.clothfit import library, weights
 from ddakf.evaluation.baselines.clothfit.examples import Stretches
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.training import Settings
-from tests.evaluation.clothfit.scene import swaying
-from tests.evaluation.clothfit.test_network import committee, some_inputs
+from tests.evaluation.clothfit.scene import BODY, GARMENT, swaying
+from tests.evaluation.clothfit.test_network import SETTINGS, committee, some_inputs
 
 CUT = Stretches(count=1, frames=12, every=2, vertices=60, shortest=10)
 TINY = Settings(CUT, CUT, members=2, hidden=8, steps=30, tuning_steps=10, batch=64)
@@ -36,7 +38,8 @@ def two_sources(tmp_path, monkeypatch):
 
 def test_saved_weights_come_back_as_they_were(tmp_path):
     np.savez(tmp_path / "w.npz", **committee().arrays())
-    assert np.array_equal(weights.load(tmp_path / "w.npz").offsets(some_inputs()), committee().offsets(some_inputs()))
+    again = weights.load(tmp_path / "w.npz")
+    assert np.array_equal(again.offsets(some_inputs(), SETTINGS), committee().offsets(some_inputs(), SETTINGS))
 
 
 def test_weights_of_another_network_are_refused(tmp_path):
@@ -82,10 +85,10 @@ def test_it_trains_once_and_then_needs_no_torch(two_sources, monkeypatch, capsys
 def test_sentences_where_it_cannot_be_used(two_sources, monkeypatch):
     monkeypatch.setitem(sys.modules, "torch", None)
     with pytest.raises(NotApplicable, match="torch is not installed"):
-        baseline("clothfit")
+        baseline("clothfit").start(GARMENT, GARMENT.vertices, BODY)
     monkeypatch.setattr(library, "sources", lambda: [Source(Scored("sample"), data.SAMPLE)])
     with pytest.raises(NotApplicable, match="nothing to learn from once sample is left out"):
-        baseline("clothfit", Scored("sample"))
+        baseline("clothfit", Scored("sample")).start(GARMENT, GARMENT.vertices, BODY)
 
 
 def test_examples_are_made_once_for_all_that_leave_out_something_else(two_sources, monkeypatch):
@@ -100,6 +103,27 @@ def test_examples_are_made_once_for_all_that_leave_out_something_else(two_source
     assert not [path for path in weights.folder().iterdir() if path.suffix == ".part"]
 
 
+def test_what_nobody_used_for_a_month_goes_when_something_new_comes(two_sources):
+    pytest.importorskip("torch")
+    weights.committee(Scored("elsewhere"), TINY)
+    old, known = time.time() - 31 * 86400, set(weights.folder().glob("clothfit-*"))
+    for path in known:
+        os.utime(path, (old, old))
+    weights.committee(Scored("tube_two"), TINY)
+    left = set(weights.folder().glob("clothfit-*"))
+    assert len(known - left) == 2, "the other weights, and the examples of what they alone learned from"
+    assert len(left - known) == 1
+
+
+def test_weights_in_use_are_noted_as_such(two_sources, monkeypatch):
+    pytest.importorskip("torch")
+    weights.committee(Scored("elsewhere"), TINY)
+    path = next(path for path in weights.folder().glob("clothfit-*.npz") if "examples" not in path.name)
+    os.utime(path, (0, 0))
+    weights.committee(Scored("elsewhere"), TINY)
+    assert path.stat().st_mtime > time.time() - 3600
+
+
 def test_two_that_need_the_same_weights_train_once(two_sources, monkeypatch):
     pytest.importorskip("torch")
     trained, train = [], weights.train
@@ -107,4 +131,4 @@ def test_two_that_need_the_same_weights_train_once(two_sources, monkeypatch):
     with ThreadPoolExecutor(2) as pool:
         one, two = pool.map(lambda _: weights.committee(Scored("elsewhere"), TINY), range(2))
     assert len(trained) == 1
-    assert np.array_equal(one.offsets(some_inputs()), two.offsets(some_inputs()))
+    assert np.array_equal(one.offsets(some_inputs(), SETTINGS), two.offsets(some_inputs(), SETTINGS))

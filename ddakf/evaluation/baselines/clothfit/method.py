@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,12 +11,12 @@ from scipy import sparse
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.features import Features
 from ddakf.evaluation.baselines.clothfit.network import Committee
+from ddakf.evaluation.baselines.clothfit.settings import TUNED, AnswerSettings
 from ddakf.mesh import Mesh
 
 if TYPE_CHECKING:
     from ddakf.evaluation.source import Frame
 
-SMOOTHING = 2  # averages of an offset with its neighbours'
 NO_BODY = "clothfit moves the garment by the body alone, and no body is given"
 
 
@@ -23,20 +24,22 @@ class ClothFit:
     """Pose-conditioned deformation, learned: see docs/baselines.md.
 
     Args:
-        committee: see :mod:`.network`; of :func:`.weights.committee` or your own.
+        committee: gives the networks, see :mod:`.network`; asked at a start with a body, as they may have to be trained.
+        settings: what they were trained with, and how their answers are used.
     """
 
-    def __init__(self, committee: Committee):
-        self._committee = committee
+    def __init__(self, committee: Callable[[], Committee], settings: AnswerSettings = TUNED):
+        self._ask, self.settings = committee, settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.Baseline`.
 
         Raises:
-            NotApplicable: no body.
+            NotApplicable: no body, or no networks.
         """
         if body is None:
             raise NotApplicable(NO_BODY)
+        self._committee = self._ask()
         self._features, self._average = Features(garment, vertices, body), _average(garment)
 
     def step(self, frame: Frame) -> np.ndarray:
@@ -48,8 +51,8 @@ class ClothFit:
         if frame.body_vertices is None:
             raise NotApplicable(NO_BODY)
         inputs = self._features.step(frame.body_vertices, frame.timestamp)
-        offset = np.einsum("qab,qb->qa", inputs.rotation, self._committee.offsets(inputs))
-        for _ in range(SMOOTHING):
+        offset = np.einsum("qab,qb->qa", inputs.rotation, self._committee.offsets(inputs, self.settings))
+        for _ in range(self.settings.smoothing):
             offset = self._average @ offset
         return inputs.carried + offset
 

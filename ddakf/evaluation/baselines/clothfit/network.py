@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, STILL, VECTORS, Inputs
+from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 
 TINY = 1e-12
 UPPER = np.triu_indices(len(VECTORS))
@@ -26,12 +27,12 @@ def invariants(vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
     return np.concatenate([np.arcsinh(products), np.asarray(scalars, np.float32)], axis=1)
 
 
-def basis(vectors: np.ndarray) -> np.ndarray:
+def basis(vectors: np.ndarray, gate: float) -> np.ndarray:
     """(Q, K, 3) float32 of which the offset is made: the vectors of change, and before them those of what is still, times
-    c / (1 + c), c^2 the sum of the squares of the others."""
+    c / (gate + c), c^2 the sum of the squares of the others."""
     vectors = np.array(vectors, np.float32)
     change = np.sqrt(np.square(vectors[:, len(STILL) :]).sum(axis=(1, 2)))
-    vectors[:, : len(STILL)] *= (change / (1 + change))[:, None, None]
+    vectors[:, : len(STILL)] *= (change / np.maximum(gate + change, TINY))[:, None, None]
     return vectors
 
 
@@ -82,20 +83,18 @@ class Network:
 @dataclass(frozen=True, eq=False)
 class Committee:
     """Networks that learned from different recordings (Breiman 1996, "Bagging predictors"). They answer with their mean m, and
-    the less of it the more they differ: m |m|^2 / (|m|^2 + :attr:`caution` s^2), s^2 the mean squared distance of their answers
-    from it."""
+    the less of it the more they differ: m |m|^2 / (|m|^2 + caution s^2), s^2 the mean squared distance of their answers from
+    it."""
 
     members: tuple[Network, ...]
 
-    caution = 2.0
-
-    def offsets(self, inputs: Inputs) -> np.ndarray:
+    def offsets(self, inputs: Inputs, settings: AnswerSettings) -> np.ndarray:
         """(Q, 3) metres, in the frame's axes."""
-        seen, vectors = invariants(inputs.vectors, inputs.scalars), basis(inputs.vectors)
+        seen, vectors = invariants(inputs.vectors, inputs.scalars), basis(inputs.vectors, settings.gate)
         answers = np.array([np.einsum("qk,qka->qa", member.coefficients(seen), vectors) for member in self.members])
         mean = answers.mean(axis=0)
         square, spread = np.square(mean).sum(axis=1), np.square(answers - mean).sum(axis=2).mean(axis=0)
-        return LENGTH * mean * (square / np.maximum(square + self.caution * spread, TINY))[:, None]
+        return LENGTH * mean * (square / np.maximum(square + settings.caution * spread, TINY))[:, None]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """By the names under which they are saved."""

@@ -10,8 +10,10 @@ import numpy as np
 
 from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.examples import Examples, Stretches
-from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network
+from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network, basis, invariants
+from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 
+SAMPLED = 8  # one example in so many says how the inputs are spread
 SMALLEST_SD = np.float32(1e-3)  # of an input
 Progress = Callable[[int, int, str], None]  # done, of how many, what
 
@@ -31,6 +33,7 @@ class Settings:
         rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
         decay: of the weights (AdamW).
         robust: LENGTH; larger errors count linearly.
+        gate: of :class:`.settings.AnswerSettings`.
         seed: of everything.
     """
 
@@ -45,6 +48,7 @@ class Settings:
     tuning_rate: float = 5e-4
     decay: float = 1e-2
     robust: float = 0.2
+    gate: float = AnswerSettings.gate
     seed: int = 0
 
 
@@ -94,8 +98,7 @@ def fit(
     """
     t = torch()
     t.manual_seed(seed)
-    inputs = np.concatenate([part.inputs for part in [*own, *at_hand]])
-    mean, sd = inputs.mean(axis=0, dtype=np.float64).astype(np.float32), inputs.std(axis=0) + SMALLEST_SD
+    mean, sd = _spread_of_inputs([*own, *at_hand])
     sizes = INPUTS, settings.hidden, settings.hidden, OUTPUTS
     layers = [t.nn.Linear(a, b) for a, b in pairwise(sizes)]
     t.nn.init.zeros_(layers[-1].weight)
@@ -107,9 +110,10 @@ def fit(
         optimiser = t.optim.AdamW(net.parameters(), lr=rate, weight_decay=settings.decay)
         schedule = t.optim.lr_scheduler.OneCycleLR(optimiser, rate, total_steps=steps)
         for _ in range(steps):
-            x, vectors, offsets = map(t.from_numpy, _batch(groups, settings.batch, rng))
-            x = ((x - middle) / scale).clamp(-Network.limit, Network.limit)
-            error = (net(x)[:, :, None] * vectors).sum(dim=1) - offsets
+            drawn = _batch(groups, settings.batch, rng)
+            seen, vectors, offsets = invariants(drawn.vectors, drawn.scalars), basis(drawn.vectors, settings.gate), drawn.offsets
+            x = ((t.from_numpy(seen) - middle) / scale).clamp(-Network.limit, Network.limit)
+            error = (net(x)[:, :, None] * t.from_numpy(vectors)).sum(dim=1) - t.from_numpy(offsets.astype(np.float32))
             loss = ((error**2).sum(dim=1) + settings.robust**2).sqrt().mean()
             optimiser.zero_grad()
             loss.backward()
@@ -125,11 +129,22 @@ def fit(
     return Network(mean, sd, tuple(arrays)), losses
 
 
+def _spread_of_inputs(parts: list[Examples]) -> tuple[np.ndarray, np.ndarray]:
+    """(INPUTS,) mean and standard deviation of what the network sees, float32; the latter never 0."""
+    count, total, squares = 0, np.zeros(INPUTS), np.zeros(INPUTS)
+    for part in parts:
+        seen = invariants(part.vectors[::SAMPLED], part.scalars[::SAMPLED]).astype(np.float64)
+        count, total, squares = count + len(seen), total + seen.sum(axis=0), squares + np.square(seen).sum(axis=0)
+    mean = total / count
+    sd = np.sqrt(np.maximum(squares / count - mean**2, 0))
+    return mean.astype(np.float32), sd.astype(np.float32) + SMALLEST_SD
+
+
 def _batch(groups: list[list[Examples]], size: int, rng: np.random.Generator) -> Examples:
     """As many examples from every group, and within it from every recording."""
     chosen = []
     for group in groups:
         for part in group:
-            row = rng.integers(0, len(part.inputs), max(size // (len(groups) * len(group)), 1))
+            row = rng.integers(0, len(part.vectors), max(size // (len(groups) * len(group)), 1))
             chosen.append(Examples(*(array[row] for array in part)))
     return Examples(*(np.concatenate(arrays) for arrays in zip(*chosen, strict=True)))

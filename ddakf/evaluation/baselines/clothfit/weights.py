@@ -6,25 +6,33 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
+from ddakf.data import body
 from ddakf.errors import InvalidFile, NotApplicable
 from ddakf.evaluation.baselines import Scored
-from ddakf.evaluation.baselines.clothfit import library, training
+from ddakf.evaluation.baselines.clothfit import binding, features, library, motion, network, rehearsal, training
+from ddakf.evaluation.baselines.clothfit import examples as example_module
 from ddakf.evaluation.baselines.clothfit.examples import Examples, examples
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
 from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, torch
-from ddakf.evaluation.simulation import garments
+from ddakf.evaluation.simulation import garments, motions, remesh
+from ddakf.kept import drop_unused, used
 from ddakf.sequence import Sequence, load_sequence
 
+DEFAULT = Settings()
 TOGETHER = 7  # rehearsals simulated at once
+# what examples, and beyond them weights, are made by
+EXAMPLES = binding, example_module, features, motion, rehearsal, body, garments, motions, remesh
+LEARNING = network, training
 
 
 def folder() -> Path:
@@ -36,26 +44,34 @@ def folder() -> Path:
 
 def key(chosen: list[Source], settings: Settings) -> str:
     """Of the code, the settings and the data that weights are made from; what is left out is not among these."""
-    return _hash([_code(), asdict(settings), [[source.scored.name, source.digest] for source in chosen]])
+    data = [[source.scored.name, source.digest] for source in chosen]
+    return _hash([_code((*EXAMPLES, *LEARNING)), asdict(settings), data])
 
 
-def committee(scored: Scored, settings: Settings | None = None) -> Committee:
+def committee(scored: Scored, settings: Settings = DEFAULT, among: Iterable[Source] | None = None) -> Committee:
     """The networks for what is about to be scored: from the cache, or trained, which takes minutes and shows its progress on
     stderr.
+
+    Args:
+        scored: what they must not have learned from.
+        settings: of the training.
+        among: what there is to learn from, :func:`.library.sources` by default.
 
     Raises:
         NotApplicable: nothing is left to learn from, or they have to be trained and PyTorch is not installed.
     """
-    settings, chosen = Settings() if settings is None else settings, library.allowed(scored, library.sources())
+    chosen = library.allowed(scored, library.sources() if among is None else among)
     if not chosen:
         raise NotApplicable(f"clothfit has nothing to learn from once {_named(scored)} is left out")
     path = folder() / f"clothfit-{key(chosen, settings)}.npz"
-    if not path.is_file():
+    if (arrays := _kept(path)) is None:
         torch()  # refuses before any work
         with _alone():
-            if not path.is_file():
-                _save(path, _shown(chosen, settings, _named(scored)).arrays())
-    return load(path)
+            if (arrays := _kept(path)) is None:
+                arrays = _shown(chosen, settings, _named(scored)).arrays()
+                _save(path, arrays)
+                drop_unused(folder().glob("clothfit-*"))
+    return _checked(path, arrays)
 
 
 def load(path: Path) -> Committee:
@@ -64,7 +80,12 @@ def load(path: Path) -> Committee:
     Raises:
         InvalidFile: they are not of these networks.
     """
-    trained = Committee.of(_load(path))
+    with np.load(path, allow_pickle=False) as archive:
+        return _checked(path, {name: archive[name] for name in archive.files})
+
+
+def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Committee:
+    trained = Committee.of(arrays)
     for member in trained.members:
         sizes = len(member.mean), member.layers[-1][0].shape[1]
         if sizes != (INPUTS, OUTPUTS):
@@ -80,15 +101,16 @@ def train(chosen: list[Source], settings: Settings, progress: Progress) -> Commi
 
 
 def _examples(chosen: list[Source], settings: Settings, progress: Progress) -> dict[str, Examples]:
-    """By name. They are kept, about 6 MB a recording: networks that leave out something else need most of them again."""
-    paths = {source: _kept(source, settings) for source in chosen}
-    missing = [source for source, path in paths.items() if not path.is_file()]
-    for source, sequence in _sequences(missing, progress):
-        cut = settings.rehearsed if isinstance(source.what, Part) else settings.cut
-        made = examples(sequence, cut, settings.seed)
-        _save(paths[source], {name: array.astype(np.float16) for name, array in made._asdict().items()})
+    """By name. They are kept, 2 MB of a rehearsal and 9 MB of a recording at most: networks that leave out something else need
+    most of them again."""
+    paths = {source: _place(source, settings) for source in chosen}
     progress(0, 1, "reading")
-    return {s.scored.name: Examples(**{n: a.astype(np.float32) for n, a in _load(path).items()}) for s, path in paths.items()}
+    found = {source: Examples(**arrays) for source, path in paths.items() if (arrays := _kept(path)) is not None}
+    for source, sequence in _sequences([source for source in chosen if source not in found], progress):
+        cut = settings.rehearsed if isinstance(source.what, Part) else settings.cut
+        found[source] = examples(sequence, cut, settings.seed)
+        _save(paths[source], found[source]._asdict())
+    return {source.scored.name: found[source] for source in chosen}
 
 
 def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Source, Sequence]]:
@@ -106,15 +128,13 @@ def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Sour
         yield from zip(some, rehearse([source.what for source in some], frames), strict=True)
 
 
-def _kept(source: Source, settings: Settings) -> Path:
-    made_from = [_code(), asdict(settings.cut), asdict(settings.rehearsed), settings.seed, source.digest]
+def _place(source: Source, settings: Settings) -> Path:
+    made_from = [_code(EXAMPLES), asdict(settings.cut), asdict(settings.rehearsed), settings.seed, source.digest]
     return folder() / f"clothfit-examples-{_hash(made_from)}.npz"
 
 
-def _code() -> list[str]:
-    """Digests of what ClothFit's weights depend on besides data."""
-    files = [path for module in (__file__, garments.__file__) for path in sorted(Path(module).parent.glob("*.py"))]
-    return [hashlib.sha256(path.read_bytes()).hexdigest() for path in files]
+def _code(modules: tuple[ModuleType, ...]) -> list[str]:
+    return [hashlib.sha256(Path(module.__file__).read_bytes()).hexdigest() for module in modules]
 
 
 def _hash(values: list) -> str:
@@ -124,13 +144,19 @@ def _hash(values: list) -> str:
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Whoever reads meanwhile finds all or nothing."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".part", delete=False) as file:
+    with tempfile.NamedTemporaryFile(dir=path.parent, prefix="clothfit-", suffix=".part", delete=False) as file:
         np.savez(file, **arrays)
     os.replace(file.name, path)
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
-    with np.load(path, allow_pickle=False) as archive:
+def _kept(path: Path) -> dict[str, np.ndarray] | None:
+    """What was saved, or None; it is in use from now on, and whoever drops the file meanwhile does not hurt who has it open."""
+    try:
+        file = path.open("rb")
+    except FileNotFoundError:
+        return None
+    with file, np.load(file, allow_pickle=False) as archive:
+        used(file.fileno() if os.utime in os.supports_fd else path)
         return {name: archive[name] for name in archive.files}
 
 
