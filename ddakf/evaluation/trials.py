@@ -37,7 +37,8 @@ RECOVERED, FRAMES_AFTER = 1.5, 20  # times the error of the undisturbed run; fra
 
 @dataclass(frozen=True)
 class Trial:
-    """One run.
+    """One run. Flat, as the row that it is the key of: a sensor's settings are repeated here rather than held, since rows that
+    are kept name them so, and a row without some of them is of their defaults then.
 
     Attributes:
         sequence: ``sample`` or another one that ships (``skirt_walk``), the name of a recording under DDAKF_DATA (``faust_s3_p7``
@@ -113,7 +114,8 @@ def recording(name: str) -> Sequence | Recording | Pair:
         return load_sequence(data.TRAINING / f"{name}.npz")
     folder = _folder()
     if folder is None or not (folder / f"{name}.npz").is_file():
-        raise InvalidArgument("sequence", f"one of {', '.join(names())} (DDAKF_DATA names the folder)", repr(name))
+        known = [*names(), *sorted(path.stem for path in data.TRAINING.glob("*.npz"))]
+        raise InvalidArgument("sequence", f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)", repr(name))
     return load_sequence(folder / f"{name}.npz")
 
 
