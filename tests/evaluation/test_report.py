@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -12,7 +12,7 @@ from rich.console import Console
 
 from ddakf import cli
 from ddakf.errors import InvalidFile
-from ddakf.evaluation import baselines
+from ddakf.evaluation import baselines, machine
 from ddakf.evaluation.report import markdown, tables
 from ddakf.evaluation.report import results as read
 from ddakf.evaluation.study import paper, stills
@@ -208,3 +208,22 @@ def test_seeds_that_no_two_cells_share_still_have_a_mean():
     both = result({"icp": [run(3.0, seed=1)]})
     both.cells.append(both.cells[0] | {"sequence": "b", "runs": [run(5.0, seed=2)], "mean": {"rmse_mm": 5.0}})
     assert both.pooled("icp", "rmse_mm")[:3] == (4.0, None, 0)
+
+
+def test_a_still_is_taken_once_per_frame_and_again_with_other_code(tmp_path, monkeypatch):
+    taken = []
+
+    def take(trial, systems, number, eye):
+        taken.append(number)
+        meta = asdict(trial) | {"frame": number, "commit": machine.commit()}
+        return stills.Still(meta, np.zeros((3, 3)), np.zeros((1, 3), int), {}, eye)
+
+    monkeypatch.setattr(stills, "taken", take)
+    monkeypatch.setattr(machine, "commit", lambda: "old")
+    for size, more in ((paper.QUICK, 2), (paper.QUICK, 2), (paper.FULL, 4), (paper.FULL, 4)):
+        paper.save_stills(size, ("sample",), tmp_path, QUIET, again=True)
+        assert len(taken) == more
+    monkeypatch.setattr(machine, "commit", lambda: "new")
+    for again, more in ((False, 4), (True, 6)):
+        paper.save_stills(paper.FULL, ("sample",), tmp_path, QUIET, again=again)
+        assert len(taken) == more

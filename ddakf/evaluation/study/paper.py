@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ddakf.evaluation import methods, trials
+from ddakf.evaluation import machine, methods, trials
 from ddakf.evaluation.protocols import faust_split
 from ddakf.evaluation.sensors import front_camera
 from ddakf.evaluation.study import stills
@@ -107,18 +107,20 @@ STILLS = {  # name: view, noise in metres, what the sequence's name shall hold, 
 }
 
 
-def save_stills(size: Size, sequences: tuple[str, ...], folder: Path, console) -> None:
-    """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same trial already is kept."""
+def save_stills(size: Size, sequences: tuple[str, ...], folder: Path, console, *, again: bool = False) -> None:
+    """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same frame already is kept, or with
+    ``again`` what is there of the same frame and commit."""
     for name, (view, noise, wanted, number) in STILLS.items():
         sequence = next((s for s in sequences if wanted in s), sequences[0])
         view, _, body = view.partition("+")
         last = len(trials.recording(sequence)) - 1
-        if not size.sweeps:
-            number = 30
+        number = min(number if size.sweeps else 30, last)
         trial = Trial(sequence, view, bool(body), noise=noise)
         path = folder / f"{name}.npz"
-        if path.is_file() and Trial.of(stills.load(path).meta) == trial:
-            continue
-        console.print(f"[bold]{name}[/bold]: {sequence}, frame {min(number, last)}")
+        if path.is_file():
+            meta = stills.load(path).meta
+            if Trial.of(meta) == trial and meta["frame"] == number and not (again and meta["commit"] != machine.commit()):
+                continue
+        console.print(f"[bold]{name}[/bold]: {sequence}, frame {number}")
         eye = front_camera(trials.recording(sequence)).eye
-        stills.taken(trial, list(ALL), min(number, last), eye).save(path)
+        stills.taken(trial, list(ALL), number, eye).save(path)
