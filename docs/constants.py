@@ -317,7 +317,7 @@ def metrics_table() -> str:
     """What /metrics exports."""
     lines = ["| metric | type | labels | meaning |", "|---|---|---|---|"]
     metrics = [value for value in vars(Metrics()).values() if isinstance(value, MetricWrapperBase)]
-    for metric in metrics:
+    for metric in (metric for metric in metrics if not metric._labelvalues):  # the others are a metric with a label of its own
         family = next(iter(metric.describe()))
         name = f"{family.name}_total" if family.type == "counter" else family.name
         lines.append(f"| `{name}` | {family.type} | {', '.join(metric._labelnames)} | {family.documentation} |")
