@@ -18,8 +18,8 @@ from .workers import WorkerPool, worker_lost
 
 log = logging.getLogger(__name__)
 
+TELL_EVERY = 2.0  # seconds between two notices that a session waits: less than any client's patience
 _PAUSE = 0.1  # seconds between attempts
-_TELL_EVERY = 2.0  # seconds between two notices that a session waits: less than any client's patience
 _MOST_RESTORED = 8  # sessions at a time, of each of which the checkpoint, megabytes, is copied for its worker
 _MOST_BLAMES, _BLAME_SPAN = 3, 60.0  # workers lost over a session's own frames within so many seconds, after which it ends
 
@@ -147,7 +147,7 @@ class Durability:
                     # At the start the workers are not warm yet, or others have their memory: its client may ask again.
                     if session.asleep and not isinstance(error, WorkerLost):
                         return error
-                    if (now := monotonic()) - told > _TELL_EVERY:
+                    if (now := monotonic()) - told > TELL_EVERY:
                         told = now
                         self._tell_to_wait(session, now - began, error)
                     await asyncio.sleep(_PAUSE)

@@ -7,13 +7,14 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import contextmanager
 from time import monotonic
 
 from ddakf_api.errors import DeadlineExceeded, InvalidFrame, ServiceError, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from .durability import Durability, Irrecoverable
+from .durability import TELL_EVERY, Durability, Irrecoverable
 from .flow import Overload, RateLimit, Waiting, mailbox_for
 from .outcomes import Outcomes
 from .payload import require_payload_within
@@ -282,9 +283,10 @@ class Stream:
             turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
             most = session.limits.max_points
             try:
-                answer = await self._pool.submit(
-                    session.id, frame.SerializeToString(), self._options, max_points=most, turn_by=turn_by
-                )
+                with self._telling_to_wait():
+                    answer = await self._pool.submit(
+                        session.id, frame.SerializeToString(), self._options, max_points=most, turn_by=turn_by
+                    )
             except WorkerLost:
                 self._durability.lost(session)
                 raise
@@ -293,6 +295,22 @@ class Stream:
             self._overload.applied()
             self._durability.tracked(session)
         return result
+
+    @contextmanager
+    def _telling_to_wait(self) -> Iterator[None]:
+        """While a frame is in the worker for longer than usual, its client is told that it is; it would count the silence."""
+        loop, began = asyncio.get_running_loop(), monotonic()
+
+        def tell() -> None:
+            nonlocal timer
+            timer = loop.call_later(TELL_EVERY, tell)
+            self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="a frame takes long", value=monotonic() - began))
+
+        timer = loop.call_later(TELL_EVERY, tell)
+        try:
+            yield
+        finally:
+            timer.cancel()
 
     async def _seated(self) -> None:
         """Returns when the session has a worker.

@@ -167,6 +167,25 @@ def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, se
         assert next(api.track(session, [])).started.last_sequence_number == 2
 
 
+def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet):
+    """The worker hangs; whoever waits for a frame shall not take it for a dead line."""
+    with Talk(api, session) as talk:
+        talk.ask(frame_of(sheet, 1))
+        workers = children(service.pid)
+        try:
+            for pid in workers:
+                os.kill(pid, signal.SIGSTOP)
+            talk.send(frame_of(sheet, 2))
+            notices = [next(talk.answers).notice for _ in range(2)]
+        finally:
+            for pid in workers:
+                os.kill(pid, signal.SIGCONT)
+        assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_WAITING] * 2
+        assert 0 < notices[0].value < notices[1].value
+        result = next(answer for answer in talk.answers if answer.HasField("result"))
+        assert result.result.sequence_number == 2
+
+
 def test_deleting_a_session_ends_its_stream(api, sheet):
     name = api.create(sheet).name
     with Talk(api, name) as talk:
