@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import queue
-import signal
 import socket
 import threading
 import time
@@ -19,7 +17,7 @@ from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect as connect_websocket
 
-from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_free, make_sheet, request_of, running
+from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_free, make_sheet, request_of, running
 
 LARGE = make_sheet(50, 0.01)
 
@@ -39,23 +37,10 @@ def api(single):
         yield api
 
 
-class Halted:
-    """The worker does nothing inside this context."""
-
-    def __init__(self, service):
-        (self._worker,) = children(service.pid)
-
-    def __enter__(self):
-        os.kill(self._worker, signal.SIGSTOP)
-
-    def __exit__(self, *_):
-        os.kill(self._worker, signal.SIGCONT)
-
-
 def test_a_frame_whose_turn_comes_too_late_is_not_tracked(single, api, sheet):
     name = api.create(sheet).name
     answers = {}
-    with Talk(api, name) as talk, Halted(single):
+    with Talk(api, name) as talk, held(children(single.pid)):
         for number, deadline in ((1, 0.0), (2, 0.1), (3, 60.0)):
             frame = frame_of(sheet, number)
             frame.deadline = deadline
@@ -107,7 +92,7 @@ def test_who_sends_more_than_can_be_tracked_is_told_how_much_can_be(single, api,
     stream = api.track(name, too_many(), pb.FLOW_MODE_REALTIME)
     assert next(stream).HasField("started")
     notices = (response.notice for response in stream if response.HasField("notice"))
-    with Halted(single):
+    with held(children(single.pid)):
         told = next(notices)
     assert told.kind == pb.NOTICE_KIND_SLOW_DOWN
     assert 0 < told.value < 100

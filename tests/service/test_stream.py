@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import os
 import queue
-import signal
 
 import grpc
 import numpy as np
@@ -22,7 +20,7 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 
-from .conftest import TIMEOUT, Talk, children, eventually, frame_of, is_free, make_sheet, request_of
+from .conftest import TIMEOUT, Talk, children, eventually, frame_of, held, is_free, make_sheet, request_of
 
 FRAMES = 60
 
@@ -149,19 +147,13 @@ def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, se
     """It gives up while the old stream's frame is still in the worker."""
     with Talk(api, session) as first:
         first.ask(frame_of(sheet, 1))
-        workers = children(service.pid)
-        try:
-            for pid in workers:
-                os.kill(pid, signal.SIGSTOP)
+        with held(children(service.pid)):
             first.send(frame_of(sheet, 2))
             first.await_arrival()
             begin = pb.TrackRequest(start=pb.Start(name=session, api_version="1.0", takeover=True))
             with pytest.raises(grpc.RpcError) as given_up:
                 list(api.stub.Track(iter([begin]), timeout=0.3))
             assert given_up.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
-        finally:
-            for pid in workers:
-                os.kill(pid, signal.SIGCONT)
         with pytest.raises(StreamTakenOver):
             list(first.answers)
         assert next(api.track(session, [])).started.last_sequence_number == 2
@@ -171,15 +163,9 @@ def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet
     """The worker hangs; whoever waits for a frame shall not take it for a dead line."""
     with Talk(api, session) as talk:
         talk.ask(frame_of(sheet, 1))
-        workers = children(service.pid)
-        try:
-            for pid in workers:
-                os.kill(pid, signal.SIGSTOP)
+        with held(children(service.pid)):
             talk.send(frame_of(sheet, 2))
             notices = [next(talk.answers).notice for _ in range(2)]
-        finally:
-            for pid in workers:
-                os.kill(pid, signal.SIGCONT)
         assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_WAITING] * 2
         assert 0 < notices[0].value < notices[1].value
         result = next(answer for answer in talk.answers if answer.HasField("result"))

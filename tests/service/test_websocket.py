@@ -14,7 +14,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from .conftest import TIMEOUT, frame_of, make_sheet, request_of
+from .conftest import TIMEOUT, children, frame_of, held, make_sheet, request_of
 from .websockets_client import START, Line, line
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -98,7 +98,7 @@ WRONG = {
         [pb.TrackRequest(start=pb.Start(name="sessions/other", api_version=API_VERSION)).SerializeToString()], 4422, "start.name"
     ),
     "start twice": Wrong([START.SerializeToString()] * 2, 4422, "a frame or a ping, got start"),
-    # the frame keeps the stream from its end until the message after it has come
+    # the frame, in a worker that is held, keeps the stream from its end until the message after it has come
     "more after the end": Wrong([START.SerializeToString(), FRAME, b"", b""], 4409, "no message may follow"),
     "a long sentence": Wrong([START.SerializeToString()], 4422, "...", query="mode=" + "é" * 60),
 }
@@ -109,7 +109,7 @@ def test_a_stream_that_ends_with_an_error_says_why_in_its_close_code(service, se
     wrong = WRONG[case]
     url = f"{service.http.replace('http', 'ws', 1)}/v1/{wrong.path or session}/stream?{wrong.query}"
     with connect(url, proxy=None, open_timeout=TIMEOUT) as connection:
-        with contextlib.suppress(ConnectionClosed):
+        with contextlib.suppress(ConnectionClosed), held(children(service.pid)):
             for message in wrong.send:
                 connection.send(message)
         code, reason = Line(connection, "").ending()
