@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from ddakf import data, kernels
 from ddakf.errors import NotApplicable
 from ddakf.evaluation import machine, metrics, trials
-from ddakf.evaluation.baselines import Baseline, Scored
+from ddakf.evaluation.baselines import Baseline
 from ddakf.evaluation.baselines.clothfit import library, weights
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
@@ -36,7 +36,7 @@ from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
 from ddakf.evaluation.baselines.particle import ParticleFilter, ParticleSettings
 from ddakf.evaluation.methods import Maker, named, started
-from ddakf.evaluation.protocols import scored
+from ddakf.evaluation.protocols import Scored, scored
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh

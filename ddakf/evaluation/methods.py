@@ -12,7 +12,8 @@ import numpy as np
 
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.baselines import BASELINES, NOTHING_SAID, Baseline, Scored, baseline
+from ddakf.evaluation.baselines import BASELINES, Baseline, baseline
+from ddakf.evaluation.protocols import NOTHING_SAID, Scored
 from ddakf.evaluation.source import Frame
 from ddakf.mesh import Mesh
 from ddakf.tracker import Tracker

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from ddakf.errors import InvalidArgument, NotApplicable
-from ddakf.evaluation.baselines import BASELINES, NOTHING_SAID, Scored, baseline
+from ddakf.evaluation.baselines import BASELINES, baseline
 from ddakf.evaluation.methods import named
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
+from ddakf.evaluation.protocols import NOTHING_SAID, Scored
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.evaluation.source import Frame
 from tests.evaluation.shapes import moved, tube, widened

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -14,21 +14,11 @@ from ddakf.evaluation.baselines.icp import NonRigidPointToPlane, RigidPointToPla
 from ddakf.evaluation.baselines.kalman import KalmanFilter
 from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
 from ddakf.evaluation.baselines.particle import ParticleFilter
+from ddakf.evaluation.protocols import NOTHING_SAID, Scored
 from ddakf.mesh import Mesh
 
 if TYPE_CHECKING:
     from ddakf.evaluation.source import Frame
-
-
-class Scored(NamedTuple):
-    """What a method is about to be scored on; empty where nobody says. Only what was trained looks at it, to leave it out."""
-
-    name: str = ""  # of the sequence
-    garment: str = ""
-    motion: str = ""
-
-
-NOTHING_SAID = Scored()
 
 
 class Baseline(Protocol):

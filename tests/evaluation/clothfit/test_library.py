@@ -3,9 +3,9 @@
 import numpy as np
 
 from ddakf import data
-from ddakf.evaluation.baselines import NOTHING_SAID, Scored
 from ddakf.evaluation.baselines.clothfit.library import Source, allowed, sources
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part
+from ddakf.evaluation.protocols import NOTHING_SAID, Scored
 
 LABELS = (("a", "skirt", "jump"), ("b", "skirt", "dance"), ("c", "tank top", "jump"), ("d", "tank top", "walk"))
 SOURCES = [Source(Scored(*labels), data.SAMPLE) for labels in LABELS]

@@ -10,11 +10,12 @@ import pytest
 
 from ddakf import data
 from ddakf.errors import InvalidFile, NotApplicable
-from ddakf.evaluation.baselines import Scored, baseline
+from ddakf.evaluation.baselines import baseline
 from ddakf.evaluation.baselines.clothfit import library, weights
 from ddakf.evaluation.baselines.clothfit.examples import Stretches
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.training import Settings
+from ddakf.evaluation.protocols import Scored
 from tests.evaluation.clothfit.scene import BODY, GARMENT, swaying
 from tests.evaluation.clothfit.test_network import SETTINGS, committee, some_inputs
 

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf import data
-from ddakf.evaluation.baselines import Scored
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part, parts
+from ddakf.evaluation.protocols import Scored
 
 
 class Source(NamedTuple):

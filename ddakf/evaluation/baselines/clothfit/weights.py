@@ -16,7 +16,6 @@ import numpy as np
 
 from ddakf.data import body
 from ddakf.errors import InvalidFile, NotApplicable
-from ddakf.evaluation.baselines import Scored
 from ddakf.evaluation.baselines.clothfit import binding, features, library, motion, network, rehearsal, training
 from ddakf.evaluation.baselines.clothfit import examples as example_module
 from ddakf.evaluation.baselines.clothfit.examples import Examples, examples
@@ -24,6 +23,7 @@ from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
 from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, torch
+from ddakf.evaluation.protocols import Scored
 from ddakf.evaluation.simulation import garments, motions, remesh
 from ddakf.kept import drop_unused, used
 from ddakf.sequence import Sequence, load_sequence
