@@ -59,6 +59,8 @@ class ConstantVelocity(Checked):
     acceleration: float = bounded(12.0, 1e-6, 1e4)  # m/s^2, sd of the white acceleration behind Q_i
     carry_reach: float = bounded(0.10, 0, 1)  # m: body surface within it carries the garment; 0 switches it off
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: in a longer gap the garment is not moved any further
+    worn_memory: float = bounded(0.3, 0, 1e3)  # s, in which it is learned how closely cloth goes with the body; 0: not held by it
+    worn_sd: float = bounded(0.05, 1e-3, 10)  # m, how closely, before anything is learned
 
 
 @dataclass(frozen=True)
@@ -271,8 +273,8 @@ class PaperReliability(Checked):
 class Uncertainty(Checked):
     """How far a garment may have drifted from the truth, the two calibrated factors, and the bounds."""
 
-    observed_scale: float = bounded(0.597, 0.01, 100)  # on the standard deviations of measured vertices
-    unseen_scale: float = bounded(1.0, 0.01, 100)  # of the others
+    observed_scale: float = bounded(0.594, 0.01, 100)  # on the standard deviations of measured vertices
+    unseen_scale: float = bounded(0.888, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m: strain that is there adds up along the cloth over this length
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2

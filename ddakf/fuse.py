@@ -49,6 +49,7 @@ class Update(NamedTuple):
     """The estimate while a frame is worked on."""
 
     position: np.ndarray  # (V, 3) m
+    held: Planes | None  # pseudo-measurements of what is not seen, by the body that it is worn on
     rest: LocalRigidity
     motion: LocalRigidity
     information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
@@ -66,7 +67,10 @@ class Update(NamedTuple):
     rejected: bool = False
 
 
-def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: float, model: Model, config: Config) -> Update:
+def begin(
+    prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: float, model: Model, config: Config,
+    held: Planes | None = None,
+) -> Update:  # fmt: skip
     """The estimate before the first pass: the prediction.
 
     Args:
@@ -75,11 +79,13 @@ def begin(prior: State, last: np.ndarray, rotation: np.ndarray, physics_lambda: 
         rotation: (V, 3, 3) of the one-rings against the rest shape, in the last frame.
         physics_lambda: factor on the physics; the rest shape is held by as much.
         model, config: of the tracker.
+        held: see :class:`Update`.
     """
     n = len(prior.position)
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
     return Update(
         position=prior.position,
+        held=held,
         rest=rigidity.to_rest(
             model, physics_lambda * config.physics.rest_rigidity, rotation, config.physics.strain_followed
         ),
@@ -119,7 +125,8 @@ def _map_update(update: Update, prior: State, energies: Energies, gate: float, m
     steps = rigidity.FIRST_STEPS if update.before is None else rigidity.ROTATION_STEPS
     for term in (update.rest, update.motion):
         rigidity.fit(term, rows, model, steps)
-    system = normal_equations(rows, prior.position, update.information, planes, energies, (update.rest, update.motion), model)
+    measured = (planes,) if update.held is None else (planes, update.held)
+    system = normal_equations(rows, prior.position, update.information, measured, energies, (update.rest, update.motion), model)
     # the coarse level of the first pass preconditions the later ones as well
     coarse = coarse_inverse(system, model) if update.coarse is None else update.coarse
     tolerance = config.fuse.solver_tolerance * (1.0 if update.before is None else LATER_TOLERANCE)
@@ -170,7 +177,7 @@ def normal_equations(
     position: np.ndarray,
     prior: np.ndarray,
     information: np.ndarray,
-    planes: Planes,
+    measured: tuple[Planes, ...],
     energies: Energies,
     rigid: tuple[LocalRigidity, ...],
     model: Model,
@@ -180,7 +187,7 @@ def normal_equations(
     Args:
         position, prior: (V, 4) estimate and (V, 3) predicted mean, metres.
         information: (V, 3, 3) inverse of the prior covariance, 1/m^2.
-        planes: the measurements.
+        measured: the measurements.
         energies: the physics at ``position``.
         rigid: the locally rigid terms, their rotations fitted to ``position``.
         model: the garment.
@@ -188,14 +195,16 @@ def normal_equations(
     n = len(position)
     unary, force = np.zeros((n, 3, 3)), energies.bending.force.copy()
     kernels.add_prior(position, prior, information, unary, force)
-    kernels.add_planes(
-        position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
-    )
-    stretch, shear, _, collision = energies.stiffness
-    if planes.hem is not None:
-        hem_kernels.add_ends_of_cloud(
-            model.boundary[:, 0], planes.hem.direction, planes.hem.offset, planes.hem.weight, planes.hem_variance, unary, force
+    for planes in measured:
+        kernels.add_planes(
+            position, planes.target, planes.normal, planes.tangential, planes.weight, planes.variance, unary, force
         )
+        if planes.hem is not None:
+            hem = planes.hem
+            hem_kernels.add_ends_of_cloud(
+                model.boundary[:, 0], hem.direction, hem.offset, hem.weight, planes.hem_variance, unary, force
+            )
+    stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
     if energies.self_collision is not None:

@@ -14,7 +14,7 @@ import numpy as np
 from ddakf import associate, fuse, robust
 from ddakf.associate import Measurement
 from ddakf.config import Config, PlaneAssociation, Pyramid
-from ddakf.fuse import Update
+from ddakf.fuse import Planes, Update
 from ddakf.kernels import pyramid as kernels
 from ddakf.model import Coarser, Model
 from ddakf.physics import Linearization, energies
@@ -40,12 +40,14 @@ class Level(NamedTuple):
     prior: State
     visible: np.ndarray  # (W,) bool, vertices that a sensor may see
     floor: tuple[np.ndarray, np.ndarray] | None  # point and normal of the body beside each vertex
+    held: Planes | None  # pseudo-measurements, see Update
 
     def thinned(self, vertex: np.ndarray) -> Level:
         """On some of the vertices."""
         floor = None if self.floor is None else (self.floor[0][vertex], self.floor[1][vertex])
+        held = None if self.held is None else fuse.Planes(*(array[vertex] for array in self.held[:5]))
         prior = State(*(array[vertex] for array in self.prior))
-        return Level(self.position[vertex], self.last[vertex], self.rotation[vertex], prior, self.visible[vertex], floor)
+        return Level(self.position[vertex], self.last[vertex], self.rotation[vertex], prior, self.visible[vertex], floor, held)
 
 
 def descend(
@@ -73,7 +75,7 @@ def descend(
     visible = update.measurement.visible
     if visible is None:
         visible = associate.visible(update.position, cloud, body_vertices, model, config.associate)
-    whole = Level(update.position, last, update.rest.rotation, prior, visible, floor)
+    whole = Level(update.position, last, update.rest.rotation, prior, visible, floor, update.held)
     shared = Shared(cloud, physics_lambda, _coarsened(config, rule))
     position, passes = _from_below(whole, model.coarser, 1.0, shared)
     return update._replace(position=position, passes=passes)
@@ -117,7 +119,8 @@ def _passes(
     """(W, 3) position of a level after its own passes from ``start``, and their number; ``done`` passes were coarser."""
     cloud, physics_lambda, config = shared
     rule, prior = config.pyramid, level.prior
-    update = fuse.begin(prior, level.last, level.rotation, physics_lambda, model, config)
+    held = None if level.held is None else level.held._replace(weight=stands_for * level.held.weight)
+    update = fuse.begin(prior, level.last, level.rotation, physics_lambda, model, config, held)
     update = update._replace(position=start, information=stands_for * update.information)
     for gate in associate.gates(cloud, config.associate, 1 if done else 0):
         measurement = associate.associate(

@@ -19,10 +19,12 @@ from ddakf.mesh import Mesh
 from ddakf.reliability import Health
 from ddakf.types import State, TrackerState
 from ddakf.uncertainty import Drift
+from ddakf.worn import Worn
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 5
+VERSION = 6
+LEARNED = ("seen", "squares", "measured")  # of how a garment hangs on its body
 
 
 def save(tracker, level: int) -> bytes:
@@ -40,6 +42,9 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
     arrays = {f"state_{name}": value for name, value in tracker._state._asdict().items()}
     arrays |= {"rotation": tracker._rotation, "drift_covariance": tracker._drift.covariance}
     arrays |= {"garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
+    if tracker._worn is not None:
+        arrays |= {"worn_pose": tracker._worn.bound.pose, "worn_position": tracker._worn.bound.position}
+        arrays |= {f"worn_{name}": getattr(tracker._worn, name) for name in LEARNED}
     if tracker.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
     numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
@@ -68,6 +73,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
         tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
         if body is not None:
             tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
+            tracker._worn = _worn(tracker, arrays) if "worn_pose" in arrays else None
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
@@ -89,6 +95,15 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf and 0 < level < math.inf):
         raise InvalidSnapshot("snapshot.drift", "two finite squares and a positive factor", repr(values))
     return Drift(covariance, speed2, stored2, level)
+
+
+def _worn(tracker, arrays: dict[str, np.ndarray]) -> Worn:
+    pose, position = like(tracker.body.vertices, arrays, "worn_pose"), like(tracker._state.position, arrays, "worn_position")
+    fresh = Worn.at(position, tracker._contact, tracker._model)
+    learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in LEARNED}
+    if (learned["seen"] < 0).any() or (learned["squares"] < 0).any():
+        raise InvalidSnapshot("snapshot.worn", "shares and squares that are not negative", "others")
+    return fresh._replace(bound=tracker._contact.bind(position, pose), **learned)
 
 
 def _elasticity(variance) -> Elasticity:

@@ -24,6 +24,7 @@ from ddakf import (
     robust,
     segment,
     uncertainty,
+    worn,
 )
 from ddakf import snapshot as snapshots
 from ddakf.config import Config
@@ -98,10 +99,13 @@ class Tracker:
         self._elasticity = elasticity.Elasticity.at(self.config.physics)
         self._health = reliability.Health()
         self._time: float | None = None
+        self._worn: worn.Worn | None = None  # where it is not known yet
         if self._contact is not None:
             self._contact.reset()
             if self.config.physics.gap_time > 0:
                 self._contact.start(position, self.config.physics.thickness)
+            if worn.holds(self.config.predict):
+                self._worn = worn.Worn.at(position, self._contact, self._model)
 
     @whole
     def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
@@ -135,7 +139,8 @@ class Tracker:
         cloud = preprocess.preprocess(mine.points, mine.sensor_origin, prior.position, garment.area, config)
         clock.lap("preprocess")
 
-        update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config)
+        held = None if settling or self._worn is None else self._worn.held(self._contact, garment, config.predict)
+        update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config, held)
         update = coarse.align(
             update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
         )
@@ -193,10 +198,11 @@ class Tracker:
 
         # H. Output
         learned = self._elasticity.learned(posterior.position, measured, dt, garment, config.physics)
+        hanging = self._hanging(posterior.position, measured, held, settling > 0, dt)
         result = _result(posterior, covariance, update, verdict, carried, dt, clock.done())
         self._state, self._drift, self._elasticity = posterior, drift, learned
         self._rotation = rotation if update.rejected else update.rest.rotation
-        self._health, self._time = verdict.health, now.timestamp
+        self._health, self._time, self._worn = verdict.health, now.timestamp, hanging
         return result
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
@@ -258,6 +264,17 @@ class Tracker:
     def _clearance(self) -> np.ndarray | None:
         """(V,) m, signed distance of each vertex from the body when last asked for."""
         return None if self._contact is None or self._contact.held is None else self._contact.held.distance
+
+    def _hanging(
+        self, position: np.ndarray, measured: np.ndarray, held: fuse.Planes | None, settling: bool, dt: float
+    ) -> worn.Worn | None:
+        """How the garment hangs on the body after a frame; one that was found elsewhere does so anew once it has settled."""
+        config = self.config.predict
+        if self._contact is None or settling or not worn.holds(config):
+            return None
+        if self._worn is not None:
+            return self._worn.learned(held, position, measured, dt, self._model, config)
+        return worn.Worn.at(position, self._contact, self._model) if self._contact.present else None
 
     def _ride(self, body_vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
         """The last state, relative to the body, and the body's displacement of each vertex (V, 3), or None."""

@@ -256,6 +256,9 @@ UNCHECKED = {
     "a share that is no number": health("unexplained", float("nan")),
     "a time that is text": number("time", "now"),
     "a strain that is no square": number("elasticity", -1.0),
+    "a place on another body": put("worn_pose", np.zeros((5, 3))),
+    "a garment of another size on the body": put("worn_position", np.zeros((5, 3))),
+    "squared deviations below zero": lambda numbers, arrays: arrays["worn_squares"].fill(-1.0),
 }
 
 

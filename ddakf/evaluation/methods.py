@@ -59,6 +59,7 @@ def refinements() -> dict[str, Config]:
         "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
         "no-levels": without_levels(),
         "no-hems": replace(default, associate=replace(default.associate, hem_reach=0.0)),
+        "no-holding": replace(default, predict=replace(default.predict, worn_memory=0.0)),
     }
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ddakf.config import Physics
@@ -11,6 +13,15 @@ from ddakf.types import State
 
 COLLISION_REACH = 0.05  # m: where the body does not carry, it pushes out what is no deeper inside than this
 DEEPEST = 0.03  # m: more than this inside is no error of a body model
+BOUND_REACH = 0.3  # m: body surface within it is where a vertex is bound to it
+
+
+class Bound(NamedTuple):
+    """A garment on the body in one pose."""
+
+    pose: np.ndarray  # (B, 3) m, the body
+    position: np.ndarray  # (V, 3) m, the garment
+    contact: proximity.Contact  # the closest point of each vertex within BOUND_REACH
 
 
 class BodyContact:
@@ -99,6 +110,19 @@ class BodyContact:
         displacement = motion.position - position
         self._velocity = displacement / dt
         return state, displacement
+
+    def bind(self, position: np.ndarray, pose: np.ndarray | None = None) -> Bound:
+        """A garment at (V, 3) ``position`` bound to the body in a (B, 3) ``pose``, metres; by default the present one."""
+        pose = self.vertices if pose is None else pose
+        surface = proximity.refresh(self._body, pose)
+        return Bound(pose.copy(), position.copy(), proximity.closest_points(self._body, surface, position, BOUND_REACH))
+
+    def bring(self, bound: Bound) -> np.ndarray:
+        """(V, 3) metres: where the body has brought a garment in its present pose that has gone with it ever since."""
+        pose, position, contact = bound
+        return proximity.surface_motion(
+            self._body, pose, self.vertices, position, contact, 2.0 * BOUND_REACH, BOUND_REACH
+        ).position
 
     @property
     def velocity(self) -> np.ndarray | None:

@@ -67,7 +67,7 @@ def test_every_ablation_differs_from_the_default_where_its_name_says():
     stages = {
         "no-planes": {"associate"}, "one-association": {"associate"} | levels, "no-visibility": {"associate"},
         "no-correlation": {"physics"}, "no-carrying": {"predict"},
-        "no-softening": {"physics"}, "no-levels": levels, "no-hems": {"associate"},
+        "no-softening": {"physics"}, "no-levels": levels, "no-hems": {"associate"}, "no-holding": {"predict"},
     }  # fmt: skip
     variants = methods.ablations() | methods.refinements()
     assert {name: {s for s in default if c.to_dict()[s] != default[s]} for name, c in variants.items()} == stages
