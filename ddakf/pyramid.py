@@ -45,7 +45,7 @@ class Level(NamedTuple):
     def thinned(self, vertex: np.ndarray) -> Level:
         """On some of the vertices."""
         floor = None if self.floor is None else (self.floor[0][vertex], self.floor[1][vertex])
-        held = None if self.held is None else fuse.Planes(*(array[vertex] for array in self.held[:5]))
+        held = None if self.held is None else Planes(*(array[vertex] for array in self.held[:5]))
         prior = State(*(array[vertex] for array in self.prior))
         return Level(self.position[vertex], self.last[vertex], self.rotation[vertex], prior, self.visible[vertex], floor, held)
 

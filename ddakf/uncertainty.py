@@ -110,7 +110,7 @@ def marginals(
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
     if evidence.observed.any():
         drift = drift._replace(level=_level(np.average(variances(shared), weights=evidence.size), offset2))
-    covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), limits.observed_scale**2)
+    covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
     unseen = weight <= 0.0
     scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, model)[unseen]
     kernels.conditioned(
