@@ -4,8 +4,8 @@ Runs the default on all recordings, prints coverage, NEES and log-likelihoods by
 two constants are fitted on, for the other half, by view and by recording, and draws the reliability diagram. With ``--fit`` it
 begins anew and also finds the two constants, ``Uncertainty.observed_scale`` and ``unseen_scale``, on the first half, such that
 the 90 % ellipsoids hold 90 %; table and diagram are with them then, and go into ``benchmarks/results`` and ``docs``. The
-constants scale what is claimed and hardly touch what is tracked: one run of every trial is enough. Recordings are found
-through DDAKF_DATA.
+constants scale what is claimed and hardly touch what is tracked: one run of every trial is enough. Recordings are those that
+ship and those found through DDAKF_DATA.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy as np
 from rich.console import Console
 from scipy.stats import chi2
 
+from ddakf import data
 from ddakf.config import Uncertainty
 from ddakf.evaluation import figures, machine, tables, trials
 from ddakf.evaluation.records import NOMINAL
@@ -39,7 +40,8 @@ def main(argv: list[str] | None = None) -> int:
     arguments = _parser().parse_args(argv)
     if arguments.fit:
         arguments.out.unlink(missing_ok=True)  # rows of another tracker
-    wanted = grid(arguments, sorted(arguments.sequences or trials.names()))
+    shipped = (path.stem for path in data.TRAINING.glob("*.npz"))
+    wanted = grid(arguments, sorted(arguments.sequences or {*trials.names(), *shipped}))
     journal = Journal(arguments.out)
     execute(wanted, journal, arguments.procs, Console(stderr=True))
     rows = journal.rows(wanted)
@@ -112,7 +114,7 @@ def report(rows: list[dict], factors: dict[str, float], constants: dict[str, flo
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true", help="begin anew, find the constants too, and keep the result")
-    parser.add_argument("--sequences", nargs="+", metavar="NAME", help="default: the sample and all recordings of DDAKF_DATA")
+    parser.add_argument("--sequences", nargs="+", metavar="NAME", help="default: all that ship, and those of DDAKF_DATA")
     parser.add_argument("--views", nargs="+", default=list(VIEWS), metavar="VIEW", help=f"default: {' '.join(VIEWS)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED", help="of the noise (default 1)")
     parser.add_argument("--frames", type=int, help="tracked per trial (default all)")

@@ -181,8 +181,9 @@ class Tracker:
         posterior = predict.learn(posterior, prior, measured, dt, config.predict)
         drift = uncertainty.Drift.at(garment, initialize.FOUND_SD) if placed else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
+        slack = None if held is None else self._worn.slack(garment, config.predict)
         covariance, drift = uncertainty.marginals(
-            update, posterior, prior, still, self._clearance(), health.offset, drift, dt, garment, config
+            update, posterior, prior, still, self._clearance(), slack, health.offset, drift, dt, garment, config
         )
         clock.lap("uncertainty")
 

@@ -32,6 +32,7 @@ PER_OFFSET = 9.0  # error over the offset of the cloud from the surface, both RM
 SMALLEST_OFFSET = 0.0002  # m
 TRUST = 0.3  # in the cloud's word about the size of the error, against the recursion's
 ROOM_TO_BODY, MOST_TO_BODY = 0.03, 0.10  # m: distance from the body that doubles a variance; a longer one gives no more room
+USUAL_SLACK = 0.02  # m from where the body has brought it: of cloth that a body holds; the variance of looser cloth is in proportion
 ROOM_TO_SEEN, MOST_TO_SEEN = 0.2, 0.6  # m: the same of the distance along the cloth from what is seen, where no body is known
 LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than that
 SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
@@ -79,8 +80,8 @@ def posterior(update: Update, prior: State, config: Config) -> State:
 
 
 def marginals(
-    update: Update, state: State, prior: State, still: np.ndarray, clearance: np.ndarray | None, offset2: float, drift: Drift,
-    dt: float, model: Model, config: Config,
+    update: Update, state: State, prior: State, still: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None,
+    offset2: float, drift: Drift, dt: float, model: Model, config: Config,
 ) -> tuple[np.ndarray, Drift]:  # fmt: skip
     """(V, 3, 3) calibrated covariance of each position, square metres, and the drift after this frame.
 
@@ -92,6 +93,7 @@ def marginals(
         still: (V, 3) where the vertices would be had the garment moved only as is known of unseen parts as well, metres: not
             at all, or, with a body to ride on, as it did.
         clearance: (V,) distance from the body, metres; None without one.
+        slack: (V,) how far cloth is from where the body has brought it, metres; None where that is not known.
         offset2: squared offset of the last clouds from the surface beyond their noise, square metres.
         drift: after the last frame.
         dt: seconds since.
@@ -112,7 +114,7 @@ def marginals(
         drift = drift._replace(level=_level(np.average(variances(shared), weights=evidence.size), offset2))
     covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
     unseen = weight <= 0.0
-    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, model)[unseen]
+    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, slack, model)[unseen]
     kernels.conditioned(
         drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
         evidence.isotropic, scale2, covariance,
@@ -132,13 +134,14 @@ def _level(variance: float, offset2: float) -> float:
     return float((PER_OFFSET**2 * (offset2 + SMALLEST_OFFSET**2) / variance) ** TRUST)
 
 
-def _room(seen: np.ndarray, clearance: np.ndarray | None, model: Model) -> np.ndarray:
+def _room(seen: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None, model: Model) -> np.ndarray:
     """(V,) factor on the variance of unseen vertices: cloth may be elsewhere the more, the farther it is from what holds it.
 
-    That is the body where one is known, and elsewhere what is seen, along the cloth.
+    That is the body where one is known, which holds loose cloth less, and elsewhere what is seen, along the cloth.
     """
     if clearance is not None:
-        return 1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY
+        loose = 1.0 if slack is None else np.maximum(slack / USUAL_SLACK, 1.0)
+        return loose * (1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY)
     distance = np.empty(len(seen))
     kernels.along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
     return 1.0 + distance / ROOM_TO_SEEN

@@ -49,12 +49,21 @@ class Worn(NamedTuple):
         target = contact.bring(self.bound)
         normal = np.empty_like(target)
         vertex_normals(target, model.faces, normal)
-        near = model.likeness @ np.column_stack([self.squares, self.seen])
-        guess = LEAST_SEEN * config.worn_sd**2
-        variance = np.maximum((near[:, :2] + guess) / (near[:, 2:] + LEAST_SEEN), LEAST_SD**2)
+        variance = self._variance(model, config)
         along, across = (len(target) / len(variance) * (variance / INDEPENDENT)[model.patch]).T
         weight = np.where(self.measured | (self.bound.contact.face < 0), 0.0, 1.0)
         return Planes(target, normal, weight, np.ascontiguousarray(along), np.ascontiguousarray(across))
+
+    def slack(self, model: Model, config: ConstantVelocity) -> np.ndarray:
+        """(V,) metres: how far, in standard deviations of a place, cloth there is from where the body has brought it."""
+        along, across = self._variance(model, config).T
+        return np.sqrt(along + 2.0 * across)[model.patch]
+
+    def _variance(self, model: Model, config: ConstantVelocity) -> np.ndarray:
+        """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent."""
+        near = model.likeness @ np.column_stack([self.squares, self.seen])
+        guess = LEAST_SEEN * config.worn_sd**2
+        return np.maximum((near[:, :2] + guess) / (near[:, 2:] + LEAST_SEEN), LEAST_SD**2)
 
     def learned(
         self, held: Planes | None, position: np.ndarray, measured: np.ndarray, dt: float, model: Model, config: ConstantVelocity

@@ -75,11 +75,16 @@ def test_trace_is_bounded_for_a_thousand_steps_of_any_missing_data(preset, patte
                     assert np.isfinite(result.vertices).all()
 
 
-def without_room(tracker, result):
+def slack(tracker):
+    """(V,) that the next frame's covariance knows of, None without."""
+    return None if tracker._worn is None else tracker._worn.slack(tracker._model, tracker.config.predict)
+
+
+def without_room(tracker, result, slack):
     """(V,) traces of the covariance, without the factor of what a body leaves room for: cloth that falls on it is held again."""
     room = 1.0
     if tracker.body is not None and tracker.config == CONFIGS["default"]:
-        room = np.where(result.observed, 1.0, uncertainty._room(result.observed, tracker._clearance(), None))
+        room = np.where(result.observed, 1.0, uncertainty._room(result.observed, tracker._clearance(), slack, None))
     return traces(result.covariance) / room
 
 
@@ -91,13 +96,14 @@ def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     tracker = Tracker(GARMENT, body=body, config=CONFIGS[preset])
     more = {"body_vertices": body.vertices} if worn else {}
     for k in range(1, 11):
+        known = slack(tracker)
         result = tracker.step(CLOUDS[k % 6], timestamp=k / 30, **more)
-    sizes, rooms = [traces(result.covariance)], [without_room(tracker, result)]
+    sizes, rooms = [traces(result.covariance)], [without_room(tracker, result, known)]
     for k in range(11, 50):
-        drift = tracker._drift.covariance.diagonal()
+        drift, known = tracker._drift.covariance.diagonal(), slack(tracker)
         result = tracker.step(CLOUDS[0][:0], timestamp=k / 30, **more)
         sizes.append(traces(result.covariance))
-        rooms.append(without_room(tracker, result))
+        rooms.append(without_room(tracker, result, known))
         assert not result.observed.any()
         if preset == "default":  # the recursion itself, of all patches in all directions
             assert (tracker._drift.covariance.diagonal() > drift).all()
@@ -159,12 +165,12 @@ class Solved(NamedTuple):
         chosen = {name: J for name, J in self.jacobian.items() if not terms or name.startswith(terms)}
         return dense.gauss_newton(chosen, majorised=False)
 
-    def report(self, config=LIMP, sd=0.005, still=None, clearance=None, offset2=0.0005**2):
+    def report(self, config=LIMP, sd=0.005, still=None, clearance=None, slack=None, offset2=0.0005**2):
         """The reported covariance and the drift, started with ``sd``."""
         still = self.state.position if still is None else still
         drift = Drift.at(self.garment, sd)
         return marginals(
-            self.update, self.state, self.prior, still, clearance, offset2, drift, 1 / 30, self.garment, config
+            self.update, self.state, self.prior, still, clearance, slack, offset2, drift, 1 / 30, self.garment, config
         )
 
 
@@ -324,14 +330,26 @@ def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
     np.testing.assert_array_equal(near[~unseen], far[~unseen])
 
 
+def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_not_seen():
+    run = solved(MESHES["tube"], "half")
+    unseen, n = run.update.weight == 0, run.garment.mesh.n_vertices
+    unknown, tight, loose, looser = (
+        run.report(clearance=np.zeros(n), slack=slack)[0] for slack in (None, np.full(n, 0.005), np.full(n, 0.05), np.full(n, 0.1))
+    )
+    np.testing.assert_array_equal(tight, unknown)
+    assert (traces(tight) < traces(loose))[unseen].all()
+    assert (traces(loose) < traces(looser))[unseen].all()
+    np.testing.assert_array_equal(tight[~unseen], looser[~unseen])
+
+
 def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
     garment = model.build(MESHES["larger sheet"], 0.003)
     seen = garment.mesh.vertices[:, 0] < 0.03
-    room = uncertainty._room(seen, None, garment)
+    room = uncertainty._room(seen, None, None, garment)
     order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
     assert np.corrcoef(np.arange(len(order)), room[~seen][order])[0, 1] > 0.9
     assert (room[seen] == 1.0).all()
-    nothing = uncertainty._room(np.zeros_like(seen), None, garment)
+    nothing = uncertainty._room(np.zeros_like(seen), None, None, garment)
     assert (nothing == nothing.max()).all()
     assert nothing.max() >= room.max()
 
@@ -362,7 +380,9 @@ def test_a_frame_without_measurements_keeps_the_level_that_the_last_cloud_called
     run = solved(MESHES["tube"], "half")
     nothing = run._replace(update=run.update._replace(rejected=True))
     drift = Drift.at(run.garment, 0.005)._replace(level=2.5)
-    _, after = marginals(nothing.update, run.state, run.prior, run.state.position, None, 1e-4, drift, 1 / 30, run.garment, LIMP)
+    _, after = marginals(
+        nothing.update, run.state, run.prior, run.state.position, None, None, 1e-4, drift, 1 / 30, run.garment, LIMP
+    )
     assert after.level == 2.5
 
 
