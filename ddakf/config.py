@@ -273,8 +273,8 @@ class PaperReliability(Checked):
 class Uncertainty(Checked):
     """How far a garment may have drifted from the truth, the two calibrated factors, and the bounds."""
 
-    observed_scale: float = bounded(0.594, 0.01, 100)  # on the standard deviations of measured vertices
-    unseen_scale: float = bounded(0.888, 0.01, 100)  # of the others
+    observed_scale: float = bounded(0.655, 0.01, 100)  # on the standard deviations of measured vertices
+    unseen_scale: float = bounded(0.873, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m: strain that is there adds up along the cloth over this length
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2

@@ -334,7 +334,7 @@ def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_no
     run = solved(MESHES["tube"], "half")
     unseen, n = run.update.weight == 0, run.garment.mesh.n_vertices
     unknown, tight, loose, looser = (
-        run.report(clearance=np.zeros(n), slack=slack)[0] for slack in (None, np.full(n, 0.005), np.full(n, 0.05), np.full(n, 0.1))
+        run.report(clearance=np.zeros(n), slack=slack and np.full(n, slack))[0] for slack in (None, 0.005, 0.05, 0.1)
     )
     np.testing.assert_array_equal(tight, unknown)
     assert (traces(tight) < traces(loose))[unseen].all()
