@@ -221,9 +221,9 @@ def test_a_still_is_taken_once_per_frame_and_again_with_other_code(tmp_path, mon
     monkeypatch.setattr(stills, "taken", take)
     monkeypatch.setattr(machine, "commit", lambda: "old")
     for size, more in ((paper.QUICK, 2), (paper.QUICK, 2), (paper.FULL, 4), (paper.FULL, 4)):
-        paper.save_stills(size, ("sample",), tmp_path, QUIET, again=True)
+        paper.save_stills(size, tmp_path, QUIET, again=True)
         assert len(taken) == more
     monkeypatch.setattr(machine, "commit", lambda: "new")
     for again, more in ((False, 4), (True, 6)):
-        paper.save_stills(paper.FULL, ("sample",), tmp_path, QUIET, again=again)
+        paper.save_stills(paper.FULL, tmp_path, QUIET, again=again)
         assert len(taken) == more

@@ -105,7 +105,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
         study(plan, arguments.results / f"{name}.json", arguments.procs, console, again)
     if not arguments.only:
-        paper.save_stills(size, plans["main"].sequences, arguments.results, console, again=bool(again))
+        paper.save_stills(size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")
     return 0
 

@@ -101,17 +101,16 @@ def _spread(names: list[str], most: int) -> tuple[str, ...]:
     return tuple(names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int)))
 
 
-STILLS = {  # name: view, noise in metres, what the sequence's name shall hold, frame (of the swept frames the last one at most)
-    "figure-1": ("front+body", 0.003, "sample", 110),
-    "figure-2": ("full+body", 0.010, "skirt", 60),
+STILLS = {  # name: view, noise in metres, a recording that ships, frame
+    "figure-1": ("front+body", 0.003, SAMPLE, 110),
+    "figure-2": ("full+body", 0.010, "skirt_walk", 60),
 }
 
 
-def save_stills(size: Size, sequences: tuple[str, ...], folder: Path, console, *, again: bool = False) -> None:
+def save_stills(size: Size, folder: Path, console, *, again: bool = False) -> None:
     """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same frame already is kept, or with
     ``again`` what is there of the same frame and commit."""
-    for name, (view, noise, wanted, number) in STILLS.items():
-        sequence = next((s for s in sequences if wanted in s), sequences[0])
+    for name, (view, noise, sequence, number) in STILLS.items():
         view, _, body = view.partition("+")
         last = len(trials.recording(sequence)) - 1
         number = min(number if size.sweeps else 30, last)
