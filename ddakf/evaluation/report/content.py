@@ -88,7 +88,7 @@ def _cloth(results: dict[str, Result], each_view: bool) -> list[Table]:
         ("depth", "Real depth without truth: flicker of the estimate itself, mm/frame²", "own_flicker"),
         ("scene-flow", "DeepDeform: end-point error of the scene flow, mm", "end_point_error_mm"),
     ):  # fmt: skip
-        if name in results:
+        if name in results and any(cell["mean"] and cell["mean"].get(value) is not None for cell in results[name].cells):
             parts.append(tables.by_sequence(f"{name}-{value}", title, results[name], value))
     return parts
 
