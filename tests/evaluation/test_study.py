@@ -228,8 +228,9 @@ class Started:
         self.command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", str(runs),
                         "--frames", "0:8", "--points", "1500", "--procs", str(procs), "--json", str(self.out)]  # fmt: skip
         self.process = subprocess.Popen(
-            self.command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
-        )
+            self.command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a shell's background jobs ignore it
+        )  # fmt: skip
         while not (self.rows.is_file() and self.rows.read_text().count("\n")):
             assert self.process.poll() is None, self.process.communicate()
             time.sleep(0.02)
