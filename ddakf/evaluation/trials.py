@@ -108,8 +108,9 @@ def recording(name: str) -> Sequence | Recording | Pair:
         return data.sample()
     if name.startswith(FAUST) and (archive := _faust()):
         return load_faust(archive).clip(name.removeprefix(FAUST))
-    if Path(name.partition("#")[0]).exists():
-        return open_dataset(name)
+    for place in (name, *_under_data(name)):
+        if Path(place.partition("#")[0]).exists():
+            return open_dataset(place)
     if name in {path.stem for path in data.TRAINING.glob("*.npz")}:
         return load_sequence(data.TRAINING / f"{name}.npz")
     folder = _folder()
@@ -126,11 +127,16 @@ def faust_names() -> list[str]:
 
 
 def sensed_names() -> tuple[list[str], list[str]]:
-    """Paths of depth recordings without truth, and of pairs with scene flow, under DDAKF_DATA."""
+    """Depth recordings without truth, and pairs with scene flow: paths relative to DDAKF_DATA, the same on every machine."""
+    root = Path(os.environ.get("DDAKF_DATA") or os.devnull)
+    depth = sorted(root.glob("depth/utd-mhad/*_depth.mat"))
+    pairs = sorted(path for path in root.glob("depth/deepdeform/*") if path.is_dir())
+    return [path.relative_to(root).as_posix() for path in depth], [path.relative_to(root).as_posix() for path in pairs]
+
+
+def _under_data(name: str) -> list[str]:
     root = os.environ.get("DDAKF_DATA")
-    depth = Path(root, "depth") if root else Path(os.devnull)
-    folders = sorted(path for path in depth.glob("deepdeform/*") if path.is_dir())
-    return [str(path) for path in sorted(depth.glob("utd-mhad/*_depth.mat"))], [str(path) for path in folders]
+    return [str(Path(root, name))] if root else []
 
 
 def _faust() -> Path | None:

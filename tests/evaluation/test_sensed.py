@@ -1,10 +1,14 @@
 """What is said of a method where no vertex has a truth: by hand, with methods whose faults are known."""
 
+import re
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from ddakf import data
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation import trials
 from ddakf.evaluation.datasets import Pair
@@ -109,3 +113,20 @@ def test_the_frames_of_a_study_are_those_of_recordings_too(monkeypatch):
     monkeypatch.setattr(trials, "sensed_names", lambda: (["a.mat", "b.mat"], []))
     plan = paper.studies(replace(paper.FULL, frames="0:12", faust=0))["depth"]
     assert (plan.sequences, plan.frames) == (("a.mat", "b.mat"), "0:12")
+
+
+def test_recordings_under_the_data_folder_are_named_without_it(monkeypatch, tmp_path):
+    """Results name the same recording alike on every machine."""
+    monkeypatch.setenv("DDAKF_DATA", str(tmp_path))
+    (tmp_path / "depth/utd-mhad").mkdir(parents=True)
+    (tmp_path / "depth/utd-mhad/a1_depth.mat").touch()
+    (tmp_path / "depth/deepdeform/seq1").mkdir(parents=True)
+    assert trials.sensed_names() == (["depth/utd-mhad/a1_depth.mat"], ["depth/deepdeform/seq1"])
+    shutil.copy(next(data.TRAINING.glob("*.npz")), tmp_path / "depth/mine.npz")
+    assert len(trials.recording("depth/mine.npz")) > 1
+
+
+def test_results_that_ship_name_no_folder_of_a_machine():
+    root = Path(__file__).parents[2]
+    for path in (*root.glob("results/*.json"), *root.glob("benchmarks/results/*.json")):
+        assert not re.search(r"/(work|root|home|tmp|Users)/", path.read_text()), path.name
