@@ -7,7 +7,7 @@ import re
 import secrets
 from collections.abc import Sequence
 
-from ddakf_api.errors import InvalidArgument, ResourceExhausted
+from ddakf_api.errors import Draining, InvalidArgument, ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .settings import Settings
@@ -28,10 +28,20 @@ _REAL_LIMITS = {
 
 
 class Admission:
-    """The server's bounds on what is asked for. What makes no sense is an ``InvalidArgument`` that names its field."""
+    """The server's bounds on what is asked for. What makes no sense is an ``InvalidArgument`` that names its field.
+
+    Attributes:
+        draining: the server is about to stop, and takes nothing new.
+    """
 
     def __init__(self, settings: Settings):
         self._settings = settings
+        self.draining = False
+
+    def require_running(self, what: str) -> None:
+        """Refuses what is new, such as "streams", while the server drains: the last checkpoint would not know of it."""
+        if self.draining:
+            raise Draining(f"the server is about to stop and takes no new {what}")
 
     def require_room(self, principal: Principal, owners: Sequence[str | None]) -> None:
         """Refuses a session beyond the server's number, or beyond its key's.

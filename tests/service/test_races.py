@@ -147,7 +147,7 @@ async def test_a_stop_does_not_wait_for_a_session_on_its_way_back(server, monkey
 
 
 async def test_a_server_that_stops_opens_no_stream(server):
-    server.draining = True
+    server._admission.draining = True
     with pytest.raises(Draining):
         await server.open_stream(START)
 
