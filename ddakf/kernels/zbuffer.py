@@ -1,11 +1,37 @@
 """A z-buffer: which face of a mesh every pixel of a pinhole camera sees, and how far away. Twin: tests/evaluation."""
 
-from math import ceil, floor
+from math import ceil, floor, inf
 
 import numpy as np
 from numba import njit
 
 NEAR = 0.05  # m: faces with a corner nearer than this, or behind the camera, are left out whole
+
+
+@njit(nogil=True, cache=True)
+def on_screen(vertices, fx, fy, cx, cy):
+    """(V, 3) column, row and 1/z of vertices in camera axes; 1/z is -1 where they are nearer than NEAR."""
+    screen = np.empty((vertices.shape[0], 3))
+    for i in range(vertices.shape[0]):
+        z = vertices[i, 2]
+        screen[i, 2] = 1.0 / z if z >= NEAR else -1.0
+        screen[i, 0] = vertices[i, 0] * screen[i, 2] * fx + cx
+        screen[i, 1] = vertices[i, 1] * screen[i, 2] * fy + cy
+    return screen
+
+
+@njit(nogil=True, cache=True)
+def whole_between(lower, upper, n):
+    """First and last whole number of 0..n-1 between two bounds; none where the first is greater."""
+    return ceil(min(max(lower, 0.0), float(n))), floor(max(min(upper, n - 1.0), -1.0))
+
+
+@njit(nogil=True, cache=True)
+def weights(ua, va, ub, vb, uc, vc, area, u, v):
+    """Barycentric coordinates of a pixel in a triangle on the screen, none negative where it is inside."""
+    alpha = ((ub - u) * (vc - v) - (vb - v) * (uc - u)) / area
+    beta = ((uc - u) * (va - v) - (vc - v) * (ua - u)) / area
+    return alpha, beta, 1.0 - alpha - beta
 
 
 @njit(nogil=True, cache=True)
@@ -21,12 +47,7 @@ def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
         face: (H, W) int32 label + index of the face at that depth; updated.
     """
     height, width = depth.shape
-    screen = np.empty((vertices.shape[0], 3))  # u, v, 1/z
-    for i in range(vertices.shape[0]):
-        z = vertices[i, 2]
-        screen[i, 2] = 1.0 / z if z >= NEAR else -1.0
-        screen[i, 0] = vertices[i, 0] * screen[i, 2] * fx + cx
-        screen[i, 1] = vertices[i, 1] * screen[i, 2] * fy + cy
+    screen = on_screen(vertices, fx, fy, cx, cy)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         wa, wb, wc = screen[a, 2], screen[b, 2], screen[c, 2]
@@ -36,21 +57,72 @@ def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
         area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
         if area == 0.0:
             continue
-        first_row = max(0, ceil(max(min(va, vb, vc), -1.0)))
-        last_row = min(height - 1, floor(min(max(va, vb, vc), float(height))))
-        first_column = max(0, ceil(max(min(ua, ub, uc), -1.0)))
-        last_column = min(width - 1, floor(min(max(ua, ub, uc), float(width))))
+        first_row, last_row = whole_between(min(va, vb, vc), max(va, vb, vc), height)
+        first_column, last_column = whole_between(min(ua, ub, uc), max(ua, ub, uc), width)
         for v in range(first_row, last_row + 1):
             for u in range(first_column, last_column + 1):
-                alpha = ((ub - u) * (vc - v) - (vb - v) * (uc - u)) / area
-                beta = ((uc - u) * (va - v) - (vc - v) * (ua - u)) / area
-                gamma = 1.0 - alpha - beta
+                alpha, beta, gamma = weights(ua, va, ub, vb, uc, vc, area, u, v)
                 if alpha < 0.0 or beta < 0.0 or gamma < 0.0:
                     continue
                 z = 1.0 / (alpha * wa + beta * wb + gamma * wc)  # 1/z is linear on the screen
                 if z < depth[v, u]:
                     depth[v, u] = z
                     face[v, u] = label + f
+
+
+@njit(nogil=True, cache=True)
+def cover(vertices, faces, fx, fy, cx, cy, free):
+    """Draws a silhouette: the pixels that :func:`rasterize` draws, each once however many faces are over it.
+
+    A face costs its rows, and the pixels that it is the first to cover: a mesh torn across the picture costs little more.
+
+    Args:
+        vertices, faces, fx, fy, cx, cy: as given to :func:`rasterize`.
+        free: (H, W + 1) int32, at first every pixel's own column, as it stays where nothing covers the pixel; updated. A covered
+            one has a column on the way to the next free one, or to W, the end of the row.
+    """
+    height, width = free.shape[0], free.shape[1] - 1
+    screen = on_screen(vertices, fx, fy, cx, cy)
+    for f in range(faces.shape[0]):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        if screen[a, 2] < 0 or screen[b, 2] < 0 or screen[c, 2] < 0:
+            continue
+        ua, va, ub, vb, uc, vc = screen[a, 0], screen[a, 1], screen[b, 0], screen[b, 1], screen[c, 0], screen[c, 1]
+        area = (ub - ua) * (vc - va) - (vb - va) * (uc - ua)
+        if area == 0.0:
+            continue
+        first_row, last_row = whole_between(min(va, vb, vc), max(va, vb, vc), height)
+        first_column, last_column = whole_between(min(ua, ub, uc), max(ua, ub, uc), width)
+        for v in range(first_row, last_row + 1):
+            if next_free(free, v, first_column) > last_column:
+                continue
+            lower, upper = -inf, inf  # where the edges cross the row, rounded
+            for p, q, r, s in ((ub, vb, uc, vc), (uc, vc, ua, va), (ua, va, ub, vb)):
+                if q != s:
+                    crossing = p + (v - q) * (r - p) / (s - q)
+                    if (s > q) == (area > 0.0):  # the inside is on the smaller side
+                        upper = min(upper, crossing)
+                    else:
+                        lower = max(lower, crossing)
+            first, last = whole_between(lower, upper, width)
+            u, last = max(first_column, first - 1), min(last_column, last + 1)
+            while u <= last and min(weights(ua, va, ub, vb, uc, vc, area, u, v)) < 0.0:
+                u += 1
+            while u <= last and min(weights(ua, va, ub, vb, uc, vc, area, last, v)) < 0.0:
+                last -= 1
+            u = next_free(free, v, u)
+            while u <= last:
+                free[v, u] = u + 1
+                u = next_free(free, v, u + 1)
+
+
+@njit(nogil=True, cache=True)
+def next_free(free, v, u):
+    """The first column from u on that is free in a row; halves the ways that it goes."""
+    while free[v, u] != u:
+        free[v, u] = free[v, free[v, u]]
+        u = free[v, u]
+    return u
 
 
 @njit(nogil=True, cache=True)

@@ -45,6 +45,20 @@ def test_faces_at_or_behind_the_camera_and_far_outside_draw_nothing():
     assert (face == -1).all()
 
 
+@pytest.mark.parametrize("spread", [0.05, 0.4, 3.0, 1e6], ids=["small", "middling", "torn", "far out"])
+def test_silhouettes_are_the_pixels_that_are_drawn(spread):
+    rng = np.random.default_rng(5)
+    camera = Camera.looking_at(Intrinsics(width=96, height=72, fx=80.0, fy=84.0, cx=47.5, cy=36.0), [0, 0, 4], [0, 0, 0])
+    drawn = 0
+    for _ in range(50):
+        vertices = rng.uniform(-1, 1, (1, 3)) + spread * rng.normal(size=(30, 3))
+        faces = rng.integers(0, 30, (rng.integers(1, 40), 3))
+        depth, _ = camera.render([(vertices, faces)])
+        assert np.array_equal(camera.silhouette(vertices, faces), np.isfinite(depth))
+        drawn += np.isfinite(depth).sum()
+    assert drawn > 100
+
+
 def test_nearer_meshes_hide_farther_ones_in_any_order():
     quad = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3]])

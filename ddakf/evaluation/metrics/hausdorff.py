@@ -44,13 +44,20 @@ class Hausdorff:
         vertices, others = (np.ascontiguousarray(pose, np.float64) for pose in (vertices, others))
         if not (np.isfinite(vertices).all() and np.isfinite(others).all()):
             return float("nan")
-        there = _Triangles.of(vertices, self._mesh.faces, _Target.of(self._other_tree, others))
-        back = _Triangles.of(others, self._other.faces, _Target.of(self._tree, vertices))
-        greatest = max(there.distance.max(), back.distance.max())
+        apart = None
         if self._other is self._mesh:  # a point and its counterpart are at most as far apart as the farthest corners
             apart = np.linalg.norm(vertices - others, axis=1)[self._mesh.faces].max(axis=1)
-            there, back = (direction.where(apart > greatest + TOLERANCE) for direction in (there, back))
-        return float(MM * _farthest(back, _farthest(there, greatest)))
+
+        def left(greatest: float) -> np.ndarray | slice:
+            """The faces on which a point may be farther away."""
+            return slice(None) if apart is None else apart > greatest + TOLERANCE
+
+        there = _Triangles.of(vertices, self._mesh.faces, _Target.of(self._other_tree, others))
+        greatest = there.distance.max()
+        greatest = _farthest(there.where(left(greatest)), greatest)
+        # only now, since of a torn estimate few are left, and a search in one is long
+        back = _Triangles.of(others, self._other.faces[left(greatest)], _Target.of(self._tree, vertices))
+        return float(MM * _farthest(back, greatest))
 
 
 class _Target(NamedTuple):
@@ -80,8 +87,9 @@ class _Triangles(NamedTuple):
 
     @classmethod
     def of(cls, vertices: np.ndarray, faces: np.ndarray, target: _Target) -> _Triangles:
-        distance, face = target.nearest(vertices)
-        return cls(vertices[faces], distance[faces], face[faces], target)
+        used, corner = np.unique(faces, return_inverse=True)
+        distance, face = target.nearest(vertices[used])
+        return cls(vertices[faces], distance[corner].reshape(-1, 3), face[corner].reshape(-1, 3), target)
 
     def where(self, chosen: np.ndarray) -> _Triangles:
         return _Triangles(self.corners[chosen], self.distance[chosen], self.face[chosen], self.target)
@@ -111,6 +119,7 @@ class _Triangles(NamedTuple):
 
 def _farthest(triangles: _Triangles, greatest: float) -> float:
     """The greatest distance of a point of the triangles, or ``greatest`` where that is more; metres."""
+    greatest = max(greatest, triangles.distance.max(initial=0.0))
     while True:
         triangles = triangles.where(triangles.reach() > greatest + TOLERANCE)
         for rank in range(3):

@@ -38,7 +38,7 @@ def silhouette_iou(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -
         return float("nan")
     shares = []
     for camera in silhouette_cameras(truth):
-        one, other = (np.isfinite(camera.render([(vertices, faces)])[0]) for vertices in (estimate, truth))
+        one, other = (camera.silhouette(vertices, faces) for vertices in (estimate, truth))
         union = np.count_nonzero(one | other)
         if union:
             shares.append(np.count_nonzero(one & other) / union)

@@ -60,6 +60,18 @@ def test_agrees_with_dense_sampling():
         assert exact <= 1e3 * np.linalg.norm(other - truth, axis=1).max() + WITHIN, "no more than the farthest counterparts"
 
 
+def test_of_a_torn_estimate_is_the_same_from_either_side():
+    """What is left out of the search in the second direction is what the first has found."""
+    rng = np.random.default_rng(1)
+    sequence = sample()
+    truth = sequence.garment_vertices[70].astype(float)
+    hausdorff = metrics.Hausdorff(Mesh(sequence.garment_rest, sequence.garment_faces))
+    some = rng.random((len(truth), 1)) < 0.01
+    for torn in (np.where(some, rng.permutation(truth), truth), truth + 0.3 * some * rng.normal(size=truth.shape)):
+        assert hausdorff(torn, truth) > 50
+        assert hausdorff(torn, truth) == pytest.approx(hausdorff(truth, torn), abs=WITHIN)
+
+
 def test_turns_with_the_surfaces():
     rng = np.random.default_rng(0)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
