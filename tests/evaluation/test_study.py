@@ -211,6 +211,25 @@ def test_a_system_to_be_run_again_is_one_of_the_study(tmp_path, capsys):
     assert "again" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [("--methods ddakf,magic", "methods"), ("--view front", "view"), ("--noise-mm 5", "noise_mm"), ("--json out.json", "json")],
+)
+def test_what_the_studies_of_the_paper_do_not_heed_is_refused(tmp_path, capsys, options, field):
+    assert cli.main(["evaluate", "sample", "--paper", "--results", str(tmp_path / "results"), *options.split()]) == 2
+    assert field in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_the_studies_of_the_paper_can_be_of_some_systems(tmp_path):
+    """Ablations alone have no DD-AKF of that name, and are left out."""
+    command = ["evaluate", "sample", "--paper", "--quick", "--only", "main,ablation", "--methods", "icp-rigid", "--runs", "1"]
+    assert cli.main([*command, "--frames", "0:5", "--procs", "1", "--results", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "main.json").read_text())
+    assert {cell["method"] for cell in result["results"]} == {"icp-rigid"}
+    assert not (tmp_path / "ablation.json").exists()
+
+
 def test_two_processes_give_the_rows_of_one(tmp_path):
     wanted = plan("nicp", runs=2).trials()
     one, two = Journal(tmp_path / "1"), Journal(tmp_path / "2")

@@ -39,7 +39,8 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
     parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
-    parser.add_argument("--methods", default="", metavar="A,B", help="default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp")
+    what = "default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study"
+    parser.add_argument("--methods", default="", metavar="A,B", help=what)
     parser.add_argument("--runs", type=int, metavar="N", help="with seeds 1 to N (default 5, with --quick 2)")
     parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A, where the garment is known, to B - 1")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
@@ -63,6 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.procs < 1:
         raise InvalidArgument("procs", "at least 1", str(arguments.procs))
     if arguments.paper:
+        _refuse_beside_paper(arguments)
         return _paper(arguments, Console(stderr=True))
     if arguments.json is None:
         raise InvalidArgument("json", "OUT.json for the result, or --paper", "neither")
@@ -83,6 +85,15 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if all("failed" in cell for cell in result["results"]) else 0
 
 
+def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
+    """The studies of the paper have sensors and files of their own."""
+    beside = argparse.ArgumentParser()
+    sensor_options.add(beside, several_views=True)
+    default = vars(beside.parse_args([])) | {"json": None}
+    if changed := [name for name, value in default.items() if getattr(arguments, name) != value]:
+        raise InvalidArgument(changed[0], "nothing beside --paper", str(getattr(arguments, changed[0])))
+
+
 def _paper(arguments: argparse.Namespace, console) -> int:
     """All studies of the report, one after the other."""
     from ddakf.evaluation.study import paper
@@ -97,6 +108,12 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     if unknown := [name for name in chosen if name not in plans]:
         raise InvalidArgument("only", f"some of {', '.join(plans)}", unknown[0])
     plans = {name: plan for name, plan in plans.items() if name in chosen}
+    if methods := _names(arguments.methods):
+        known = dict.fromkeys(system for plan in plans.values() for system in plan.systems)
+        if unknown := [method for method in methods if method not in known]:
+            raise InvalidArgument("methods", f"some of {', '.join(known)}", unknown[0])
+        of_each = {name: tuple(system for system in plan.systems if system in methods) for name, plan in plans.items()}
+        plans = {name: replace(plans[name], systems=systems) for name, systems in of_each.items() if systems}
     for plan in plans.values():
         plan.check()
     again = _again(arguments, {system for plan in plans.values() for system in plan.systems})
