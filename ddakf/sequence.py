@@ -101,7 +101,9 @@ def _arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, np.n
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             return {key: archive[key] for key in archive.files if wanted is None or key in wanted}
     except UNREADABLE as error:
-        raise InvalidFile(str(path), "an .npz archive of plain arrays", why(error)) from error
+        archive = isinstance(error, OSError) or zipfile.is_zipfile(path)
+        found = why(error) if archive else "something else"  # which NumPy calls pickled, and advises to trust
+        raise InvalidFile(str(path), "an .npz archive of plain arrays", found) from error
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:

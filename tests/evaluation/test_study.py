@@ -19,7 +19,7 @@ from rich.console import Console
 from ddakf import cli
 from ddakf.errors import InvalidArgument, InvalidFile, NotApplicable
 from ddakf.evaluation import baselines, machine, trials
-from ddakf.evaluation.study import results, workers
+from ddakf.evaluation.study import paper, results, workers
 from ddakf.evaluation.study.command import study
 from ddakf.evaluation.study.execute import execute
 from ddakf.evaluation.study.journal import Journal
@@ -89,11 +89,40 @@ def test_a_plan_has_every_system_on_every_sequence_view_and_seed_once():
         ({"frames": "900:"}, "frames"),
         ({"sequences": ("nothing",)}, "sequence"),
         ({"settings": replace(SMALL, noise=2.0)}, "noise"),
+        ({"settings": replace(SMALL, occlude=(5, 9))}, "occlude"),
     ],
 )
 def test_what_cannot_be_run_is_refused_by_its_name(how, field):
     with pytest.raises(InvalidArgument, match=field):
         replace(plan(), **how).check()
+
+
+def test_an_occlusion_that_some_frames_have_is_none_too_late():
+    replace(plan(), settings=replace(SMALL, occlude=(4, 9))).check()
+
+
+def test_errors_of_a_virtual_camera_are_refused_for_what_a_real_one_recorded(tmp_path):
+    for k in range(5):
+        (tmp_path / f"{k}.xyz").write_text("".join(f"{x} {y} {0.001 * k}\n" for x in range(20) for y in range(20)))
+    of_a_folder = replace(plan(), sequences=(str(tmp_path),), views=("front",))
+    of_a_folder.check()
+    with pytest.raises(InvalidArgument, match="depth_noise"):
+        replace(of_a_folder, settings=replace(SMALL, depth_noise=0.001)).check()
+
+
+def test_no_run_is_refused_and_not_taken_for_the_default(tmp_path, capsys):
+    for more in (["--json", str(tmp_path / "out.json")], ["--paper", "--results", str(tmp_path / "results")]):
+        assert cli.main(["evaluate", "sample", "--methods", "nicp", "--runs", "0", *more]) == 2
+        assert "runs: expected at least 1" in capsys.readouterr().err
+    assert not any(tmp_path.iterdir())
+
+
+def test_what_is_over_before_its_occlusion_ends_has_none(tmp_path, monkeypatch):
+    monkeypatch.delenv("DDAKF_DATA", raising=False)
+    sample, short = trials.recording("sample"), str(tmp_path / "short.npz")
+    np.savez(short, garment_V=sample.garment_vertices[:20], garment_F=sample.garment_faces, fps=30)
+    assert paper.studies(paper.QUICK, ["sample", short])["occlusion"].sequences == ("sample",)
+    assert "occlusion" not in paper.studies(paper.QUICK, [short])
 
 
 def test_a_file_that_is_no_sequence_is_refused_before_any_work(tmp_path, capsys):

@@ -61,8 +61,9 @@ def run(arguments: argparse.Namespace) -> int:
     from ddakf.evaluation.study import plan as plans
     from ddakf.evaluation.trials import Trial
 
-    if arguments.procs < 1:
-        raise InvalidArgument("procs", "at least 1", str(arguments.procs))
+    for name in ("procs", "runs"):
+        if (number := getattr(arguments, name)) is not None and number < 1:
+            raise InvalidArgument(name, "at least 1", str(number))
     if arguments.paper:
         _refuse_beside_paper(arguments)
         return _paper(arguments, Console(stderr=True))

@@ -73,10 +73,10 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, Plan]:
         plans[f"noise-{level}"] = Plan(chosen, ALL, views[:1], size.swept_runs, size.swept, replace(common, noise=level / 1e3))
     for level in drop:
         plans[f"drop-{level}"] = Plan(chosen, ALL, views[:1], size.swept_runs, size.swept, replace(common, drop=level / 100))
-    plans["occlusion"] = Plan(
-        chosen, ALL, views[:1], size.runs, OCCLUSION_FRAMES if size.sweeps else size.frames,
-        replace(common, occlude=OCCLUDE if size.sweeps else (12, 22)),
-    )  # fmt: skip
+    window = OCCLUDE if size.sweeps else (12, 22)
+    if lasting := tuple(name for name in chosen if len(trials.recording(name)) > window[1]):  # that are seen again after it
+        frames = OCCLUSION_FRAMES if size.sweeps else size.frames
+        plans["occlusion"] = Plan(lasting, ALL, views[:1], size.runs, frames, replace(common, occlude=window))
     if bare and names is None and size.sweeps:
         plans["captures"] = Plan(bare, CLOUD, ("full", "ring4"), size.runs, size.frames, common)
     recordings, pairs = trials.sensed_names()

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field, replace
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation import methods, trials
+from ddakf.evaluation.datasets import Pair
 from ddakf.evaluation.trials import Trial
+from ddakf.sequence import Sequence
 
 METHODS = ("ddakf", "paper", "kf", "icp", "pf", "clothfit", "opt-ed", "nicp")
 LEAST_FRAMES = 4  # of a recording: the one that is given, and three, so that there is a second difference
@@ -52,7 +54,8 @@ class Plan:
         """Refuses what cannot be run, before anything is.
 
         Raises:
-            InvalidArgument: no such system or view; settings beyond their range; frames that a sequence does not have.
+            InvalidArgument: no such system or view; settings beyond their range; frames that a sequence does not have; an
+                occlusion in none of its frames; errors of a virtual camera for what a real one recorded.
             InvalidFile: a sequence that cannot be read.
         """
         for name in ("sequences", "systems", "views"):
@@ -70,6 +73,7 @@ class Plan:
             methods.named(system)
         for trial in dict.fromkeys(self._trial(name, "full", 1, self.systems[0]) for name in self.sequences):
             _require_frames(trial)
+            _require_effect(trial)
 
 
 def _frames(text: str, every: int) -> tuple[int, int | None]:
@@ -88,3 +92,16 @@ def _require_frames(trial: Trial) -> None:
             f"{trial.sequence}: frames", f"at least {LEAST_FRAMES} from frame {trial.first} on",
             f"{tracked + 1 if tracked else 0}",
         )  # fmt: skip
+
+
+def _require_effect(trial: Trial) -> None:
+    """Refuses settings that would do nothing, unnoticed, or fail in every run."""
+    sensor, frames = trials.sensor_of(trial), trials.tracked(trial)
+    known = trials.recording(trial.sequence)
+    if isinstance(known, Pair):
+        return
+    if not isinstance(known, Sequence):
+        sensor.require_no_camera()
+    if sensor.occlude and not any(map(sensor.occludes, frames)):
+        window = "{}:{}".format(*sensor.occlude)
+        raise InvalidArgument("occlude", f"some of the frames {frames.start} to {frames[-1]} of {trial.sequence}", window)
