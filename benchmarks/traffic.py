@@ -12,6 +12,7 @@ import math
 import os
 import tempfile
 import time
+import urllib.request
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
@@ -27,9 +28,13 @@ from ddakf_api.transport import client_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_service.child import ServiceProcess
+from prometheus_client.parser import text_string_to_metric_families
 
 from ddakf import data
 from ddakf.evaluation import metrics
+
+SPARES = 1  # workers of a service beside those that take frames
+SPARE_PATIENCE = 300.0  # seconds in which they have to be warm
 
 _TICKS = os.sysconf("SC_CLK_TCK")
 
@@ -184,14 +189,27 @@ async def play(
 
 @contextmanager
 def service(arguments: list[str], *, folder: Path | None = None) -> Iterator[ServiceProcess]:
-    """A service of our own, ready; its log is in ``folder`` (a temporary one if None)."""
+    """A service of our own, ready and with its spare worker warm, which takes a core as long as it is not; its log is in
+    ``folder`` (a temporary one if None)."""
     with tempfile.TemporaryDirectory() as own:
-        process = ServiceProcess(arguments, log=Path(folder or own) / "service.log")
+        process = ServiceProcess([*arguments, "--spare-workers", str(SPARES)], log=Path(folder or own) / "service.log")
         try:
             process.wait_until_ready()
+            deadline = time.monotonic() + SPARE_PATIENCE
+            while spare_workers(process) < SPARES:
+                if time.monotonic() > deadline:
+                    raise TimeoutError(f"the service has no spare worker after {SPARE_PATIENCE:g} s")
+                time.sleep(0.1)
             yield process
         finally:
             process.stop()
+
+
+def spare_workers(process: ServiceProcess) -> int:
+    """Warm workers that wait, as the service's metrics tell."""
+    with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
+        families = text_string_to_metric_families(answer.read().decode())
+    return next(int(sample.value) for family in families for sample in family.samples if sample.name == "ddakf_workers_spare")
 
 
 class Usage:

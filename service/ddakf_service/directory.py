@@ -28,8 +28,9 @@ class Directory:
     def __init__(self, records: Records):
         self._records = records
         self._live: dict[str, Session] = {}
-        # Owner and reason, by id; an exception would keep what it was raised through.
-        self._ended: OrderedDict[str, tuple[str | None, pb.ErrorDetail]] = OrderedDict()
+        # Owner and reason, serialised, by id: an exception would keep what it was raised through, and a message has ten times
+        # its size in an arena on the heap, which could not shrink past it.
+        self._ended: OrderedDict[str, tuple[str | None, bytes]] = OrderedDict()
         self._shut_out: Set[str] = frozenset()
         self.complete = False
 
@@ -50,7 +51,7 @@ class Directory:
     def remove(self, session: Session, reason: ServiceError) -> None:
         """Whoever may ask for it is told the reason from now on."""
         self._live.pop(session.id, None)
-        self._ended[session.id] = session.owner, to_detail(reason)
+        self._ended[session.id] = session.owner, to_detail(reason).SerializeToString()
         while len(self._ended) > REMEMBERED:
             self._ended.popitem(last=False)
 
@@ -77,7 +78,7 @@ class Directory:
             return session
         owner, reason = self._ended.get(session_id, (None, None))
         if session is None and reason is not None and caller.may_read(owner):
-            raise from_detail(reason)
+            raise from_detail(pb.ErrorDetail.FromString(reason))
         if session is None and not self.complete:
             raise Unavailable(
                 f"whether there is a session {name[:80]!r} is not known before the database can be read; try again later",

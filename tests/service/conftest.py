@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import itertools
 import os
 import queue
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -23,6 +24,8 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
 from ddakf_service.child import ServiceProcess
+from ddakf_service.server import Addresses, Server
+from ddakf_service.settings import Settings
 from postgres import NoPostgres, Postgres
 
 TIMEOUT = 30.0  # seconds, of every call
@@ -186,6 +189,19 @@ def running(arguments: Sequence[str], folder: Path) -> Iterator[ServiceProcess]:
     finally:
         status = process.stop()
     assert status == 0
+
+
+@contextlib.asynccontextmanager
+async def serving(**settings) -> AsyncIterator[Addresses]:
+    """A ready service in this process, but for its one worker."""
+    everything = {"workers": 1, "grpc_port": 0, "http_port": 0, "data_dir": "none", **settings}
+    server, ready = Server(Settings(**everything)), asyncio.Future()
+    running = asyncio.create_task(server.run(lambda *_: None, ready.set_result))
+    try:
+        yield await asyncio.wait_for(ready, TIMEOUT)
+    finally:
+        server.stop()
+        await running
 
 
 @pytest.fixture(scope="session")

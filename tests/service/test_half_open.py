@@ -14,10 +14,8 @@ from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import DeadlineExceeded, SessionBusy, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
-from ddakf_service.server import Server
-from ddakf_service.settings import Settings
 
-from .conftest import TIMEOUT, frame_of, request_of
+from .conftest import TIMEOUT, frame_of, request_of, serving
 
 
 class Line:
@@ -55,17 +53,6 @@ class Line:
         writer.close()
         with contextlib.suppress(ConnectionError):
             await writer.wait_closed()
-
-
-@contextlib.asynccontextmanager
-async def serving(**settings):
-    server, ready = Server(Settings(workers=1, grpc_port=0, http_port=0, data_dir="none", **settings)), asyncio.Future()
-    running = asyncio.create_task(server.run(lambda *_: None, ready.set_result))
-    try:
-        yield await asyncio.wait_for(ready, TIMEOUT)
-    finally:
-        server.stop()
-        await running
 
 
 async def started(stub: TrackingServiceStub, name: str) -> pb.Started:
