@@ -31,6 +31,6 @@ def run(arguments: argparse.Namespace) -> int:
         found = results.read(arguments.results)
         content.write(found, arguments.results, arguments.out)
         if arguments.markdown:
-            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, content.tables_of(found)))
+            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, content.tables_of(found, arguments.results)))
     Console().print(str(arguments.out / "index.html"))
     return 0

@@ -29,7 +29,7 @@ def _section(table: Table) -> str:
     body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
     notes = "".join(f"\n- {note}" for note in table.notes)
     files = ", ".join(f"[{source.name}.json](../results/{source.name}.json)" for source in table.sources)
-    return f"## {table.title}\n\n{body}\n{notes}\n\nFrom {files}."
+    return f"## {table.title}\n\n{body}\n{notes}" + (f"\n\nFrom {files}." if files else "")
 
 
 def _text(cell: Cell) -> str:

@@ -81,7 +81,12 @@ class Result:
 
     def lost(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> int:
         """Cells in which some run of the method no longer followed the garment."""
-        return sum(any(statistics.lost(run["rmse_mm"] for run in cell["runs"])) for cell in self.of(method, chosen))
+        return sum(any(_lost(cell)) for cell in self.of(method, chosen))
+
+    def gone(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> bool:
+        """Whether the method lost the garment in more than half of its runs."""
+        runs = [lost for cell in self.of(method, chosen) for lost in _lost(cell)]
+        return 2 * sum(runs) > len(runs)
 
     @property
     def mixed(self) -> str | None:
@@ -100,6 +105,11 @@ class Result:
         if len(processes - {None}) > 1:
             parts.append(f"times with {' and '.join(map(str, sorted(processes - {None})))} processes at once")
         return f"{self.name}.json has {'; '.join(parts)}." if parts else None
+
+
+def _lost(cell: dict) -> list[bool]:
+    """Of the runs with a truth, which no longer followed the garment."""
+    return statistics.lost(run["rmse_mm"] for run in cell["runs"] if run["rmse_mm"] is not None)
 
 
 def _has(cell: dict, value: str) -> bool:

@@ -15,19 +15,34 @@ TITLES = {
 }  # fmt: skip
 ORDER = ("kf", "icp-rigid", "icp", "pf", "clothfit", "opt-ed", "nicp", "paper", "ddakf")
 HEADS = {
-    "rmse_mm": "RMSE, mm", "rmse_normal_mm": "normal RMSE, mm", "hausdorff_mm": "Hausdorff, mm", "iou": "IoU",
+    "rmse_mm": "RMSE, mm", "rmse_normal_mm": "normal RMSE, mm", "rmse_tangential_mm": "tangential RMSE, mm",
+    "hausdorff_mm": "Hausdorff, mm", "iou": "IoU",
     "stretch_percent": "stretch, %", "stretch_error_percent": "stretch against the truth, %", "bend_deg": "bend, deg",
-    "bend_error_deg": "bend against the truth, deg", "penetration_mm": "penetration, mm", "flicker": "flicker, mm/frame²",
-    "acceleration_variance": "variance of acceleration, mm²", "ms_per_frame": "ms per frame", "fps": "frames per second",
+    "bend_error_deg": "bend against the truth, deg", "penetration_mm": "penetration, mm",
+    "penetration_violating_mm": "depth of what is inside, mm", "penetration_share": "share inside",
+    "flicker": "flicker, mm/frame²",
+    "acceleration_variance": "variance of acceleration, mm²/frame⁴", "ms_per_frame": "ms per frame", "fps": "frames per second",
     "memory_mib_per_frame": "MiB per frame", "recovery_frames": "frames to recover",
 }  # fmt: skip
-DECIMALS = {"iou": 3, "fps": 1, "penetration_mm": 2, "acceleration_variance": 2, "ms_per_frame": 0}
+DECIMALS = {
+    "iou": 3, "fps": 1, "penetration_mm": 2, "penetration_share": 4, "reliability": 2, "acceleration_variance": 2,
+    "ms_per_frame": 0,
+}  # fmt: skip
 HIGHER_IS_BETTER = ("iou", "fps")
 TRUTH = {  # what the truth itself has of what is not measured against it
     "stretch_percent": "stretch_truth_percent", "bend_deg": "bend_truth_deg", "penetration_mm": "penetration_truth_mm",
     "acceleration_variance": "acceleration_variance_truth",
 }  # fmt: skip
-UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance")  # a frozen or rigid garment would win them
+# A frozen, a rigid or a torn garment would win these, or one that was far off already; to call oneself reliable is no merit.
+UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm", "own_flicker", "recovery_frames",
+            "recovery_ratio", "reliability")  # fmt: skip
+PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
+RUNS = {"main": "undisturbed", "occlusion": "with an occlusion"}  # of Table 7
+SIGN = "The paper prints no sign. Of a score that falls where the error grows the correlation is negative."
+SKEWED = (
+    "The interval of the effect supposes independent normal gains. Where it holds 0 beside a small p, few clips have gains "
+    "far larger than the others'."
+)
 
 
 @dataclass
@@ -36,7 +51,7 @@ class Cell:
 
     text: str
     note: str = ""
-    kind: str = ""  # "best", "paper", "none"
+    kind: str = ""  # "best", "paper", "none", "text"
 
 
 @dataclass
@@ -67,7 +82,7 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
         name, title: of the table.
         result: of a study.
         values: names in a result's runs.
-        paper: by value and method, mean and SD.
+        paper: by value and method, what it prints.
         view: of the study; None: all.
     """
     values, methods = list(values), ordered(result.methods)
@@ -79,22 +94,32 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
     for value in values:
         heads += [HEADS[value], "in the paper"] if value in paper else [HEADS[value]]
     pools = {(m, v): result.pooled(m, v, chosen) for m in methods for v in values}
-    best = {v: _best({m: pools[m, v] for m in methods}, v) for v in values}
+    best = {v: _best({m: pools[m, v] for m in methods if not result.gone(m, chosen)}, v) for v in values}
     rows = []
     for method in methods:
         row = [Cell(TITLES.get(method, method), result.reason(method))]
         for value in values:
             row.append(_cell(pools[method, value], value, result, method, best[value] == method))
             if value in paper:
-                row.append(_paper(paper[value].get(method), value))
+                row.append(_paper(paper[value].get(method)))
         rows.append(row)
     if any(value in TRUTH for value in values):
         rows.append(_truth(result, values, paper, chosen))
-    notes = [f"{TITLES.get(m, m)}: {result.reason(m)}" for m in methods if result.reason(m)]
+    notes = _notes(rows, [result], methods)
     for method in methods:
         if count := result.lost(method, chosen):
-            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {len(result.of(method, chosen))} cells.")
+            of = len(result.of(method, chosen))
+            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {of} sequences x views.")
+        if size := result.pooled(method, "effective_sample_size", chosen):
+            notes.append(f"{TITLES.get(method, method)}: effective sample size {size.mean:.1f} particles in the mean.")
     return Table(name, title, heads, rows, notes, [result])
+
+
+def _notes(rows: list[list[Cell]], results: Iterable[Result], methods: Iterable[str]) -> list[str]:
+    """Why a system has no numbers, or fewer than others."""
+    notes = [f"{TITLES.get(m, m)}: {r.reason(m)}" for r in results for m in methods if r.reason(m)]
+    partial = any(cell.text.endswith("*") for row in rows for cell in row)
+    return list(dict.fromkeys(notes)) + partial * [PARTIAL]
 
 
 def _truth(result: Result, values: list[str], paper: dict, chosen: Callable[[dict], bool]) -> list[Cell]:
@@ -104,7 +129,7 @@ def _truth(result: Result, values: list[str], paper: dict, chosen: Callable[[dic
         pool = result.pooled(system, TRUTH[value], chosen) if value in TRUTH else None
         row.append(_cell(pool, value, result, system, best=False))
         if value in paper:
-            row.append(_paper(None, value))
+            row.append(_paper(None))
     return row
 
 
@@ -132,10 +157,16 @@ def significance(name: str, title: str, result: Result, values: Iterable[str], p
                 f"{test['n']} clips x views in {test['groups']} groups, signs flipped by {test['flipped']}; "
                 f"the smallest p that can be had: {test['p_smallest']:.2g}."
             )
-            notes += [note for note in (statement, test["dependence"]) if note and note not in notes]
-        if standing := family.get("standing"):
+            skewed = SKEWED if test["effect"] is not None and _skewed(test) else None
+            notes += [note for note in (statement, test["dependence"], skewed) if note and note not in notes]
+        if (standing := family.get("standing")) and value not in UNRANKED:
             notes.append(_standing(HEADS[value], standing))
     return Table(name, title, heads, rows, notes, [result])
+
+
+def _skewed(test: dict) -> bool:
+    """Whether the interval of the effect and the test disagree."""
+    return test["effect_low"] < 0 < test["effect_high"] and test["verdict_holm"] in ("better", "worse")
 
 
 def _standing(metric: str, standing: dict) -> str:
@@ -156,7 +187,7 @@ def _standing(metric: str, standing: dict) -> str:
 
 
 def sweep(
-    name: str, title: str, results: dict[int, Result], value: str, paper: dict[int, dict], unit: str
+    name: str, title: str, results: dict[int, Result], value: str, paper: dict[int, dict[str, str]], unit: str
 ) -> Table:
     """Levels of a degradation down, systems across.
 
@@ -164,29 +195,31 @@ def sweep(
         name, title: of the table.
         results: by level.
         value: shown.
-        paper: by level and method, mean and SD.
+        paper: by level and method, what it prints.
         unit: of a level.
     """
     methods = ordered(dict.fromkeys(m for result in results.values() for m in result.methods))
     heads = [unit]
     for method in methods:
         heads += [TITLES.get(method, method), "in the paper"] if method in printed.METHODS else [TITLES.get(method, method)]
-    rows, notes = [], []
+    rows = []
     for level, result in sorted(results.items()):
         pools = {m: result.pooled(m, value) for m in methods}
-        best, row = _best(pools, value), [Cell(str(level))]
+        best, row = _best({m: pool for m, pool in pools.items() if not result.gone(m)}, value), [Cell(str(level))]
         for method in methods:
             row.append(_cell(pools[method], value, result, method, best == method))
             if method in printed.METHODS:
-                row.append(_paper(paper.get(level, {}).get(method), value))
+                row.append(_paper(paper.get(level, {}).get(method)))
         rows.append(row)
-    notes += [f"{TITLES.get(m, m)}: {r.reason(m)}" for r in results.values() for m in methods if r.reason(m)]
-    return Table(name, title, heads, rows, list(dict.fromkeys(notes)), list(results.values()))
+    return Table(name, title, heads, rows, _notes(rows, results.values(), methods), list(results.values()))
 
 
-def by_sequence(name: str, title: str, result: Result, value: str, group: Callable[[str], str] = str) -> Table:
-    """Sequences (or groups of them) and views down, systems across."""
-    methods = ordered(result.methods)
+def by_sequence(
+    name: str, title: str, result: Result, value: str, *, group: Callable[[str], str] = str, head: str = "sequence",
+    systems: Iterable[str] | None = None,
+) -> Table:
+    """Sequences (or groups of them) and views down, systems (those of the study, or some of them) across."""
+    methods = [m for m in ordered(result.methods) if systems is None or m in systems]
     places = dict.fromkeys((group(cell["sequence"]), cell["view"]) for cell in result.cells)
     rows = []
     for sequence, view in places:
@@ -194,9 +227,10 @@ def by_sequence(name: str, title: str, result: Result, value: str, group: Callab
             return (group(cell["sequence"]), cell["view"]) == (sequence, view)
 
         pools = {m: result.pooled(m, value, chosen) for m in methods}
-        best = _best(pools, value)
+        best = _best({m: pool for m, pool in pools.items() if not result.gone(m, chosen)}, value)
         rows.append([Cell(Path(sequence).name), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
-    return Table(name, title, ["sequence", "view", *(TITLES.get(m, m) for m in methods)], rows, [], [result])
+    heads = [head, "view", *(TITLES.get(m, m) for m in methods)]
+    return Table(name, title, heads, rows, _notes(rows, [result], methods), [result])
 
 
 def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Table:
@@ -213,10 +247,12 @@ def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Tabl
             best = _first(means, value)
             if best is None or "ddakf" not in means or means[best] == means["ddakf"]:
                 continue
-            names = TITLES.get(best, best), _number(means[best], value), _number(means["ddakf"], value)
+            apart = f"{abs(means['ddakf'] - means[best]):.2g}"
+            names = TITLES.get(best, best), _number(means[best], value), _number(means["ddakf"], value), apart
             rows.append([Cell(text) for text in (HEADS[value], Path(sequence).name, view, *names)])
     notes = [f"Of {len(values)} metrics on {len(places)} pairs of sequence and view; all others are won by DD-AKF."]
-    return Table(name, title, ["metric", "sequence", "view", "best system", "its mean", "DD-AKF's"], rows, notes, [result])
+    heads = ["metric", "sequence", "view", "best system", "its mean", "DD-AKF's", "apart"]
+    return Table(name, title, heads, rows, notes, [result])
 
 
 def reliability(name: str, title: str, results: list[Result]) -> Table:
@@ -235,8 +271,8 @@ def reliability(name: str, title: str, results: list[Result]) -> Table:
         rows.append(row)
     heads = ["score"]
     for error in ("RMSE", "penetration"):
-        heads += [f"{error}, {result.name}" for result in results] + ["in the paper"]
-    return Table(name, title, heads, rows, [], results)
+        heads += [f"{error}, {RUNS.get(result.name, result.name)}" for result in results] + ["in the paper"]
+    return Table(name, title, heads, rows, [SIGN], results)
 
 
 def ordered(methods: Iterable[str]) -> list[str]:
@@ -272,8 +308,8 @@ def _cell(pool: Pooled | None, value: str, result: Result, method: str, best: bo
     return Cell(text, note, "best" if best else "")
 
 
-def _paper(pair: tuple[float, float] | None, value: str) -> Cell:
-    return Cell("–" if pair is None else f"{pair[0]:g} ± {pair[1]:g}", "as the paper prints it", "paper")
+def _paper(text: str | None) -> Cell:
+    return Cell(text or "–", "as the paper prints it", "paper")
 
 
 def _number(number: float, value: str) -> str:

@@ -1,0 +1,84 @@
+"""What the report does not reproduce of the paper, and why, as far as the results tell."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+
+from ddakf.evaluation.protocols import FAUST_TRAINING_SUBJECTS
+from ddakf.evaluation.report.results import Result
+from ddakf.evaluation.report.tables import TITLES, Cell, Table
+from ddakf.evaluation.study import paper
+from ddakf.evaluation.study.command import RUNS
+from ddakf.evaluation.study.plan import METHODS
+
+TITLE = "What is not reproduced, and why"
+ALWAYS = {
+    "the paper's numbers": "its seeds, weights and implementations are not public, nor does it say which and how many recordings "
+    "it scores, or how long they are",
+    "FAUST as sequences": "FAUST is static, and the paper does not say how it moves: here each pose is reached by interpolation "
+    "from the subject's neutral pose within a second",
+    "CLOTH3D": "could not be had; the recordings of Tables 3 to 6 are simulated garments and, where at hand, the PERGAMO "
+    "reconstruction, and are called CLOTH3D-like",
+    "temporal flicker (TF)": "printed without formula or unit: the variance of acceleration is measured, with a smoothing of "
+    "ours, and a frozen mesh would win it; the flicker of the error beside it is the one to read",
+    "the paper's ClothFit": "its network and weights are not public; here a network of this project's, which has not seen the "
+    "scored recording, its garment category nor its motion",
+    "the paper's frame rates": "it names no machine; times here are of the machine below, and of what else ran on it",
+}
+STUDIES = {
+    "faust": "Tables 1 and 2", "main": "Tables 3, 4 and 7, and the calibration", "occlusion": "Figure 3 and the recovery",
+    "captures": "captures without a body", "depth": "real depth", "scene-flow": "scene flow", "ablation": "the ablation",
+} | {f"noise-{level}": f"Table 5, {level} mm" for level in paper.NOISE_MM} | {
+    f"drop-{level}": f"Table 6, {level} %" for level in paper.DROP_PERCENT
+}  # fmt: skip
+WITHOUT_BODY = ("captures", "depth", "scene-flow", "ablation")  # not of all systems
+
+
+def table(results: dict[str, Result], stills: Collection[str]) -> Table:
+    """What is missing.
+
+    Args:
+        results: by name.
+        stills: names of those that there are.
+    """
+    pairs = [*ALWAYS.items(), *_faust(results.get("faust")), *_not_run(results, stills), *_systems(results), *_few_runs(results)]
+    return Table("missing", TITLE, ["what", "why"], [[Cell(what), Cell(why, kind="text")] for what, why in pairs])
+
+
+def _faust(result: Result | None) -> list[tuple[str, str]]:
+    """Which subjects were scored."""
+    clips = [] if result is None else [re.search(r"s(\d+)_p\d+$", name) for name in result.sequences]
+    subjects = sorted({int(clip[1]) for clip in clips if clip})
+    if not FAUST_TRAINING_SUBJECTS & set(subjects):
+        return []
+    scored = f"the {len(clips)} clips of Table 1 are of subjects {', '.join(map(str, subjects))}"
+    return [("FAUST's subjects 8 and 9, on which the paper tests", f"{scored}; no system here has learned from FAUST")]
+
+
+def _not_run(results: dict[str, Result], stills: Collection[str]) -> list[tuple[str, str]]:
+    missing = [
+        (what, f"not run, or no data for it: ddakf evaluate --paper --only {name}")
+        for name, what in STUDIES.items()
+        if name not in results
+    ]
+    undrawn = [name for name in paper.STILLS if name not in stills]
+    return missing + [(name.replace("figure-", "Figure "), "not run: ddakf evaluate --paper") for name in undrawn]
+
+
+def _systems(results: dict[str, Result]) -> list[tuple[str, str]]:
+    """Systems of the paper that a study was run without."""
+    return [
+        (f"{TITLES[method]}, {STUDIES[name]}", f"not among the systems that {name}.json was run with")
+        for name, result in results.items()
+        for method in METHODS
+        if name in STUDIES and name not in WITHOUT_BODY and method not in result.methods
+    ]
+
+
+def _few_runs(results: dict[str, Result]) -> list[tuple[str, str]]:
+    counts: dict[int, list[str]] = {}
+    for name, result in results.items():
+        if name not in WITHOUT_BODY and len(result.meta["seeds"]) < RUNS:
+            counts.setdefault(len(result.meta["seeds"]), []).append(f"{name}.json")
+    return [(f"{RUNS} runs of each", f"{', '.join(files)}: {count} per cell") for count, files in sorted(counts.items())]
