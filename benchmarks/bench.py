@@ -114,7 +114,7 @@ def _measures() -> dict:
         "frame": library.frames,
         "changes": library.changes,
         "open3d": preprocessing.against_open3d,
-        "icp": library.against_icp,
+        "icp": preprocessing.against_icp,
         "scaling": library.scaling,
         "outliers": preprocessing.outliers,
         "memory": library.memory,

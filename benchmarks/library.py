@@ -7,7 +7,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 import tracemalloc
 from collections import defaultdict
 from pathlib import Path
@@ -15,10 +14,9 @@ from pathlib import Path
 import inputs
 import numpy as np
 
-from ddakf import Config, Mesh, data
+from ddakf import Config, data
 from ddakf.evaluation import metrics
-from ddakf.evaluation.methods import ablations, named
-from ddakf.evaluation.source import Frame
+from ddakf.evaluation.methods import ablations
 
 CHANGES = ("without planes", "one association per frame", "without visibility", "without correlated noise",
            "without the body's motion")  # fmt: skip
@@ -83,32 +81,6 @@ def changes(settings) -> list[dict]:
                 row["failed"] = str(error)
             rows.append(row)
     return rows
-
-
-def against_icp(settings) -> list[dict]:
-    """The tracker and the non-rigid ICP, frame by frame in turn on the same clouds: time and error of each."""
-    vertices, points = settings.icp_size
-    sequence = inputs.resampled(inputs.shortened(data.sample(), settings.icp_frames), vertices)
-    run = inputs.run_of(sequence, settings.icp_frames, "full", points)
-    garment = Mesh(sequence.template, sequence.garment_faces)
-    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", "nicp", "nicp-12")}
-    times, errors = defaultdict(list), defaultdict(list)
-    for number, cloud, how in run.frames():
-        frame = Frame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, sequence.garment_vertices[number])
-        for name, step in methods.items():
-            begun = time.perf_counter()
-            estimate = step(frame)
-            if number > min(WARM, len(run.clouds) - 1):
-                times[name].append(1e3 * (time.perf_counter() - begun))
-            errors[name].append(metrics.rmse_mm(estimate.vertices, frame.truth))
-    return [
-        {
-            "method": name, "vertices": vertices, "points": points, "frames": len(run.clouds), "ms": percentiles(times[name]),
-            "over_default": round(float(np.median(times[name]) / np.median(times["default"])), 2),
-            "rmse_mm": round(float(np.mean(errors[name])), 3),
-        }
-        for name in methods
-    ]  # fmt: skip
 
 
 def scaling(settings) -> dict:

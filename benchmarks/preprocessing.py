@@ -1,19 +1,23 @@
-"""Beside Open3D: a whole frame against its preprocessing alone, and the outlier filters against its filter."""
+"""Beside Open3D: a whole frame, the tracker's and the non-rigid ICP's, against its preprocessing alone; outlier filters."""
 
 from __future__ import annotations
 
 import time
+from collections import defaultdict
+from functools import partial
 
 import inputs
 import numpy as np
-from library import percentiles
+from library import WARM, percentiles
 
 import ddakf
-from ddakf import data
+from ddakf import Mesh, data
 from ddakf.config import KnnFilter
 from ddakf.errors import MissingDependency
+from ddakf.evaluation.methods import named
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import OUTLIER_MARGIN
+from ddakf.evaluation.source import Frame
 from ddakf.open3d_bridge import import_open3d
 from ddakf.preprocess import preprocess
 
@@ -54,6 +58,46 @@ def against_open3d(settings) -> dict:
             }
         )
     return {"rows": rows, "open3d": o3d.__version__}
+
+
+def against_icp(settings) -> list[dict]:
+    """The tracker, the non-rigid ICP and Open3D's preprocessing, frame by frame in turn on the same clouds: time and error."""
+    vertices, points = settings.icp_size
+    sequence = inputs.resampled(inputs.shortened(data.sample(), settings.icp_frames), vertices)
+    run = inputs.run_of(sequence, settings.icp_frames, "full", points)
+    garment = Mesh(sequence.template, sequence.garment_faces)
+    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", "nicp", "nicp-12")}
+    times, errors = defaultdict(list), defaultdict(list)
+
+    def timed(name: str, number: int, call):
+        begun = time.perf_counter()
+        result = call()
+        if number > min(WARM, len(run.clouds) - 1):
+            times[name].append(1e3 * (time.perf_counter() - begun))
+        return result
+
+    try:
+        o3d = import_open3d()
+    except MissingDependency:  # then there is no ratio to it
+        o3d = None
+    for number, cloud, how in run.frames():
+        truth = sequence.garment_vertices[number]
+        frame = Frame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, truth)
+        for name, step in methods.items():
+            estimate = timed(name, number, partial(step, frame))
+            errors[name].append(rmse_mm(estimate.vertices, truth))
+        if o3d:
+            timed("open3d", number, partial(_open3d_preprocessing, o3d, cloud.points))
+    middle = {name: float(np.median(values)) for name, values in times.items()}
+    return [
+        {
+            "method": name, "vertices": vertices, "points": points, "frames": len(run.clouds), "ms": percentiles(times[name]),
+            "over_default": round(middle[name] / middle["default"], 2),
+            "over_open3d_preprocessing": round(middle[name] / middle["open3d"], 2) if o3d else None,
+            "rmse_mm": round(float(np.mean(errors[name])), 3),
+        }
+        for name in methods
+    ]  # fmt: skip
 
 
 def _open3d_preprocessing(o3d, points: np.ndarray) -> None:

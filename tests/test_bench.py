@@ -62,6 +62,8 @@ def test_the_non_rigid_icp_runs_beside_the_tracker(report):
     for row in report["icp"]:
         assert row["ms"]["p50"] > 0
         assert row["over_default"] == pytest.approx(row["ms"]["p50"] / first["ms"]["p50"], rel=0.05, abs=0.01)
+        beside = row["over_open3d_preprocessing"]
+        assert beside is None if "skipped" in report["open3d"] else beside > 0
         assert 0 < row["rmse_mm"] < 100
 
 

@@ -116,9 +116,11 @@ def _occlusion(results: dict[str, Result]) -> list[Table]:
     result = results["occlusion"]
     never = "Frames after the occlusion until the error is within 1.5 times that before it; runs that never are do not count"
     recovery = tables.by_sequence("recovery", never, result, "recovery_frames")
+    counts = []
     for method in tables.ordered(result.methods):
         runs = [run["recovery_frames"] for cell in result.of(method) for run in cell["runs"]]
-        recovery.notes.append(f"{tables.TITLES.get(method, method)}: {len(runs) - runs.count(None)} of {len(runs)} runs.")
+        counts.append(f"{tables.TITLES.get(method, method)} {len(runs) - runs.count(None)} of {len(runs)}")
+    recovery.notes.append(f"Runs that came back: {', '.join(counts)}.")
     parts = [recovery]
     if any(result.pooled(method, "recovery_ratio") for method in result.methods):
         title = "Error of the last ten frames after the occlusion, in multiples of that of the ten before it"

@@ -58,4 +58,4 @@ DROP = {  # penetration, mm, by the missing points in per cent
     30: _pairs("2.22 .15, 1.95 .13, 1.65 .12, 1.41 .10, 1.80 .14, 1.15 .10"),
     40: _pairs("2.48 .17, 2.20 .15, 1.88 .14, 1.59 .12, 2.15 .18, 1.35 .12"),
 }
-RELIABILITY = {"rmse": 0.62, "penetration": 0.65}  # |Spearman's rho| of the score s_k; the sign is not printed
+RELIABILITY = {"rmse": 0.62, "penetration": 0.65}  # Spearman's rho of the score s_k

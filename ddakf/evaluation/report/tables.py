@@ -38,7 +38,10 @@ UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm
             "recovery_ratio", "reliability")  # fmt: skip
 PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
 RUNS = {"main": "undisturbed", "occlusion": "with an occlusion"}  # of Table 7
-SIGN = "The paper prints no sign. Of a score that falls where the error grows the correlation is negative."
+SIGN = (
+    "Of a score that falls where the error grows the correlation is negative. The paper prints positive numbers and says that "
+    "its score falls where the error grows: they are taken to be sizes."
+)
 SKEWED = (
     "The interval of the effect supposes independent normal gains. Where it holds 0 beside a small p, few clips have gains "
     "far larger than the others'."
@@ -267,7 +270,7 @@ def reliability(name: str, title: str, results: list[Result]) -> Table:
         for error in ("rmse", "penetration"):
             for result in results:
                 row.append(_cell(result.pooled(system, f"spearman_{score}_{error}"), "spearman", result, system, False))
-            row.append(Cell(f"|rho| = {printed.RELIABILITY[error]}", kind="paper"))
+            row.append(Cell(str(printed.RELIABILITY[error]), "as the paper prints it", "paper"))
         rows.append(row)
     heads = ["score"]
     for error in ("RMSE", "penetration"):
