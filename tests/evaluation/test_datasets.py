@@ -131,6 +131,20 @@ def test_a_folder_that_begins_with_a_mesh_is_its_own_template(tmp_path):
         datasets.load_folder(tmp_path).template()
 
 
+def test_a_template_beside_clouds_is_no_frame_and_lies_where_the_first_one_is(tmp_path):
+    for number in range(3):
+        io.write_points(tmp_path / f"{number}.ply", np.eye(3))
+    io.write_mesh(tmp_path / "template.obj", 2 * np.eye(3), np.array([[0, 1, 2]]))
+    frames = datasets.load_folder(tmp_path)
+    assert len(frames) == 3
+    assert np.array_equal(frames.template().vertices, 2 * np.eye(3))
+    with pytest.raises(InvalidArgument, match=r"frame 0, where template\.obj lies"):
+        frames.template(1)
+    io.write_mesh(tmp_path / "template.ply", np.eye(3), np.array([[0, 1, 2]]))
+    with pytest.raises(InvalidFile, match=r"template\.obj and template\.ply"):
+        datasets.load_folder(tmp_path)
+
+
 def test_folders_without_frames_and_rates_without_sense(tmp_path):
     with pytest.raises(InvalidFile, match="none in the folder"):
         datasets.load_folder(tmp_path)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import multiprocessing
 import os
@@ -11,15 +10,16 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pytest
 from rich.console import Console
 
-from ddakf import cli
+from ddakf import cli, io
 from ddakf.errors import InvalidArgument, InvalidFile, NotApplicable
 from ddakf.evaluation import baselines, machine, trials
-from ddakf.evaluation.study import paper, results, workers
+from ddakf.evaluation.study import command, paper, results, workers
 from ddakf.evaluation.study.command import study
 from ddakf.evaluation.study.execute import execute
 from ddakf.evaluation.study.journal import Journal
@@ -101,10 +101,14 @@ def test_an_occlusion_that_some_frames_have_is_none_too_late():
     replace(plan(), settings=replace(SMALL, occlude=(4, 9))).check()
 
 
-def test_errors_of_a_virtual_camera_are_refused_for_what_a_real_one_recorded(tmp_path):
+def test_what_a_real_camera_recorded_has_a_template_and_no_errors_of_a_virtual_one(tmp_path):
     for k in range(5):
-        (tmp_path / f"{k}.xyz").write_text("".join(f"{x} {y} {0.001 * k}\n" for x in range(20) for y in range(20)))
+        io.write_points(tmp_path / f"{k}.xyz", np.eye(3))
     of_a_folder = replace(plan(), sequences=(str(tmp_path),), views=("front",))
+    with pytest.raises(InvalidArgument, match=r"template\.obj"):
+        of_a_folder.check()
+    trials.recording.cache_clear()
+    io.write_mesh(tmp_path / "template.obj", np.eye(3), np.array([[0, 1, 2]]))
     of_a_folder.check()
     with pytest.raises(InvalidArgument, match="depth_noise"):
         replace(of_a_folder, settings=replace(SMALL, depth_noise=0.001)).check()
@@ -138,6 +142,10 @@ def test_a_file_that_is_no_sequence_is_refused_before_any_work(tmp_path, capsys)
 def test_a_row_says_what_a_system_lacks_and_the_others_have_their_results(systems, tmp_path):
     result = study(plan("broken", "absent", "frozen"), tmp_path / "out.json", 1, QUIET)
     broken, missing, frozen = result["results"]
+    assert command.reasons(result) == [
+        "broken: LinAlgError: singular (sample full)",
+        "absent: absent needs a package that is not installed (sample full)",
+    ]
     assert (broken["failed"], broken["mean"], broken["runs"]) == ("LinAlgError: singular", None, [])
     assert (missing["not_applicable"], missing["mean"]) == ("absent needs a package that is not installed", None)
     assert frozen["mean"]["rmse_mm"] > 1
@@ -208,7 +216,7 @@ def code(monkeypatch):
 
 
 def test_runs_of_older_code_are_kept_and_named_and_those_of_some_systems_run_again(systems, tmp_path, code):
-    out, said = tmp_path / "out.json", Console(file=io.StringIO(), width=200)
+    out, said = tmp_path / "out.json", Console(file=StringIO(), width=200)
     code("old")
     study(plan("frozen", "nicp"), out, 1, QUIET)
     code("new")

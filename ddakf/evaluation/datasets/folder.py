@@ -1,4 +1,4 @@
-"""Folders of point clouds: a .ply, .obj, .xyz, .txt, .csv or .pcd file per frame."""
+"""Folders of point clouds: a .ply, .obj, .xyz, .txt, .csv or .pcd file per frame, perhaps a template beside them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from ddakf.evaluation.sensors import Cloud
 from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
 from ddakf.mesh import Mesh
 
+TEMPLATE = "template"  # name of the mesh file that is no frame
 LARGEST = 1e12  # of whatever unit
+
+NO_TEMPLATE = f"a mesh file, as the frames are points; {TEMPLATE}.obj beside them, for instance"
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +29,13 @@ class FolderRecording:
         name: of the folder.
         paths: of the frames.
         fps: frames per second.
+        mesh: file of the template, where the garment is in the first frame; None: the frames are meshes, or there is none.
     """
 
     name: str
     paths: tuple[Path, ...]
     fps: float
+    mesh: Path | None = None
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -51,17 +56,21 @@ class FolderRecording:
         return Cloud(points.astype(np.float32), None)
 
     def template(self, frame: int = 0) -> Mesh:
-        """The mesh that a frame's file holds, cleaned.
+        """The folder's template, or the mesh that a frame's file holds; cleaned.
 
         Raises:
-            InvalidArgument: it holds points only.
+            InvalidArgument: neither, or a template for another frame than the first. InvalidFile: a template that is no mesh.
         """
+        if self.mesh is not None:
+            if frame != 0:
+                raise InvalidArgument("frames", f"a start at frame 0, where {self.mesh.name} lies", str(frame))
+            return Mesh.cleaned(*read_mesh(self.mesh))[0]
         if self.paths[frame].suffix.lower() not in MESH_SUFFIXES:
-            raise InvalidArgument("template", "a mesh file, as the frames are points", "none")
+            raise InvalidArgument("template", NO_TEMPLATE, "none")
         try:
             return Mesh.cleaned(*read_mesh(self.paths[frame]))[0]
         except InvalidFile as error:
-            raise InvalidArgument("template", "a mesh file, as the frames are points", "none") from error
+            raise InvalidArgument("template", NO_TEMPLATE, "none") from error
 
 
 def load_folder(path, fps: float = 30.0) -> FolderRecording:
@@ -73,10 +82,14 @@ def load_folder(path, fps: float = 30.0) -> FolderRecording:
     path = Path(path)
     if not path.is_dir():
         raise InvalidFile(str(path), "a folder of frames", "no folder")
-    paths = tuple(sorted((entry for entry in path.iterdir() if entry.suffix.lower() in POINT_SUFFIXES), key=by_number))
+    found = [entry for entry in path.iterdir() if entry.suffix.lower() in POINT_SUFFIXES]
+    meshes = sorted(entry for entry in found if entry.stem == TEMPLATE and entry.suffix.lower() in MESH_SUFFIXES)
+    paths = tuple(sorted((entry for entry in found if entry not in meshes), key=by_number))
     if not paths:
         raise InvalidFile(str(path), f"frames ({', '.join(POINT_SUFFIXES)})", "none in the folder")
-    return FolderRecording(path.name, paths, positive_rate(fps))
+    if len(meshes) > 1:
+        raise InvalidFile(str(path), "one template", " and ".join(mesh.name for mesh in meshes))
+    return FolderRecording(path.name, paths, positive_rate(fps), *meshes)
 
 
 def by_number(path: Path) -> list[int]:

@@ -82,6 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
     shown = Console()
     shown.width = max(shown.width, WIDE)
     shown.print(table(result))
+    for reason in reasons(result):
+        shown.print(reason, markup=False, soft_wrap=True)
     console.print(str(arguments.json))
     return 1 if all("failed" in cell for cell in result["results"]) else 0
 
@@ -185,11 +187,20 @@ def table(result: dict):
     for cell in result["results"]:
         place = Path(cell["sequence"]).name, cell["view"], cell["method"]
         if cell["mean"] is None:
-            rows.add_row(*place, cell.get("failed") or cell.get("not_applicable"))
+            rows.add_row(*place, *("–" for _ in columns))
             continue
         values = ("" if cell["mean"][name] is None else f"{cell['mean'][name]:.3g}" for name in columns)
         rows.add_row(*place, *values)
     return rows
+
+
+def reasons(result: dict) -> list[str]:
+    """Why some have no means, or not of all runs."""
+    found = {}
+    for cell in result["results"]:
+        if sentence := cell.get("failed") or cell.get("not_applicable"):
+            found.setdefault((cell["method"], sentence), []).append(f"{Path(cell['sequence']).name} {cell['view']}")
+    return [f"{method}: {sentence} ({', '.join(places)})" for (method, sentence), places in found.items()]
 
 
 def _names(text: str) -> list[str]:

@@ -102,6 +102,7 @@ def _require_effect(trial: Trial) -> None:
         return
     if not isinstance(known, Sequence):
         sensor.require_no_camera()
+        known.template(frames.start - frames.step)  # or why there is none
     if sensor.occlude and not any(map(sensor.occludes, frames)):
         window = "{}:{}".format(*sensor.occlude)
         raise InvalidArgument("occlude", f"some of the frames {frames.start} to {frames[-1]} of {trial.sequence}", window)
