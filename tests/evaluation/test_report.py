@@ -12,8 +12,8 @@ from rich.console import Console
 
 from ddakf import cli
 from ddakf.errors import InvalidFile
-from ddakf.evaluation import baselines, machine
-from ddakf.evaluation.report import content, markdown, missing, printed, tables
+from ddakf.evaluation import baselines, machine, methods
+from ddakf.evaluation.report import content, figures, markdown, missing, printed, tables
 from ddakf.evaluation.report import page as html
 from ddakf.evaluation.report import results as read
 from ddakf.evaluation.study import paper, stills
@@ -122,6 +122,21 @@ def test_a_number_of_the_page_is_the_mean_and_deviation_over_the_runs(folder, pa
 def test_the_papers_numbers_are_beside_ours(page):
     assert "7.25 ± 0.62" in page[1].cells
     assert "6.6 ± 0.25" in page[1].cells
+
+
+def test_every_ablation_has_a_name_in_its_figure():
+    assert set(figures.WITHOUT) == {*methods.ablations(), *methods.refinements()}
+
+
+def test_the_default_is_the_uppermost_of_the_ablation_in_every_view(folder, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(figures, "_save", lambda picture, path: drawn.append(picture))
+    ablation = read.read(folder)["ablation"]
+    ablation.cells.extend([cell | {"view": "front+body"} for cell in ablation.cells])
+    figures.ablation(folder / "none.png", ablation)
+    assert len(drawn[0].axes) == 2
+    assert ablation.methods[0] == "ddakf"
+    assert all(axis.yaxis_inverted() for axis in drawn[0].axes)
 
 
 def test_the_papers_decimals_are_kept():

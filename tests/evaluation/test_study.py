@@ -110,6 +110,7 @@ def test_what_a_real_camera_recorded_has_a_template_and_no_errors_of_a_virtual_o
     trials.recording.cache_clear()
     io.write_mesh(tmp_path / "template.obj", np.eye(3), np.array([[0, 1, 2]]))
     of_a_folder.check()
+    assert (of_a_folder.unheeded(), plan().unheeded()) == ({"noise": None}, {})
     with pytest.raises(InvalidArgument, match="depth_noise"):
         replace(of_a_folder, settings=replace(SMALL, depth_noise=0.001)).check()
 

@@ -174,7 +174,7 @@ def _drawn(results: dict[str, Result], out: Path) -> list[Picture]:
         parts.append(Picture("figure-3.png", title, "Means over the runs.", "occlusion.json"))
     if "ablation" in results:
         figures.ablation(out / "ablation.png", results["ablation"])
-        caption = "The default, the default without each of its parts, and the method as printed; means over the sequences."
+        caption = "The default, the default without one of its parts each, and the method as printed; means over the sequences."
         parts.append(Picture("ablation.png", "Ablation", caption, "ablation.json"))
     if "main" in results and results["main"].of("ddakf"):
         figures.calibration(out / "calibration.png", results["main"])

@@ -18,11 +18,17 @@ from ddakf.mesh import vertex_normals
 
 PANEL = 340  # pixels, of a panel's height
 FOCAL = 1.6  # panel heights
-GREY, INK = "#b8bac0", "#23262e"
+INK = "#23262e"
 COLOUR = {
     "kf": "#999999", "icp": "#e69f00", "icp-rigid": "#f0e442", "pf": "#56b4e9", "clothfit": "#cc79a7", "opt-ed": "#009e73",
     "nicp": "#0072b2", "paper": "#7a5230", "ddakf": "#d55e00",
 }  # fmt: skip
+WITHOUT = {
+    "no-planes": "point-to-point", "one-association": "one association per frame", "no-visibility": "without visibility",
+    "no-correlation": "without motion's correlation", "no-carrying": "without carrying by the body",
+    "no-softening": "without softening", "no-levels": "without coarse levels", "no-hems": "without hems",
+    "no-holding": "without holding to the body",
+}  # fmt: skip  # the variants of methods.ablations and methods.refinements
 
 
 def error_maps(path: Path, still: Still, title: str) -> None:
@@ -90,20 +96,22 @@ def over_time(path: Path, result: Result, sequence: str, view: str) -> None:
 
 
 def ablation(path: Path, result: Result) -> None:
-    """RMSE of the default and of it without each of its parts, a group of bars per view."""
+    """RMSE of the default and of it without each of its parts, in each view."""
     methods = result.methods
-    drawn = figure(7.5, 0.42 * len(methods) * len(result.views) + 1.0)
+    drawn = figure(9.0, 0.32 * len(methods) + 1.0)
     axes = drawn.subplots(1, len(result.views), sharey=True, squeeze=False).ravel()
     for axis, view in zip(axes, result.views, strict=True):
         pools = [result.pooled(m, "rmse_mm", lambda c, view=view: c["view"] == view) for m in methods]
         values = [np.nan if pool is None else pool.mean for pool in pools]
-        axis.barh(methods, values, color=[COLOUR["ddakf"] if m == "ddakf" else GREY for m in methods])
+        names = [WITHOUT.get(m, TITLES.get(m, m)) for m in methods]
+        axis.scatter(values, names, color=[COLOUR["ddakf"] if m == "ddakf" else INK for m in methods], zorder=2)
         for k, value in enumerate(values):
-            axis.text(value, k, f" {value:.1f}", va="center", fontsize=8, color=INK)
-        axis.invert_yaxis()
-        axis.set(xlabel="RMSE, mm", title=view)
+            axis.text(value, k, f"   {value:.1f}", va="center", fontsize=8, color=INK)
+        axis.set(xlabel="RMSE, mm", title=view, xscale="log")
         axis.margins(x=0.18)
+        axis.grid(axis="y", color="0.9")
         axis.spines[["top", "right"]].set_visible(False)
+    axes[0].invert_yaxis()  # that all share: the default above
     _save(drawn, path)
 
 

@@ -163,7 +163,7 @@ def study(plan, out: Path, procs: int, console, again: Collection[str] = ()) -> 
         "machine": machine.describe() | {"processes": procs},
         "seeds": list(range(1, plan.runs + 1)),
         "frames": plan.frames,
-        "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"},
+        "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"} | plan.unheeded(),
     }
     result = results.summed_up(rows, meta)
     out.write_text(lines(result))

@@ -44,6 +44,11 @@ class Plan:
             for system in self.systems
         ]
 
+    def unheeded(self) -> dict[str, None]:
+        """Settings that none of the sequences heeds, as None: what real sensors recorded has its own noise."""
+        virtual = any(isinstance(trials.recording(name), Sequence) for name in self.sequences)
+        return {} if virtual else {"noise": None}
+
     def _trial(self, name: str, view: str, seed: int, system: str) -> Trial:
         view, _, body = view.partition("+")
         first, frames = _frames(self.frames, self.settings.every)
