@@ -2,8 +2,9 @@
 
 A few clients stream without a pause while others connect, create a session, track a few frames, and leave: in order, by half
 closing, by cancelling, or with the socket simply gone. Memory (anonymous pages) and open descriptors of the server and of
-each worker are read all the while. Exit status 1 where the memory at the end is more than 3 % above that after the warm-up,
-a descriptor is left over, a session is, or a stream ended with an error. Writes benchmarks/results/soak.json.
+each worker, the spare one included, are read all the while; they begin once it is warm. Exit status 1 where the memory at the
+end is more than 3 % above that after the warm-up, a descriptor is left over, a session is, a process came or went, or a stream
+ended with an error. Writes benchmarks/results/soak.json.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from grpc_reflection.v1alpha import reflection
 
 from ddakf import errors as library
 
+from .bare import bare
 from .info import server_info
 from .parts import parsed
 from .sessions import Sessions
@@ -50,17 +51,20 @@ def _answering_errors(call):
         try:
             return await call(self, _usable(request), context)
         except (ServiceError, library.DdakfError) as error:
-            await _abort(context, error)
+            failure = bare(error)
         except grpc.aio.AbortError:
             raise
         except Exception as error:
             log.exception("%s failed", call.__name__)
-            await _abort(context, error)
+            failure = bare(error)
+        del request  # gRPC keeps the frames of an abort
+        await _abort(context, failure)
 
     return answering
 
 
 async def _abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
+    """Not to be called while the error is handled, which gRPC would keep then."""
     detail, cls = shortened(to_detail(error)), class_of(error)
     await context.abort(cls.status, detail.message, trailers(detail, cls))
 
@@ -91,15 +95,20 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
     """The method of one request as one of a stream of requests: those gRPC leaves to be read, and waits for no other for ever."""
     call = handler.unary_stream or handler.unary_unary
 
-    async def read_and_call(_, context):
+    async def read(context):
         try:
             async with asyncio.timeout(patience):
                 request = await context.read()
         except TimeoutError:
-            await _abort(context, DeadlineExceeded(f"the request did not come within {patience:g} s"))
-        if request is grpc.aio.EOF:
-            await _abort(context, InvalidArgument(field="message", expected="one", got="none"))
-        return await call(request, context)
+            failure = DeadlineExceeded(f"the request did not come within {patience:g} s")
+        else:
+            if request is not grpc.aio.EOF:
+                return request
+            failure = InvalidArgument(field="message", expected="one", got="none")
+        await _abort(context, failure)
+
+    async def read_and_call(_, context):
+        return await call(await read(context), context)  # so that no frame but the call's own keeps the request
 
     way = "stream_stream" if handler.response_streaming else "stream_unary"
     return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{way: read_and_call})

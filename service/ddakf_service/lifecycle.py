@@ -8,7 +8,7 @@ import logging
 from collections import OrderedDict
 from collections.abc import Awaitable, Callable
 
-from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLost
+from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLost, from_detail, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from . import admission
@@ -54,7 +54,9 @@ class Lifecycle:
             session = await self._open(session_id, request, owner, open_)
         except BaseException as error:
             self._requests.pop(asked, None)
-            outcome.set_exception(error if isinstance(error, ServiceError) else Unavailable("the first call was cut off"))
+            # Not the error itself, which has this frame, and the request with it.
+            known = isinstance(error, ServiceError)
+            outcome.set_exception(from_detail(to_detail(error)) if known else Unavailable("the first call was cut off"))
             outcome.exception()  # seen, even where nobody else waits for it
             raise
         finally:

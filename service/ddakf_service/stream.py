@@ -78,9 +78,20 @@ class Outbox:
         if self._responses:
             self._room.set()
             return self._responses.popleft()
-        if self._error:
-            raise self._error
+        self._raise_error()
         return None
+
+    def forget_error(self) -> None:
+        """Nobody asks any more. Its frames hold the stream and, through it, this."""
+        self._error = None
+
+    def _raise_error(self) -> None:
+        error, self._error = self._error, None
+        try:
+            if error:
+                raise error
+        finally:
+            del error  # which this frame, being one of its, would keep
 
 
 class Stream:
@@ -201,7 +212,10 @@ class Stream:
                 error = DeadlineExceeded(f"the client has not read its answers for {self._reader_timeout:g} s")
                 log.warning("a stream ends: %s", error, extra={"session": self.session.id})
                 self.end(error)
-                raise error from None
+                try:
+                    raise error from None
+                finally:
+                    del error  # which this frame, being one of its, would keep
 
     async def responses(self) -> AsyncIterator[pb.TrackResponse]:
         """Everything to send, beginning with Started; raises the error that ended the stream, if one did."""
@@ -219,6 +233,10 @@ class Stream:
             yield response
 
     # The end --------------------------------------------------------------------------------------------------------
+
+    def left(self) -> None:
+        """The transport sends nothing more."""
+        self._outbox.forget_error()
 
     def end(self, error: Exception | None) -> None:
         """Ends the stream from the server's side, with what the client shall be told."""
@@ -299,18 +317,18 @@ class Stream:
     @contextmanager
     def _telling_to_wait(self) -> Iterator[None]:
         """While a frame is in the worker for longer than usual, its client is told that it is; it would count the silence."""
-        loop, began = asyncio.get_running_loop(), monotonic()
-
-        def tell() -> None:
-            nonlocal timer
-            timer = loop.call_later(TELL_EVERY, tell)
-            self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="a frame takes long", value=monotonic() - began))
-
-        timer = loop.call_later(TELL_EVERY, tell)
+        self._tell_later(monotonic())
         try:
             yield
         finally:
-            timer.cancel()
+            self._telling.cancel()
+
+    def _tell_later(self, began: float) -> None:
+        self._telling = asyncio.get_running_loop().call_later(TELL_EVERY, self._tell_to_wait, began)
+
+    def _tell_to_wait(self, began: float) -> None:
+        self._tell_later(began)
+        self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="a frame takes long", value=monotonic() - began))
 
     async def _seated(self) -> None:
         """Returns when the session has a worker.

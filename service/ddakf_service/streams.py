@@ -79,6 +79,7 @@ class Streams:
 
     def leave(self, stream: Stream) -> asyncio.Task[None]:
         """Closes a stream in the background: its client need not wait for a frame that is in the worker to be told why."""
+        stream.left()
         return self._durability.background(self._close(stream))
 
     async def _close(self, stream: Stream) -> None:

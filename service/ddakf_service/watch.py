@@ -60,7 +60,8 @@ class Watcher:
             self._changed.set()
 
     def leave(self) -> None:
-        """Nothing more is left for it."""
+        """Nothing more is left for it. The frames of its error hold this."""
+        self._error = None
         self._hub.discard(self)
 
     async def responses(self) -> AsyncIterator[pb.TrackResponse]:
@@ -72,8 +73,12 @@ class Watcher:
                 break
             self._changed.clear()
             await self._changed.wait()
-        if self._error:
-            raise self._error
+        error, self._error = self._error, None
+        try:
+            if error:
+                raise error
+        finally:
+            del error  # which this frame, being one of its, would keep
 
 
 class Watchers:

@@ -189,6 +189,8 @@ class LocalPool:
             log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout)
             worker.process.kill()
             raise worker_lost(session_id) from None
+        finally:
+            del answer  # its error, if it is one, has this frame
 
     # Workers --------------------------------------------------------------------------------------------------------
 
