@@ -97,6 +97,13 @@ def test_what_cannot_be_run_is_refused_by_its_name(how, field):
         replace(plan(), **how).check()
 
 
+def test_a_virtual_camera_may_have_errors_and_what_is_no_camera_may_not():
+    disturbed = replace(plan(views=("front", "ring4+body")), settings=replace(SMALL, depth_noise=0.001, fliers=0.1))
+    disturbed.check()
+    with pytest.raises(InvalidArgument, match="depth_noise"):
+        replace(disturbed, views=("front", "full")).check()
+
+
 def test_an_occlusion_that_some_frames_have_is_none_too_late():
     replace(plan(), settings=replace(SMALL, occlude=(4, 9))).check()
 

@@ -76,7 +76,7 @@ class Plan:
             trials.sensor_of(replace(self.settings, view=view))
         for system in self.systems:
             methods.named(system)
-        for trial in dict.fromkeys(self._trial(name, "full", 1, self.systems[0]) for name in self.sequences):
+        for trial in dict.fromkeys(self._trial(name, self.views[0], 1, self.systems[0]) for name in self.sequences):
             _require_frames(trial)
             _require_effect(trial)
 
