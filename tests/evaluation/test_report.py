@@ -237,6 +237,7 @@ def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
     assert text.endswith("\nafter\n")
     assert "old" not in text
     assert text.count("## Table 5") == 1
+    assert "## What is not reproduced, and why\n\n| what | why |\n| --- | --- |\n" in text
     document.write_text("no marks")
     with pytest.raises(InvalidFile, match="a document with"):
         markdown.rewritten(document, [])

@@ -25,7 +25,8 @@ def rewritten(path: Path, tables: list[Table]) -> str:
 
 
 def _section(table: Table) -> str:
-    lines = [table.heads, ["---", *["--:"] * (len(table.heads) - 1)], *([_text(cell) for cell in row] for row in table.rows)]
+    words = [k == 0 or any(row[k].kind == "text" for row in table.rows) for k in range(len(table.heads))]
+    lines = [table.heads, ["---" if left else "--:" for left in words], *([_text(cell) for cell in row] for row in table.rows)]
     body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
     notes = "".join(f"\n- {note}" for note in table.notes)
     files = ", ".join(f"[{source.name}.json](../results/{source.name}.json)" for source in table.sources)
