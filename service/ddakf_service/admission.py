@@ -115,11 +115,16 @@ class Admission:
         return Memory.of(*counts, self.limits(request.session.limits).max_points)
 
 
+def is_session_id(text: str) -> bool:
+    """Whether a session may have, or have had, this id."""
+    return _SESSION_ID.fullmatch(text) is not None
+
+
 def session_id(wanted: str) -> str:
     """The id that was asked for, or one that nobody guesses."""
     if not wanted:
         return "s-" + secrets.token_hex(8)
-    if not _SESSION_ID.fullmatch(wanted):
+    if not is_session_id(wanted):
         raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80]))
     return wanted
 
@@ -135,10 +140,12 @@ def labels(session: pb.Session) -> dict[str, str]:
     return found
 
 
-def require_short(request_id: str) -> None:
-    """Refuses a request id that is none."""
+def require_request_id(request_id: str) -> None:
+    """Refuses a request id that is none, or that PostgreSQL would not take, which has no NUL in a text."""
     if len(request_id) > _MAX_TEXT:
         raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
+    if "\0" in request_id:
+        raise InvalidArgument(field="request_id", expected="text without NUL", got=repr(request_id[:80]))
 
 
 def _lower(asked: float, most: float) -> float:

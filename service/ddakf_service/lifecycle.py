@@ -41,7 +41,7 @@ class Lifecycle:
         """Runs a creation, or waits for the same request's first run. The session belongs to the key of the call."""
         principal = current_principal.get()
         owner, request_id = principal.id or None, request.request_id
-        admission.require_short(request_id)
+        admission.require_request_id(request_id)
         asked = owner, request_id
         if asked in self._requests:
             return self._directory.mine("sessions/" + await asyncio.shield(self._requests[asked])).message()

@@ -8,6 +8,7 @@ from time import monotonic
 from ddakf_api.errors import ServiceError, SessionExpired, Unavailable, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .admission import is_session_id
 from .session import Session
 from .store import SessionRecord, Store
 
@@ -66,7 +67,7 @@ class Records:
         Raises:
             Unavailable: the database cannot be reached.
         """
-        return await self._store.registry.newest(session_id)
+        return await self._store.registry.newest(session_id) if is_session_id(session_id) else None
 
     async def past(self, session_id: str) -> SessionRecord | None:
         """The last session of this id, if it has ended; None: nothing is remembered of one, or not now."""

@@ -10,6 +10,8 @@ from pydantic import BaseModel, Field
 
 from .rest_answers import StateName, state_name
 
+_YEAR_10000 = 253_402_300_800  # seconds since 1970, UTC
+
 
 class HistorySample(BaseModel):
     """What happened in the seconds from its start to the next sample's."""
@@ -64,15 +66,15 @@ def history_request(
     """The contract's request.
 
     Raises:
-        InvalidArgument: a time before 1970.
+        InvalidArgument: a time before 1970, or of a year that is none in UTC.
     """
     request = pb.GetSessionHistoryRequest(name=f"sessions/{session_id}", resolution=resolution, max_samples=max_samples)
     for field, name, moment in (("start_time", "from", start), ("end_time", "to", end)):
         if moment is None:
             continue
         seconds = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
-        if seconds < 0:
-            raise InvalidArgument(field=name, expected="a time after 1970", got=moment.isoformat())
+        if not 0 <= seconds < _YEAR_10000:
+            raise InvalidArgument(field=name, expected="a time from 1970 to 9999", got=moment.isoformat())
         getattr(request, field).FromMicroseconds(round(seconds * 1e6))
     return request
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import time
 from collections import deque
 from dataclasses import dataclass, field
@@ -22,6 +21,7 @@ if TYPE_CHECKING:
 
 _RATE_WINDOW = 3.0  # seconds over which the frame rate is counted
 _IDLE_AFTER = 2.0  # seconds without a frame after which a session counts as idle
+_LAST_TIME = 253_402_300_799  # seconds since 1970 that a Timestamp holds: the end of the year 9999
 
 
 @dataclass(eq=False)
@@ -180,8 +180,8 @@ class Session:
         session.statistics.frame_rate = self.frame_rate()
         session.statistics.memory_bytes = sum(self.memory)
         moment, _ = self.expiry()
-        if math.isfinite(moment):
-            session.expire_time.FromNanoseconds(int((time.time() + moment - monotonic()) * 1e9))
+        if (expires := time.time() + moment - monotonic()) < _LAST_TIME:
+            session.expire_time.FromNanoseconds(int(expires * 1e9))
         if self.checkpoint_time is not None:
             session.checkpoint_time.FromNanoseconds(int(self.checkpoint_time * 1e9))
         return session

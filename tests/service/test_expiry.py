@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import time
 
 import pytest
@@ -11,6 +12,7 @@ from ddakf_api import API_VERSION
 from ddakf_api.errors import SessionExpired
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service import sessions
+from ddakf_service.session import Session
 from ddakf_service.settings import Settings
 from ddakf_service.store import Store
 from ddakf_service.telemetry import Metrics
@@ -26,6 +28,13 @@ def why(api, name: str) -> str:
     except SessionExpired as error:
         return str(error)
     return ""
+
+
+@pytest.mark.parametrize("seconds", [1e9, 1e12, math.inf])
+def test_a_server_may_let_sessions_wait_for_ever(seconds):
+    limits = pb.SessionLimits(idle_timeout=seconds, departure_timeout=seconds)
+    message = Session("shirt", pb.Session(), pb.Session(), limits).message()
+    assert message.HasField("expire_time") == (seconds < 1e12), "which no date says"
 
 
 def test_an_idle_session_expires(api, http, sheet):

@@ -5,8 +5,11 @@ from __future__ import annotations
 
 import time
 from datetime import UTC, datetime
+from urllib.parse import quote
 
 import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import InvalidArgument, SessionNotFound, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import aconnect
@@ -94,6 +97,7 @@ def test_a_span_of_time_can_be_asked_for(api, http, session, sheet):
     [
         ({"from": "2030-01-01T00:00:00Z", "to": "2020-01-01T00:00:00Z"}, "end_time"),
         ({"from": "1960-01-01T00:00:00Z"}, "from"),
+        ({"from": "9999-12-31T23:59:59-14:00"}, "from"),
         ({"to": "soon"}, "to"),
         ({"resolution": "-1"}, "resolution"),
         ({"resolution": "nan"}, "resolution"),
@@ -111,6 +115,32 @@ def test_unknown_sessions_have_none(api, http, session):
     assert http.get("/v1/sessions/nobody-there/history").status_code == 404
     with pytest.raises(InvalidArgument):
         history(api, session, resolution=-1)
+
+
+@pytest.mark.parametrize("session_id", ["a\0b", "\0", "x" * 5000, "\ud7ff", "A"])
+def test_what_can_be_no_name_is_not_found(api, http, session_id):
+    """A PostgreSQL takes no such text."""
+    for method, request in (
+        ("GetSession", pb.GetSessionRequest(name=f"sessions/{session_id}")),
+        ("GetSessionHistory", pb.GetSessionHistoryRequest(name=f"sessions/{session_id}")),
+        ("DeleteSession", pb.DeleteSessionRequest(name=f"sessions/{session_id}")),
+    ):
+        with pytest.raises(SessionNotFound):
+            api.call(method, request)
+    for path in ("", "/history", "/statistics"):
+        assert http.get(f"/v1/sessions/{quote(session_id)}{path}").status_code == 404
+
+
+def test_a_session_of_odd_texts_is_registered(api, service, sheet, tmp_path):
+    name = api.create(sheet, labels={"a\0": "\0"}).name
+    api.delete(name)
+    with pytest.raises(SessionNotFound, match="deleted"):
+        api.get(name)
+    assert applied(history(api, name)) == 0, "the register knows it"
+    session = pb.Session(garment=pack_mesh(*sheet))
+    with pytest.raises(InvalidArgument) as caught:
+        api.call("CreateSession", pb.CreateSessionRequest(api_version=API_VERSION, session=session, request_id="a\0b"))
+    assert caught.value.field == "request_id"
 
 
 async def test_the_client_library_has_it_in_columns(api, client, service, session, sheet):
