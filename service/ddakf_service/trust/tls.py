@@ -96,19 +96,22 @@ class Tls(NamedTuple):
 
         A context only ever gains authorities, so that another one takes its place at each handshake.
         """
-        current, seen = [context], self.stamp()
+        current, seen, told = [context], self.stamp(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
             await asyncio.sleep(_INTERVAL)
             try:
                 now = await asyncio.to_thread(self.stamp)
                 if now == seen:
+                    told = ""
                     continue
                 current[0] = await asyncio.to_thread(self.context)
             except (InvalidConfig, OSError) as error:
-                log.warning("the changed certificate is not used: %s", error)
+                if str(error) != told:  # a broken file may stay for days
+                    told = str(error)
+                    log.warning("the changed certificate is not used: %s", error)
                 continue
-            seen = now
+            seen, told = now, ""
             log.info("the certificate was read again", extra={"certificate": str(self.certificate)})
 
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:

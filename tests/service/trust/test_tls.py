@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import socket
 import ssl
 import subprocess
@@ -13,6 +14,8 @@ import httpx
 import pytest
 from ddakf_api.errors import ServiceError
 from ddakf_client import connect
+from ddakf_service.trust import tls
+from ddakf_service.trust.tls import Tls
 
 from ..conftest import TIMEOUT, eventually, running
 from .certificates import Authority
@@ -94,6 +97,28 @@ def test_changed_files_are_used_by_new_connections_and_a_broken_one_is_not(encry
     with pytest.raises((httpx.HTTPError, ssl.SSLError)):
         https(encrypted, second, old)
     encrypted.authority = second
+
+
+async def test_a_file_that_stays_broken_is_told_of_once(tmp_path, monkeypatch, caplog):
+    install(tmp_path, Authority("only"), "server")
+    files, looks, stamp = Tls(tmp_path / "server.pem", tmp_path / "server.key"), [], Tls.stamp
+    monkeypatch.setattr(tls, "_INTERVAL", 0.001)
+    monkeypatch.setattr(Tls, "stamp", lambda self: looks.append(caplog.messages[:]) or stamp(self))
+    following = asyncio.create_task(files.follow(files.context()))
+
+    async def told(count: int) -> list[str]:
+        """The warnings, a few looks after there are so many."""
+        async with asyncio.timeout(TIMEOUT):
+            while len(looks) < 5 or len(looks[-5]) < count:
+                await asyncio.sleep(0.01)
+        return caplog.messages
+
+    await told(0)
+    files.certificate.write_bytes(b"no certificate")
+    assert [f"{files.certificate}" in message for message in await told(1)] == [True]
+    files.key.unlink()
+    assert [f"{files.key}" in message for message in await told(2)] == [False, True], "another reason is told"
+    following.cancel()
 
 
 @pytest.mark.parametrize(
