@@ -112,7 +112,7 @@ class Lifecycle:
                     self._remember((session.owner, session.request_id), _done(session.id))
         if sessions:
             log.info("sessions of before the start wait for their clients", extra={"sessions": len(sessions)})
-        self._durability.background(self._records.clean([*sessions, *self._directory]))
+        self._durability.background(self._records.clean(lambda: [*sessions, *self._directory]))
         return True
 
     async def _load_later(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Iterable
 from time import monotonic
 
 from ddakf_api.errors import ServiceError, SessionExpired, Unavailable, to_detail
@@ -88,11 +89,11 @@ class Records:
         records = await self._store.registry.alive(self._store.server_id)
         return [_session(record) for record in records]
 
-    async def clean(self, sessions: list[Session]) -> None:
-        """Has checkpoints deleted that belong to none of these."""
+    async def clean(self, sessions: Callable[[], Iterable[Session]]) -> None:
+        """Has checkpoints deleted that belong to none of these, as there are by then."""
         if self._store.checkpoints is not None:
             try:
-                await self._store.checkpoints.keep_only(session.uid for session in sessions)
+                await self._store.checkpoints.keep_only(lambda: [session.uid for session in sessions()])
             except OSError as error:
                 log.warning("old checkpoints could not be deleted: %s", error)
 

@@ -13,7 +13,7 @@ import os
 import re
 import struct
 import threading
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic
@@ -144,14 +144,18 @@ class Checkpoints:
             self._deleted.add(uid)
             self._changed.notify_all()
 
-    async def keep_only(self, uids: Iterable[int]) -> None:
+    async def keep_only(self, uids: Callable[[], Iterable[int]]) -> None:
         """Deletes the checkpoints of all sessions but these; for the start, where some may be left of ended ones.
+
+        Args:
+            uids: asked once it is known what there is: another session may begin before.
 
         Raises:
             OSError: the checkpoints cannot be reached.
         """
-        wanted = {_folder_name(uid) for uid in uids}
-        for name in await asyncio.get_running_loop().run_in_executor(self._readers, self._folders):
+        names = await asyncio.get_running_loop().run_in_executor(self._readers, self._folders)
+        wanted = {_folder_name(uid) for uid in uids()}
+        for name in names:
             if _FOLDER_NAME.fullmatch(name) and name not in wanted:
                 self.delete(int(name, 16))
 
