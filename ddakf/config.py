@@ -84,7 +84,7 @@ class GridFilter(Checked):
     suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood, below which a point's neighbours are sought
     sample: int = bounded(300, 1, 100_000)  # of the other points, for the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
-    planes_per_vertex: float = bounded(1.25, 0.1, 100)  # a denser cloud is thinned to as many plane fits
+    planes_per_vertex: float = bounded(8.0, 0.1, 100)  # a denser cloud is thinned to as many plane fits
 
 
 @dataclass(frozen=True)
@@ -273,8 +273,8 @@ class PaperReliability(Checked):
 class Uncertainty(Checked):
     """How far a garment may have drifted from the truth, the two calibrated factors, and the bounds."""
 
-    observed_scale: float = bounded(0.655, 0.01, 100)  # on the standard deviations of measured vertices
-    unseen_scale: float = bounded(0.873, 0.01, 100)  # of the others
+    observed_scale: float = bounded(0.621, 0.01, 100)  # on the standard deviations of measured vertices
+    unseen_scale: float = bounded(0.884, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m: strain that is there adds up along the cloth over this length
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
