@@ -68,7 +68,7 @@ REASONS = {
     "GridFilter.suspect_share": "tuned against k-NN statistics (16, 2): `make bench`, part outliers",
     "GridFilter.sample": "enough for the mean of the dense part; the spread comes from the suspects",
     "GridFilter.plane_radius": "all points that the 27 cells are sure to hold",
-    "GridFilter.planes_per_vertex": "tuned on the recordings that ship: a plane whose middle is farther from the vertex misses the curvature; bounds the time",
+    "GridFilter.planes_per_vertex": "tuned on what ships: far from its middle a plane misses the curvature; bounds the time",
     "KnnFilter.neighbours": "the paper says k-NN and leaves k open",
     "KnnFilter.ratio": "the paper leaves it open; with 16 neighbours the pair (16, 2) that Open3D's users know",
     "KnnFilter.plane_radius": "as in GridFilter",

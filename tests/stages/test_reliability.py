@@ -387,7 +387,7 @@ def test_points_that_the_garment_cannot_reach_lower_the_score():
                 points = np.concatenate([points, arm.astype(points.dtype)])
             result = tracker.step(points, timestamp=k * DT)
         scores[sleeve] = result.reliability
-    assert 1 / scores[True] - 1 > 2 * (1 / scores[False] - 1)
+    assert 1 / scores[True] - 1 > 1.5 * (1 / scores[False] - 1), "the predicted error, up to a factor"
 
 
 def test_thresholds_are_numbers_of_the_configuration():
