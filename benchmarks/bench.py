@@ -107,9 +107,9 @@ def _measures() -> dict:
     import preprocessing
     import streaming
 
-    from ddakf import kernels
+    from ddakf.commands import warmup
 
-    kernels.warm()
+    warmup.warm()
     return {
         "frame": library.frames,
         "changes": library.changes,

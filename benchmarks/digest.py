@@ -24,6 +24,7 @@ import ddakf
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import SequenceSource
 from ddakf.evaluation.trials import names, recording
+from ddakf.files.sequence import load_sequence
 
 RECORDINGS = ("sample", "tank_squat", "dress_dance", "pergamo_005", "samba_dress", "sim_tank_move")
 VIEWS = ("full", "front", "front+body", "person+body", "search")
@@ -95,7 +96,7 @@ def digest(case: tuple[str, str, str, int]) -> str:
 
 def _sequence(name: str):
     path = TRAINING / f"{name}.npz"
-    return ddakf.sequence.load_sequence(path) if path.exists() else recording(name)
+    return load_sequence(path) if path.exists() else recording(name)
 
 
 def _compare(before: dict[str, str], now: dict[str, str]) -> int:

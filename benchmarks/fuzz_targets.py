@@ -25,7 +25,8 @@ from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
 import ddakf
-from ddakf import kernels, snapshot
+from ddakf import snapshot
+from ddakf.commands import warmup
 from ddakf.errors import DdakfError
 
 LIMITS = Limits(max_points=2_000, max_vertices=200, max_faces=400, max_body_vertices=200, max_image_pixels=4_096)
@@ -156,7 +157,7 @@ def _depth_image() -> Target:
 
 
 def _computing() -> Compute:
-    kernels.warm()  # which would count as the time and the memory of an input
+    warmup.warm()  # which would count as the time and the memory of an input
     compute = Compute(LIMITS)
     compute.open("fuzz", _creation().SerializeToString())
     return compute
@@ -191,7 +192,7 @@ def _frame_as_json() -> Target:
 
 
 def _session() -> Target:
-    kernels.warm()
+    warmup.warm()
     compute = Compute(LIMITS)
 
     def run(data: bytes) -> None:
@@ -212,7 +213,7 @@ def _reset() -> Target:
 
 
 def _tracker() -> ddakf.Tracker:
-    kernels.warm()
+    warmup.warm()
     vertices, faces = _sheet()
     tracker = ddakf.Tracker(ddakf.Mesh(vertices, faces), body=ddakf.Mesh(vertices - [0, 0, 0.05], faces))
     tracker.step(vertices, timestamp=0.0)

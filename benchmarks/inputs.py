@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 import ddakf
 from ddakf import data
 from ddakf.evaluation.sensors import Cloud, Sensor
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.files.sequence import Sequence, load_sequence
 
 SEED = 1
 

@@ -17,7 +17,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 import ddakf
-from ddakf import kernels
+from ddakf.commands import warmup
 from ddakf.evaluation import machine, metrics
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -35,7 +35,7 @@ def main(argv: list[str] | None = None) -> int:
         DOCUMENT.write_text(fresh(json.loads(arguments.out.read_text())))
         return 0
     threadpool_limits(1)
-    kernels.warm()
+    warmup.warm()
     rows = []
     for sequence in inputs.sequences():
         views = ("full", "front+body") if sequence.has_body else ("full", "front")

@@ -18,8 +18,9 @@ from ddakf.evaluation.methods import named
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import OUTLIER_MARGIN
 from ddakf.evaluation.source import Frame
-from ddakf.open3d_bridge import import_open3d
-from ddakf.preprocess import preprocess
+from ddakf.files.open3d_bridge import import_open3d
+from ddakf.garment.model import build as build_model
+from ddakf.stages.preprocess import preprocess
 
 NEIGHBOURS, RATIO = 16, 2.0
 
@@ -114,7 +115,7 @@ def outliers(settings) -> dict:
         o3d, why = None, str(missing)
     sequence = inputs.shortened(data.sample(), settings.outlier_frames)
     run = inputs.run_of(sequence, settings.outlier_frames, "full", settings.points)
-    area = ddakf.model.build(ddakf.Mesh(sequence.template, sequence.garment_faces), 0.003).area
+    area = build_model(ddakf.Mesh(sequence.template, sequence.garment_faces), 0.003).area
     default, knn = ddakf.Config(), ddakf.Config(preprocess=KnnFilter(NEIGHBOURS, RATIO))
     filters = {
         "ddakf, grid (default)": lambda points, near: preprocess(points, None, near, area, default).index,

@@ -33,12 +33,12 @@ from inputs import sequences
 from scipy.spatial.transform import Rotation
 
 import ddakf
-from ddakf import kernels
+from ddakf.commands import warmup
 from ddakf.evaluation import machine, trials
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
-from ddakf.initialize import SETTLING
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
+from ddakf.search.relocalize import SETTLING
 
 COSTS = ("ms_searched", "times_searched", "times_settling")
 FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: at most, of a garment that reappears
@@ -170,7 +170,7 @@ def one(job: tuple[str, str, str, int]) -> dict:
     """A case in a process of its own."""
     kind, name, view, seed = job
     if not _SEQUENCES:
-        kernels.warm()
+        warmup.warm()
         _SEQUENCES.update({sequence.name: sequence for sequence in sequences()})
     return CASES[kind](_SEQUENCES[name], view, seed)
 

@@ -24,12 +24,12 @@ from scipy.optimize import nnls
 from scipy.stats import rankdata
 
 import ddakf
-from ddakf import reliability
 from ddakf.evaluation import machine, metrics
 from ddakf.evaluation.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import SequenceSource
-from ddakf.reliability import Evidence, Law, VertexEvidence
+from ddakf.stages import reliability
+from ddakf.stages.reliability import Evidence, Law, VertexEvidence
 
 WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
 WORST = 0.3  # m: an error beyond it is lost, and how far beyond says nothing

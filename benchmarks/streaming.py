@@ -19,9 +19,9 @@ from library import WARM, percentiles
 
 import ddakf
 from ddakf import data
-from ddakf import depth as depths
 from ddakf.evaluation import metrics
 from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.files import depth as depths
 
 IMAGE = (256, 192, 200.0)  # pixels, pixels, and the focal length in them: the depth sensor of a phone
 VIEWPOINT = (0.0, 1.2, 2.0), (0.0, 1.1, 0.0)  # eye and target, m

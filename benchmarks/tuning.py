@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ddakf import data, kernels
+from ddakf import data
+from ddakf.commands import warmup
 from ddakf.errors import NotApplicable
 from ddakf.evaluation import machine, metrics, trials
 from ddakf.evaluation.baselines import Baseline
@@ -135,7 +136,7 @@ def main(argv: list[str] | None = None) -> int:
         print(table(report), chosen_settings(report), learned_tries(report), sep="\n\n")
         return 0
     threadpool_limits(1)
-    kernels.warm()
+    warmup.warm()
     report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
     for name in arguments.only:
         found = untuned(name, arguments.frames) if name in UNTUNED else search(name, arguments.frames)

@@ -12,14 +12,14 @@ from typing import get_args
 
 import numpy as np
 
+from ddakf.body.body_anchor import Worn
 from ddakf.config import Config
-from ddakf.elasticity import Elasticity
 from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
-from ddakf.reliability import Health
+from ddakf.physics.adaptive_stiffness import Elasticity
+from ddakf.stages.reliability import Health
+from ddakf.stages.uncertainty import Drift
 from ddakf.types import State, TrackerState
-from ddakf.uncertainty import Drift
-from ddakf.worn import Worn
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it

@@ -7,31 +7,17 @@ import time
 
 import numpy as np
 
-from ddakf import (
-    adapt,
-    associate,
-    coarse,
-    elasticity,
-    frame,
-    fuse,
-    initialize,
-    model,
-    predict,
-    preprocess,
-    pyramid,
-    reliability,
-    rigidity,
-    robust,
-    segment,
-    uncertainty,
-    worn,
-)
 from ddakf import snapshot as snapshots
+from ddakf.body import body_anchor
+from ddakf.body.contact import BodyContact
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
+from ddakf.garment import model
 from ddakf.mesh import Mesh
-from ddakf.physics import energies
-from ddakf.physics.contact import BodyContact
+from ddakf.multiresolution import cluster_alignment, pyramid
+from ddakf.physics import adaptive_stiffness, energies, rigidity
+from ddakf.search import relocalize
+from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, skin_removal, uncertainty
 from ddakf.types import FrameResult, State
 
 FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
@@ -91,21 +77,21 @@ class Tracker:
             InvalidFrame: wrong shape or not finite; nothing is changed then.
         """
         n, start = self.garment.n_vertices, self.config.start
-        position = self.garment.vertices.copy() if vertices is None else frame.positions("vertices", vertices, n)
-        velocity = np.zeros((n, 3)) if velocities is None else frame.positions("velocities", velocities, n)
+        position = self.garment.vertices.copy() if vertices is None else frame_input.positions("vertices", vertices, n)
+        velocity = np.zeros((n, 3)) if velocities is None else frame_input.positions("velocities", velocities, n)
         self._state = State.at(position, velocity, start.sd, start.speed_sd, self.config.adapt.initial_sd)
         self._rotation = rigidity.rotations(position, self._model)
         self._drift = uncertainty.Drift.at(self._model, start.sd)
-        self._elasticity = elasticity.Elasticity.at(self.config.physics)
+        self._elasticity = adaptive_stiffness.Elasticity.at(self.config.physics)
         self._health = reliability.Health()
         self._time: float | None = None
-        self._worn: worn.Worn | None = None  # where it is not known yet
+        self._worn: body_anchor.Worn | None = None  # where it is not known yet
         if self._contact is not None:
             self._contact.reset()
             if self.config.physics.gap_time > 0:
                 self._contact.start(position, self.config.physics.thickness)
-            if worn.holds(self.config.predict):
-                self._worn = worn.Worn.at(position, self._contact, self._model)
+            if body_anchor.holds(self.config.predict):
+                self._worn = body_anchor.Worn.at(position, self._contact, self._model)
 
     @whole
     def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
@@ -120,7 +106,7 @@ class Tracker:
         Raises:
             InvalidFrame: input that cannot be used; the tracker is as it was.
         """
-        now = frame.checked(points, timestamp, sensor_origin, body_vertices, self._time, self.body)
+        now = frame_input.checked(points, timestamp, sensor_origin, body_vertices, self._time, self.body)
         dt = FIRST_STEP if self._time is None else now.timestamp - self._time
         garment, health, clock = self._model, self._health, Clock()
         config = self._elasticity.adapted(self.config)
@@ -128,24 +114,24 @@ class Tracker:
         # A. Prediction (2.2), riding on the body
         last, carried = self._ride(now.body_vertices, dt)
         prior = predict.predict(last, dt, carried, config.predict)
-        prior, anchor, rotation, placed, settling = initialize.locate(
+        prior, anchor, rotation, placed, settling = relocalize.locate(
             prior, last.position, self._rotation, now, self._contact, dt, health, garment, config.start
         )
         health = (health.placed() if placed else health)._replace(settling=settling)
         clock.lap("predict")
 
         # Preprocessing (2.1)
-        mine = segment.cloth(now, prior.position, self._contact, garment, segment.BESIDE)
+        mine = skin_removal.cloth(now, prior.position, self._contact, garment, skin_removal.BESIDE)
         cloud = preprocess.preprocess(mine.points, mine.sensor_origin, prior.position, garment.area, config)
         clock.lap("preprocess")
 
         held = None if settling or self._worn is None else self._worn.held(self._contact, garment, config.predict)
         update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config, held)
-        update = coarse.align(
+        update = cluster_alignment.align(
             update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
         )
         clock.lap("coarse")
-        if not segment.of_person(now, mine):  # the edges of coarser versions are too long to tell cloth from the skin beside it
+        if not skin_removal.of_person(now, mine):  # edges of decimated levels cannot tell cloth from skin
             update = pyramid.descend(
                 update, prior, anchor, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
             )
@@ -179,7 +165,7 @@ class Tracker:
         posterior = uncertainty.posterior(update, prior, config)
         measured = np.logical_and(update.weight > 0, not update.rejected)  # what a fit that is thrown away says is not learned
         posterior = predict.learn(posterior, prior, measured, dt, config.predict)
-        drift = uncertainty.Drift.at(garment, initialize.FOUND_SD) if placed else self._drift
+        drift = uncertainty.Drift.at(garment, relocalize.FOUND_SD) if placed else self._drift
         still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
         slack = None if held is None else self._worn.slack(garment, config.predict)
         covariance, drift = uncertainty.marginals(
@@ -188,7 +174,7 @@ class Tracker:
         clock.lap("uncertainty")
 
         # G. Reliability (2.6)
-        sample = segment.cloth(reliability.sample(mine), posterior.position, self._contact, garment, segment.ON_CLOTH)
+        sample = skin_removal.cloth(reliability.sample(mine), posterior.position, self._contact, garment, skin_removal.ON_CLOTH)
         verdict = reliability.judge(
             health, update, posterior, covariance, prior, sample.points, self._clearance(), dt, garment, config.reliability
         )
@@ -268,14 +254,14 @@ class Tracker:
 
     def _hanging(
         self, position: np.ndarray, measured: np.ndarray, held: fuse.Planes | None, settling: bool, dt: float
-    ) -> worn.Worn | None:
+    ) -> body_anchor.Worn | None:
         """How the garment hangs on the body after a frame; one that was found elsewhere does so anew once it has settled."""
         config = self.config.predict
-        if self._contact is None or settling or not worn.holds(config):
+        if self._contact is None or settling or not body_anchor.holds(config):
             return None
         if self._worn is not None:
             return self._worn.learned(held, position, measured, dt, self._model, config)
-        return worn.Worn.at(position, self._contact, self._model) if self._contact.present else None
+        return body_anchor.Worn.at(position, self._contact, self._model) if self._contact.present else None
 
     def _ride(self, body_vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
         """The last state, relative to the body, and the body's displacement of each vertex (V, 3), or None."""

@@ -23,7 +23,7 @@ from prometheus_client.metrics import MetricWrapperBase
 
 from ddakf import Config
 from ddakf.physics.fabric import PRESETS, Fabric
-from ddakf.robust import gate_threshold
+from ddakf.stages.robust import gate_threshold
 
 DOCS = Path(__file__).parent
 

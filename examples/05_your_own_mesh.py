@@ -14,7 +14,7 @@ import numpy as np
 import ddakf
 from ddakf import data
 from ddakf.evaluation.sensors import sample_surface
-from ddakf.io import read_mesh
+from ddakf.files.io import read_mesh
 
 
 def write_export(path: Path) -> None:

@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
 # a job in the background of a shell ignores SIGINT, and so would its children
 LISTENING = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_DFL); os.execv(sys.argv[1], sys.argv[1:])"
-DEMO = [sys.executable, "-c", "import sys; from ddakf.cli import main; sys.exit(main())", "demo"]
+DEMO = [sys.executable, "-c", "import sys; from ddakf.commands.cli import main; sys.exit(main())", "demo"]
 
 
 def processes_of(log: Path) -> list[int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.files.sequence import Sequence, load_sequence
 
 SAMPLE = Path(__file__).with_name("sample.npz")
 TRAINING = Path(__file__).with_name("training")

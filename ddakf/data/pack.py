@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import DdakfError, InvalidFile
-from ddakf.sequence import PACKED, Sequence, load_sequence
+from ddakf.files.sequence import PACKED, Sequence, load_sequence
 
 DEFAULT_QUANTUM = 2.0**-13  # m
 

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
+from ddakf.body import proximity
 from ddakf.data.body import INFLUENCES, POSITION_STEP, WEIGHT_STEPS, load_body
 from ddakf.errors import DdakfError, InvalidFile
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity
 
 BASE, RIG, WEIGHTS, SHAPE = "base.obj", "rig.game_engine.json", "weights.game_engine.json", "*.target.gz"
 DECIMETRE = 0.1  # m, the unit of the base mesh

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddakf.depth import Intrinsics as Lens
-from ddakf.depth import seen, unproject
 from ddakf.errors import InvalidArgument
+from ddakf.files.depth import Intrinsics as Lens
+from ddakf.files.depth import seen, unproject
 from ddakf.kernels import zbuffer
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.depth import seen
+from ddakf.files.depth import seen
 
 
 def mixed_at_edges(depth: np.ndarray, share: float, jump: float, background: float, rng: np.random.Generator) -> np.ndarray:

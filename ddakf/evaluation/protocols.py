@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ddakf.evaluation.datasets.faust import CLIP
-from ddakf.sequence import Sequence, read_names
+from ddakf.files.sequence import Sequence, read_names
 
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))
 BODY = "whole body"

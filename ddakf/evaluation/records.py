@@ -8,8 +8,8 @@ import numpy as np
 
 from ddakf.evaluation import metrics, statistics
 from ddakf.evaluation.methods import Estimate
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence
 
 FIRST_FRAMES, LAST_FRAMES = 59, 10  # tracked frames that the means "first60" (frame 0 is given) and "last10" are over
 NOT_AVERAGED = ("cpu_ms", "wall_ms", "state")  # percentiles say more, or there is no mean

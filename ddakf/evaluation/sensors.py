@@ -8,18 +8,18 @@ from typing import Literal, NamedTuple, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ddakf.depth import without_fliers
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation import depth_errors
 from ddakf.evaluation.camera import Camera, Intrinsics
-from ddakf.sequence import Sequence
+from ddakf.files.depth import without_fliers
+from ddakf.files.sequence import Sequence
 
 View = Literal["full", "front", "ring4"]
 
 DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, horizontally
 FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
 INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
-FLIER_JUMP = 0.03  # m: see ddakf.depth.without_fliers
+FLIER_JUMP = 0.03  # m: see ddakf.files.depth.without_fliers
 BACKGROUND = 1.0  # m: behind the garment's first centroid is what edge fliers mix with
 OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
 OF_A_CAMERA = ("depth_noise", "depth_step", "fliers")  # fields of a sensor

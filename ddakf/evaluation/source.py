@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets import Pair, Recording, open_dataset
 from ddakf.evaluation.sensors import Sensor
-from ddakf.io import read_mesh
+from ddakf.files.io import read_mesh
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence
 
 Start = Literal["truth", "rest", "search"]
 ASTRAY_TURN, ASTRAY_SHIFT = np.pi / 2, 1.0  # rad, m: at most, for a start by search

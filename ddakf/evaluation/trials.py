@@ -25,8 +25,8 @@ from ddakf.evaluation.records import Record, short
 from ddakf.evaluation.sensed import STEPS, pair_row, recording_row
 from ddakf.evaluation.sensors import Cloud, Sensor
 from ddakf.evaluation.source import Frame
+from ddakf.files.sequence import Sequence, load_sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence, load_sequence
 
 FAUST = "faust_"  # before the name of a clip
 SAMPLE = "sample"  # the name of the recording that ships with the project

@@ -10,7 +10,6 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import numba
@@ -48,14 +47,3 @@ numba.config.CACHE_DIR = str(CACHE_DIRECTORY)
 numba.config.SLP_VECTORIZE = 1
 
 FAST = {"reassoc", "contract", "arcp", "nsz"}  # sums in any order and fused; what is not finite stays so, to be refused later
-
-
-def warm(progress: Callable[[int, int, str], None] | None = None) -> None:
-    """Compiles every kernel, or loads it from the cache, by tracking a small garment.
-
-    Args:
-        progress: called as ``progress(done, total, name)`` before each step, and at the end with ``done == total``.
-    """
-    from ddakf import warmup  # the warm-up tracks with the stages, which import this package
-
-    warmup.run(progress or (lambda done, total, name: None))

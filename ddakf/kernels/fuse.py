@@ -377,7 +377,7 @@ def conjugate_gradients(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def condition(P_pp, P_pu, P_uu, shift, posterior_pp, velocity, posterior_pu, posterior_uu):
-    """Velocity and blocks of each 6-vector once its position is known: see ``ddakf.fuse.condition``.
+    """Velocity and blocks of each 6-vector once its position is known: see ``ddakf.stages.fuse.condition``.
 
     Args:
         P_pp, P_pu, P_uu: (V, 3, 3) prior blocks.

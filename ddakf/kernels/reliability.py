@@ -15,7 +15,7 @@ def nearest_vertices(points, position, index, start, origin, cell, dims, reach, 
     Args:
         points: (N, 3) metres.
         position: (V, 3) metres.
-        index, start, origin, cell, dims: the grid of the vertices, of ``ddakf.preprocess.vertex_grid``.
+        index, start, origin, cell, dims: the grid of the vertices, of ``ddakf.stages.preprocess.vertex_grid``.
         reach: metres.
         nearest: (N,) int32 out, -1 where none is within the reach.
         away: (N,) out, metres; infinite there.

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.body.proximity import Contact
 from ddakf.errors import InvalidConfig
 from ddakf.kernels import collision as kernels
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization
-from ddakf.physics.proximity import Contact
 
 
 class CollisionConstants(NamedTuple):

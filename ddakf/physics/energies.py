@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.body.contact import BodyContact
 from ddakf.config import Physics
-from ddakf.model import Model
+from ddakf.garment.model import Model
 from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, self_collision, shear, stretch
-from ddakf.physics.contact import BodyContact
 
 
 class Energies(NamedTuple):

@@ -23,7 +23,7 @@ from ddakf import data
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation import metrics, pictures
 from ddakf.evaluation.sensors import Cloud, Sensor
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
 
 from .child import ServiceFailed, ServiceProcess
 

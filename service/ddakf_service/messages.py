@@ -15,9 +15,9 @@ from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidSnapshot
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
-from ddakf import depth as depths
 from ddakf import errors as library
 from ddakf import snapshot
+from ddakf.files import depth as depths
 from ddakf.types import FrameResult
 
 from .workers.pool import Limits

@@ -7,15 +7,15 @@ import pytest
 from PIL import Image
 from scipy.io import savemat
 
-from ddakf import io
 from ddakf.data import sample
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation import datasets, metrics
 from ddakf.evaluation.camera import Camera
 from ddakf.evaluation.datasets import KINECT
 from ddakf.evaluation.depth_template import template_from_depth
+from ddakf.files import io
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.sequence import Sequence
 
 
 @pytest.fixture(scope="module")

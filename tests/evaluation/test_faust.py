@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from ddakf import io
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets import faust
 from ddakf.evaluation.datasets.faust import load_faust
+from ddakf.files import io
 from tests.evaluation.test_interpolation import TUBE, lengths, rolled_up
 
 

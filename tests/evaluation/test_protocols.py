@@ -7,7 +7,7 @@ from ddakf import data
 from ddakf.data import sample
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.protocols import faust_split, scored, scored_file
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
 
 NAMES = ("sample", "pergamo_005", "samba_dress", "samba_whole", "sim_skirt_dance", "sim_tank_move", "sim_tshirt_jump")
 CLIPS = tuple(f"s{subject}_p{pose}" for subject in (0, 3, 7, 8, 9) for pose in (1, 2))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ddakf import cli
+from ddakf.commands import cli
 from ddakf.errors import InvalidFile
 from ddakf.evaluation import baselines, machine, methods
 from ddakf.evaluation.report import content, figures, markdown, missing, printed, tables

@@ -10,8 +10,8 @@ from ddakf.data import sample
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation import depth_errors, metrics, sensors
 from ddakf.evaluation.sensors import Sensor
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence
 
 FRAME = 75
 CLEAN = Sensor(noise=0.0, points=10**6)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from ddakf import io
 from ddakf.data import SAMPLE, sample
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.source import chosen_frames, open_source
+from ddakf.files import io
 
 
 @pytest.mark.parametrize(

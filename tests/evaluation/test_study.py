@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from ddakf import cli, io
+from ddakf.commands import cli
 from ddakf.errors import InvalidArgument, InvalidFile, NotApplicable
 from ddakf.evaluation import baselines, machine, trials
 from ddakf.evaluation.study import command, paper, results, workers
@@ -25,6 +25,7 @@ from ddakf.evaluation.study.execute import execute
 from ddakf.evaluation.study.journal import Journal
 from ddakf.evaluation.study.plan import Plan
 from ddakf.evaluation.trials import Trial
+from ddakf.files import io
 
 SMALL = Trial("", points=800, surfaces=True)
 QUIET = Console(quiet=True)
@@ -289,7 +290,8 @@ class Started:
 
     def __init__(self, folder, procs: int, runs: int):
         self.out, self.rows = folder / "out.json", folder / "out.rows.jsonl"
-        self.command = [sys.executable, "-m", "ddakf.cli", "evaluate", "sample", "--methods", "nicp", "--runs", str(runs),
+        self.command = [sys.executable, "-m", "ddakf.commands.cli", "evaluate", "sample", "--methods", "nicp",
+                        "--runs", str(runs),
                         "--frames", "0:8", "--points", "1500", "--procs", str(procs), "--json", str(self.out)]  # fmt: skip
         self.process = subprocess.Popen(
             self.command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,

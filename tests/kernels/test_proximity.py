@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ddakf.body import proximity as proximity_stage
 from ddakf.kernels import proximity, surface_motion
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity as proximity_stage
 from tests.physics.shapes import ball
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ddakf import model
+from ddakf.garment import model
 from ddakf.kernels import fuse, strain
 from ddakf.physics import gradient, shear, stretch
 from ddakf.physics.energies import softened

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from ddakf import physics
+from ddakf.body import proximity
 from ddakf.mesh import Mesh
-from ddakf.physics import bend, proximity, shear, stretch
+from ddakf.physics import bend, shear, stretch
 
 
 @pytest.fixture(scope="module")

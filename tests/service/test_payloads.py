@@ -16,8 +16,8 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, FrameError, Limits
 
 import ddakf
-from ddakf import depth as depths
 from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.files import depth as depths
 
 from .conftest import children, frame_of, make_sheet, request_of
 

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf import Config, Mesh
-from ddakf.associate import Measurement
-from ddakf.model import Model
+from ddakf.garment.model import Model
+from ddakf.stages.associate import Measurement
 from ddakf.types import State
 
 STEP = 1e-6  # m, of the central differences

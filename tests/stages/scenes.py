@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from ddakf import Mesh
-from ddakf.associate import Measurement, associate
 from ddakf.errors import MissingDependency
 from ddakf.evaluation.sensors import sample_surface
-from ddakf.open3d_bridge import import_open3d
+from ddakf.files.open3d_bridge import import_open3d
+from ddakf.files.sequence import load_sequence
 from ddakf.physics import energies
-from ddakf.sequence import load_sequence
+from ddakf.stages.associate import Measurement, associate
 from ddakf.types import State
 
 FPS = 30.0

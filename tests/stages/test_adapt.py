@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf.adapt import adapt
 from ddakf.config import Config, InnovationNoise, ResidualNoise
+from ddakf.stages.adapt import adapt
 from tests.stages.scenes import measured, random_state
 
 SEEDS = st.integers(0, 2**32 - 1)

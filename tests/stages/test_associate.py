@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ddakf import Config, Mesh, model
-from ddakf.associate import Measurement, gates
+from ddakf import Config, Mesh
 from ddakf.config import KnnFilter, NearestPoint
+from ddakf.garment import model
 from ddakf.mesh import vertex_normals
-from ddakf.preprocess import preprocess
+from ddakf.stages.associate import Measurement, gates
+from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import associated, kept_points, planes_of, rms, scan, tube
 

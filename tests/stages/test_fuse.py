@@ -5,9 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ddakf import Config, Fabric, fuse, model, rigidity
+from ddakf import Config, Fabric
+from ddakf.body.contact import BodyContact
 from ddakf.config import MapUpdate
-from ddakf.physics.contact import BodyContact
+from ddakf.garment import model
+from ddakf.physics import rigidity
+from ddakf.stages import fuse
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
 from tests.stages.scenes import blocks, full, linearized, measured, random_state, rms

@@ -5,8 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ddakf import Config, Mesh, Tracker, model
-from ddakf.preprocess import preprocess
+from ddakf import Config, Mesh, Tracker
+from ddakf.garment import model
+from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import associated, rms, scan, tube
 

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf.config import ConstantAcceleration, ConstantVelocity
-from ddakf.fuse import condition
-from ddakf.predict import learn, predict
+from ddakf.stages.fuse import condition
+from ddakf.stages.predict import learn, predict
 from tests.stages.scenes import assert_positive_definite, full, random_state
 
 PLAIN = ConstantVelocity(damping=0.0)

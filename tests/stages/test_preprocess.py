@@ -9,7 +9,7 @@ from ddakf import Config, Mesh
 from ddakf.config import GridFilter, KnnFilter
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor
-from ddakf.preprocess import preprocess
+from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import about, open3d, planes_of, recording
 

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf import Config, Mesh, Tracker, model
+from ddakf import Config, Mesh, Tracker
 from ddakf.config import KnnFilter, PaperReliability, Start
+from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
-from ddakf.reliability import (
+from ddakf.stages.reliability import (
     ERROR,
     VERTEX_ERROR,
     Evidence,

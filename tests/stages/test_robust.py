@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from ddakf.config import NoWeight, Tukey
-from ddakf.robust import gate_threshold, tukey, weigh
+from ddakf.stages.robust import gate_threshold, tukey, weigh
 from tests.stages.scenes import blocks, measured
 
 CONFIG = Tukey()

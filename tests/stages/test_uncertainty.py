@@ -10,10 +10,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from ddakf import Config, Mesh, Tracker, fuse, model, rigidity, snapshot, uncertainty
+from ddakf import Config, Mesh, Tracker, snapshot
+from ddakf.garment import model
 from ddakf.kernels import uncertainty as kernels
+from ddakf.physics import rigidity
+from ddakf.stages import fuse, uncertainty
+from ddakf.stages.uncertainty import Drift, bound, marginals, posterior
 from ddakf.types import State
-from ddakf.uncertainty import Drift, bound, marginals, posterior
 from tests.physics.shapes import sheet
 from tests.stages import dense
 from tests.stages.scenes import assert_positive_definite, full, inner_body, linearized, measured, random_state, scan, tube

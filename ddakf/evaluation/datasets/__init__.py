@@ -17,7 +17,7 @@ from ddakf.evaluation.datasets.folder import FolderRecording, load_folder
 from ddakf.evaluation.datasets.recording import DepthRecording, Recording
 from ddakf.evaluation.datasets.rgbd import is_rgbd, load_rgbd
 from ddakf.evaluation.datasets.utd_mhad import KINECT, load_depth
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.files.sequence import Sequence, load_sequence
 
 __all__ = [
     "KINECT", "DepthRecording", "Faust", "FolderRecording", "Pair", "Recording", "load_cloth3d", "load_depth", "load_faust",

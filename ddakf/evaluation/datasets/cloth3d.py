@@ -18,8 +18,8 @@ from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets.matlab import read_arrays
 from ddakf.evaluation.datasets.point_cache import read_point_cache
 from ddakf.evaluation.datasets.smpl import load_smpl
-from ddakf.io import read_mesh
-from ddakf.sequence import Sequence
+from ddakf.files.io import read_mesh
+from ddakf.files.sequence import Sequence
 
 FPS = 30.0
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from z up

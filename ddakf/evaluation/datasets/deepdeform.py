@@ -16,14 +16,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ddakf.depth import without_fliers
+from ddakf.body import proximity
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.camera import Camera
 from ddakf.evaluation.datasets.rgbd import load_camera, read_grey
 from ddakf.evaluation.depth_template import JUMP, template_from_depth
 from ddakf.evaluation.sensors import Cloud
+from ddakf.files.depth import without_fliers
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity
 
 MM = 1e-3  # metres
 FPS = 30.0

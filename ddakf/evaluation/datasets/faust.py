@@ -18,9 +18,9 @@ import numpy as np
 
 from ddakf.errors import InvalidArgument, InvalidFile, InvalidMesh
 from ddakf.evaluation.interpolation import Interpolation, minimum_jerk
-from ddakf.io import read_mesh, read_points
+from ddakf.files.io import read_mesh, read_points
+from ddakf.files.sequence import UNREADABLE, Sequence, why
 from ddakf.mesh import Mesh
-from ddakf.sequence import UNREADABLE, Sequence, why
 
 POSES = 10  # of every subject; the first one is neutral
 NEUTRAL = 0

@@ -11,7 +11,7 @@ import numpy as np
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets.recording import positive_rate
 from ddakf.evaluation.sensors import Cloud
-from ddakf.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
+from ddakf.files.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
 from ddakf.mesh import Mesh
 
 TEMPLATE = "template"  # name of the mesh file that is no frame

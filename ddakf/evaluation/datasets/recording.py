@@ -8,11 +8,11 @@ from typing import Protocol
 
 import numpy as np
 
-from ddakf.depth import without_fliers
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.camera import Camera
 from ddakf.evaluation.depth_template import JUMP, smoothed, template_from_depth
 from ddakf.evaluation.sensors import Cloud
+from ddakf.files.depth import without_fliers
 from ddakf.mesh import Mesh
 
 MM = 1e-3  # metres

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidFile
-from ddakf.sequence import UNREADABLE, why
+from ddakf.files.sequence import UNREADABLE, why
 
 CHUNK = 64  # poses at once: a few hundred megabytes at most
 FIELDS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "kintree_table", "f")

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.body import proximity
 from ddakf.evaluation.metrics.error import MM
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity
 
 
 class Residual(NamedTuple):

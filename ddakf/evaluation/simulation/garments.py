@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.body import proximity
 from ddakf.data.body import Body
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.simulation.remesh import cut, largest_part, remeshed, subdivided
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.physics import proximity
 
 GAP = 0.009  # m between body and cloth, at least
 ARM_JOINTS = ("upperarm", "lowerarm", "hand")

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.body import proximity
 from ddakf.errors import PoorQuality
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity
-from ddakf.sequence import Sequence
 
 MM = 1e3  # millimetres per metre
 LIMITS = {

@@ -14,7 +14,7 @@ from ddakf.data.pack import packed
 from ddakf.errors import InvalidArgument, PoorQuality
 from ddakf.evaluation.simulation import garments, motions, quality, solver
 from ddakf.evaluation.simulation.garments import Garment
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
 
 SETTLING = 0.8  # s in the rest pose before the first frame
 LICENCE = "CC0 1.0: body by MakeHuman (CC0), garment, motion and simulation by ddakf"

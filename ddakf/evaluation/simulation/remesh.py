@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 
+from ddakf.body import proximity
 from ddakf.errors import InvalidMesh
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.physics import proximity
 
 LONGEST, SHORTEST = 4 / 3, 4 / 5  # of the target length
 ROUNDS = 6

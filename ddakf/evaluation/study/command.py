@@ -12,7 +12,7 @@ from collections.abc import Collection
 from dataclasses import asdict, fields, replace
 from pathlib import Path
 
-from ddakf import sensor_options
+from ddakf.commands import sensor_options
 from ddakf.errors import InvalidArgument
 
 EPILOG = """

@@ -8,7 +8,7 @@ from ddakf.errors import InvalidArgument
 from ddakf.evaluation import methods, trials
 from ddakf.evaluation.datasets import Pair
 from ddakf.evaluation.trials import Trial
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
 
 METHODS = ("ddakf", "paper", "kf", "icp", "pf", "clothfit", "opt-ed", "nicp")
 LEAST_FRAMES = 4  # of a recording: the one that is given, and three, so that there is a second difference

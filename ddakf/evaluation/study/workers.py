@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection, wait
 
 from threadpoolctl import threadpool_limits
 
-from ddakf import kernels
+from ddakf.commands import warmup
 from ddakf.evaluation import trials
 from ddakf.evaluation.trials import Trial
 
@@ -57,7 +57,7 @@ def rows(wanted: list[Trial], procs: int) -> Iterator[dict]:
 def prepare() -> None:
     """One thread, and compiled kernels: no time holds anything else."""
     threadpool_limits(1)
-    kernels.warm()
+    warmup.warm()
 
 
 class _Worker:

@@ -12,7 +12,7 @@ from ddakf_api.errors import SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
-from ddakf import kernels
+from ddakf.commands import warmup
 
 from .. import messages
 from .pool import Limits
@@ -42,7 +42,7 @@ class Compute:
 
     def warm(self, progress: Callable[[int, int, str], None]) -> None:
         """Compiles the kernels, and tracks a first frame the way that every later one goes."""
-        kernels.warm(progress)
+        warmup.warm(progress)
         request, frame = messages.warm_up_session()
         self.open("warm-up", request.SerializeToString())
         self._track("warm-up", frame, pb.ResultOptions(include_covariance=True), self._limits)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence
 
 
 def tube(radius, height, rings, around, closed=False, raised=0.0):

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from ddakf.body import proximity
 from ddakf.data.body import load_body
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.simulation import command, garments
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.physics import proximity
 
 HEMS = {"tshirt": 4, "tank": 4, "skirt": 2, "dress": 4}
 WANTED = 300

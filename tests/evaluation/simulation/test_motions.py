@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from ddakf.body import proximity
 from ddakf.data.body import load_body
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.simulation import command, motions
 from ddakf.mesh import Mesh
-from ddakf.physics import proximity
 
 FPS = 30.0
 

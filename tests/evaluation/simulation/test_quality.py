@@ -5,7 +5,7 @@ import pytest
 
 from ddakf.errors import PoorQuality
 from ddakf.evaluation.simulation import quality
-from ddakf.sequence import Sequence
+from ddakf.files.sequence import Sequence
 
 SHEET = np.array([[-0.2, 0, -0.2], [0.2, 0, -0.2], [0.2, 0, 0.2], [-0.2, 0, 0.2]], np.float32)
 SHEET_FACES = np.array([[0, 2, 1], [0, 3, 2]])

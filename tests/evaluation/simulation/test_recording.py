@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 
-from ddakf import cli
+from ddakf.commands import cli
 from ddakf.data.body import load_body
 from ddakf.data.pack import pack
 from ddakf.errors import InvalidArgument, PoorQuality
 from ddakf.evaluation.simulation import motions, recording
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.files.sequence import Sequence, load_sequence
 
 
 def posed(n_frames=4):

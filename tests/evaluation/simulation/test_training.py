@@ -10,7 +10,7 @@ from ddakf import data
 from ddakf.data.body import load_body
 from ddakf.evaluation.baselines.clothfit import library
 from ddakf.evaluation.simulation import garments, motions, quality
-from ddakf.sequence import load_sequence
+from ddakf.files.sequence import load_sequence
 
 PATHS = sorted(data.TRAINING.glob("*.npz"))
 

@@ -53,7 +53,7 @@ def test_secrets_are_nowhere_but_with_their_holders(guarded):
 
 def test_a_recording_is_tracked_with_the_key_of_the_environment(guarded):
     sample = Path(__file__).parents[3] / "ddakf/data/sample.npz"
-    command = [sys.executable, "-m", "ddakf.cli", "track", str(sample), "--frames", "0:3", "--server", guarded.grpc]
+    command = [sys.executable, "-m", "ddakf.commands.cli", "track", str(sample), "--frames", "0:3", "--server", guarded.grpc]
     for key, status in ((guarded.keys["stream"], 0), ("", 2)):
         done = subprocess.run(
             command, env={**os.environ, "DDAKF_API_KEY": key}, capture_output=True, text=True, timeout=100, check=False
@@ -63,7 +63,7 @@ def test_a_recording_is_tracked_with_the_key_of_the_environment(guarded):
 
 
 def test_keys_command_refuses_what_it_cannot_do(tmp_path):
-    command = [sys.executable, "-m", "ddakf.cli", "keys", "--data-dir", str(tmp_path), "revoke", "0123456789ab"]
+    command = [sys.executable, "-m", "ddakf.commands.cli", "keys", "--data-dir", str(tmp_path), "revoke", "0123456789ab"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert "0123456789ab" in done.stderr

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.evaluation.baselines.clothfit.features import LENGTH, Features
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-from ddakf.sequence import Sequence
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from scipy.spatial import cKDTree
 from ddakf.data.body import Body, load_body
 from ddakf.evaluation.simulation import garments, motions
 from ddakf.evaluation.simulation.garments import Garment
+from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh, vertex_normals
-from ddakf.sequence import Sequence
 
 FPS, FRAMES, SETTLING, VERTICES = 30.0, 100, 24, 500  # settling: frames in the rest pose, not kept
 SIZES = 2  # cuts of each garment

@@ -25,8 +25,8 @@ from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
 from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, torch
 from ddakf.evaluation.protocols import Scored
 from ddakf.evaluation.simulation import garments, motions, remesh
-from ddakf.kept import drop_unused, used
-from ddakf.sequence import Sequence, load_sequence
+from ddakf.files.cache import drop_unused, used
+from ddakf.files.sequence import Sequence, load_sequence
 
 DEFAULT = Settings()
 TOGETHER = 7  # rehearsals simulated at once

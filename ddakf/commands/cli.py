@@ -1,0 +1,99 @@
+"""The command line: one entry point; commands register through the entry-point group ``ddakf.commands``.
+
+A command is a function ``register(subparsers)`` that adds a parser with ``set_defaults(run=function)``; the function
+gets the parsed arguments and returns the exit status. Registering must be light: heavy imports belong into the
+function.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from importlib import metadata
+
+import ddakf
+from ddakf.commands import doctor, track
+from ddakf.errors import DdakfError
+from ddakf.evaluation.report import command as report
+from ddakf.evaluation.simulation import command as simulate
+from ddakf.evaluation.study import command as study
+
+GROUP = "ddakf.commands"
+FAILURE, INTERRUPTED = 2, 130
+EXTRAS = {
+    "matplotlib": "evaluation",
+    "open3d": "evaluation",
+    "torch": "learned",
+    "newton": "simulation",
+    "warp": "simulation",
+    "ray": "ray",
+}  # otherwise "service"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Runs one command.
+
+    Args:
+        argv: arguments without the program's name; default those of the process.
+
+    Returns:
+        Exit status: 0 done, 2 an error that was explained in one sentence on stderr, 130 interrupted.
+    """
+    arguments = _parser().parse_args(argv)
+    try:
+        return arguments.run(arguments) or 0
+    except DdakfError as error:
+        print(f"ddakf: {error}", file=sys.stderr)
+        return FAILURE
+    except ModuleNotFoundError as error:
+        print(f"ddakf: {_what_to_install(arguments.command, error)}", file=sys.stderr)
+        return FAILURE
+    except KeyboardInterrupt:
+        print("ddakf: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="ddakf", description="Real-time garment tracking from 3D point clouds.")
+    parser.add_argument("--version", action="version", version=f"ddakf {ddakf.__version__}")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    track.register(commands)
+    study.register(commands)
+    report.register(commands)
+    doctor.register(commands)
+    simulate.register(commands)
+    for entry_point in sorted(metadata.entry_points(group=GROUP), key=lambda e: e.name):
+        if entry_point.name not in commands.choices:
+            _load(entry_point)(commands)
+    return parser
+
+
+def _load(entry_point: metadata.EntryPoint) -> Callable[[argparse._SubParsersAction], None]:
+    try:
+        return entry_point.load()
+    except ImportError as error:
+        sentence = _what_to_install(entry_point.name, error)
+    return lambda commands: _register_unavailable(commands, entry_point.name, sentence)
+
+
+def _register_unavailable(commands: argparse._SubParsersAction, name: str, sentence: str) -> None:
+    """A command whose package is absent still shows in the help, and says what it lacks."""
+
+    def explain(arguments: argparse.Namespace) -> int:
+        print(f"ddakf: {sentence}", file=sys.stderr)
+        return FAILURE
+
+    command = commands.add_parser(name, help=f"not available: {sentence}", add_help=False, prefix_chars="\0")
+    command.add_argument("ignored", nargs="*")
+    command.set_defaults(run=explain)
+
+
+def _what_to_install(command: str, error: ImportError) -> str:
+    missing = error.name or str(error)
+    extra = EXTRAS.get(missing.partition(".")[0], "service")
+    return f"{command} needs {missing}, which is not installed: pip install 'ddakf[{extra}]'"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

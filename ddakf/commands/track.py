@@ -1,0 +1,183 @@
+"""``ddakf track``: tracks a garment through a sequence or a recording, and reports how well."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from ddakf.commands import sensor_options
+from ddakf.errors import InvalidArgument
+
+EPILOG = """
+A sequence (.npz, a clip of FAUST, a garment of CLOTH3D) has the true garment: it is seen by a virtual sensor, and errors are
+reported. A recording (.mat of UTD-MHAD, a folder with depth/*.png, or one of .ply, .obj, .xyz or .pcd files) has none: the
+distance of the cloud to the fitted surface is reported. Of several parts one is named: MPI-FAUST#s3_p7, 00042#Tshirt.
+"""
+
+
+def register(commands: argparse._SubParsersAction) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("track", help="track a garment through a sequence or recording", epilog=EPILOG)
+    parser.add_argument("path", metavar="SEQ.npz|DEPTH.mat|FOLDER[#PART]")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A up to frame B - 1")
+    parser.add_argument("--seed", type=int, default=1, help="of the sensor's random numbers (default 1)")
+
+    sensor = sensor_options.add(parser)
+    sensor.add_argument("--fps", type=float, default=30.0, help="of a recording (default 30)")
+
+    tracker = parser.add_argument_group("tracker")
+    tracker.add_argument(
+        "--body", action=argparse.BooleanOptionalAction, default=False, help="give the tracker the body of every frame"
+    )
+    tracker.add_argument(
+        "--start",
+        choices=("truth", "rest", "search"),
+        default="truth",
+        help="the template of a sequence lies at the true first frame (default), as it is in the "
+        "file, or turned and moved away at random, so that the tracker has to search",
+    )
+    tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
+    tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")
+    tracker.add_argument("--server", metavar="HOST:PORT", help="track on a server, through its client; DDAKF_API_KEY has its key")
+    tracker.add_argument("--codec", metavar="NAME", help="of the clouds that are sent to the server")
+
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", metavar="R.npz", help="vertices, sigma, reliability, states, timestamps")
+    output.add_argument("--picture", metavar="P.png", help="picture of the frame in the middle")
+    output.add_argument("--animation", metavar="P.gif|P.webp", help="animation of the run")
+    output.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Tracks, reports, and writes what was asked for."""
+    from ddakf.evaluation.scoreboard import Scoreboard
+
+    _check_outputs(arguments)
+    console = Console(stderr=True)
+    source = _source(arguments)
+    scores = Scoreboard(source.garment)
+    album = _Album(len(source)) if arguments.picture or arguments.animation else None
+    with _progress(console) as bar:
+        task = bar.add_task(source.title, total=len(source), note="")
+        for frame, result, seconds in _replay(arguments, source, console):
+            scores.add(frame, result, seconds)
+            if album:
+                album.add(frame, result)
+            bar.update(task, advance=1, note=f"{1 / seconds:4.0f} fps  reliability {result.reliability:.2f}")
+    if arguments.out:
+        scores.save(arguments.out)
+    if album:
+        album.save(source, arguments.picture, arguments.animation)
+    summary = scores.summary()
+    print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
+    return 0
+
+
+def table(title: str, summary: dict) -> Table:
+    """The summary of a :class:`~ddakf.evaluation.scoreboard.Scoreboard` for people."""
+    rows = Table(title=title, show_header=False, title_justify="left")
+    rows.add_row("frames", str(summary["frames"]))
+    rows.add_row("states", ", ".join(f"{state} {share:.1%}" for state, share in summary["states"].items()))
+    rows.add_row("time per frame, p50 / p99", f"{summary['ms_p50']:.1f} / {summary['ms_p99']:.1f} ms")
+    rows.add_row("frames per second", f"{summary['fps']:.0f}")
+    if summary["rmse_mm"] is not None:
+        rows.add_row("RMSE / along the normal", f"{summary['rmse_mm']:.1f} / {summary['normal_rmse_mm']:.1f} mm")
+        for name, label in (("", "all"), ("_observed", "observed"), ("_hidden", "unobserved")):
+            coverage, nees = summary["coverage90" + name], summary["nees3" + name]
+            if coverage is not None:
+                rows.add_row(f"in 90 % ellipsoid, NEES/3: {label}", f"{coverage:.1%}, {nees:.2f}")
+    if summary["residual_mean_mm"] is not None:
+        residual = f"{summary['residual_mean_mm']:.1f} / {summary['residual_p95_mm']:.1f} mm"
+        rows.add_row("cloud to surface, mean / p95", residual)
+    rows.add_row("reliability, mean", f"{summary['reliability']:.2f}")
+    return rows
+
+
+class _Album:
+    """Keeps what the pictures need, of at most as many frames as an animation shows."""
+
+    def __init__(self, frames: int):
+        from ddakf.evaluation.pictures import MOST_FRAMES
+
+        self._stride, self._seen, self._shots, self._origin = math.ceil(frames / MOST_FRAMES), 0, [], None
+
+    def add(self, frame, result) -> None:
+        from ddakf.evaluation.pictures import Shot
+
+        if self._seen % self._stride == 0:
+            caption = f"frame {frame.number}   {result.state}   reliability {result.reliability:.2f}"
+            vertices, sigma = result.vertices.copy(), result.sigma.copy()
+            self._shots.append(Shot(frame.points, vertices, sigma, caption, frame.body))
+        self._seen += 1
+        if self._origin is None and frame.sensor_origin is not None and frame.sensor_origin.ndim == 1:
+            self._origin = frame.sensor_origin
+
+    def save(self, source, picture: str | None, animation: str | None) -> None:
+        from ddakf.evaluation import pictures
+
+        painter = pictures.Painter(
+            self._shots,
+            source.garment.faces,
+            source.body_faces,
+            title=source.title,
+            sensor_origin=self._origin,
+            see_behind=source.closed,
+        )
+        if picture:
+            pictures.save_still(picture, painter, self._shots[len(self._shots) // 2])
+        if animation:
+            pictures.save_animation(animation, painter, self._shots, source.fps / self._stride)
+
+
+def _check_outputs(arguments: argparse.Namespace) -> None:
+    """Refuses before the run what could not be written after it."""
+    if arguments.animation and not arguments.animation.lower().endswith((".gif", ".webp")):
+        raise InvalidArgument("animation", "a name that ends in .gif or .webp", arguments.animation)
+    for name in ("out", "picture", "animation"):
+        path = getattr(arguments, name)
+        if path and not Path(path).parent.is_dir():
+            raise InvalidArgument(name, "a path in a folder that exists", path)
+    if arguments.codec and not arguments.server:
+        raise InvalidArgument("codec", "to be used with --server", arguments.codec)
+
+
+def _source(arguments: argparse.Namespace):
+    from ddakf.evaluation.datasets import open_dataset
+    from ddakf.evaluation.source import source_of
+    from ddakf.files.sequence import Sequence
+
+    recording = open_dataset(arguments.path, fps=arguments.fps)
+    return source_of(
+        recording,
+        sensor_options.sensor(arguments, virtual=isinstance(recording, Sequence)),
+        frames=arguments.frames,
+        start=arguments.start,
+        give_body=arguments.body,
+        template=arguments.template,
+        seed=arguments.seed,
+    )
+
+
+def _replay(arguments: argparse.Namespace, source, console: Console):
+    import ddakf
+    from ddakf.commands.doctor import warm
+    from ddakf.evaluation import replay
+
+    config = ddakf.Config.paper() if arguments.paper else None
+    if arguments.server:
+        return replay.remote(source, arguments.server, config, arguments.codec)
+    warm(console)
+    return replay.local(source, config)
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+               TextColumn("{task.fields[note]}"))  # fmt: skip
+    return Progress(*columns, console=console)

@@ -1,0 +1,170 @@
+"""Points and meshes from and to files; units and axes are those of the file.
+
+``.ply``, ``.obj``, ``.xyz``, ``.txt`` and ``.csv`` are read here; other formats go through Open3D when it is installed.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+from ddakf.files.ply import read_ply, write_ply
+from ddakf.files.sequence import Sequence, load_sequence
+
+__all__ = ["Sequence", "load_sequence", "read_mesh", "read_points", "write_mesh", "write_points"]
+
+TEXT_SUFFIXES = (".xyz", ".txt", ".csv")
+POINT_SUFFIXES = (".ply", ".obj", *TEXT_SUFFIXES, ".pcd")
+MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".gltf", ".glb")
+
+
+def read_points(path) -> np.ndarray:
+    """Reads a point cloud; of a mesh file, its vertices.
+
+    Args:
+        path: .ply, .obj, .xyz, .txt or .csv (first three columns); .pcd and others through Open3D.
+
+    Returns:
+        (N, 3) float64, finite; N may be 0.
+
+    Raises:
+        InvalidFile: no such file, malformed, or non-finite coordinates.
+        MissingDependency: the format needs Open3D, which cannot be imported.
+    """
+    path = _existing(path)
+    suffix = path.suffix.lower()
+    if suffix == ".ply":
+        points = read_ply(path)[0]
+    elif suffix == ".obj":
+        points = _read_obj(path)[0]
+    elif suffix in TEXT_SUFFIXES:
+        points = _read_columns(path)
+    else:
+        from ddakf.files import open3d_bridge
+
+        points = open3d_bridge.read_points(path)
+    return _finite(path, points)
+
+
+def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
+    """Reads a triangle mesh; polygons become fans of triangles.
+
+    Returns:
+        (V, 3) float64 finite vertices and (F, 3) int64 faces, with indices inside the vertices. Defects of the topology
+        stay: pass the arrays to :class:`ddakf.Mesh`, which refuses them, or to ``Mesh.cleaned``, which repairs them.
+
+    Raises:
+        InvalidFile: no such file, malformed, no faces, an index out of range.
+        MissingDependency: the format needs Open3D, which cannot be imported.
+    """
+    path = _existing(path)
+    suffix = path.suffix.lower()
+    if suffix in (".ply", ".obj"):
+        vertices, polygons = read_ply(path) if suffix == ".ply" else _read_obj(path)
+        faces = _fans(polygons)
+    elif suffix in POINT_SUFFIXES:
+        raise InvalidFile(str(path), f"a mesh format such as {', '.join(MESH_SUFFIXES[:2])}", suffix)
+    else:
+        from ddakf.files import open3d_bridge
+
+        vertices, faces = open3d_bridge.read_mesh(path)
+    vertices = _finite(path, vertices)
+    if len(faces) == 0:
+        raise InvalidFile(f"{path.name}: faces", "at least one face", "none")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        worst = faces.min() if faces.min() < 0 else faces.max()
+        raise InvalidFile(f"{path.name}: faces", f"indices in [0, {len(vertices)})", str(worst))
+    return vertices, faces
+
+
+def write_mesh(path, vertices, faces) -> None:
+    """Writes (V, 3) vertices and (F, 3) triangles: .ply in float32, .obj in text with nine digits."""
+    _write(Path(path), np.asarray(vertices), np.asarray(faces))
+
+
+def write_points(path, points) -> None:
+    """Writes (N, 3) points: .ply in float32, .obj or .xyz in text with nine digits."""
+    _write(Path(path), np.asarray(points), None)
+
+
+def _write(path: Path, vertices: np.ndarray, faces: np.ndarray | None) -> None:
+    suffix = path.suffix.lower()
+    rows = (" ".join(f"{value:.9g}" for value in row) for row in vertices)
+    if suffix == ".ply":
+        write_ply(path, vertices, faces)
+    elif suffix == ".obj":
+        lines = [f"v {row}" for row in rows]
+        lines += [f"f {a} {b} {c}" for a, b, c in (faces + 1 if faces is not None else ())]
+        path.write_text("\n".join(lines) + "\n")
+    elif suffix == ".xyz" and faces is None:
+        path.write_text("".join(f"{row}\n" for row in rows))
+    else:
+        accepted = ".ply or .obj" if faces is not None else ".ply, .obj or .xyz"
+        raise InvalidFile(str(path), f"a name that ends in {accepted}", suffix)
+
+
+def _existing(path) -> Path:
+    path = Path(path)
+    if not path.is_file():
+        raise InvalidFile(str(path), "a file", "a folder" if path.is_dir() else "nothing there")
+    return path
+
+
+def _finite(path: Path, points: np.ndarray) -> np.ndarray:
+    bad = ~np.isfinite(points).all(axis=1)
+    if bad.any():
+        found = f"{bad.sum()} non-finite, the first at {bad.argmax()}"
+        raise InvalidFile(f"{path.name}: vertices", "finite numbers", found)
+    return points
+
+
+def _fans(polygons: list[np.ndarray]) -> np.ndarray:
+    """(F, 3) triangles of groups of polygons (polygons, corners), each fanned from its first corner."""
+    fans = [group[:, [0, k, k + 1]] for group in polygons for k in range(1, group.shape[1] - 1)]
+    return np.concatenate(fans).astype(np.int64) if fans else np.zeros((0, 3), np.int64)
+
+
+def _read_obj(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Vertices and polygons of a Wavefront file: `v`, and `f` with slashes and negative (relative) indices."""
+    vertices, polygons = [], {}
+    for number, line in enumerate(path.read_text("latin-1").replace("\\\n", " ").splitlines(), start=1):
+        key, *words = line.split("#", 1)[0].split() or [""]
+        try:
+            if key == "v":
+                x, y, z = map(float, words[:3])
+                vertices.append((x, y, z))
+            elif key == "f":
+                polygon = [_obj_index(word, len(vertices)) for word in words]
+                polygons.setdefault(len(polygon), []).append(polygon)
+        except ValueError:
+            expected = "v x y z" if key == "v" else "f with whole, non-zero vertex indices"
+            raise InvalidFile(f"{path.name}: line {number}", expected, line.strip()[:60]) from None
+    groups = [np.array(group, np.int64) for corners, group in sorted(polygons.items()) if corners >= 3]
+    return np.array(vertices, np.float64).reshape(-1, 3), groups
+
+
+def _obj_index(word: str, vertices_so_far: int) -> int:
+    index = int(word.split("/", 1)[0])
+    if index == 0 or abs(index) > 2**31:
+        raise ValueError
+    return index - 1 if index > 0 else vertices_so_far + index
+
+
+def _read_columns(path: Path) -> np.ndarray:
+    """First three columns of a text file, separated by blanks, commas or semicolons; `#` begins a comment."""
+    rows = []
+    for number, line in enumerate(path.read_text("latin-1").splitlines(), start=1):
+        words = re.split(r"[\s,;]+", line.split("#", 1)[0].strip(" \t,;"))
+        if words == [""]:
+            continue
+        try:
+            x, y, z = map(float, words[:3])
+        except ValueError:
+            if not rows and len(words) == 1 and words[0].isdigit():
+                continue  # some writers begin with the number of points
+            raise InvalidFile(f"{path.name}: line {number}", "three numbers", line.strip()[:60]) from None
+        rows.append((x, y, z))
+    return np.array(rows, np.float64).reshape(-1, 3)

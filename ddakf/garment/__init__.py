@@ -1,0 +1,1 @@
+"""The garment: its topology, rest shape, clusters and decimated levels."""

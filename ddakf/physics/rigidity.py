@@ -1,0 +1,96 @@
+"""Spatially correlated process noise: edges follow the rotation of their one-ring.
+
+Two terms of the form 1/2 sum w |x_j - x_i - (R_i + R_j)/2 s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
+with s the edges of the last posterior, and to the rest shape, with s the edges of the template.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.garment.model import Model
+from ddakf.kernels import rigidity as kernels
+
+ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
+FIRST_STEPS = 4  # in the first pass, before which the prediction and coarser versions have moved the garment
+
+
+class LocalRigidity(NamedTuple):
+    """One term; the rotations are its only changing part."""
+
+    source: np.ndarray  # (2E, 3) float32 m
+    weight: float  # 1/m^2
+    rotation: np.ndarray  # (V, 3, 3)
+    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times T_i by columns padded to four: what neighbours read
+    follow: np.ndarray  # (V, 8) float32, how T_i stretches with its ring; (0, 8): T_i is the rotation
+
+
+def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0) -> LocalRigidity:
+    """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed.
+
+    ``share`` in [0, 1): how much of its own strain a one-ring follows. Where T_i = R_i the term resists strain; where T_i is the
+    ring's affine fit, only what differs from ring to ring: bending, folds, and uneven strain.
+    """
+    n = len(rotation)
+    follow = np.empty((n if share > 0 else 0, 8), np.float32)
+    if share > 0:
+        kernels.followers(model.start, model.rest_edge, share, follow)
+    return LocalRigidity(model.rest_edge, weight, rotation.copy(), np.empty((n, 12), np.float32), follow)
+
+
+def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
+    """The term that makes the change since ``position`` (V, 3) locally rigid."""
+    n = len(position)
+    return LocalRigidity(edges(position, model), weight, identity(n), np.empty((n, 12), np.float32), np.empty((0, 8), np.float32))
+
+
+def edges(position: np.ndarray, model: Model) -> np.ndarray:
+    """(2E, 3) float32 x_j - x_i of each entry of the one-rings, metres."""
+    edge = np.empty((len(model.neighbour), 3), np.float32)
+    kernels.edge_vectors(position, model.start, model.neighbour, edge)
+    return edge
+
+
+def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
+    """Fits the rotations to (V, 3) ``position``, in place, by so many steps."""
+    fit(term, padded(position), model, steps)
+
+
+def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
+    """As :func:`turn`, of (V, 4) :func:`padded` positions."""
+    kernels.fit_rotations(
+        position, model.start, model.neighbour, term.source, term.follow, steps, 0.5 * term.weight, term.rotation, term.shared
+    )
+
+
+def add_force(terms: tuple[LocalRigidity, ...], position: np.ndarray, model: Model, force: np.ndarray) -> None:
+    """Adds to (V, 4) ``force`` minus the gradient of the terms at (V, 4) ``position``, their rotations fitted to it and held."""
+    for term in terms:
+        kernels.add_force(position, model.start, model.neighbour, term.source, term.weight, term.shared, force)
+
+
+def padded(position: np.ndarray) -> np.ndarray:
+    """(V, 4): a zero behind each row of (V, 3)."""
+    rows = np.zeros((len(position), 4))
+    rows[:, :3] = position
+    return rows
+
+
+def rotations(position: np.ndarray, model: Model) -> np.ndarray:
+    """(V, 3, 3) rotations of the one-rings from rest to ``position``, exactly: the polar factor, by singular values.
+
+    A ring that is flat at rest and now leaves its turn about itself to its normal: of the two rotations the proper one.
+    """
+    edge = edges(position, model)
+    row = np.repeat(np.arange(len(position)), np.diff(model.start))
+    covariance = np.zeros((len(position), 3, 3))
+    np.add.at(covariance, row, edge[:, :, None] * model.rest_edge[:, None, :].astype(float))
+    U, _, Vt = np.linalg.svd(covariance)
+    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+    return U @ Vt
+
+
+def identity(n: int) -> np.ndarray:
+    return np.tile(np.eye(3), (n, 1, 1))

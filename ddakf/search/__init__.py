@@ -1,0 +1,1 @@
+"""Relocalization: a garment without a track is found in the cloud."""

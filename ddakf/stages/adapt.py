@@ -1,0 +1,48 @@
+"""Stage D, adaptation (paper, sections 2.3 and 2.7): the measurement covariance of each vertex follows its residuals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddakf.config import InnovationNoise, ResidualNoise
+from ddakf.kernels import adapt as kernels
+from ddakf.stages.associate import Measurement
+from ddakf.types import State
+
+
+def adapt(
+    last: State, measurement: Measurement, weight: np.ndarray, prior: State, position: np.ndarray,
+    config: InnovationNoise | ResidualNoise,
+) -> np.ndarray:  # fmt: skip
+    """(V, 3, 3) R of this frame, square metres; vertices without a measurement keep theirs.
+
+    ``InnovationNoise``: R = alpha R + (1 - alpha)(y y' + epsilon I), y the innovation against the prediction, eigenvalues
+    clamped to [R_min, R_max]. ``ResidualNoise``: the same recursion for the variance along the measured normal, with
+    e^2 + n' P n in place of y y', e the residual at the estimate and P the last posterior; R is scaled along n to match.
+
+    Args:
+        last: posterior of the last frame, with its R.
+        measurement, weight: of this pass.
+        prior: the prediction.
+        position: (V, 3) the estimate, metres.
+        config: which, with alpha, epsilon and the clamp.
+    """
+    used = weight > 0
+    low, high = config.lowest_sd**2, config.highest_sd**2
+    R = last.R.copy()
+    match config:
+        case ResidualNoise():
+            kernels.adapt_along_normals(
+                measurement.target, measurement.normal, used, position, last.P_pp, config.alpha, config.epsilon, low, high, R
+            )
+        case InnovationNoise():
+            y = measurement.innovation(prior.position)[used]
+            sample = y[:, :, None] * y[:, None, :] + config.epsilon * np.eye(3)
+            R[used] = clamp(config.alpha * R[used] + (1.0 - config.alpha) * sample, low, high)
+    return R
+
+
+def clamp(matrices: np.ndarray, low: float, high: float) -> np.ndarray:
+    """Symmetric (V, 3, 3) with their eigenvalues moved into [low, high]."""
+    values, vectors = np.linalg.eigh(matrices)
+    return np.einsum("vab,vb,vcb->vac", vectors, np.clip(values, low, high), vectors)

@@ -1,0 +1,325 @@
+"""Stage G, reliability (paper, section 2.6): the paper's s_k, the product's score, and the tracker's state."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.config import PaperReliability, Reliability
+from ddakf.garment.model import Model
+from ddakf.kernels import reliability as kernels
+from ddakf.kernels.associate import vertex_normals
+from ddakf.stages.frame_input import Frame
+from ddakf.stages.fuse import Update
+from ddakf.stages.preprocess import vertex_grid
+from ddakf.stages.uncertainty import variances
+from ddakf.types import State, TrackerState
+
+EVIDENCE_POINTS = 800  # of a cloud, at least and not twice as many, that are held against the surface
+REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
+RINGS, CELLS = 4, 127  # of cells in the reach, which are searched nearest first; at most along each axis of the vertices' grid
+FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
+NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
+CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
+MEMORY = 0.5  # s
+FREE = 0.05  # m: a vertex as far from the body is held by nothing
+SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
+LONGEST_GAP = 3.0  # times the spacing of the frames before
+LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
+
+
+class Health(NamedTuple):
+    """What the tracker remembers about its own quality."""
+
+    state: TrackerState = "initializing"
+    physics_lambda: float = 1.0
+    poor_for: float = 0.0  # s of sensor time with points, but without a fit
+    empty_for: float = 0.0  # s of empty clouds
+    doubtful: bool = False  # there is a fit, but hardly of this garment
+    frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    settling: int = 0  # frames in which a garment that was found is bent further
+    spacing: float = 0.0  # s between the last two frames
+    # what the predicted error remembers
+    least_strain: float = 10.0  # RMS, so far
+    offset: float = 0.0  # m^2
+    unexplained: float = 0.0  # share of the points
+    least_unexplained: float = 1.0  # so far
+
+    def placed(self) -> Health:
+        """Where a search found the garment: what is remembered of the old track says nothing about the new one."""
+        return self._replace(offset=0.0, unexplained=0.0)
+
+    @property
+    def unplaced(self) -> bool:
+        """Where the garment is has not been seen lately: before the first fit, lost, out of sight or without a fit."""
+        return self.state in ("initializing", "lost") or self.poor_for > 0.0 or self.empty_for > 0.0 or self.doubtful
+
+    @property
+    def search_due(self) -> bool:
+        """Whether it is looked for: a search takes as long as several frames, and a stream of nonsense must not stall."""
+        rounds, rest = divmod(self.frames_unplaced, SEARCH_EVERY)
+        return self.unplaced and rest == 0 and rounds & (rounds - 1) == 0
+
+    def interrupted(self, dt: float) -> bool:
+        """Whether ``dt`` seconds since the last frame are a gap: long, and longer than frames of this stream are apart."""
+        return dt > max(LONGEST_BOOKED, LONGEST_GAP * self.spacing) and self.spacing > 0.0
+
+
+def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
+    """s_k = exp(-1/N_v sum_i |y_i|^2 / trace(R_i)), section 2.6; vertices without a measurement contribute y = 0.
+
+    A frame without any measurement has no innovation to judge by; its score is 0.
+
+    Args:
+        innovation: (V, 3) y, metres.
+        R: (V, 3, 3) square metres.
+        found: (V,) bool.
+    """
+    if not found.any():
+        return 0.0
+    return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
+
+
+class Evidence(NamedTuple):
+    """What a frame says about its own error, 0 where nothing speaks of any."""
+
+    offset: float  # m^2, of the cloud from the surface, patch by patch, over the last half second
+    unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
+    unexplained: float  # share of the points, in clumps, that no vertex is near; over the last half second
+    uncertainty: float  # m^2, mean calibrated variance along the normals
+    strain: float  # squared: RMS strain beyond the least so far; a wrong fit is crumpled
+    hem: float  # m^2, mean squared distance of hems from where the cloud ends
+
+
+class VertexEvidence(NamedTuple):
+    """What a frame says about the error of each vertex, (V,) each."""
+
+    variance: np.ndarray  # m^2, trace of the calibrated covariance
+    unmeasured: np.ndarray  # in [0, 1]: 1 - mean weight of the measurements of the vertex's cluster
+    strain: np.ndarray  # mean squared strain of the edges at the vertex
+    clearance: np.ndarray  # m, from the body, at most FREE; FREE where there is none
+
+
+class Law(NamedTuple):
+    """A predicted error: ``base`` times prod (1 + evidence / scale)^power, no power negative."""
+
+    base: float  # m
+    scale: tuple  # in the units of the evidence: below it, it says nothing
+    power: tuple
+
+    def __call__(self, found: Evidence | VertexEvidence):
+        """Metres; an array where the evidence consists of arrays."""
+        terms = zip(found, self.scale, self.power, strict=True)
+        return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
+
+
+# the scales are chosen, the rest is fitted: benchmarks/reliability.py --fit prints it
+ERROR = Law(
+    base=0.00284,
+    scale=Evidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, strain=1e-5, hem=1e-6),
+    power=Evidence(offset=0.032, unmatched=0.17, unexplained=0.2, uncertainty=0.22, strain=0.079, hem=0.039),
+)
+# of a vertex, relative to the others of its frame
+VERTEX_ERROR = Law(
+    base=1.0,
+    scale=VertexEvidence(variance=7e-5, unmeasured=0.05, strain=1e-5, clearance=0.005),
+    power=VertexEvidence(variance=0.29, unmeasured=0.12, strain=0.047, clearance=0.28),
+)
+
+
+def evidence(
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, points: np.ndarray, clearance: np.ndarray | None,
+    dt: float, model: Model,
+) -> tuple[Evidence, VertexEvidence, Health]:  # fmt: skip
+    """What speaks for and against a frame and its vertices, and the memory of it.
+
+    Args:
+        health: after the last frame.
+        update: the finished update.
+        posterior: of this frame.
+        covariance: (V, 3, 3) calibrated, square metres.
+        points: (N, 3) of the cloud that are held against the surface, metres.
+        clearance: (V,) signed distance from the body, metres; None without one.
+        dt: seconds since the last frame.
+        model: the garment.
+    """
+    position, n, used = posterior.position, len(posterior.position), update.weight > 0
+    squared = np.empty(n)
+    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, squared))
+    health = health._replace(least_strain=min(health.least_strain, strain))
+    if len(points):
+        health = held_against_cloud(health, points, position, dt, model)
+    normal = np.empty_like(position)
+    vertex_normals(position, model.faces, normal)
+    hem = update.measurement.hem
+    frame = Evidence(
+        offset=health.offset,
+        unmatched=float((update.measurement.visible & ~used).mean()),
+        unexplained=health.unexplained,
+        uncertainty=kernels.variance_along(normal, covariance) / n,
+        strain=(strain - health.least_strain) ** 2,
+        hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
+    )
+    measured = np.bincount(model.cluster, update.weight, model.n_clusters) / np.bincount(model.cluster)
+    vertices = VertexEvidence(
+        variance=3.0 * variances(covariance),
+        unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
+        strain=squared,
+        clearance=np.full(n, FREE) if clearance is None else np.clip(clearance, 0.0, FREE),
+    )
+    return frame, vertices, health
+
+
+def sample(now: Frame) -> Frame:
+    """Some of a frame's points, spread over all: :data:`EVIDENCE_POINTS` of them, and not twice as many."""
+    return now.only(np.arange(0, len(now.points), max(1, len(now.points) // EVIDENCE_POINTS)))  # no view: kernels know its layout
+
+
+def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
+    """The memory after points were held against the vertices nearest to them.
+
+    A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
+    nearest to a boundary or farther than :data:`NEAR`. Of a garment that was found and still settles nothing good is known from
+    before, so the frame alone counts.
+
+    Args:
+        health: after the last frame.
+        points: (N, 3) metres, N > 0.
+        position: (V, 3) metres.
+        dt: seconds since the last frame.
+        model: the garment.
+    """
+    near, longest = max(NEAR, NEAR_EDGES * model.edge_length), REACH
+    nearest, away = nearest_vertices(points, position)
+    left_out = np.zeros(len(position), bool)
+    if np.count_nonzero(nearest < 0) > FOREIGN * len(points):
+        longest, left_out[model.boundary[:, 0]] = near, True
+    offset = kernels.misfit(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
+    share = clumped(points[away > near] - position.mean(axis=0)) / len(points)
+    least = min(health.least_unexplained, share)
+    memory = 0.0 if health.settling else MEMORY
+    return health._replace(
+        offset=_follow(health.offset, offset, dt, memory),
+        unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, memory),
+        least_unexplained=least,
+    )
+
+
+def nearest_vertices(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond REACH.
+
+    Args:
+        points: (N, 3) metres.
+        position: (V, 3) metres.
+    """
+    grid = vertex_grid(position, REACH / RINGS, CELLS)
+    nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
+    kernels.nearest_vertices(points, position, *grid[1:], REACH, nearest, away)
+    return nearest, away
+
+
+def clumped(points: np.ndarray) -> int:
+    """How many of (N, 3) points have :data:`CLUMP` or more, themselves among them, in their cell of CLUMP_SIZE metres."""
+    if len(points) < CLUMP:
+        return 0
+    cell = np.floor(np.clip(points / CLUMP_SIZE, -FARTHEST_CELL, FARTHEST_CELL)).astype(np.int64)
+    _, count = np.unique(cell @ [4 * FARTHEST_CELL**2, 2 * FARTHEST_CELL, 1], return_counts=True)
+    return int(count[count >= CLUMP].sum())
+
+
+def _follow(old: float, new: float, dt: float, memory: float) -> float:
+    return new if memory == 0.0 else old + (1.0 - math.exp(-dt / memory)) * (new - old)
+
+
+def score(error, config: Reliability | PaperReliability):
+    """1 / (1 + (e / e_half)^2), in [0, 1], of a predicted error e, or an array of them, in metres."""
+    return 1.0 / (1.0 + np.square(error / config.half_error))
+
+
+def vertex_error(error: float, found: VertexEvidence, law: Law = VERTEX_ERROR) -> np.ndarray:
+    """(V,) metres: predicted errors, of the RMS ``error`` of the frame and as different from each other as the law says."""
+    relative = law(found)
+    return error * relative / math.sqrt(float(relative @ relative) / len(relative))
+
+
+class Verdict(NamedTuple):
+    """Stage G's answer for a frame."""
+
+    health: Health
+    reliability: float
+    paper_score: float
+    coverage: float
+    vertex_reliability: np.ndarray  # (V,)
+    evidence: Evidence
+    vertex_evidence: VertexEvidence
+
+
+def judge(
+    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, points: np.ndarray,
+    clearance: np.ndarray | None, dt: float, model: Model, config: Reliability | PaperReliability,
+) -> Verdict:  # fmt: skip
+    """Scores a frame and moves the tracker's state on.
+
+    Args:
+        health: after the last frame.
+        update: the finished update.
+        posterior, prior: states of this frame.
+        covariance: (V, 3, 3) calibrated, square metres.
+        points: (N, 3) of the cloud that are held against the surface, metres.
+        clearance: (V,) signed distance from the body, metres; None without one.
+        dt: seconds of sensor time since the last frame.
+        model: the garment.
+        config: ``Reliability`` or ``PaperReliability``.
+    """
+    coverage = float((update.weight > 0).mean())
+    s_k = paper_score(update.measurement.innovation(prior.position), update.R, update.measurement.found)
+    frame, vertices, health = evidence(health, update, posterior, covariance, points, clearance, dt, model)
+    error = float(ERROR(frame))
+    reliability = float(score(error, config))
+    moved = advance(
+        health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
+    )
+    moved = moved._replace(spacing=dt)
+    return Verdict(moved, reliability, s_k, coverage, score(vertex_error(error, vertices), config), frame, vertices)
+
+
+def advance(
+    health: Health, score: float, coverage: float, n_points: int, rejected: bool, dt: float,
+    config: Reliability | PaperReliability,
+) -> Health:  # fmt: skip
+    """The state after a frame.
+
+    Args:
+        health: after the last frame.
+        score: of this frame; s_k for the paper.
+        coverage: share of the vertices observed.
+        n_points: in the cloud.
+        rejected: the fit was thrown away.
+        dt: seconds of sensor time since the last frame.
+        config: thresholds.
+    """
+    calm = health._replace(
+        state="tracking", physics_lambda=1.0, poor_for=0.0, empty_for=0.0, frames_unplaced=0, doubtful=False
+    )
+    worried = calm._replace(state="recovering", physics_lambda=config.recovery_lambda)
+    if isinstance(config, PaperReliability):
+        return worried if score < config.threshold else calm
+    dt = min(dt, LONGEST_BOOKED)
+    if n_points == 0:
+        # no points say nothing about the fit; only a long silence is a loss
+        health = health._replace(empty_for=health.empty_for + dt)
+        return health._replace(state="lost") if health.empty_for >= config.lost_after_empty else health
+    if rejected or coverage < config.lost_coverage:
+        poor_for = health.poor_for + dt
+        unplaced = health.frames_unplaced + 1 if health.unplaced else 0
+        if poor_for >= config.lost_after or health.state == "lost":
+            # the search begins anew with the loss: what is sought then is more than the last shape
+            return calm._replace(state="lost", poor_for=poor_for, frames_unplaced=unplaced if health.state == "lost" else 0)
+        state = "initializing" if health.state == "initializing" else "recovering"
+        return worried._replace(state=state, poor_for=poor_for, frames_unplaced=unplaced)
+    if score < config.doubt_below:
+        # points are measured, but not where they should be: the garment is looked for, and is not yet lost
+        return worried._replace(doubtful=True, frames_unplaced=health.frames_unplaced + 1 if health.unplaced else 0)
+    return worried if score < (config.recovery_above if health.state == "recovering" else config.recovery_below) else calm

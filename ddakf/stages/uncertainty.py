@@ -1,0 +1,280 @@
+"""Posterior of every vertex after the fusion update, the calibrated covariance, and the bounds of both (paper, section 2.7).
+
+The recursion stores, as in the paper, one block per vertex: the covariance of a vertex given its neighbours, A_ii^-1. That is
+overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either, and a garment that has
+slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion,
+over patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. How large
+it is in all is also told by the cloud, which lies off a surface that is wrong; how it is spread over unseen vertices, by how
+much room each has.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.config import Config, NearestPoint, Uncertainty
+from ddakf.garment.model import Model
+from ddakf.kernels import uncertainty as kernels
+from ddakf.kernels.reliability import strains
+from ddakf.stages.fuse import BLAS, Update, condition, inverse_blocks, invert
+from ddakf.types import State
+
+MISSED = 0.2  # of an innovation: what of it stays as error of a patch's place
+UNSEEN = 2.0  # of its motion: how far an unseen patch may have moved otherwise
+PERSISTENCE = 4.0  # frames over which plane fits repeat their error; those of a patch count as one
+WITHIN = 0.3  # of a patch's variance: how much its vertices differ from it
+GROWTH = 0.0005  # m per frame that nothing can be seen of
+SMALLEST = 100.0  # 1/m^2 added to what holds the patches, so that a patch that nothing holds has a finite variance
+MEMORY = 0.7  # share of the last frames' innovations in the running mean
+PER_OFFSET = 9.0  # error over the offset of the cloud from the surface, both RMS
+SMALLEST_OFFSET = 0.0002  # m
+TRUST = 0.3  # in the cloud's word about the size of the error, against the recursion's
+ROOM_TO_BODY, MOST_TO_BODY = 0.03, 0.10  # m: distance from the body that doubles a variance; a longer one gives no more room
+USUAL_SLACK = 0.02  # m off where the body has brought it; the variance of looser cloth is in proportion
+ROOM_TO_SEEN, MOST_TO_SEEN = 0.2, 0.6  # m: the same of the distance along the cloth from what is seen, where no body is known
+LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than that
+SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
+
+
+class Drift(NamedTuple):
+    """The error of the patches' places, carried from frame to frame. L patches."""
+
+    covariance: np.ndarray  # (3L, 3L) float32 m^2
+    speed2: float  # m^2/s^2, running mean of the squared innovation per second
+    stored2: float  # m^2, mean variance of the stored blocks: how it grows says how fast a garment is lost that nothing shows
+    level: float  # factor on the variances that the last cloud called for
+
+    @classmethod
+    def at(cls, model: Model, sd: float) -> Drift:
+        """A start whose error has this standard deviation, metres in each direction."""
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2, 1.0)
+
+
+class Evidence(NamedTuple):
+    """What a frame says about the error of each patch. L patches."""
+
+    size: np.ndarray  # (L,) vertices
+    observed: np.ndarray  # (L,) of them measured
+    information: np.ndarray  # (L, 6) 1/m^2 of the measurements, counted as one: xx yy zz xy xz yz
+    bend: np.ndarray  # (L,) 1 - |mean normal|^2 of the measurements
+    motion2: np.ndarray  # (L,) m^2, mean squared motion, the garment's common one taken out
+    innovation2: np.ndarray  # (L,) m^2, mean squared innovation of the measured vertices, the common one taken out
+    strain2: np.ndarray  # (L,) mean squared strain of the edges against rest
+    isotropic: bool  # the measurements are points, as well known across as along
+
+
+def posterior(update: Update, prior: State, config: Config) -> State:
+    """Mean and stored covariance of every vertex, within the bounds.
+
+    A frame in which nothing was measured, or whose fit was rejected, keeps the prior's covariance.
+    """
+    if update.state is not None:
+        return bound(update.state, config.uncertainty)
+    if update.rejected or not (update.weight > 0).any():
+        return bound(prior._replace(position=update.position), config.uncertainty)
+    covariance = inverse_blocks(update.system.D)
+    kernels.replace_indefinite(covariance, prior.P_pp)  # of a mesh torn beyond what its equations can carry
+    return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
+
+
+def marginals(
+    update: Update, state: State, prior: State, still: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None,
+    offset2: float, drift: Drift, dt: float, model: Model, config: Config,
+) -> tuple[np.ndarray, Drift]:  # fmt: skip
+    """(V, 3, 3) calibrated covariance of each position, square metres, and the drift after this frame.
+
+    Of the paper's preset, the stored blocks.
+
+    Args:
+        update: the finished update.
+        state, prior: posterior and prediction.
+        still: (V, 3) where the vertices would be had the garment moved only as is known of unseen parts as well, metres: not
+            at all, or, with a body to ride on, as it did.
+        clearance: (V,) distance from the body, metres; None without one.
+        slack: (V,) how far cloth is from where the body has brought it, metres; None where that is not known.
+        offset2: squared offset of the last clouds from the surface beyond their noise, square metres.
+        drift: after the last frame.
+        dt: seconds since.
+        model, config: of the tracker.
+    """
+    if update.state is not None:
+        return state.P_pp, drift
+    limits, planes = config.uncertainty, update.planes
+    weight = np.zeros_like(planes.weight) if update.rejected else planes.weight
+    evidence = _evidence(update, weight, state.position, prior.position, still, model, config)
+    drift = advance(drift, evidence, _mean_variance(state.P_pp), update.system.B, dt, clearance is not None, model, limits)
+    n = len(model.likeness)
+    blocks = drift.covariance.reshape(n, 3, n, 3)
+    shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
+    slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
+    shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
+    if evidence.observed.any():
+        drift = drift._replace(level=_level(np.average(variances(shared), weights=evidence.size), offset2))
+    covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
+    unseen = weight <= 0.0
+    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, slack, model)[unseen]
+    kernels.conditioned(
+        drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
+        evidence.isotropic, scale2, covariance,
+    )  # fmt: skip
+    scale = _scale(covariance, limits.ceiling_sd)
+    if scale is not None:
+        covariance *= scale**2
+    return covariance, drift
+
+
+def _level(variance: float, offset2: float) -> float:
+    """Factor on the variances, of mean ``variance``, that lies between what the recursion and what the cloud say.
+
+    The recursion knows of no wrong fit. The offset of the cloud, its noise averaged away, does: the error is some multiple of it.
+    Each predicts the size of the error within a factor; the product of powers, a mean of the logarithms, is better than both.
+    """
+    return float((PER_OFFSET**2 * (offset2 + SMALLEST_OFFSET**2) / variance) ** TRUST)
+
+
+def _room(seen: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None, model: Model) -> np.ndarray:
+    """(V,) factor on the variance of unseen vertices: cloth may be elsewhere the more, the farther it is from what holds it.
+
+    That is the body where one is known, which holds loose cloth less, and elsewhere what is seen, along the cloth.
+    """
+    if clearance is not None:
+        loose = 1.0 if slack is None else np.maximum(slack / USUAL_SLACK, 1.0)
+        return loose * (1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY)
+    distance = np.empty(len(seen))
+    kernels.along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
+    return 1.0 + distance / ROOM_TO_SEEN
+
+
+def advance(
+    drift: Drift, evidence: Evidence, stored2: float, B: np.ndarray, dt: float, worn: bool, model: Model, limits: Uncertainty
+) -> Drift:
+    """The covariance of what the update leaves of the error, and of what it adds.
+
+    The update moves the patches by (C + M)^-1 M times what the measurements see of their error, C what couples the patches and M
+    the measurements' information. So an error e, grown by what the prediction missed, becomes F e with F = I - (C + M)^-1 M, to
+    which the noise of the measurements adds (C + M)^-1 M (C + M)^-1: a covariance analysis of the gain that is used, whether or
+    not it is the best one (Gelb 1974, "Applied optimal estimation", section 7.2). It knows that what is hidden is dragged along,
+    drags along what is seen, and does not come back of its own.
+
+    Args:
+        drift: after the last frame.
+        evidence: of this frame.
+        stored2: mean variance of the stored blocks, m^2.
+        B: (2E, 12) blocks of the coupling, see :class:`ddakf.stages.fuse.System`.
+        dt: seconds since the last frame.
+        worn: a body is known that the garment is on.
+        model, limits: the garment, and the ceiling.
+    """
+    growth2, speed2 = _growth(drift, evidence, stored2, dt, worn)
+    root = np.sqrt(growth2).astype(np.float32)
+    covariance = drift.covariance.copy()
+    added = root[:, None] * model.likeness * root
+    for a in range(3):
+        covariance[a::3, a::3] += added
+    ceiling = np.float32(limits.ceiling_sd / np.sqrt(max(float(covariance.diagonal().max()), 1e-12)))
+    if ceiling < 1.0:
+        covariance *= ceiling**2
+    if evidence.observed.any():
+        covariance = _updated(covariance, evidence, B, model)
+    return Drift(covariance, speed2, stored2, drift.level)
+
+
+def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
+    """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
+    coarse = np.empty(P.shape, np.float32)
+    kernels.couple(B, model.crossing, evidence.information, SMALLEST, coarse)
+    G = invert(coarse)
+    if not np.isfinite(G).all():
+        return P
+    F = np.empty_like(G)
+    kernels.retain(G, evidence.information.astype(np.float32), F)
+    with BLAS.limit(limits=1, user_api="blas"):
+        updated = F @ (P @ F.T - G) + G
+    return 0.5 * (updated + updated.T)
+
+
+def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: bool) -> tuple[np.ndarray, float]:
+    """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
+
+    Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
+    not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen,
+    predictions go on missing as much, and a garment without a body goes where the prediction's own variance says.
+    """
+    seen = evidence.observed / evidence.size
+    enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
+    if not enough:
+        lost2 = 0.0 if worn else max(stored2 - drift.stored2, 0.0)
+        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
+    common = float(np.average(evidence.innovation2, weights=evidence.observed))
+    speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
+    missed = common + 0.5 * seen * (evidence.innovation2 - common)
+    moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
+    growth2 = (MISSED**2 * missed + UNSEEN**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
+    return growth2, speed2
+
+
+def _mean_variance(covariance: np.ndarray) -> float:
+    return float(variances(covariance).mean())
+
+
+def _evidence(
+    update: Update, weight: np.ndarray, position: np.ndarray, prior: np.ndarray, still: np.ndarray, model: Model, config: Config
+) -> Evidence:
+    n, planes, ring_strain = len(model.likeness), update.planes, np.empty(len(position))
+    size, observed, strain2, information = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 6))
+    facing, motion, innovation = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 4))
+    isotropic = isinstance(config.associate, NearestPoint)
+    strains(position, model.start, model.neighbour, model.rest_length, ring_strain)
+    kernels.gather(
+        position, still, prior, model.patch, ring_strain, weight, planes.normal, planes.variance, isotropic,
+        size, observed, information, facing, motion, innovation, strain2,
+    )  # fmt: skip
+    measured = np.maximum(observed, 1.0)
+    bend = 1.0 - np.square(facing / measured[:, None]).sum(axis=1)
+    return Evidence(
+        size=size,
+        observed=observed,
+        information=information / (PERSISTENCE * measured)[:, None],
+        bend=np.maximum(bend, LEAST_BEND),
+        motion2=_about_mean(motion, size),
+        innovation2=_about_mean(innovation, observed),
+        strain2=strain2 / size,
+        isotropic=isotropic,
+    )
+
+
+def _about_mean(sums: np.ndarray, count: np.ndarray) -> np.ndarray:
+    """(L,) mean squared distance from the mean vector of all patches, from sums (L, 4) of vectors and squares."""
+    mean = sums[:, :3].sum(axis=0) / max(count.sum(), 1.0)
+    about = sums[:, 3] - 2.0 * sums[:, :3] @ mean + count * (mean @ mean)
+    return np.maximum(about, 0.0) / np.maximum(count, 1.0)
+
+
+def bound(state: State, limits: Uncertainty) -> State:
+    """The state with trace(P_pp) at most 3 ceiling_sd^2 and trace(P_uu) at most 3 ceiling_speed_sd^2.
+
+    Each block row and column is scaled, a congruence, so that P_i stays positive definite.
+    """
+    s, t = _scale(state.P_pp, limits.ceiling_sd), _scale(state.P_uu, limits.ceiling_speed_sd)
+    if s is None and t is None:
+        return state
+    s, t = 1.0 if s is None else s, 1.0 if t is None else t
+    return state._replace(P_pp=s * s * state.P_pp, P_pu=s * t * state.P_pu, P_uu=t * t * state.P_uu)
+
+
+def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray | None:
+    """(V, 1, 1) factor on the standard deviations that keeps the trace at 3 ceiling_sd^2 or less; None where it is."""
+    variance = variances(covariance)
+    if variance.max() <= ceiling_sd**2:
+        return None
+    return np.minimum(1.0, ceiling_sd / np.sqrt(variance))[:, None, None]
+
+
+def variances(covariance: np.ndarray) -> np.ndarray:
+    """(V,) mean variance of (V, 3, 3) blocks over the directions."""
+    trace = np.empty(len(covariance))
+    kernels.traces(covariance, trace)
+    trace /= 3.0
+    return trace

@@ -1,0 +1,131 @@
+"""A garment on its body: what is not seen goes with the body as closely as what is seen."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Tracker
+from ddakf.body.body_anchor import INDEPENDENT, LEAST_SD, Worn
+from ddakf.body.contact import BodyContact
+from ddakf.config import ConstantVelocity
+from ddakf.garment import model
+from ddakf.kernels.associate import vertex_normals
+from tests.stages.scenes import FPS, about, inner_body, rms, scan, tube
+
+MESH = tube()
+BODY = inner_body(MESH)
+GARMENT = model.build(MESH, 0.003)
+CONFIG = ConstantVelocity()
+FRONT = MESH.vertices[:, 2] > 0
+PER_VERTEX, SLIPPING = MESH.n_vertices / len(GARMENT.likeness) / INDEPENDENT  # variance of a vertex over that of a patch
+
+
+def normals(position):
+    normal = np.empty_like(position)
+    vertex_normals(position, GARMENT.faces, normal)
+    return normal
+
+
+def after(deviation, frames=30, measured=FRONT, dt=1 / FPS, start=None):
+    """The pseudo-measurements after frames in which the measured vertices were so far (V, 3) from where the body takes them."""
+    contact = BodyContact(BODY, 0.1)
+    known = Worn.at(MESH.vertices, contact, GARMENT) if start is None else start
+    for _ in range(frames):
+        held = known.held(contact, GARMENT, CONFIG)
+        known = known.learned(held, MESH.vertices + deviation, measured, dt, GARMENT, CONFIG)
+    return known, known.held(contact, GARMENT, CONFIG)
+
+
+def test_a_rigidly_moving_body_takes_the_garment_along_exactly():
+    contact, turned = BodyContact(BODY, 0.1), about([1.0, 2.0, 0.5], 2.0).T
+    known = Worn.at(MESH.vertices, contact, GARMENT)
+    contact.move(BODY.vertices @ turned + [0.3, 0.0, -1.0])
+    held = known.held(contact, GARMENT, CONFIG)
+    np.testing.assert_allclose(held.target, MESH.vertices @ turned + [0.3, 0.0, -1.0], atol=1e-9)
+
+
+def test_only_what_was_not_measured_is_held():
+    _, held = after(np.zeros(3), frames=1)
+    np.testing.assert_array_equal(held.weight, np.where(FRONT, 0.0, 1.0))
+
+
+def test_vertices_far_from_the_body_are_not_held():
+    contact = BodyContact(BODY, 0.1)
+    away = MESH.vertices + np.where(FRONT, 0.0, 1.0)[:, None] * [0.0, 0.0, -1.0]
+    held = Worn.at(away, contact, GARMENT).held(contact, GARMENT, CONFIG)
+    np.testing.assert_array_equal(held.weight, np.where(FRONT, 1.0, 0.0))
+
+
+def test_nothing_is_held_while_the_body_is_not_known():
+    contact = BodyContact(BODY, 0.1)
+    known = Worn.at(MESH.vertices, contact, GARMENT)
+    contact.move(None)
+    held = known.held(contact, GARMENT, CONFIG)
+    assert held is None
+    assert known.learned(held, MESH.vertices, FRONT, 0.1, GARMENT, CONFIG) is known
+
+
+def test_before_anything_is_seen_the_first_guess_stands():
+    _, held = after(np.zeros(3), frames=0)
+    np.testing.assert_allclose(held.variance, PER_VERTEX * CONFIG.worn_sd**2)
+    np.testing.assert_allclose(held.tangential, SLIPPING * CONFIG.worn_sd**2)
+
+
+@pytest.mark.parametrize("size", [0.01, 0.03])
+def test_what_is_not_seen_has_the_variance_of_what_is(size):
+    _, held = after(size * normals(MESH.vertices))
+    np.testing.assert_allclose(held.variance[~FRONT], PER_VERTEX * size**2, rtol=0.5)
+    assert held.tangential.max() / SLIPPING < 0.5 * held.variance.min() / PER_VERTEX  # across and along are told apart
+
+
+def test_a_garment_that_goes_with_its_body_is_held_to_it_and_no_more_closely_than_the_least():
+    _, held = after(np.zeros(3), frames=300)
+    assert (held.variance >= PER_VERTEX * LEAST_SD**2 - 1e-15).all()
+    assert held.variance[~FRONT].max() < PER_VERTEX * 0.02**2
+
+
+def test_near_parts_count_most():
+    left = MESH.vertices[:, 0] < 0
+    deviation = np.where(left, 0.03, 0.0)[:, None] * normals(MESH.vertices)
+    _, held = after(deviation)
+    assert held.variance[left & ~FRONT].mean() > 1.5 * held.variance[~left & ~FRONT].mean()
+
+
+def test_two_short_steps_are_one_long_one():
+    deviation = 0.02 * normals(MESH.vertices)
+    half, _ = after(deviation, 1, dt=0.03, start=after(deviation, 1, dt=0.02)[0])
+    whole, _ = after(deviation, 1, dt=0.05)
+    np.testing.assert_allclose(half.squares, whole.squares, atol=1e-12)
+    np.testing.assert_allclose(half.seen, whole.seen)
+
+
+# In the tracker --------------------------------------------------------------------------------------------------------
+
+
+def hidden_error(swing, memory, frames=40):
+    """RMS error (m) of the back of a garment seen from the front, on a body that leans and sways; ``swing`` (m) is how far the
+    garment sways against it."""
+    config = dataclasses.replace(Config(), predict=ConstantVelocity(worn_memory=memory))
+    tracker, errors = Tracker(MESH, body=BODY, config=config), []
+    height = MESH.vertices[:, 1:2] / MESH.vertices[:, 1].max()
+    for k in range(frames):
+        bend = about([1.0, 0.0, 0.3], 0.25 * np.sin(0.25 * k)).T
+        shift = [0.03 * np.sin(0.2 * k), 0.0, 0.0]
+        worn = 1.0 + 0.15 * np.sin(0.3 * k) * np.sin(6.0 * height)  # the body breathes: no rigid motion explains it
+        body = (BODY.vertices * np.hstack([worn, np.ones_like(worn), worn])) @ bend + shift
+        truth = (MESH.vertices * np.hstack([worn, np.ones_like(worn), worn])) @ bend + shift
+        truth = truth + swing * np.sin(0.4 * k) * (1.0 - height) * [0.0, 0.0, 1.0]
+        points = scan(truth, MESH, 4000, 0.003, seed=k)
+        points = points[points[:, 2] > shift[2]]
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=np.array([0.0, 0.2, 2.0]), body_vertices=body)
+        errors.append(rms((result.vertices - truth)[~result.observed]))
+    return float(np.mean(errors[frames // 2 :]))
+
+
+def test_a_hidden_part_that_goes_with_the_body_follows_it_more_closely_for_being_held():
+    assert hidden_error(0.0, CONFIG.worn_memory) < 0.8 * hidden_error(0.0, 0.0)
+
+
+def test_a_hidden_part_of_what_swings_freely_is_not_pinned():
+    assert hidden_error(0.06, CONFIG.worn_memory) < 1.1 * hidden_error(0.06, 0.0)

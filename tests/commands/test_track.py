@@ -1,0 +1,220 @@
+"""``ddakf track`` from end to end on short runs: what it reports, what it writes, what it refuses."""
+
+import json
+import queue
+import sys
+import threading
+from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.io import savemat
+
+import ddakf
+from ddakf.commands import cli
+from ddakf.data import SAMPLE, sample
+from ddakf.evaluation import replay
+from ddakf.evaluation.camera import Camera
+from ddakf.evaluation.datasets import KINECT
+from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.source import open_source
+from ddakf.files import io
+
+SHORT = ["--frames", "0:5", "--points", "3000"]
+
+
+def _track(*arguments):
+    return cli.main(["track", *map(str, arguments)])
+
+
+def _summary(capsys, *arguments):
+    assert _track(*arguments, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("view", ["full", "front", "ring4"])
+def test_a_sequence_is_tracked_and_judged(capsys, view):
+    summary = _summary(capsys, SAMPLE, *SHORT, "--view", view)
+    assert summary["frames"] == 4
+    assert sum(summary["states"].values()) == pytest.approx(1)
+    assert 0 < summary["normal_rmse_mm"] <= summary["rmse_mm"] < 30
+    assert 0 <= summary["coverage90"] <= 1
+    assert 0 < summary["residual_mean_mm"] < summary["residual_p95_mm"] < 50
+    assert 0 < summary["ms_p50"] <= summary["ms_p99"]
+
+
+def test_runs_with_the_same_seed_are_the_same(capsys):
+    first, again, other = (_summary(capsys, SAMPLE, *SHORT, "--seed", seed)["rmse_mm"] for seed in (1, 1, 2))
+    assert first == again != other
+
+
+def test_results_and_pictures_are_written(capsys, tmp_path):
+    out, still, moving = (tmp_path / name for name in ("r.npz", "p.png", "a.gif"))
+    assert _track(SAMPLE, *SHORT, "--body", "--out", out, "--picture", still, "--animation", moving) == 0
+    printed = capsys.readouterr().out
+    assert "RMSE" in printed
+    assert "cloud to surface" in printed
+    saved = np.load(out)
+    assert saved["vertices"].shape == (4, 2658, 3)
+    assert saved["sigma"].shape == (4, 2658)
+    assert saved["timestamps"] == pytest.approx(np.arange(1, 5) / 30)
+    with Image.open(still) as picture, Image.open(moving) as animation:
+        assert picture.size == animation.size
+        assert animation.n_frames == 4
+
+
+def test_the_paper_runs_too(capsys):
+    assert _summary(capsys, SAMPLE, *SHORT, "--paper")["frames"] == 4
+
+
+def test_a_depth_recording_is_tracked_with_a_template_from_its_first_frame(capsys, tmp_path):
+    s = sample()
+    images = []
+    for k in range(4):
+        body = s.body_vertices[k].astype(float) - s.body_vertices[0].mean(axis=0) - [0, 0, 2.5]
+        depth = Camera.at_origin(KINECT).render([(body, s.body_faces)])[0]
+        images.append(np.where(np.isfinite(depth), np.rint(depth * 1e3), 0).astype(np.uint16)[:, ::-1])
+    savemat(tmp_path / "d.mat", {"d_depth": np.stack(images, axis=2)})
+    summary = _summary(capsys, tmp_path / "d.mat", "--picture", tmp_path / "p.png")
+    assert summary["frames"] == 3
+    assert summary["rmse_mm"] is None
+    assert summary["residual_mean_mm"] < 15
+    assert (tmp_path / "p.png").exists()
+
+
+def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
+    s = sample()
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for k in range(3):
+        io.write_points(folder / f"{k}.xyz", s.garment_vertices[k])
+    io.write_mesh(tmp_path / "t.ply", s.garment_vertices[0], s.garment_faces)
+    summary = _summary(capsys, folder, "--template", tmp_path / "t.ply")
+    assert summary["frames"] == 3
+    assert summary["residual_mean_mm"] < 15
+    assert _track(folder, "--template", tmp_path / "t.ply") == 0
+    assert "RMSE" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "names"),
+    [
+        (["none.npz"], "nothing there"),
+        ([SAMPLE, "--frames", "9:9"], "frames"),
+        ([SAMPLE, "--drop", "2"], "drop"),
+        ([SAMPLE, "--occlude", "9"], "FROM:TO"),
+        ([SAMPLE, "--occlude", "9:3"], "occlude"),
+        ([SAMPLE, "--view", "full", "--fliers", "0.1"], "no camera"),
+        ([SAMPLE, "--codec", "raw"], "codec"),
+        ([SAMPLE, "--animation", "a.mp4"], "animation"),
+        ([SAMPLE, "--out", "/nowhere/r.npz"], "out"),
+        ([SAMPLE, "--template", "t.ply"], "template"),
+    ],
+)
+def test_what_cannot_be_done_is_said_in_one_sentence_before_the_run(capsys, arguments, names):
+    assert _track(*arguments) == 2
+    captured = capsys.readouterr()
+    assert names in captured.err
+    assert captured.err.count("\n") == 1
+    assert captured.out == ""
+
+
+class FakeServiceError(Exception):
+    pass
+
+
+def _fake_client(tracker_of, fail_at=None):
+    """A client with a tracker behind it that pulls frames in a thread as fast as it gets them, as the real one does."""
+    log = SimpleNamespace(pulled=0, ahead=0, options=None, reset=None)
+
+    class Session:
+        def __init__(self, garment, body, config, **options):
+            log.options, self.tracker = options, tracker_of(garment, body, config)
+
+        def reset(self, vertices):
+            log.reset = vertices
+            self.tracker.reset(vertices)
+
+        def track(self, frames, covariance):
+            assert covariance
+            pulled = queue.Queue()
+            puller = threading.Thread(target=_pull, args=(frames, pulled, log))
+            puller.start()
+            number = 0
+            while (frame := pulled.get(timeout=20)) is not None:
+                if number == fail_at:
+                    raise FakeServiceError("points: expected fewer, got more")
+                log.ahead = max(log.ahead, log.pulled - number)
+                result = self.tracker.step(frame.points, timestamp=frame.timestamp, sensor_origin=frame.sensor_origin)
+                number += 1
+                yield SimpleNamespace(**vars(result), latency=0.02)
+            puller.join()
+
+    @contextmanager
+    def connect(target, *, api_key):
+        def create_session(garment, *, body, config, **options):
+            return contextmanager(lambda: (yield Session(garment, body, config, **options)))()
+
+        yield SimpleNamespace(create_session=create_session)
+
+    return SimpleNamespace(connect=connect, ServiceError=FakeServiceError), log
+
+
+def _pull(frames, pulled, log):
+    for frame in frames:
+        log.pulled += 1
+        pulled.put(frame)
+    pulled.put(None)
+
+
+def _tracker(garment, body, config):
+    return ddakf.Tracker(garment, body=body, config=config)
+
+
+def test_a_server_gets_the_same_frames_one_at_a_time(monkeypatch):
+    client, log = _fake_client(_tracker)
+    monkeypatch.setitem(sys.modules, "ddakf_client", client)
+    source = open_source(SAMPLE, Sensor(points=2000), frames="0:5")
+    here = [result.vertices.copy() for _, result, _ in replay.local(source)]
+    there = [(frame.number, result.vertices.copy(), seconds) for frame, result, seconds in replay.remote(source, "x:1")]
+    assert [number for number, _, _ in there] == [1, 2, 3, 4]
+    assert all(np.array_equal(a, b) for a, (_, b, _) in zip(here, there, strict=True))
+    assert {seconds for _, _, seconds in there} == {0.02}
+    assert log.ahead == 1
+    assert log.options == {"flow": "lossless"}
+    assert np.array_equal(log.reset, source.start)
+
+
+def test_the_command_passes_server_and_codec_on(monkeypatch, capsys):
+    client, log = _fake_client(_tracker)
+    monkeypatch.setitem(sys.modules, "ddakf_client", client)
+    summary = _summary(capsys, SAMPLE, *SHORT, "--server", "x:1", "--codec", "raw")
+    assert summary["ms_p50"] == 20
+    assert log.options == {"flow": "lossless", "codec": "raw"}
+
+
+def test_what_the_server_refuses_is_one_sentence_and_leaves_no_thread(monkeypatch, capsys):
+    client, _ = _fake_client(_tracker, fail_at=2)
+    monkeypatch.setitem(sys.modules, "ddakf_client", client)
+    before = threading.active_count()
+    assert _track(SAMPLE, *SHORT, "--server", "x:1") == 2
+    assert "points: expected fewer, got more\n" in capsys.readouterr().err
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(timeout=2)
+    assert threading.active_count() <= before + 1
+
+
+def test_without_the_client_a_server_cannot_be_used(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "ddakf_client", None)
+    assert _track(SAMPLE, *SHORT, "--server", "x:1") == 2
+    assert "pip install ddakf-client" in capsys.readouterr().err
+
+
+def test_a_search_finds_the_garment(capsys):
+    source = replace(open_source(SAMPLE, Sensor("full", points=4000), frames="0:12"), start_at="search")
+    *_, (frame, result, _) = replay.local(source)
+    assert np.linalg.norm(result.vertices.mean(axis=0) - frame.truth.mean(axis=0)) < 0.05

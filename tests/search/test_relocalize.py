@@ -1,0 +1,223 @@
+"""Initialisation: a garment that stands elsewhere is found; one that is where it should be is left alone."""
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker
+from ddakf.config import Start
+from ddakf.data import sample
+from ddakf.evaluation.sensors import Sensor, sample_surface
+from ddakf.garment import model
+from ddakf.mesh import vertex_normals
+from ddakf.physics import rigidity
+from ddakf.search.nonrigid_registration import Target
+from ddakf.search.relocalize import cost_in_place, locate, places
+from ddakf.stages.frame_input import Frame
+from ddakf.stages.predict import predict
+from ddakf.stages.reliability import Health
+from ddakf.types import State
+from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
+
+SAMPLE = sample()
+SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
+SHIRT_MODEL = model.build(SHIRT, 0.003)
+TUBE = tube()
+
+
+def captured(view, vertices, seed):
+    """What a sensor sees of the sample's garment alone, moved to ``vertices``."""
+    rng = np.random.default_rng(seed)
+    if view == "full":
+        return (sample_surface(vertices, SHIRT.faces, 5000, rng) + 0.003 * rng.normal(size=(5000, 3))).astype(np.float32), None
+    eye = vertices.mean(axis=0) + [0.0, 0.2, 2.0]
+    points = sample_surface(vertices, SHIRT.faces, 9000, rng)
+    normals = vertex_normals(vertices, SHIRT.faces)
+    # the half turned to the camera: enough to be a partial view
+    from scipy.spatial import cKDTree
+
+    nearest = cKDTree(vertices).query(points)[1]
+    seen = np.einsum("na,na->n", normals[nearest], eye - points) > 0
+    return (points[seen] + 0.003 * rng.normal(size=(seen.sum(), 3))).astype(np.float32), eye
+
+
+@pytest.mark.parametrize("view", ["full", "front"])
+@pytest.mark.parametrize("degrees", [30, -30])
+@pytest.mark.parametrize("direction", [[0.3, 0.0, 0.0], [-0.15, 0.1, 0.24]])
+def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degrees, direction):
+    start = SAMPLE.garment_vertices[0].astype(float)
+    centre = start.mean(axis=0)
+    truth = (start - centre) @ turn(degrees).T + centre + direction
+    tracker = Tracker(SHIRT)
+    tracker.reset(start)
+    for k in range(8):
+        points, eye = captured(view, truth, k)
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=eye)
+    assert result.state == "tracking"
+    assert rms(result.vertices - truth) < (0.02 if view == "full" else 0.04)
+    assert rms(start - truth) > 0.25
+
+
+@pytest.mark.parametrize("degrees", [0, 15, 30, 45, 100, -80])
+def test_placement_recovers_the_motion(degrees):
+    start = SAMPLE.garment_vertices[40].astype(float)
+    truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
+    points = captured("full", truth, 0)[0]
+    target = Target.of(points, None)
+    placement = places(start, SHIRT_MODEL, target)[0]
+    assert rms(placement.apply(start) - truth) < 0.03
+    np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(placement.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
+    assert placement.cost < 0.5 * cost_in_place(start, SHIRT_MODEL, target)
+
+
+def flat_tube(depth):
+    """A tapering tube about the vertical, ``depth`` times as deep as it is wide."""
+    angle = np.arange(24) * 2 * np.pi / 24
+    ring = 0.2 * np.stack([np.cos(angle), np.zeros(24), depth * np.sin(angle)], axis=1)
+    return Mesh(np.concatenate([ring * (1 - 0.03 * k) + [0, 0.04 * k, 0] for k in range(12)]), TUBE.faces[: 48 * 11])
+
+
+def headings(found):
+    return [float(np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0]))) for p in found]
+
+
+def test_placements_have_different_headings_and_the_nearest_of_equals_comes_first():
+    flat = flat_tube(0.6)
+    target = Target.of(scan(flat.vertices @ turn(20).T + [0.5, 0.0, 0.2], flat), None)
+    found = headings(places(flat.vertices, model.build(flat, 0.003), target, turn_sd=5.0))
+    assert found[0] == pytest.approx(20, abs=8)
+    assert any(abs(heading + 160) < 8 for heading in found[1:])
+    apart = np.abs(np.subtract.outer(found, found)) % 360
+    assert (np.minimum(apart, 360 - apart)[~np.eye(len(found), dtype=bool)] >= 29.9).all()
+
+
+def test_a_round_garment_keeps_its_heading():
+    round_one = flat_tube(1.0)
+    target = Target.of(scan(round_one.vertices @ turn(20).T + [0.5, 0.0, 0.2], round_one), None)
+    assert abs(headings(places(round_one.vertices, model.build(round_one, 0.003), target))[0]) < 25
+
+
+def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
+    first = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health())
+    assert first.placed
+    health = Health(state="tracking", settling=first.settling)
+    moved = TUBE.vertices * [1.1, 1.0, 0.9] + 0.4
+    normal = vertex_normals(moved, TUBE.faces)
+
+    def off(position):
+        return np.sqrt(np.square(np.einsum("va,va->v", position - moved, normal)).mean())
+
+    for seed in range(first.settling):
+        last = located(first.prior._replace(position=TUBE.vertices + 0.4), scan(moved, TUBE, seed=seed), health)
+        assert not last.placed
+        assert off(last.prior.position) < 0.5 * off(TUBE.vertices + 0.4)
+        assert last.last is last.prior.position
+        health = health._replace(settling=last.settling)
+    assert health.settling == 0
+    assert located(first.prior, scan(moved, TUBE), health).prior is first.prior
+
+
+def test_a_garment_that_was_found_learns_from_bending_that_it_moves():
+    travel = np.array([0.04, -0.06, 0.0])  # m, of a frame
+    known = State.at(TUBE.vertices, np.zeros(TUBE.vertices.shape), 0.005, 0.5, 1.0)
+    settling = Health(state="tracking", settling=3)
+    prior = predict(known, DT, None, Config().predict)
+    moved = located(prior, scan(TUBE.vertices + travel, TUBE), settling).prior
+    np.testing.assert_allclose(moved.velocity.mean(axis=0), travel / DT, rtol=0.35, atol=0.15)
+    # of what is known for sure nothing is learned
+    certain = located(prior._replace(P_pu=0 * prior.P_pu), scan(TUBE.vertices + travel, TUBE), settling).prior
+    assert not certain.velocity.any()
+    resting = located(prior, scan(TUBE.vertices, TUBE), settling).prior
+    assert np.linalg.norm(resting.velocity.mean(axis=0)) < 0.2
+
+
+def prior_at(position):
+    return random_state(position, np.random.default_rng(0))
+
+
+MODEL = model.build(TUBE, 0.003)
+UNTURNED = rigidity.identity(TUBE.n_vertices)
+DT = 1 / FPS
+
+
+def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
+    frame = Frame(points, 0.0, None, None)
+    return locate(prior, last, UNTURNED, frame, None, dt, health, MODEL, config or Start())
+
+
+def test_a_garment_in_place_is_left_alone():
+    prior = prior_at(TUBE.vertices)
+    same, anchor, rotation, placed, _ = located(prior, scan(TUBE.vertices, TUBE), Health())
+    assert same is prior
+    assert anchor is TUBE.vertices
+    assert rotation is UNTURNED
+    assert not placed
+
+
+@pytest.mark.parametrize("state", ["tracking", "recovering"])
+def test_a_garment_that_is_tracked_is_never_searched(state):
+    prior = prior_at(TUBE.vertices)
+    far = scan(TUBE.vertices + 0.4, TUBE)
+    assert located(prior, far, Health(state=state))[0] is prior
+
+
+@pytest.mark.parametrize(
+    "health",
+    [
+        Health(),
+        Health(state="lost"),
+        Health(state="tracking", empty_for=0.1),
+        Health(state="recovering", poor_for=0.1),
+        Health(state="recovering", doubtful=True),
+    ],
+    ids=["start", "lost", "out of sight", "without a fit", "doubtful"],
+)
+def test_a_garment_that_was_not_seen_lately_is_searched(health):
+    prior = prior_at(TUBE.vertices)._replace(acceleration=np.ones(TUBE.vertices.shape))
+    moved = located(prior, scan(TUBE.vertices + 0.4, TUBE), health).prior
+    assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
+    assert not moved.velocity.any()
+    assert not moved.acceleration.any()
+
+
+def test_a_garment_is_searched_after_a_gap():
+    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health(state="tracking", spacing=1 / 30), dt=0.5)[0]
+    assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
+
+
+def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
+    torn = prior_at(TUBE.vertices * [1.0, 30.0, 1.0] + 7.0)
+    found, anchor, *_ = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
+    assert rms(found.position - TUBE.vertices) < 0.05
+    assert anchor is found.position
+
+
+def test_the_search_can_be_switched_off_and_needs_enough_points():
+    prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
+    assert located(prior, far, Health(), config=Start(search=False))[0] is prior
+    assert located(prior, far[:50], Health(), config=Start(least_points=51))[0] is prior
+    assert located(prior, far[:0], Health())[0] is prior
+    assert Config.paper().start.search is False
+
+
+def test_a_fruitless_search_is_repeated_ever_more_rarely():
+    due = [k for k in range(100) if Health(state="lost", frames_unplaced=k).search_due]
+    assert due[0] == 0
+    assert len(due) < 8
+    assert (np.diff(due, 2) >= 0).all()
+
+
+def test_a_start_on_the_garment_is_tracked_from_the_first_frame():
+    tracker = Tracker(SHIRT)
+    tracker.reset(SAMPLE.garment_vertices[0])
+    points, origin = Sensor(view="front", points=6000).capture(SAMPLE, 0, np.random.default_rng(0))
+    result = tracker.step(points, timestamp=0.0, sensor_origin=origin)
+    assert result.state == "tracking"
+    assert rms(result.vertices - SAMPLE.garment_vertices[0]) < 0.012
+
+
+@pytest.mark.parametrize(
+    ("spacing", "dt", "gap"), [(1 / 30, 0.5, True), (0.5, 0.5, False), (1 / 30, 0.2, False), (0.0, 0.5, False)]
+)
+def test_a_slow_stream_is_no_gap(spacing, dt, gap):
+    assert Health(spacing=spacing).interrupted(dt) is gap

@@ -1,0 +1,73 @@
+"""Segmentation by the body: what lies on the body and not on the garment is skin."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ddakf import Mesh
+from ddakf.body.contact import BodyContact
+from ddakf.garment import model
+from ddakf.stages import skin_removal
+from ddakf.stages.frame_input import Frame
+
+
+def tube(radius: float, low: float, high: float, around: int = 40, along: int = 40) -> Mesh:
+    angle = np.arange(around) * 2 * np.pi / around
+    ring = np.stack([radius * np.cos(angle), np.zeros(around), radius * np.sin(angle)], axis=1)
+    vertices = np.concatenate([ring + [0.0, y, 0.0] for y in np.linspace(low, high, along)])
+    k, a = np.divmod(np.arange((along - 1) * around), around)
+    i, j = k * around + a, k * around + (a + 1) % around
+    return Mesh(vertices, np.concatenate([np.stack([i, i + around, j], 1), np.stack([j, i + around, j + around], 1)]))
+
+
+BODY, GARMENT = tube(0.20, -0.5, 0.5), tube(0.205, -0.2, 0.2)
+MODEL = model.build(GARMENT, 0.003)
+
+
+def skin(points, contact, off=skin_removal.ON_CLOTH):
+    return skin_removal.skin(points.astype(np.float32), GARMENT.vertices, contact, MODEL, off)
+
+
+def test_skin_beside_the_garment_is_told_from_cloth_on_the_body():
+    contact = BodyContact(BODY, 0.1)
+    beside = np.abs(BODY.vertices[:, 1]) > 0.25
+    assert skin(BODY.vertices[beside], contact).all()
+    assert not skin(BODY.vertices[np.abs(BODY.vertices[:, 1]) < 0.2], contact).any()
+    assert not skin(GARMENT.vertices, contact).any()
+
+
+def test_points_off_the_body_are_no_skin():
+    away = BODY.vertices * [1.2, 1.0, 1.2]
+    assert not skin(away, BodyContact(BODY, 0.1)).any()
+
+
+def test_without_a_body_nothing_is_skin():
+    assert not skin(BODY.vertices, None).any()
+    contact = BodyContact(BODY, 0.1)
+    contact.move(None)
+    assert not skin(BODY.vertices, contact).any()
+
+
+def test_points_take_their_sensors_with_them():
+    contact = BodyContact(BODY, 0.1)
+    origin = np.arange(3.0 * BODY.n_vertices).reshape(-1, 3)
+    now = Frame(BODY.vertices.astype(np.float32), 0.0, origin, BODY.vertices)
+    kept = skin_removal.cloth(now, GARMENT.vertices, contact, MODEL, skin_removal.ON_CLOTH)
+    bare = skin(BODY.vertices, contact)
+    assert 0 < len(kept.points) == (~bare).sum()
+    assert (kept.sensor_origin == origin[~bare]).all()
+
+
+def test_a_cloud_is_of_a_whole_person_where_much_of_it_is_skin():
+    contact, garment = BodyContact(BODY, 0.1), GARMENT.vertices.astype(np.float32)
+    for points, person in ((garment, False), (np.concatenate([garment, BODY.vertices.astype(np.float32)]), True)):
+        now = Frame(points, 0.0, None, BODY.vertices)
+        cloth = skin_removal.cloth(now, GARMENT.vertices, contact, MODEL, skin_removal.ON_CLOTH)
+        assert skin_removal.of_person(now, cloth) == person
+
+
+def test_apart_is_the_distance_to_the_nearest_vertex():
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-0.4, 0.4, (3000, 3))
+    for radius in (0.01, 0.05, 0.2):
+        expected = cKDTree(GARMENT.vertices).query(points)[0] > radius
+        assert (skin_removal.apart(points.astype(np.float32), GARMENT.vertices, radius) == expected).mean() > 0.999
