@@ -174,7 +174,7 @@ def test_what_lost_the_garment_is_best_in_nothing():
     both = result({"kf": [run(300.0) | {"fps": 90.0}], "ddakf": [run(2.0) | {"fps": 20.0}]})
     table = tables.comparison("t", "t", both, ["rmse_mm", "fps"], {})
     assert [[cell.kind for cell in row[1:]] for row in table.rows] == [["", ""], ["best", "best"]]
-    assert "Kalman filter: lost the garment in 1 of 1 sequences x views." in table.notes
+    assert "Lost the garment, sequences x views: Kalman filter 1 of 1." in table.notes
 
 
 def test_a_mean_of_fewer_cells_is_marked_and_the_mark_explained():
@@ -196,6 +196,19 @@ def test_an_interval_that_holds_zero_beside_a_small_p_is_explained(folder):
         one = result({"kf": [run(3.0)], "ddakf": [run(2.0)]})
         one.p_values["all"] = {"rmse_mm": {"comparisons": {"kf": test | {"effect_low": low}}}}
         assert (tables.SKEWED in tables.significance("t", "t", one, ["rmse_mm"], {}).notes) == said
+
+
+def test_a_document_has_the_gains_of_the_page(folder):
+    main = read.read(folder)["main"]
+    page = tables.significance("t", "t", main, content.TESTED, {}).rows
+    short = tables.effects("t", "t", main, content.TESTED)
+    gains = {
+        (row[0].text, head): cell.text.partition(",")[0]
+        for row in short.rows
+        for head, cell in zip(short.heads[1:], row[1:], strict=True)
+        if cell.text != "–"
+    }
+    assert gains == {(row[0].text, row[1].text): row[2].text for row in page}
 
 
 @pytest.mark.parametrize(
@@ -297,7 +310,8 @@ def test_results_of_several_commits_say_so_and_those_of_one_do_not():
 def test_where_another_system_is_better_it_stands_in_the_table_of_what_is_not_won():
     assert tables.behind("b", "b", result({"icp": [run(3.0)], "ddakf": [run(2.0)]}), ["rmse_mm"]).rows == []
     lost = tables.behind("b", "b", result({"icp": [run(3.0)], "nicp": [run(1.5)], "ddakf": [run(2.0)]}), ["rmse_mm"])
-    assert [cell.text for cell in lost.rows[0]] == ["RMSE, mm", "a", "full", "non-rigid ICP (ARAP)", "1.5", "2.0", "0.5"]
+    assert [cell.text for cell in lost.rows[0]] == ["a", "full", "non-rigid ICP (ARAP): 1.5, 2.0"]
+    assert lost.heads[2:] == ["RMSE, mm"]
 
 
 def test_seeds_that_no_two_cells_share_still_have_a_mean():

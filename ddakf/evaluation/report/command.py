@@ -31,6 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         found = results.read(arguments.results)
         content.write(found, arguments.results, arguments.out)
         if arguments.markdown:
-            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, content.tables_of(found, arguments.results)))
+            tables = content.tables_of(found, arguments.results, brief=True)
+            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, tables))
     Console().print(str(arguments.out / "index.html"))
     return 0

@@ -38,6 +38,7 @@ LESS = (
     "Of stretch, bend and variance of acceleration less is called better, as in the paper; a rigid or a frozen garment would win "
     "them."
 )
+NEVER = "No run of any system came back to within 1.5 times its error before the occlusion."
 
 
 def write(results: dict[str, Result], folder: Path, out: Path) -> None:
@@ -48,50 +49,71 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
         folder: they were read from; the stills are there too.
         out: for index.html and the pictures.
     """
-    *numbers, absent = tables_of(results, folder, each_view=True)
+    *numbers, absent = tables_of(results, folder)
     parts = [*numbers, *_stills(folder, out), *_drawn(results, out), absent]
     (out / "index.html").write_text(page(TITLE, INTRODUCTION, parts, list(results.values()), os.path.relpath(folder, out)))
 
 
-def tables_of(results: dict[str, Result], folder: Path, *, each_view: bool = False) -> list[Table]:
-    """The tables that the results of a folder can fill, with Table 4 also view by view if wanted; the last one says what is
-    missing."""
-    cloth, others = _cloth(results, each_view), [*_sweeps(results), *_occlusion(results), *_reliability(results)]
-    parts = [*_faust(results), *cloth, *others]
+def tables_of(results: dict[str, Result], folder: Path, *, brief: bool = False) -> list[Table]:
+    """The tables that the results of a folder can fill; the last one lists what is missing.
+
+    Args:
+        results: by name.
+        folder: they were read from.
+        brief: as a document quotes them: the tests in short and over all views, nothing that another table has.
+    """
+    studies = [*_faust(results, brief), *_cloth(results, brief), *_depth(results)]
+    parts = [*studies, *_sweeps(results), *_occlusion(results, brief), *_reliability(results)]
     for table in parts:
         table.notes += [source.mixed for source in table.sources if source.mixed]
     return [*parts, missing.table(results, [path.stem for path in folder.glob("*.npz")])]
 
 
-def _faust(results: dict[str, Result]) -> list[Table]:
+def _faust(results: dict[str, Result], brief: bool) -> list[Table]:
     if "faust" not in results:
         return []
-    result = results["faust"]
+    result, tested = results["faust"], ("rmse_mm", "hausdorff_mm", "flicker", "acceleration_variance")
+    name, title = "table-2", "Table 2: FAUST, every system against DD-AKF"
     return [
         tables.comparison("table-1", "Table 1: FAUST", result, GEOMETRY, printed.FAUST),
-        tables.significance("table-2", "Table 2: FAUST, every system against DD-AKF", result,
-                            ("rmse_mm", "hausdorff_mm", "flicker", "acceleration_variance"), printed.FAUST_P),
+        tables.effects(name, title, result, tested) if brief
+        else tables.significance(name, title, result, tested, printed.FAUST_P),
     ]  # fmt: skip
 
 
-def _cloth(results: dict[str, Result], each_view: bool) -> list[Table]:
-    parts = []
-    if "main" in results:
-        result = results["main"]
-        for view in result.views:
-            heading = f"Table 3: CLOTH3D-like, {view}"
-            parts.append(tables.comparison(f"table-3-{view}", heading, result, CLOTH, printed.CLOTH3D, view))
-            heading = f"Beyond the metrics of Table 3: CLOTH3D-like, {view}"
-            parts.append(tables.comparison(f"beyond-{view}", heading, result, BEYOND, {}, view))
-        for view in ("all", *(result.views if each_view and len(result.views) > 1 else ())):
-            title = f"Table 4: CLOTH3D-like, every system against DD-AKF, {'all views' if view == 'all' else view}"
-            test = tables.significance(f"table-4-{view}", title, result, TESTED, printed.CLOTH3D_P, view)
-            parts.append(replace(test, notes=[LESS, *test.notes]))
-        parts.append(tables.behind("behind", "Where DD-AKF does not win", result, JUDGED))
-        parts.append(tables.by_sequence("by-sequence", "RMSE in mm by sequence", result, "rmse_mm"))
+def _cloth(results: dict[str, Result], brief: bool) -> list[Table]:
+    if "main" not in results:
+        return []
+    result, parts = results["main"], []
+    for view in result.views:
+        heading, repeated = f"Table 3: CLOTH3D-like, {view}", brief and parts
+        parts.append(tables.comparison(f"table-3-{view}", heading, result, CLOTH, {} if repeated else printed.CLOTH3D, view))
+        heading = f"Beyond the metrics of Table 3: CLOTH3D-like, {view}"
+        parts.append(tables.comparison(f"beyond-{view}", heading, result, BEYOND, {}, view))
+    parts += [replace(test, notes=[LESS, *test.notes]) for test in _tested(result, brief)]
+    parts.append(tables.behind("behind", "Where DD-AKF does not win", result, JUDGED))
+    parts.append(tables.by_sequence("by-sequence", "RMSE in mm by sequence", result, "rmse_mm"))
+    if not brief:
         title = "Leave-garment-category-out: RMSE in mm by garment category; ClothFit has learned from no garment of it"
         parts.append(tables.by_sequence("by-category", title, result, "rmse_mm", head="garment",
                                         group=lambda name: scored(Path(name).stem).garment))  # fmt: skip
+    return parts
+
+
+def _tested(result: Result, brief: bool) -> list[Table]:
+    """Table 4, over all views and of each."""
+    name, title = "table-4-{}", "Table 4: CLOTH3D-like, every system against DD-AKF, {}"
+    if brief:
+        return [tables.effects(name.format("all"), title.format("all views"), result, TESTED)]
+    views = {"all": "all views"} | {view: view for view in result.views if len(result.views) > 1}
+    return [
+        tables.significance(name.format(view), title.format(words), result, TESTED, printed.CLOTH3D_P, view)
+        for view, words in views.items()
+    ]
+
+
+def _depth(results: dict[str, Result]) -> list[Table]:
+    parts = []
     if "captures" in results:
         parts.append(tables.by_sequence("captures", "RMSE in mm on real captures without a body", results["captures"], "rmse_mm"))
     for name, title, value in (
@@ -110,7 +132,7 @@ def _cloth(results: dict[str, Result], each_view: bool) -> list[Table]:
     return parts
 
 
-def _occlusion(results: dict[str, Result]) -> list[Table]:
+def _occlusion(results: dict[str, Result], brief: bool) -> list[Table]:
     if "occlusion" not in results:
         return []
     result = results["occlusion"]
@@ -121,11 +143,13 @@ def _occlusion(results: dict[str, Result]) -> list[Table]:
         runs = [run["recovery_frames"] for cell in result.of(method) for run in cell["runs"]]
         counts.append(f"{tables.TITLES.get(method, method)} {len(runs) - runs.count(None)} of {len(runs)}")
     recovery.notes.append(f"Runs that came back: {', '.join(counts)}.")
-    parts = [recovery]
-    if any(result.pooled(method, "recovery_ratio") for method in result.methods):
-        title = "Error of the last ten frames after the occlusion, in multiples of that of the ten before it"
-        parts.append(tables.by_sequence("recovery-ratio", title, result, "recovery_ratio"))
-    return parts
+    if not any(result.pooled(method, "recovery_ratio") for method in result.methods):
+        return [recovery]
+    title = "Error of the last ten frames after the occlusion, in multiples of that of the ten before it"
+    ratio = tables.by_sequence("recovery-ratio", title, result, "recovery_ratio")
+    if brief and not any(result.pooled(method, "recovery_frames") for method in result.methods):
+        return [replace(ratio, notes=[*ratio.notes, NEVER])]
+    return [recovery, ratio]
 
 
 def _sweeps(results: dict[str, Result]) -> list[Table]:

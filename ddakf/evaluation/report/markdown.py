@@ -21,18 +21,26 @@ def rewritten(path: Path, tables: list[Table]) -> str:
     _, end, after = rest.partition(END)
     if not (begin and end):
         raise InvalidFile(str(path), f"a document with {BEGIN} and {END}", "none")
-    return before + BEGIN + "\n\n" + "\n\n".join(map(_section, tables)) + "\n\n" + END + after
+    said: set[str] = set()
+    sections = [_section(table, said) for table in tables]
+    return before + BEGIN + "\n\n" + "\n\n".join(sections) + "\n\n" + END + after
 
 
-def _section(table: Table) -> str:
+def _section(table: Table, said: set[str]) -> str:
+    """A table under its title, with the notes that no table before it had."""
     words = [k == 0 or any(row[k].kind == "text" for row in table.rows) for k in range(len(table.heads))]
     lines = [table.heads, ["---" if left else "--:" for left in words], *([_text(cell) for cell in row] for row in table.rows)]
     body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
-    notes = "".join(f"\n- {note}" for note in table.notes)
+    new = [note for note in table.notes if note not in said]
+    said.update(new)
+    notes = "\n" * bool(new) + "".join(f"\n- {note}" for note in new)
     files = ", ".join(f"[{source.name}.json](../results/{source.name}.json)" for source in table.sources)
-    return f"## {table.title}\n\n{body}\n{notes}" + (f"\n\nFrom {files}." if files else "")
+    return f"## {table.title}\n\n{body}{notes}" + (f"\n\nFrom {files}." if files else "")
 
 
 def _text(cell: Cell) -> str:
+    """A cell's text; the paper's numbers without their deviations, which the page has."""
     text = cell.text.replace("|", "\\|")
-    return f"**{text}**" if cell.kind == "best" else f"_{text}_" if cell.kind == "paper" and text != "–" else text
+    if cell.kind == "paper" and text != "–":
+        return f"_{text.partition(' ±')[0]}_"
+    return f"**{text}**" if cell.kind == "best" else text

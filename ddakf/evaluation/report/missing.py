@@ -14,19 +14,17 @@ from ddakf.evaluation.study.plan import METHODS
 
 TITLE = "What is not reproduced, and why"
 ALWAYS = {
-    "the paper's numbers": "its seeds, weights and implementations are not public, nor does it say which and how many recordings "
-    "it scores, or how long they are",
-    "FAUST as sequences": "FAUST is static, and the paper does not say how it moves: here each pose is reached by interpolation "
-    "from the subject's neutral pose within a second",
-    "CLOTH3D": "could not be had; the recordings of Tables 3 to 6 are simulated garments and, where at hand, the PERGAMO "
-    "reconstruction, and are called CLOTH3D-like",
-    "temporal flicker (TF)": "printed without formula or unit: the variance of acceleration is measured, with a smoothing of "
-    "ours, and a frozen mesh would win it; the flicker of the error beside it is the one to read",
-    "penetration": "worded, without a formula: here the mean over all vertices, of which one outside has none; the mean over "
-    "those inside alone stands beyond Table 3",
-    "the paper's ClothFit": "its network and weights are not public; here a network of this project's, which has not seen the "
-    "scored recording, its garment category nor its motion",
-    "the paper's frame rates": "it names no machine; times here are of the machine below, and of what else ran on it",
+    "the paper's numbers": "seeds, weights, implementations and the scored recordings are not public",
+    "FAUST as sequences": "FAUST is static and the paper does not say how it moves; here each pose is reached from the subject's "
+    "neutral pose by interpolation within a second",
+    "CLOTH3D": "not available; Tables 3 to 6 use simulated garments and, where present, the PERGAMO reconstruction, called "
+    "CLOTH3D-like",
+    "temporal flicker (TF)": "printed without formula or unit; the variance of acceleration is measured after a smoothing of "
+    "ours, and a frozen mesh would win it: read the flicker of the error",
+    "penetration": "no formula; here the mean over all vertices, 0 for those outside; beyond Table 3 the mean over those inside",
+    "the paper's ClothFit": "network and weights are not public; this project's network has not seen the scored recording, its "
+    "garment category or its motion",
+    "the paper's frame rates": "it names no machine; times here are of the machine that each result names, under its load",
 }
 STUDIES = {
     "faust": "Tables 1 and 2", "main": "Tables 3, 4 and 7, and the calibration", "occlusion": "Figure 3 and the recovery",

@@ -46,6 +46,10 @@ SKEWED = (
     "The interval of the effect supposes independent normal gains. Where it holds 0 beside a small p, few clips have gains "
     "far larger than the others'."
 )
+SHORT = (
+    "Cells: how much better DD-AKF is, effect size [95 % interval]. Verdict and Holm's p follow unless DD-AKF is better with "
+    "p < 0.001."
+)
 
 
 @dataclass
@@ -109,10 +113,10 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
     if any(value in TRUTH for value in values):
         rows.append(_truth(result, values, paper, chosen))
     notes = _notes(rows, [result], methods)
+    lost = {method: result.lost(method, chosen) for method in methods}
+    if counts := [f"{TITLES.get(m, m)} {lost[m]} of {len(result.of(m, chosen))}" for m in methods if lost[m]]:
+        notes.append(f"Lost the garment, sequences x views: {'; '.join(counts)}.")
     for method in methods:
-        if count := result.lost(method, chosen):
-            of = len(result.of(method, chosen))
-            notes.append(f"{TITLES.get(method, method)}: lost the garment in {count} of {of} sequences x views.")
         if size := result.pooled(method, "effective_sample_size", chosen):
             notes.append(f"{TITLES.get(method, method)}: effective sample size {size.mean:.1f} particles in the mean.")
     return Table(name, title, heads, rows, notes, [result])
@@ -156,15 +160,44 @@ def significance(name: str, title: str, result: Result, values: Iterable[str], p
                 Cell(p_text(test["p_holm"])), Cell(effect, f"{test['groups']} groups"), Cell(test["verdict_holm"]),
                 Cell(paper.get(value, {}).get(method, "–"), kind="paper"),
             ])  # fmt: skip
-            statement = (
-                f"{test['n']} clips x views in {test['groups']} groups, signs flipped by {test['flipped']}; "
-                f"the smallest p that can be had: {test['p_smallest']:.2g}."
-            )
-            skewed = SKEWED if test["effect"] is not None and _skewed(test) else None
-            notes += [note for note in (statement, test["dependence"], skewed) if note and note not in notes]
+            notes += [note for note in _test_notes(test) if note not in notes]
         if (standing := family.get("standing")) and value not in UNRANKED:
             notes.append(_standing(HEADS[value], standing))
     return Table(name, title, heads, rows, notes, [result])
+
+
+def effects(name: str, title: str, result: Result, values: Iterable[str]) -> Table:
+    """The tests over all views in short, metrics down and systems across: gain, effect, Holm's p from 0.001 on."""
+    methods, families = [m for m in ordered(result.methods) if m != "ddakf"], result.p_values.get("all", {})
+    tests = {v: families.get(v, {}).get("comparisons", {}) for v in values}
+    tests = {v: {m: test for m, test in tests[v].items() if test["n"]} for v in tests}
+    rows = [[Cell(HEADS[v]), *(_effect(tests[v].get(m), v) for m in methods)] for v in tests if tests[v]]
+    notes = dict.fromkeys(note for v in tests for test in tests[v].values() for note in _test_notes(test))
+    lost = {m: None for v in tests for m in families.get(v, {}).get("standing", {}).get("lost", ()) if v not in UNRANKED}
+    if lost:
+        notes[f"Lost the garment: {', '.join(TITLES.get(m, m) for m in ordered(lost))}."] = None
+    return Table(name, title, ["metric", *(TITLES.get(m, m) for m in methods)], rows, [SHORT, *notes], [result])
+
+
+def _effect(test: dict | None, value: str) -> Cell:
+    """A test as gain, effect [interval], and verdict and p unless DD-AKF is better by p < 0.001."""
+    if test is None:
+        return Cell("–")
+    text = _number(test["gain"], value)
+    if test["effect"] is not None:
+        text += f", {test['effect']:+.2f} [{test['effect_low']:+.2f}, {test['effect_high']:+.2f}]"
+    usual = test["verdict_holm"] == "better" and test["p_holm"] < 0.001
+    return Cell(text if usual else f"{text}, {test['verdict_holm']}, p {p_text(test['p_holm'])}")
+
+
+def _test_notes(test: dict) -> list[str]:
+    """Groups and smallest p of a test, its dependence, and whether its interval disagrees."""
+    statement = (
+        f"{test['n']} clips x views in {test['groups']} groups, signs flipped by {test['flipped']}; "
+        f"the smallest p that can be had: {test['p_smallest']:.2g}."
+    )
+    skewed = SKEWED if test["effect"] is not None and _skewed(test) else None
+    return [note for note in (statement, test["dependence"], skewed) if note]
 
 
 def _skewed(test: dict) -> bool:
@@ -237,25 +270,30 @@ def by_sequence(
 
 
 def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Table:
-    """Where DD-AKF does not win: metric, sequence and view, the best system there, and how far DD-AKF is from it."""
-    rows, places = [], list(dict.fromkeys((cell["sequence"], cell["view"]) for cell in result.cells))
-    values = list(values)
-    for value in values:
-        for sequence, view in places:
-            means = {
-                cell["method"]: cell["mean"][value]
-                for cell in result.cells
-                if (cell["sequence"], cell["view"]) == (sequence, view) and cell["mean"] and cell["mean"][value] is not None
-            }
-            best = _first(means, value)
-            if best is None or "ddakf" not in means or means[best] == means["ddakf"]:
-                continue
-            apart = f"{abs(means['ddakf'] - means[best]):.2g}"
-            names = TITLES.get(best, best), _number(means[best], value), _number(means["ddakf"], value), apart
-            rows.append([Cell(text) for text in (HEADS[value], Path(sequence).name, view, *names)])
-    notes = [f"Of {len(values)} metrics on {len(places)} pairs of sequence and view; all others are won by DD-AKF."]
-    heads = ["metric", "sequence", "view", "best system", "its mean", "DD-AKF's", "apart"]
-    return Table(name, title, heads, rows, notes, [result])
+    """Where DD-AKF does not win: sequence and view down, metrics across, the best system with its mean and DD-AKF's."""
+    values, places = list(values), list(dict.fromkeys((cell["sequence"], cell["view"]) for cell in result.cells))
+    found = {(place, value): _ahead(result, place, value) for place in places for value in values}
+    heads = [value for value in values if any(found[place, value] for place in places)]
+    rows = [
+        [Cell(Path(place[0]).name), Cell(place[1]), *(Cell(found[place, value] or "–") for value in heads)]
+        for place in places if any(found[place, value] for value in values)
+    ]  # fmt: skip
+    notes = [f"Cells: the best system, its mean, DD-AKF's mean. {len(values)} metrics, {len(places)} pairs of sequence and view; "
+             "DD-AKF is best in all others."]  # fmt: skip
+    return Table(name, title, ["sequence", "view", *(HEADS[value] for value in heads)], rows, notes, [result])
+
+
+def _ahead(result: Result, place: tuple[str, str], value: str) -> str | None:
+    """The system with the best mean of a sequence in a view, its mean and DD-AKF's; None where DD-AKF's is best."""
+    means = {
+        cell["method"]: cell["mean"][value]
+        for cell in result.cells
+        if (cell["sequence"], cell["view"]) == place and cell["mean"] and cell["mean"][value] is not None
+    }
+    best = _first(means, value)
+    if best is None or "ddakf" not in means or means[best] == means["ddakf"]:
+        return None
+    return f"{TITLES.get(best, best)}: {_number(means[best], value)}, {_number(means['ddakf'], value)}"
 
 
 def reliability(name: str, title: str, results: list[Result]) -> Table:
