@@ -309,11 +309,10 @@ _MADE_DEFAULTS = {
 
 def settings_table() -> str:
     """Settings of the service."""
-    lines = ["| environment | flag | default | meaning |", "|---|---|---|---|"]
+    lines = ["| environment | default | meaning |", "|---|---|---|"]
     for name, field in Settings.model_fields.items():
         default = _MADE_DEFAULTS[name] if field.default_factory else "none" if field.default == () else field.default
-        flag = f"--{name.replace('_', '-')}"
-        lines.append(f"| `{ENV_PREFIX}{name.upper()}` | `{flag}` | {default} | {field.description} |")
+        lines.append(f"| `{ENV_PREFIX}{name.upper()}` | {default} | {field.description} |")
     return "\n".join(lines)
 
 
