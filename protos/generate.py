@@ -1,9 +1,9 @@
-"""Writes the Python code of ``ddakf_api/v1/*.proto`` beside the schema, or checks that it is up to date.
+"""Code generator: writes the Python code of ``ddakf_api/v1/*.proto`` beside the schema, or checks that it is up to date.
 
     python protos/generate.py            # after every change of a .proto file
     python protos/generate.py --check    # exit 1 and name the files that differ
 
-Needs the exact generator that the ``dev`` extra pins, because its output is committed.
+Needs the generator version of the ``dev`` extra, because the output is committed.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ GENERATED = ("*_pb2.py", "*_pb2.pyi", "*_pb2_grpc.py")
 
 
 def generate(out: Path) -> None:
-    """Runs protoc on every schema of the package; files appear under ``out`` at their package's path."""
+    """Runs protoc on every schema of the package; writes below ``out`` at the path of the package."""
     from grpc_tools import _proto, protoc
 
     well_known_types = Path(next(iter(_proto.__path__)))
@@ -30,7 +30,7 @@ def generate(out: Path) -> None:
 
 
 def stale_files() -> list[str]:
-    """Paths, relative to ``protos``, of generated files that are missing, surplus or not what the schema gives."""
+    """Paths, relative to ``protos``, of generated files that are missing, surplus or out of date."""
     with tempfile.TemporaryDirectory() as folder:
         generate(Path(folder))
         fresh, committed = _contents(Path(folder)), _contents(ROOT)
@@ -50,7 +50,7 @@ def main() -> int:
         return 0
     stale = stale_files()
     for path in stale:
-        print(f"{path} differs from what the schema gives: run python protos/generate.py", file=sys.stderr)
+        print(f"{path} is out of date: run python protos/generate.py", file=sys.stderr)
     return 1 if stale else 0
 
 

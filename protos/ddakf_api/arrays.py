@@ -1,4 +1,4 @@
-"""Numpy arrays as ``PackedArray`` messages and back. Every length is checked before memory is taken for it."""
+"""Packed arrays: NumPy arrays to ``PackedArray`` messages and back. Lengths are checked before memory is allocated."""
 
 from __future__ import annotations
 
@@ -34,26 +34,26 @@ def checked_array(
     columns: int | None = 3,
     error: type[InvalidArgument] = InvalidArgument,
 ) -> np.ndarray:
-    """What a caller gave as an array, as one.
+    """Converts an argument of a caller to an array.
 
     Args:
-        field: name for errors.
-        expected: what should have been given, for errors.
-        kinds: those that the array's dtype may have.
-        columns: the array has to have shape (n, columns); None: any shape.
-        error: class of what is raised.
+        field: name of the argument in errors.
+        expected: description of a valid argument, for errors.
+        kinds: allowed kinds of dtype.
+        columns: required shape (n, columns); None: any shape.
+        error: class of the raised error.
 
     Raises:
-        InvalidArgument: no array can be made of it (rows of unequal lengths), or one of another shape or type.
+        InvalidArgument: the argument cannot be converted (rows of unequal lengths), or has another shape or type.
     """
     try:
         array = np.asarray(values)
-    except Exception as cause:  # numpy's, or whatever the object's own conversion raises
-        why = "rows of unequal lengths" if "inhomogeneous" in str(cause) else first_line(cause)
-        got = f"{type(values).__name__} that is no array ({why})"
+    except Exception as cause:  # of NumPy or of the object's own conversion
+        reason = "rows of unequal lengths" if "inhomogeneous" in str(cause) else first_line(cause)
+        got = f"{type(values).__name__} that is no array ({reason})"
         raise error(field=field, expected=expected, got=got) from None
-    shaped = columns is None or (array.ndim == 2 and array.shape[1] == columns)
-    if not shaped or array.dtype.kind not in kinds:
+    has_shape = columns is None or (array.ndim == 2 and array.shape[1] == columns)
+    if not has_shape or array.dtype.kind not in kinds:
         raise error(field=field, expected=expected, got=_described(array))
     return array
 
@@ -61,12 +61,12 @@ def checked_array(
 def pack(array: np.ndarray, encoding: int = pb.ARRAY_ENCODING_FLOAT32, *, step: float | None = None) -> pb.PackedArray:
     """Packs an array of shape (n,) or (n, components).
 
-    Quantised encodings need finite values; their error is at most half a step. Without a `step` they spread their steps over
-    the array's own range: the error is at most the largest component's range divided by 131,070 (16 bit) or 510 (8 bit).
+    Quantised encodings need finite values; their error is at most half a step. Without a `step`, the steps cover the range of
+    the array: the error is at most the range of the largest component divided by 131,070 (16 bit) or 510 (8 bit).
 
     Args:
-        step: of quantised encodings, in the array's unit: doubled until it fits. Values are rounded to whole multiples of it,
-            so that what stays the same from array to array is written the same.
+        step: of quantised encodings, in the unit of the array; doubled until the range fits. Values are rounded to multiples
+            of it, so that a value that does not change between arrays is encoded the same.
     """
     dtype = _DTYPES[encoding]
     if encoding not in _QUANTISED:
@@ -93,18 +93,19 @@ def unpack(
     encodings: Sequence[int] = tuple(_DTYPES),
     error: type[InvalidArgument] = InvalidArgument,
 ) -> np.ndarray:
-    """The array of a message, of shape (n,), or (n, components) when `components` is given.
+    """Unpacks a message to an array of shape (n,), or (n, components) if `components` is given.
 
-    Floats of 16 and 32 bits and quantised values come as float32, the others as what they are; all native and writable.
+    16-bit floats and quantised values become float32, other values keep their type. Arrays are writable and of native byte
+    order.
 
     Args:
-        field: name for errors.
+        field: name of the field in errors.
         max_items: the largest n.
-        encodings: those that the field may have.
-        error: class of what is raised.
+        encodings: allowed encodings.
+        error: class of the raised error.
 
     Raises:
-        InvalidArgument: another encoding, bytes that are no whole number of items, too many items.
+        InvalidArgument: another encoding, a length that is not a multiple of the item size, or too many items.
     """
     if packed.encoding not in encodings:
         names = " or ".join(pb.ArrayEncoding.Name(e) for e in encodings)
@@ -123,16 +124,16 @@ def unpack(
     if packed.encoding == pb.ARRAY_ENCODING_BOOL:
         return raw != 0
     if packed.encoding == pb.ARRAY_ENCODING_FLOAT16:
-        with np.errstate(invalid="ignore"):  # a signalling NaN, of which NumPy warns here, is not finite as any other
+        with np.errstate(invalid="ignore"):  # NumPy warns of a signalling NaN
             return raw.astype(np.float32)
     return raw.astype(dtype.newbyteorder("="))
 
 
 def pack_mesh(vertices: np.ndarray, faces: np.ndarray, *, field: str = "mesh") -> pb.Mesh:
-    """A mesh message from (V, 3) metres, sent as float64 so that the server has the very mesh, and (F, 3) indices.
+    """Packs a mesh of (V, 3) metres and (F, 3) indices. Vertices are float64, so that the server has the same mesh.
 
     Raises:
-        InvalidMesh: shapes or types that are no mesh, indices that are no unsigned 32-bit numbers.
+        InvalidMesh: an array has another shape or type, or an index is out of range.
     """
     vertices = checked_array(f"{field}.vertices", vertices, expected="numbers of shape (V, 3)", error=InvalidMesh)
     expected = "integers of shape (F, 3)"
@@ -144,10 +145,10 @@ def pack_mesh(vertices: np.ndarray, faces: np.ndarray, *, field: str = "mesh") -
 
 
 def unpack_mesh(mesh: pb.Mesh, *, field: str, max_vertices: int, max_faces: int) -> tuple[np.ndarray, np.ndarray]:
-    """(V, 3) float64 metres and (F, 3) int64 of a mesh message. Whether they make a mesh is for the tracker to say.
+    """Unpacks a mesh to (V, 3) float64 metres and (F, 3) int64. The tracker checks its topology.
 
     Raises:
-        InvalidMesh: encodings or lengths that do not fit, more vertices or faces than allowed.
+        InvalidMesh: an invalid encoding or length, or too many vertices or faces.
     """
     vertices = unpack(
         mesh.vertices, 3, field=f"{field}.vertices", max_items=max_vertices, encodings=FLOATS, error=InvalidMesh

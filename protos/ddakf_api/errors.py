@@ -1,6 +1,6 @@
-"""The errors of the service: one class per name, with its codes. The wire carries the name, clients raise the class.
+"""Errors of the service: one class per name with its gRPC and HTTP codes. The wire carries the name, clients raise the class.
 
-An error travels as a gRPC status whose trailing metadata ``ddakf-error-bin`` holds an ``ErrorDetail``, as the ``error``
+An error is sent as a gRPC status whose trailing metadata ``ddakf-error-bin`` holds an ``ErrorDetail``, as the ``error``
 of a ``FrameError`` inside a stream, and as JSON with the same fields over HTTP.
 """
 
@@ -16,19 +16,19 @@ from ddakf_api.v1 import tracking_pb2 as pb
 ERROR_METADATA_KEY = "ddakf-error-bin"
 
 ERRORS: dict[str, type[ServiceError]] = {}
-"""Every error by its wire name, in the order of this file. The first one of a gRPC code stands for that code."""
+"""Error classes by wire name, in the order of this file. The first class of a gRPC code is the default for that code."""
 
 
 class ServiceError(Exception):
-    """Base of every error that the service or its client raises on purpose.
+    """Base of all errors that the service or its client raises deliberately.
 
     Attributes:
-        field: what it is about, e.g. ``point_cloud.data``; may be empty.
-        expected, got: what would have been accepted, what came; may be empty.
-        retry_after: seconds after which trying again makes sense; 0 when not said.
-        sequence: sequence number of the frame it is about, or None.
+        field: the invalid field, e.g. ``point_cloud.data``; may be empty.
+        expected, got: description of valid values, and of the received one; may be empty.
+        retry_after: seconds after which a retry makes sense; 0: unknown.
+        sequence: sequence number of the frame, or None.
         status, http_status: gRPC and HTTP code of the class.
-        retryable: the same request may succeed later without a change.
+        retryable: the same request may succeed later.
     """
 
     status: ClassVar[StatusCode] = StatusCode.INTERNAL
@@ -52,7 +52,7 @@ class ServiceError(Exception):
 
 
 class InvalidArgument(ServiceError, ValueError, status=StatusCode.INVALID_ARGUMENT, http=422):
-    """An input that cannot be used; nothing has been changed."""
+    """An invalid input; no state was changed."""
 
 
 class InvalidMesh(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422):
@@ -60,11 +60,11 @@ class InvalidMesh(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422)
 
 
 class InvalidFrame(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422):
-    """A frame that cannot be tracked: points, time, origin or body."""
+    """A frame with invalid points, time, origin or body."""
 
 
 class CodecError(InvalidFrame, status=StatusCode.INVALID_ARGUMENT, http=422):
-    """Points that cannot be encoded, or a payload that cannot be decoded within its limits."""
+    """Points that cannot be encoded, or data that cannot be decoded within the limits."""
 
 
 class InvalidConfig(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422):
@@ -72,95 +72,95 @@ class InvalidConfig(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=42
 
 
 class InvalidFile(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422):
-    """A file that is not what its name or its use says."""
+    """A file of another format or content than its name or use requires."""
 
 
 class InvalidSnapshot(InvalidArgument, status=StatusCode.INVALID_ARGUMENT, http=422):
-    """Bytes that are no snapshot of a tracker, or of an unknown version."""
+    """Data that is no snapshot of a tracker, or one of an unknown version."""
 
 
 class Unauthenticated(ServiceError, status=StatusCode.UNAUTHENTICATED, http=401):
-    """No key, or one that is not known."""
+    """No API key, or an unknown one."""
 
 
 class PermissionDenied(ServiceError, status=StatusCode.PERMISSION_DENIED, http=403):
-    """The key's scopes do not include this."""
+    """The scopes of the API key do not allow the call."""
 
 
 class SessionNotFound(ServiceError, status=StatusCode.NOT_FOUND, http=404):
-    """No session of this name, or not any more."""
+    """The session does not exist, or no longer exists."""
 
 
 class SessionExpired(SessionNotFound, status=StatusCode.NOT_FOUND, http=410):
-    """The session passed its idle timeout or its lifetime."""
+    """The session exceeded its idle timeout or its lifetime."""
 
 
 class SessionExists(ServiceError, status=StatusCode.ALREADY_EXISTS, http=409):
-    """The chosen session id is taken."""
+    """The requested session id is in use."""
 
 
 class FailedPrecondition(ServiceError, status=StatusCode.FAILED_PRECONDITION, http=409):
-    """Not in this state: messages in the wrong order, an update of something in use."""
+    """The state does not allow the call: messages in the wrong order, or an update of a changed resource."""
 
 
 class SessionBusy(ServiceError, status=StatusCode.FAILED_PRECONDITION, http=409):
-    """The session already has a stream; ``takeover`` would end that one."""
+    """The session already has a stream; ``takeover`` ends that stream."""
 
 
 class VersionMismatch(ServiceError, status=StatusCode.FAILED_PRECONDITION, http=400):
-    """Client and server speak versions of the contract that do not fit together."""
+    """Client and server have incompatible API versions."""
 
 
 class StreamTakenOver(ServiceError, status=StatusCode.ABORTED, http=409):
-    """Another client took this stream's session over."""
+    """Another client took over the session of this stream."""
 
 
 class ResourceExhausted(ServiceError, status=StatusCode.RESOURCE_EXHAUSTED, http=429, retryable=True):
-    """The server, the key or the session is at a limit."""
+    """The server, the API key or the session has reached a limit."""
 
 
 class MessageTooLarge(ResourceExhausted, status=StatusCode.RESOURCE_EXHAUSTED, http=413):
-    """A request with more bytes than the server takes."""
+    """A request with more bytes than the server accepts."""
 
 
 class Unavailable(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
-    """No server answers, or it is not ready."""
+    """The server does not answer, or is not ready."""
 
 
 class WorkerLost(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
-    """The process that tracked the session died; the session goes on from its checkpoint or has to be created again."""
+    """The worker process of the session died; the session continues from its checkpoint or has to be created again."""
 
 
 class Draining(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
-    """The server is about to stop and takes nothing new."""
+    """The server is shutting down and accepts no new work."""
 
 
 class DeadlineExceeded(ServiceError, status=StatusCode.DEADLINE_EXCEEDED, http=504):
-    """No answer in the time that the caller gave."""
+    """No answer within the timeout of the caller."""
 
 
 class Cancelled(ServiceError, status=StatusCode.CANCELLED, http=499):
-    """The call was ended by one of its sides before it was complete."""
+    """One side ended the call before it was complete."""
 
 
 class Unimplemented(ServiceError, status=StatusCode.UNIMPLEMENTED, http=501):
-    """The contract has it, this server does not."""
+    """The contract has the feature, this server does not."""
 
 
 class Internal(ServiceError, status=StatusCode.INTERNAL, http=500):
-    """A defect of the server; its log says more."""
+    """A defect of the server; its log has the details."""
 
 
 def class_of(error: BaseException) -> type[ServiceError]:
-    """The class that stands for an exception on the wire: of its name or its nearest base's, else :class:`Internal`.
+    """The wire class of an exception: the class with its name or that of its nearest base, else :class:`Internal`.
 
-    By name, so that ``ddakf.errors.InvalidMesh`` and the like need no table of their own.
+    The lookup is by name, so that errors of the library such as ``ddakf.errors.InvalidMesh`` need no second table.
     """
     return next((ERRORS[base.__name__] for base in type(error).__mro__ if base.__name__ in ERRORS), Internal)
 
 
 def to_detail(error: BaseException) -> pb.ErrorDetail:
-    """What the wire says about an exception; of an unexpected one its type alone: its text may hold what is private."""
+    """The message of an exception. An unexpected exception gives only its type, because its text may contain private data."""
     cls = class_of(error)
     if cls is Internal and not isinstance(error, Internal):
         return pb.ErrorDetail(name=cls.__name__, message=f"internal error ({type(error).__name__})")
@@ -175,12 +175,12 @@ def to_detail(error: BaseException) -> pb.ErrorDetail:
 
 
 def to_metadata(detail: pb.ErrorDetail) -> tuple[tuple[str, bytes], ...]:
-    """Trailing metadata of a gRPC call that ends with this error."""
+    """Trailing metadata of a gRPC call that fails with this error."""
     return ((ERROR_METADATA_KEY, detail.SerializeToString()),)
 
 
 def from_detail(detail: pb.ErrorDetail) -> ServiceError:
-    """The exception that a client raises. A name that this version does not know gives :class:`ServiceError` itself."""
+    """The exception that a client raises. An unknown name, of a later version, gives :class:`ServiceError` itself."""
     return ERRORS.get(detail.name, ServiceError)(
         detail.message or detail.name,
         field=detail.field,
@@ -191,7 +191,7 @@ def from_detail(detail: pb.ErrorDetail) -> ServiceError:
 
 
 def from_rpc_error(error: grpc.RpcError) -> ServiceError:
-    """The exception for a failed gRPC call: by its detail, or by its status code where gRPC itself refused."""
+    """The exception of a failed gRPC call: from its detail, or from its status code if gRPC itself failed the call."""
     for key, value in error.trailing_metadata() or ():
         if key == ERROR_METADATA_KEY:
             return from_detail(pb.ErrorDetail.FromString(value))
@@ -200,7 +200,7 @@ def from_rpc_error(error: grpc.RpcError) -> ServiceError:
 
 
 def first_line(error: BaseException) -> str:
-    """What an error of another library says, short enough to be part of a sentence."""
+    """First line of another library's error message, at most 120 characters."""
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
 
 

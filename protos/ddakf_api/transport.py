@@ -1,14 +1,14 @@
-"""gRPC options of both sides. They belong together: a client that pings faster than its server permits is cut off."""
+"""gRPC options of client and server. They must agree: a server disconnects a client that pings more often than permitted."""
 
 from __future__ import annotations
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 KEEPALIVE_SECONDS = 30.0
-"""How often a client asks whether the connection lives, while a call is open."""
+"""Interval of a client's pings while a call is open."""
 KEEPALIVE_TIMEOUT_SECONDS = 10.0
-"""How long it waits for the answer."""
+"""Timeout of the answer to a ping."""
 IDLE_SECONDS = 300.0
-"""How long a server keeps a connection without a call; nobody pings one. A client's next call makes another."""
+"""Time after which a server closes a connection without calls, which nobody pings. The next call opens another."""
 
 Options = list[tuple[str, int]]
 
@@ -19,7 +19,7 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
         *_message_limits(max_message_bytes),
         *_pings(),
         ("grpc.keepalive_permit_without_calls", 0),
-        # A server that starts again is found within seconds; left to itself gRPC looks every two minutes in the end.
+        # Finds a restarted server within seconds; the default backoff of gRPC grows to two minutes.
         ("grpc.initial_reconnect_backoff_ms", 200),
         ("grpc.min_reconnect_backoff_ms", 200),
         ("grpc.max_reconnect_backoff_ms", 2000),
@@ -27,10 +27,10 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
 
 
 def server_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
-    """Options of a server that clients with :func:`client_options` may ping."""
+    """Options of a server for clients with :func:`client_options`."""
     return [
         *_message_limits(max_message_bytes),
-        # Half the clients' interval, so that a delayed ping followed by a punctual one is no offence.
+        # Half of the interval of the clients: a late ping followed by a punctual one is permitted.
         ("grpc.http2.min_ping_interval_without_data_ms", int(500 * KEEPALIVE_SECONDS)),
         ("grpc.max_connection_idle_ms", int(1000 * IDLE_SECONDS)),
         *_pings(),
@@ -38,14 +38,14 @@ def server_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
 
 
 def _pings() -> Options:
-    patience = int(1000 * KEEPALIVE_TIMEOUT_SECONDS)
+    timeout_ms = int(1000 * KEEPALIVE_TIMEOUT_SECONDS)
     return [
         ("grpc.keepalive_time_ms", int(1000 * KEEPALIVE_SECONDS)),
-        # The first is how long a line may keep back what was sent, the second how long the other side may not answer: a proxy, or
-        # a halted process whose system lives on, takes bytes and says nothing.
-        ("grpc.keepalive_timeout_ms", patience),
-        ("grpc.http2.ping_timeout_ms", patience),
-        # Streams are silent while no frames come: without this, pings stop after two.
+        # The first bounds the time until sent bytes are acknowledged, the second the time until a ping is answered: a proxy, or a
+        # stopped process on a running system, acknowledges bytes without an answer.
+        ("grpc.keepalive_timeout_ms", timeout_ms),
+        ("grpc.http2.ping_timeout_ms", timeout_ms),
+        # Streams without frames are silent; by default, gRPC stops after two pings without data.
         ("grpc.http2.max_pings_without_data", 0),
     ]
 

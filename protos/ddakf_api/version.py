@@ -1,4 +1,4 @@
-"""The version handshake: a peer of another major version is refused in one sentence."""
+"""Version handshake: refuses a peer with another major API version."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ddakf_api.errors import VersionMismatch
 
 
 def require_compatible(peer_version: str, *, peer: str) -> None:
-    """Checks the API version that the other side names.
+    """Checks the API version of the peer.
 
     Args:
         peer_version: "major.minor".
-        peer: what the other side is, "client" or "server".
+        peer: "client" or "server".
 
     Raises:
-        VersionMismatch: another major version, or no version at all.
+        VersionMismatch: another major version, or no valid version.
     """
     match = re.fullmatch(r"(\d{1,4})\.(\d{1,4})", peer_version)
     if match and int(match[1]) == int(API_VERSION.split(".")[0]):

@@ -1,4 +1,4 @@
-"""How much memory something takes."""
+"""Bound on the memory that a block of code allocates."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 @contextlib.contextmanager
 def at_most(size: int) -> Iterator[None]:
-    """Inside this context fewer bytes than ``size`` are allocated at a time."""
+    """Asserts that the block allocates fewer than ``size`` bytes at a time."""
     tracemalloc.start()
     try:
         yield

@@ -1,4 +1,4 @@
-"""Packed arrays: every encoding there and back, and lengths checked first."""
+"""Packed arrays: every encoding round-trips, and lengths are checked first."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def test_booleans_and_integers_round_trip():
         (pb.PackedArray(data=bytes(12)), "got ARRAY_ENCODING_UNSPECIFIED"),
     ],
 )
-def test_wrong_messages_are_refused_in_a_sentence(message, said):
+def test_invalid_messages_are_refused(message, said):
     with pytest.raises(InvalidArgument) as refusal:
         unpack(message, 3, field="a", max_items=5, encodings=FLOATS)
     assert said in str(refusal.value)
@@ -82,7 +82,7 @@ def test_meshes_round_trip_exactly():
         ([["a", "b", "c"]], [[0, 0, 0]], "mesh.vertices: expected numbers of shape (V, 3), got <U1 of shape (1, 3)"),
     ],
 )
-def test_what_is_no_mesh_is_not_sent(vertices, faces, said):
+def test_invalid_meshes_are_not_sent(vertices, faces, said):
     with pytest.raises(InvalidMesh) as refusal:
         pack_mesh(vertices, np.array(faces))
     assert said in str(refusal.value)
@@ -94,7 +94,7 @@ def test_ragged_faces_are_not_sent():
     assert refusal.value.field == "mesh.faces"
 
 
-def test_what_an_object_raises_when_it_is_made_an_array_is_said_in_a_sentence():
+def test_an_error_of_the_array_conversion_becomes_an_invalid_argument():
     class OnAnotherDevice:
         def __array__(self, dtype=None, copy=None):
             raise TypeError("copy it to the host first\nand more")

@@ -1,4 +1,4 @@
-"""Point-cloud codecs: exact to half a step, and nothing that arrives can hurt."""
+"""Point-cloud codecs: exact to half a step, and safe against any input."""
 
 import contextlib
 import functools
@@ -70,7 +70,7 @@ def test_empty_cloud_is_a_cloud(codec):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_every_layout_and_type_of_points_is_accepted_and_left_alone(codec, cloud):
+def test_every_layout_and_type_of_points_is_accepted_and_not_modified(codec, cloud):
     for points in (cloud.astype(np.float32), np.asfortranarray(cloud), np.repeat(cloud, 2, axis=0)[::2]):
         before = points.copy()
         assert np.abs(sent(points, codec) - cloud).max() < 0.00026
@@ -80,7 +80,7 @@ def test_every_layout_and_type_of_points_is_accepted_and_left_alone(codec, cloud
 @pytest.mark.parametrize("codec", SORTED)
 @settings(deadline=None)
 @given(lengths=st.lists(st.integers(0, 50), max_size=5), seed=st.integers(0, 9))
-def test_runs_of_points_stay_runs(codec, lengths, seed):
+def test_runs_of_points_are_preserved(codec, lengths, seed):
     points = np.random.default_rng(seed).normal(size=(sum(lengths), 3))
     order = encode(points, codec, runs=lengths).order
     for start, length in zip(np.cumsum([0, *lengths]), lengths, strict=False):
@@ -89,7 +89,7 @@ def test_runs_of_points_stay_runs(codec, lengths, seed):
     assert np.abs(sent(points, codec, runs=lengths) - points).max(initial=0) <= 0.00026
 
 
-def test_wide_codes_take_the_slower_path_to_the_same_answer(cloud):
+def test_wide_codes_are_sorted_alike_on_the_slower_path(cloud):
     wide = cloud * 300  # codes of 63 bits leave no room for the index
     for points in (wide, cloud):
         order = encode(points, runs=[1000, 1000]).order
@@ -135,7 +135,7 @@ def test_default_codec_is_small(codec, cloud):
         ([[0, 0, 0]], "morton-zstd", {"runs": [2, -1]}, "runs", "1 points"),
     ],
 )
-def test_what_cannot_be_encoded_is_refused_in_a_sentence(points, codec, options, field, said):
+def test_invalid_points_and_options_are_refused(points, codec, options, field, said):
     with pytest.raises(CodecError) as refusal:
         encode(np.array(points), codec, **options)
     assert field in refusal.value.field
@@ -146,7 +146,7 @@ def test_what_cannot_be_encoded_is_refused_in_a_sentence(points, codec, options,
 @pytest.mark.parametrize("codec", CODECS)
 @settings(max_examples=300, deadline=None)
 @given(data=st.data())
-def test_damaged_payloads_give_points_or_a_codec_error(codec, data, damaged_source):
+def test_damaged_data_gives_points_or_a_codec_error(codec, data, damaged_source):
     payload = bytearray(damaged_source[codec].data)
     for _ in range(data.draw(st.integers(0, 3))):
         payload[data.draw(st.integers(0, len(payload) - 1))] ^= 1 << data.draw(st.integers(0, 7))
@@ -154,7 +154,7 @@ def test_damaged_payloads_give_points_or_a_codec_error(codec, data, damaged_sour
     message = pb.PointCloud()
     message.CopyFrom(damaged_source[codec])
     message.data = bytes(payload[:cut]) + data.draw(st.binary(max_size=4))
-    message.ClearField("crc32")  # which would notice nearly all of it
+    message.ClearField("crc32")  # it would detect nearly all damage
     message.point_count = data.draw(st.sampled_from([0, 1, 199, 200, 201, LIMIT, LIMIT + 1, 2**32 - 1]))
     try:
         points = decode(message, max_points=LIMIT)
@@ -177,7 +177,7 @@ def test_arbitrary_messages_give_points_or_a_codec_error(codec, payload, count, 
 
 
 @pytest.mark.parametrize("codec", MORTON)
-def test_flipped_bits_of_a_compressed_payload_are_noticed(codec, damaged_source):
+def test_flipped_bits_of_compressed_data_are_detected(codec, damaged_source):
     for position in range(0, 8 * len(damaged_source[codec].data), 7):
         message = pb.PointCloud()
         message.CopyFrom(damaged_source[codec])
@@ -211,7 +211,7 @@ def test_flipped_bits_are_refused_with_both_checksums(codec, bits, damaged_sourc
 
 @pytest.mark.parametrize("codec", CODECS)
 @given(kept=st.floats(0, 1, exclude_max=True))
-def test_truncated_payloads_are_refused(codec, kept, damaged_source):
+def test_truncated_data_is_refused(codec, kept, damaged_source):
     message = pb.PointCloud()
     message.CopyFrom(damaged_source[codec])
     message.data = message.data[: int(kept * len(message.data))]
@@ -220,7 +220,7 @@ def test_truncated_payloads_are_refused(codec, kept, damaged_source):
 
 
 @pytest.mark.parametrize("codec", CODECS)
-def test_the_checksum_is_always_sent_and_may_be_absent(codec, cloud):
+def test_the_checksum_is_always_sent_and_optional(codec, cloud):
     for points in (cloud[:0], cloud[:200]):
         message = encode(points, codec).cloud
         assert message.HasField("crc32")
@@ -262,7 +262,7 @@ def _zstd_large_window(count):
         ("morton-deflate", _deflate_bomb, "at most 8000 bytes when inflated"),
     ],
 )
-def test_bombs_are_refused_before_memory_is_taken(codec, bomb, said):
+def test_bombs_are_refused_before_memory_is_allocated(codec, bomb, said):
     message = pb.PointCloud(codec=CODECS[codec], point_count=1000, data=bomb(1000))
     with at_most(1_000_000), pytest.raises(CodecError, match=said):
         decode(message, max_points=LIMIT)
@@ -289,7 +289,7 @@ def test_unknown_codec_and_draco_are_told_apart():
 
 
 def draco_header(data: bytes, **changes) -> bytes:
-    """The bytes with other fields of the header."""
+    """The data with other fields of the header."""
     names = ("magic", "major", "minor", "kind", "method", "flags", "count")
     fields = dict(zip(names, struct.unpack_from("<5sBBBBHi", data), strict=True)) | changes
     return struct.pack("<5sBBBBHi", *fields.values()) + data[15:]
@@ -330,7 +330,7 @@ def test_a_draco_decoder_that_dies_costs_one_cloud(damaged_source):
     ask = functools.partial(codecs.decode, message, max_points=LIMIT, draco_decoder=decoder)
     expected, first = ask(), decoder.process_id()
     os.kill(first, signal.SIGKILL)
-    with contextlib.suppress(CodecError):  # which of the two is noticed first, the cloud or the death, is not said
+    with contextlib.suppress(CodecError):  # either the damaged cloud or the death is detected first
         ask()
     assert np.array_equal(ask(), expected)
     assert decoder.process_id() != first
@@ -339,7 +339,7 @@ def test_a_draco_decoder_that_dies_costs_one_cloud(damaged_source):
 
 
 def test_answers_belong_to_their_draco_clouds_after_thousands_of_damaged_ones(cloud):
-    """The decoder prints about some of them, into whatever its standard output is."""
+    """The decoder prints messages about some of them to its standard output."""
     rng, decoder = np.random.default_rng(7), DracoDecoder(200)
     sources = [encode(cloud[:200], "draco").cloud.data]
     sources += [DracoPy.encode(cloud[:200].astype(np.float32), quantization_bits=11, compression_level=n) for n in (7, 1)]
@@ -372,7 +372,7 @@ def test_a_draco_decoder_has_little_memory(monkeypatch):
     monkeypatch.setattr(codecs.draco, "MEMORY_PER_POINT", 0)
     points = np.random.default_rng(0).normal(size=(500_000, 3))
     message, decoder = encode(points, "draco").cloud, DracoDecoder(LIMIT)
-    with pytest.raises(CodecError, match=r"none that can be decoded|decoder"):
+    with pytest.raises(CodecError, match=r"data that cannot be decoded|decoder"):
         codecs.decode(message, max_points=500_000, draco_decoder=decoder)
     decoder.close()
 

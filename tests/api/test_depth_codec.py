@@ -1,4 +1,4 @@
-"""Depth images: exact there and back, and nothing that arrives can hurt."""
+"""Depth-image codecs: exact round trips, and safe against any input."""
 
 import struct
 import zlib
@@ -54,7 +54,7 @@ def test_metres_round_trip_to_the_bit(codec, depth):
 
 @pytest.mark.parametrize("codec", DEPTH_CODECS)
 @given(data=st.data(), least=st.integers(0, 255))
-def test_masks_and_confidence_say_what_is_kept(codec, data, least):
+def test_mask_and_confidence_select_pixels(codec, data, least):
     shape = data.draw(SHAPES)
     mask = data.draw(arrays(bool, shape))
     confidence = data.draw(arrays(np.uint8, shape))
@@ -64,7 +64,7 @@ def test_masks_and_confidence_say_what_is_kept(codec, data, least):
 
 
 def decoded_as_published(data: bytes, count: int) -> list[int]:
-    """The decoder of the paper's listing, number by number."""
+    """Reference decoder after the listing of the paper."""
     words = list(struct.unpack(f"<{len(data) // 4}I", data))
     nibbles = [word >> shift & 15 for word in words for shift in range(28, -1, -4)]
     place = 0
@@ -96,7 +96,7 @@ def test_rvl_is_the_published_format(depth):
 
 
 def test_rvl_of_a_known_image_is_these_bytes():
-    # zeros 1, others 2: differences 5 and -2, folded to 10 = 2 + 8 * 1 and 3; nibbles 1 2 A 1 3, then zeros 1 and others 0
+    # 1 zero, 2 nonzeros: differences 5 and -2, zigzag 10 = 2 + 8 * 1 and 3; nibbles 1 2 A 1 3, then 1 zero and 0 nonzeros
     assert rvl.compress(np.array([[0, 5, 3, 0]], np.uint16)) == struct.pack("<I", 0x12A13100)
 
 
@@ -106,10 +106,10 @@ def test_rvl_of_a_known_image_is_these_bytes():
         (b"", "an end after 0"),
         (b"\0" * 3, "whole 32-bit words"),
         (b"\0" * 4096, "at most"),
-        (b"\0" * 4, "two empty ones"),
-        (struct.pack("<I", 0x01000000), "two empty ones"),
-        (struct.pack("<I", 0x0F700000), "longer ones"),
-        (struct.pack("<I", 0x09700000), "longer ones|an end"),
+        (b"\0" * 4, "two empty runs"),
+        (struct.pack("<I", 0x01000000), "two empty runs"),
+        (struct.pack("<I", 0x0F700000), "longer runs"),
+        (struct.pack("<I", 0x09700000), "longer runs|an end"),
         (b"\xff" * 4, "an end after 0"),
         (b"\xff" * 8, "an end after 0"),
         (struct.pack("<2I", 0xFFFFFFFF, 0xFFFFFF00), "at most 10 nibbles"),
@@ -152,19 +152,19 @@ BOMB = 256 << 20
         (of(png(64, 48, b"", bits=8), "png"), "16-bit greyscale.*8 bits"),
         (of(png(64, 48, b"", colour=2), "png"), "colour type 2"),
         (of(png(64, 48, b"short"), "png"), "damaged"),
-        (of(b"\x89PNG\r\n\x1a\n", "png"), "without its end"),
-        (of(b"JFIF", "png"), "begin otherwise"),
+        (of(b"\x89PNG\r\n\x1a\n", "png"), "truncated"),
+        (of(b"JFIF", "png"), "without its signature"),
         (of(bytes(16 * 64 * 48), "rvl"), "at most"),
     ],
 )
-def test_what_an_image_declares_is_checked_before_memory_is_taken(image, said):
+def test_declared_sizes_are_checked_before_memory_is_allocated(image, said):
     with pytest.raises(CodecError):
         sent(of(png(64, 48, b""), "png"))  # Pillow is imported
     with at_most(1_500_000), pytest.raises(CodecError, match=said):
         decode_depth(image, max_pixels=LIMIT)
 
 
-def test_chunks_that_are_no_pixels_are_not_even_looked_at():
+def test_chunks_without_pixels_are_ignored():
     text = b"zTXt" + b"a\0\0" + zlib.compress(bytes(BOMB), 9)
     extra = struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
     rows = b"".join(b"\0" + row.astype(">u2").tobytes() for row in np.full((480, 640), 7))
@@ -175,7 +175,7 @@ def test_chunks_that_are_no_pixels_are_not_even_looked_at():
 @pytest.mark.parametrize("codec", DEPTH_CODECS)
 @settings(max_examples=300, deadline=None)
 @given(data=st.data())
-def test_damaged_images_give_an_image_or_a_sentence(codec, data):
+def test_damaged_images_give_an_image_or_an_error(codec, data):
     source = encode_depth(scene(), LENS, mask=scene() < 2000, codec=codec)
     name = data.draw(st.sampled_from(["data", "data", "mask"]))
     payload = bytearray(getattr(source, name))
@@ -198,7 +198,7 @@ def test_damaged_images_give_an_image_or_a_sentence(codec, data):
     pose=st.lists(st.floats(), max_size=13),
     scale=st.floats(),
 )
-def test_arbitrary_messages_give_an_image_or_a_sentence(payload, numbers, size, lens, pose, scale):
+def test_arbitrary_messages_give_an_image_or_an_error(payload, numbers, size, lens, pose, scale):
     encoding, compression, mask = numbers
     image = pb.DepthImage(
         encoding=encoding, compression=compression, height=size[0], width=size[1], data=payload, depth_scale=scale,
@@ -230,7 +230,7 @@ def test_arbitrary_messages_give_an_image_or_a_sentence(payload, numbers, size, 
         ({"mask": bytes(8), "mask_compression": 4}, "depth_image.mask"),
     ],
 )
-def test_what_is_no_camera_is_refused_by_its_field(change, field):
+def test_invalid_cameras_are_refused_by_field(change, field):
     image = encode_depth(scene(), LENS)
     image.MergeFrom(pb.DepthImage(**{name: value for name, value in change.items() if name not in ("pose", "intrinsics")}))
     for name in change.keys() & {"pose", "intrinsics"}:
@@ -253,7 +253,7 @@ def test_what_is_no_camera_is_refused_by_its_field(change, field):
         (np.ones((2, 2)), {"confidence": np.ones((2, 2), np.uint8), "min_confidence": 300}, "min_confidence"),
     ],
 )
-def test_what_cannot_be_encoded_is_refused_by_its_name(depth, options, field):
+def test_invalid_images_and_options_are_refused_by_field(depth, options, field):
     with pytest.raises(CodecError) as refusal:
         encode_depth(depth, LENS, **options)
     assert refusal.value.field == field
@@ -282,7 +282,7 @@ SHAPE = (300, 400)
 
 @pytest.mark.parametrize("codec", DEPTH_CODECS)
 @pytest.mark.parametrize("image", [_alternating, _leaping, np.zeros])
-def test_memory_stays_within_what_is_said_per_pixel(codec, image):
+def test_memory_stays_within_the_documented_bound(codec, image):
     depth = image(SHAPE).astype(np.uint16)
     message = encode_depth(depth, LENS, mask=depth > 0, confidence=depth.astype(np.uint8), codec=codec)
     decode_depth(message, max_pixels=depth.size)
@@ -292,7 +292,7 @@ def test_memory_stays_within_what_is_said_per_pixel(codec, image):
 
 
 @pytest.mark.parametrize("word", [0x00000000, 0x11111111, 0x08080808, 0xFFFFFFFF, 0x01010101])
-def test_memory_stays_within_it_whatever_the_runs_are(word):
+def test_memory_stays_within_the_bound_for_any_runs(word):
     count = SHAPE[0] * SHAPE[1]
     data = np.full(3 * count // 4, word, "<u4").tobytes()
     image = of(data, "rvl", width=SHAPE[1], height=SHAPE[0])

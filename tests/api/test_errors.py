@@ -1,4 +1,4 @@
-"""The table of errors is whole, and what it says survives the wire."""
+"""Errors: the table is complete, and errors survive the wire."""
 
 import pickle
 
@@ -53,7 +53,7 @@ def test_errors_survive_the_wire_and_pickling(name):
         assert back.retry_after == 2.5
 
 
-def test_a_sentence_is_made_of_its_parts():
+def test_the_default_message_contains_field_expected_and_got():
     assert str(errors.InvalidMesh(field="faces", expected="three", got="two")) == "faces: expected three, got two"
 
 
@@ -66,7 +66,7 @@ def test_errors_of_the_library_travel_under_their_own_names(name):
     assert str(back) == str(raised)
 
 
-def test_unexpected_errors_tell_nothing_private():
+def test_unexpected_errors_reveal_only_their_type():
     detail = to_detail(KeyError("/etc/secret"))
     assert detail.name == "Internal"
     assert "secret" not in str(detail)

@@ -1,4 +1,4 @@
-"""The committed code is what the schema gives, and the schema keeps its own rules."""
+"""Schema: the generated code is up to date, and the naming rules hold."""
 
 import importlib.util
 from pathlib import Path
@@ -25,13 +25,13 @@ def test_every_enum_has_an_unspecified_zero_and_prefixed_names(enum):
     assert all(value.name.startswith(prefix) for value in enum.values)
 
 
-def test_session_states_begin_with_the_trackers():
+def test_session_states_begin_with_the_tracker_states():
     for name, number in pb.TrackerState.items():
         assert pb.SessionState.Value(name.replace("TRACKER", "SESSION")) == number
 
 
 def test_arrays_travel_packed():
-    """Repeated numbers are for a handful alone: a pose and an offset."""
+    """Repeated numeric fields are few: a pose and an offset."""
     fields = [field for message in pb.DESCRIPTOR.message_types_by_name.values() for field in message.fields]
     numbers = [f for f in fields if f.is_repeated and f.cpp_type not in (f.CPPTYPE_MESSAGE, f.CPPTYPE_STRING)]
     names = {f"{field.containing_type.name}.{field.name}" for field in numbers if field.enum_type is None}

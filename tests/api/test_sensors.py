@@ -1,4 +1,4 @@
-"""Which sensor saw which point."""
+"""Sensors of a point cloud: grouping into runs, and the origins of points."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ def sensor(x, count=0):
     return pb.Sensor(origin=pb.Vector3(x=x), point_count=count)
 
 
-def test_points_group_into_runs_that_say_who_saw_them():
+def test_points_are_grouped_into_runs_by_sensor():
     origins = np.array([[1.0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 0, 0], [0, 0, 0]])
     order, runs, different = group_by_sensor(origins)
     assert runs == [3, 2]
@@ -20,14 +20,14 @@ def test_points_group_into_runs_that_say_who_saw_them():
     assert np.array_equal(sensor_origins(sensors, 5), origins[order])
 
 
-def test_none_one_and_several():
+def test_no_sensor_one_sensor_and_several():
     assert sensor_origins([], 7) is None
     assert sensor_origins([sensor(2.0)], 7).tolist() == [2, 0, 0]
     assert sensor_origins([sensor(2.0, 7)], 7).tolist() == [2, 0, 0]
     assert sensor_origins([sensor(1.0, 2), sensor(2.0, 0), sensor(3.0, 1)], 3)[:, 0].tolist() == [1, 1, 3]
 
 
-def test_a_pose_places_by_its_translation():
+def test_the_origin_of_a_pose_is_its_translation():
     pose = pb.Pose(matrix=[1, 0, 0, 4, 0, 1, 0, 5, 0, 0, 1, 6])
     assert sensor_origins([pb.Sensor(pose=pose)], 1).tolist() == [4, 5, 6]
     assert sensor_origins([pb.Sensor(pose=pb.Pose())], 1).tolist() == [0, 0, 0]
@@ -44,7 +44,7 @@ def test_a_pose_places_by_its_translation():
         ([sensor(0)] * 65, "at most 64"),
     ],
 )
-def test_what_does_not_fit_is_refused(sensors, said):
+def test_invalid_sensors_are_refused(sensors, said):
     with pytest.raises(InvalidFrame, match=said):
         sensor_origins(sensors, 5)
 

@@ -1,3 +1,5 @@
+"""Fixtures of the client tests: fake services, outages, meshes, valid and invalid frames."""
+
 import socket
 import time
 
@@ -8,7 +10,7 @@ from . import fake_server
 
 
 class Outage:
-    """A service behind one port, whose server can be killed and started again."""
+    """A service on one port whose server can be stopped and restarted."""
 
     def __init__(self, service):
         self.service = service
@@ -20,7 +22,7 @@ class Outage:
         self.server, self.target = fake_server.start(self.service, self.port)
 
     def strike(self, seconds=0.3, forget=0):
-        """Cuts every connection, forgets the last frames, and comes back."""
+        """Closes all connections, loses the last ``forget`` frames, and restarts."""
         self.server.stop(0).wait()
         for session in self.service.sessions.values():
             session.statistics.last_sequence_number -= forget
@@ -29,7 +31,7 @@ class Outage:
 
 
 class Broken:
-    """A frame whose own code fails."""
+    """A frame whose property raises an error."""
 
     timestamp = 0.5
 
@@ -57,13 +59,13 @@ BAD_FRAMES = {
 
 @pytest.fixture(params=BAD_FRAMES)
 def bad_frame(request):
-    """A frame that no message can be made of, and the field that the error has to name."""
+    """A frame that cannot be converted to a message, and the field that the error names."""
     return BAD_FRAMES[request.param]
 
 
 @pytest.fixture
 def service():
-    """A fake service, to be told how to behave; ``service.target`` is its address."""
+    """A fake service, configured by its attributes; ``service.target`` is its address."""
     service = fake_server.FakeService()
     server, service.target = fake_server.start(service)
     yield service

@@ -1,6 +1,6 @@
-"""A small server of the contract for the client's tests: real sockets, no tracker.
+"""Fake server for the client tests: real sockets, no tracker.
 
-What stands for one moves the garment's vertices by the mean of the frame's points: a result shows which frame it is of.
+Instead of tracking, it moves the vertices of the garment by the mean of the frame's points: a result identifies its frame.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ END = object()
 
 
 def refusing(call):
-    """Ends a unary call with the error that it raises."""
+    """Aborts a unary call with the error that it raises."""
 
     def answer(self, request, context):
         self.keys.append(dict(context.invocation_metadata()).get("authorization"))
@@ -44,7 +44,7 @@ def abort(context, error):
 
 
 class FakeService(rpc.TrackingServiceServicer):
-    """Behaves as its attributes say.
+    """A service whose behaviour is set by attributes.
 
     Attributes:
         delay: seconds per frame.
@@ -149,7 +149,7 @@ class FakeService(rpc.TrackingServiceServicer):
             abort(context, error)
 
     def _mailbox(self, requests, mode):
-        """A queue that is filled from the stream; in realtime it holds the newest frame, and how many it replaced."""
+        """A queue of the frames of the stream; in realtime mode it holds the newest frame and the number of replaced ones."""
         box, dropped = queue.Queue(), [0]
 
         def fill():
@@ -162,7 +162,7 @@ class FakeService(rpc.TrackingServiceServicer):
                     box.put((request.frame, dropped[0]))
                     self.most_waiting = max(self.most_waiting, box.qsize())
             except Exception:
-                pass  # the client has gone
+                pass  # the client has disconnected
             box.put((END, 0))
 
         threading.Thread(target=fill, daemon=True).start()
@@ -235,7 +235,7 @@ class FakeService(rpc.TrackingServiceServicer):
 
 
 def start(service: FakeService, port: int = 0) -> tuple[grpc.Server, str]:
-    """Serves on a loopback port, by default a free one; returns the server and its address."""
+    """Serves on a loopback port, by default a free one. Returns the server and its address."""
     server = grpc.server(futures.ThreadPoolExecutor(8), options=server_options())
     rpc.add_TrackingServiceServicer_to_server(service, server)
     port = server.add_insecure_port(f"127.0.0.1:{port}")

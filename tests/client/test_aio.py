@@ -1,4 +1,4 @@
-"""The asynchronous client against a real socket."""
+"""Asynchronous client, over a real socket."""
 
 import asyncio
 
@@ -37,7 +37,7 @@ async def test_an_asynchronous_source_in_realtime(service, mesh, frames):
     assert len(results) < 40
 
 
-async def test_lossless_holds_the_source_back(service, mesh, frames):
+async def test_lossless_mode_slows_the_source(service, mesh, frames):
     service.delay = 0.005
     pulled, lead = [0], []
 
@@ -82,7 +82,7 @@ async def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh,
 
 @pytest.mark.parametrize("error", [OSError("unplugged"), errors.InvalidFrame("of the camera")])
 @pytest.mark.parametrize("on_error", ["raise", "yield"])
-async def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
+async def test_an_error_of_the_source_reaches_the_caller_unchanged(service, mesh, frames, error, on_error):
     async def source():
         yield frames(1)[0]
         raise error
@@ -93,7 +93,7 @@ async def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, fr
         assert raised.value is error
 
 
-async def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
+async def test_invalid_arguments_are_refused_before_sending(service, mesh):
     async with aconnect(service.target) as client:
         for call, field in [
             (lambda: client.create_session(*mesh, labels={"a": 1}), "labels['a']"),
@@ -164,7 +164,7 @@ async def test_no_server_and_another_version(service):
 
 
 @pytest.mark.parametrize("forget", [0, 3])
-async def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, mesh, frames, forget):
+async def test_a_stream_reconnects_without_losing_a_frame(outage, mesh, frames, forget):
     outage.service.delay = 0.01
     notices, sequences = [], []
     async with aconnect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
@@ -178,7 +178,7 @@ async def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, m
     assert [notice.kind for notice in notices] == ["resumed"] * 2
 
 
-async def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, mesh, frames):
+async def test_a_connection_lost_for_too_long_is_an_error(outage, mesh, frames):
     async with aconnect(outage.target) as client:
         session = await client.create_session(*mesh, flow="lossless")
         stream = session.track(frames(1000), resume=0.5)
@@ -189,7 +189,7 @@ async def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, 
         outage.start()
 
 
-async def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
+async def test_a_reconnect_notice_redirects_the_client(outage, service, mesh, frames):
     async with aconnect(outage.target) as client:
         session = await client.create_session(*mesh, flow="lossless")
         moved = service.sessions[session.name] = pb.Session()

@@ -1,4 +1,4 @@
-"""The synchronous client's connection and its calls about sessions, against a real socket."""
+"""Synchronous client: connection and session calls, over a real socket."""
 
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -10,7 +10,7 @@ from ddakf_client import CODECS, Limits, connect, errors
 from .fake_server import CREATED
 
 
-def test_a_mesh_object_a_body_and_the_rest_of_a_session(service, mesh):
+def test_create_session_sends_mesh_body_and_options(service, mesh):
     garment = SimpleNamespace(vertices=mesh[0], faces=mesh[1])
     with (
         connect(service.target, api_key="secret") as client,
@@ -60,7 +60,7 @@ def test_session_calls(service, mesh):
         assert client.server_info().fabrics == ("cotton",)
 
 
-def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
+def test_invalid_arguments_are_refused_before_sending(service, mesh):
     with connect(service.target) as client:
         for arguments, options, error, said in [
             ((mesh[0],), {}, errors.InvalidMesh, "garment: expected vertices and faces"),
@@ -75,7 +75,7 @@ def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
             (mesh, {"labels": {1: "a"}}, errors.InvalidArgument, "labels: expected text as keys, got int 1"),
             (mesh, {"labels": "a"}, errors.InvalidArgument, "labels: expected a dict of text to text, got str 'a'"),
             (mesh, {"session_id": 5}, errors.InvalidArgument, "session_id: expected text, got int 5"),
-            (mesh, {"session_id": "\ud800"}, errors.InvalidArgument, "session_id: expected text that UTF-8 has"),
+            (mesh, {"session_id": "\ud800"}, errors.InvalidArgument, "session_id: expected text that UTF-8 can encode"),
             (mesh, {"fabric": 5}, errors.InvalidArgument, "fabric: expected text, got int 5"),
             (mesh, {"clean": "no"}, errors.InvalidArgument, "clean: expected True or False, got str 'no'"),
             (mesh, {"limits": {"max_points": 5}}, errors.InvalidArgument, "limits: expected a ddakf_client.Limits"),
@@ -112,18 +112,18 @@ def test_what_is_wrong_is_said_before_anything_is_sent(service, mesh):
 
 def test_a_codec_that_the_server_lacks_is_refused(service, mesh):
     service.codecs = [CODECS["raw"]]
-    with connect(service.target) as client, pytest.raises(errors.CodecError, match=r"one that the server has, raw"):
+    with connect(service.target) as client, pytest.raises(errors.CodecError, match=r"a codec of the server, raw"):
         client.create_session(*mesh)
 
 
-def test_another_version_is_refused_in_a_sentence(service):
+def test_another_major_version_is_refused(service):
     service.api_version = "2.3"
     with pytest.raises(errors.VersionMismatch, match=r"this client speaks ddakf API 1\.\d+, the server '2\.3'"):
         connect(service.target)
 
 
-def test_no_server_is_said_at_once():
-    """And not when the timeout has run out, which would be another error."""
+def test_a_missing_server_is_an_immediate_error():
+    """An exceeded timeout would be another error."""
     with pytest.raises(errors.Unavailable, match=r"127\.0\.0\.1:1 does not answer"):
         connect("127.0.0.1:1")
 
@@ -134,10 +134,10 @@ def test_a_server_that_does_not_answer_runs_into_the_timeout(service):
         connect(service.target, timeout=0.2)
 
 
-def test_the_error_inside_a_context_wins_over_that_of_leaving_it(service, mesh):
+def test_an_error_inside_a_context_precedes_one_of_its_exit(service, mesh):
     def leave_with_an_error():
         with connect(service.target) as client, client.create_session(*mesh):
-            service._find = None  # from now on every call fails in the server
+            service._find = None  # every later call fails in the server
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):

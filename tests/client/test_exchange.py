@@ -1,4 +1,4 @@
-"""A stream's state, against servers that answer, drop and refuse in any order."""
+"""Stream state machine: frames in flight, drops, refusals, deadlines and lost connections."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def refusal(sequence):
     steps=st.lists(st.sampled_from(["offer", "take", "answer", "refuse", "drop"]), max_size=80),
     window=st.integers(0, 9),
 )
-def test_frames_in_flight_are_bounded_and_the_stream_never_sticks(flow, steps, window):
+def test_frames_in_flight_are_bounded_and_the_stream_never_deadlocks(flow, steps, window):
     exchange, at_server, sent, answered = opened(flow, window), [], 0, set()
     bound = min(window or IN_FLIGHT, IN_FLIGHT)
 
@@ -59,7 +59,7 @@ def test_frames_in_flight_are_bounded_and_the_stream_never_sticks(flow, steps, w
         assert answered == set(range(1, sent + 1))
 
 
-def test_realtime_replaces_what_waits_and_lossless_does_not_let_it_be():
+def test_realtime_replaces_the_waiting_frame_and_lossless_offers_none():
     exchange = opened("realtime", last=7)
     for name in "abc":
         exchange.offer(name, 0.0)
@@ -79,7 +79,7 @@ def test_nothing_is_offered_before_the_stream_is_open():
     assert "the start of the stream" in str(exchange.overdue())
 
 
-def test_time_runs_while_the_server_owes_an_answer_and_somebody_waits_for_it():
+def test_the_deadline_runs_while_an_answer_is_owed_and_awaited():
     exchange = opened("lossless", timeout=2.0)
     exchange.reading(1.0)
     assert exchange.deadline(5.0) == 7.0  # nothing is owed
@@ -109,7 +109,7 @@ def test_an_end_with_frames_unanswered_or_unsent_is_an_error():
     assert errors.Unavailable.retryable
 
 
-def test_a_result_holds_what_the_message_leaves_out_as_empty():
+def test_missing_arrays_of_a_result_are_empty():
     exchange = opened("lossless")
     exchange.offer("a", 0.0)
     exchange.take(0.0)
@@ -119,7 +119,7 @@ def test_a_result_holds_what_the_message_leaves_out_as_empty():
     assert answer.state == "unspecified"
 
 
-def test_what_was_to_be_sent_again_when_the_connection_was_lost_once_more_is_sent():
+def test_frames_to_resend_survive_a_second_lost_connection():
     exchange = opened("lossless")
     for _ in range(3):
         exchange.offer(object(), 0.0)
@@ -134,7 +134,7 @@ def test_what_was_to_be_sent_again_when_the_connection_was_lost_once_more_is_sen
     assert not exchange.can_take()
 
 
-def test_a_frame_that_turns_out_bad_after_its_connection_was_lost_is_refused_once():
+def test_an_invalid_frame_is_refused_once_across_a_lost_connection():
     exchange = opened("lossless")
     exchange.offer(object(), 0.0)
     offered = exchange.take(0.0)

@@ -1,4 +1,4 @@
-"""Frames of the caller as messages, and what cannot be one."""
+"""Frames: conversion to messages, and refused frames."""
 
 from types import SimpleNamespace
 
@@ -21,7 +21,7 @@ def message(frame: object, **options) -> pb.Frame:
 
 
 @pytest.mark.parametrize("codec", ["none", "zstd", "png", "rvl"])
-def test_a_depth_image_goes_as_it_is(codec):
+def test_a_depth_image_is_sent_as_it_is(codec):
     mask, confidence = DEPTH > 3, (20 * DEPTH).astype(np.uint8)
     more = {"mask": mask, "confidence": confidence, "min_confidence": 120, "depth_scale": 0.01}
     sent = message(Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, pose=POSE, **more), depth_codec=codec)
@@ -33,7 +33,7 @@ def test_a_depth_image_goes_as_it_is(codec):
     assert (back.intrinsics, back.pose.tolist()) == (LENS, POSE.tolist())
 
 
-def test_a_homogeneous_pose_will_do():
+def test_a_homogeneous_pose_is_accepted():
     square = np.vstack([POSE, [0, 0, 0, 1]])
     sent = message(Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, pose=square))
     assert np.array_equal(np.reshape(sent.depth_image.pose.matrix, (3, 4)), POSE)
@@ -67,13 +67,13 @@ def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
         (Frame(np.zeros((1, 3)), 1.0, deadline=float("inf")), InvalidFrame, "deadline"),
     ],
 )
-def test_what_is_no_frame_is_refused_by_its_field(frame, error, field):
+def test_invalid_frames_are_refused_by_field(frame, error, field):
     with pytest.raises(error) as refusal:
         message(frame)
     assert refusal.value.field == field
 
 
-def test_neither_points_nor_depth_is_no_frame():
+def test_a_frame_without_points_and_depth_is_refused():
     with pytest.raises(InvalidFrame, match="frame: expected a Frame"):
         Frame.of(SimpleNamespace(timestamp=1.0))
 

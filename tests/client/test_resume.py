@@ -1,4 +1,4 @@
-"""A stream that has lost its connection, or is told to go elsewhere, goes on."""
+"""Resumed streams: after a lost connection and after a reconnect notice."""
 
 import threading
 import time
@@ -10,7 +10,7 @@ from ddakf_client import connect, errors
 
 
 @pytest.mark.parametrize("forget", [0, 3])
-def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, mesh, frames, forget):
+def test_a_stream_reconnects_without_losing_a_frame(outage, mesh, frames, forget):
     outage.service.delay = 0.01
     notices, sequences = [], []
     with connect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
@@ -20,14 +20,14 @@ def test_a_lost_connection_is_had_again_and_no_frame_is_left_out(outage, mesh, f
                 outage.strike(forget=forget)
     assert sequences == sorted(sequences)
     assert sequences[-1] == 40
-    # what the server tracked without being able to say so is not asked for again
+    # frames that the server tracked, but could not answer, are not sent again
     tracked = {frame.sequence_number for frame in outage.service.frames}
     assert tracked == set(range(1, 41))
     assert [notice.kind for notice in notices] == ["resumed"] * 2
     assert all(notice.value <= forget for notice in notices)
 
 
-def test_in_realtime_the_newest_frame_alone_is_sent_again(outage, mesh, frames):
+def test_in_realtime_mode_only_the_newest_frame_is_sent_again(outage, mesh, frames):
     outage.service.delay = 0.01
     struck = threading.Event()
 
@@ -46,7 +46,7 @@ def test_in_realtime_the_newest_frame_alone_is_sent_again(outage, mesh, frames):
     assert sequences[-1] == 100
 
 
-def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, mesh, frames):
+def test_a_connection_lost_for_too_long_is_an_error(outage, mesh, frames):
     with connect(outage.target) as client:
         session = client.create_session(*mesh, flow="lossless")
         stream = session.track(frames(1000), resume=0.5)
@@ -63,7 +63,7 @@ def test_a_connection_that_does_not_come_back_in_time_is_an_error(outage, mesh, 
             list(stream)
 
 
-def test_a_session_that_is_gone_after_the_outage_is_an_error(outage, mesh, frames):
+def test_a_session_lost_in_the_outage_is_an_error(outage, mesh, frames):
     with connect(outage.target) as client:
         stream = client.create_session(*mesh, flow="lossless").track(frames(1000))
         next(stream)
@@ -73,8 +73,8 @@ def test_a_session_that_is_gone_after_the_outage_is_an_error(outage, mesh, frame
             list(stream)
 
 
-def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
-    """The session waits at the other server, which has tracked its first two frames."""
+def test_a_reconnect_notice_redirects_the_client(outage, service, mesh, frames):
+    """The other server has the session and has tracked its first two frames."""
     with connect(outage.target) as client:
         session = client.create_session(*mesh, flow="lossless")
         moved = service.sessions[session.name] = pb.Session()
@@ -88,8 +88,8 @@ def test_who_is_told_to_connect_elsewhere_does(outage, service, mesh, frames):
     assert sequences == [1, 2, 3, 4, 5, 6]
 
 
-def test_one_connection_per_server_however_often_a_client_is_moved(outage, service, monkeypatch):
-    """As every stream of a client is told where to go on."""
+def test_one_connection_per_server_for_repeated_redirects(outage, service, monkeypatch):
+    """Every stream of a client receives the notice."""
     opened, open_channel = [], grpc.insecure_channel
     monkeypatch.setattr(grpc, "insecure_channel", lambda target, options: opened.append(target) or open_channel(target, options))
     with connect(outage.target) as client:

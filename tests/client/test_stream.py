@@ -1,4 +1,4 @@
-"""Frames in, results out: the synchronous client's streams against a real socket."""
+"""Synchronous streams: frames in, results out, over a real socket."""
 
 import logging
 import threading
@@ -63,7 +63,7 @@ def test_frames_of_every_kind(service, mesh, frames):
     assert results[0].covariance[0].tolist() == [[1, 2, 3], [2, 4, 5], [3, 5, 6]]
 
 
-def test_lossless_holds_the_source_back(service, mesh, frames):
+def test_lossless_mode_slows_the_source(service, mesh, frames):
     service.delay = 0.01
     pulled, lead = [0], []
 
@@ -76,11 +76,11 @@ def test_lossless_holds_the_source_back(service, mesh, frames):
         for result in session.track(source()):
             lead.append(pulled[0] - result.sequence)
     assert len(lead) == 30
-    assert max(lead) <= 4 + 2  # in flight as the server said, one in the slot, one in the source's hand
+    assert max(lead) <= 4 + 2  # the limit of the server in flight, one in the slot, one in the source
     assert service.most_waiting <= 4
 
 
-def test_realtime_takes_the_newest_and_counts_the_rest(service, mesh, frames):
+def test_realtime_mode_sends_the_newest_frame_and_counts_the_others(service, mesh, frames):
     service.delay = 0.03
 
     def camera():
@@ -97,7 +97,7 @@ def test_realtime_takes_the_newest_and_counts_the_rest(service, mesh, frames):
     assert results[-1].applied + results[-1].dropped == 60
 
 
-def test_the_numbers_of_a_second_stream_go_on(service, mesh, frames):
+def test_a_second_stream_continues_the_sequence_numbers(service, mesh, frames):
     with connect(service.target) as client:
         session = client.create_session(*mesh, session_id="kept", flow="lossless")
         list(session.track(frames(3)))
@@ -106,7 +106,7 @@ def test_the_numbers_of_a_second_stream_go_on(service, mesh, frames):
         assert "sessions/kept" in service.sessions
 
 
-def test_slow_sources_and_slow_readers_are_no_timeout(service, mesh, frames):
+def test_slow_sources_and_slow_readers_cause_no_timeout(service, mesh, frames):
     def source():
         for frame in frames(2):
             time.sleep(0.75)
@@ -133,7 +133,7 @@ def test_leaving_the_loop_ends_stream_and_threads(service, mesh, frames):
         next(stream)
         assert at_work()
         stream.close()
-        assert next(source)  # nobody else is in the generator any more
+        assert next(source)  # no other thread runs the generator
         assert session.info().applied > 0
     assert service.sessions == {}
     for thread in at_work():
@@ -141,7 +141,7 @@ def test_leaving_the_loop_ends_stream_and_threads(service, mesh, frames):
         assert not thread.is_alive()
 
 
-def test_notices_are_logged_or_handed_over(service, mesh, frames, caplog):
+def test_notices_are_logged_or_passed_to_the_caller(service, mesh, frames, caplog):
     notices = []
     with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
         service.notice = pb.Notice(kind=pb.NOTICE_KIND_SLOW_DOWN, message="too fast", value=12.0)
@@ -156,11 +156,11 @@ def test_notices_are_logged_or_handed_over(service, mesh, frames, caplog):
 @pytest.mark.slow
 @pytest.mark.parametrize("permitted", [True, False])
 def test_pings_on_a_silent_stream_are_permitted_by_the_server(mesh, frames, monkeypatch, permitted):
-    """With a server that does not expect them, as the control: that the pings are really sent."""
+    """A server that does not permit them is the control: the pings are really sent."""
 
     def source():
         yield frames(1)[0]
-        time.sleep(4.5)  # gRPC pings once a second at most, and a server bears with two pings
+        time.sleep(4.5)  # gRPC pings at most once a second, and a server tolerates two pings
 
     monkeypatch.setattr(transport, "KEEPALIVE_SECONDS", 0.05)
     if not permitted:

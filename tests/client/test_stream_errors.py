@@ -1,4 +1,4 @@
-"""What goes wrong in a stream: frames, the source, the server; each is an error that says so, and none a hang."""
+"""Stream errors: failures of frames, source and server raise specific errors, never a hang."""
 
 import numpy as np
 import pytest
@@ -50,7 +50,7 @@ def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frame
 
 @pytest.mark.parametrize("error", [OSError("unplugged"), errors.InvalidFrame("of the camera"), SystemExit(3)])
 @pytest.mark.parametrize("on_error", ["raise", "yield"])
-def test_the_very_error_of_the_source_reaches_the_caller(service, mesh, frames, error, on_error):
+def test_an_error_of_the_source_reaches_the_caller_unchanged(service, mesh, frames, error, on_error):
     def source():
         yield from frames(1)
         raise error

@@ -1,4 +1,4 @@
-"""Client of the ddakf garment tracking service: numpy in, numpy out, over gRPC.
+"""Client of the ddakf garment tracking service over gRPC, with NumPy arrays as inputs and outputs.
 
 with connect("127.0.0.1:7701") as client, client.create_session(vertices, faces) as session:
     for result in session.track(frames):

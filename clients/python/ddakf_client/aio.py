@@ -1,4 +1,4 @@
-"""The asynchronous client: as ``client``, which describes arguments and errors, with ``async``."""
+"""Asynchronous client: the API of ``client`` with ``async``. Arguments and errors are described there."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ T = TypeVar("T", bound="AsyncClient | AsyncSession")
 
 
 class Opening(Generic[T]):
-    """A client or session that is being made: ``await`` it, or enter it with ``async with``."""
+    """A client or session under construction: ``await`` it, or enter it with ``async with``."""
 
     def __init__(self, coroutine: Coroutine[Any, Any, T]):
         self._coroutine = coroutine
@@ -91,7 +91,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
-        """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
+        """Closes the connection and its calls. Sessions stay on the server until they expire."""
         for channel in self._channels.values():
             await channel.close()
 
@@ -103,7 +103,7 @@ class AsyncClient:
         self._stub = TrackingServiceStub(self._channels[target])
 
     async def server_info(self) -> ServerInfo:
-        """What the server is and allows; raises VersionMismatch when it does not fit."""
+        """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
         return calls.checked_server(await self.call("GetServerInfo", pb.GetServerInfoRequest(api_version=API_VERSION)))
 
     def create_session(
@@ -140,20 +140,20 @@ class AsyncClient:
         request = calls.restore_request(snapshot, **session)
         return self._session("RestoreSession", request, keep=False, flow=flow, codec=codec, step=step)
 
-    async def sessions(self, **which: Any) -> AsyncIterator[SessionInfo]:
+    async def sessions(self, **filters: Any) -> AsyncIterator[SessionInfo]:
         """As :meth:`ddakf_client.Client.sessions`, with the same arguments."""
         page_token = ""
         while True:
-            page = await self.call("ListSessions", calls.list_request(**which, page_token=page_token))
+            page = await self.call("ListSessions", calls.list_request(**filters, page_token=page_token))
             for message in page.sessions:
                 yield session_info_from(message)
             page_token = page.next_page_token
             if not page_token:
                 return
 
-    async def history(self, session_id: str, **which: Any) -> History:
+    async def history(self, session_id: str, **span: Any) -> History:
         """As :meth:`ddakf_client.Client.history`, with the same arguments."""
-        return history_from(await self.call("GetSessionHistory", history_request(session_id, **which)))
+        return history_from(await self.call("GetSessionHistory", history_request(session_id, **span)))
 
     def _session(self, method: str, request: object, *, keep: bool, **options: Any) -> Opening[AsyncSession]:
         plan = Plan("", self.timeout, **options)
@@ -166,7 +166,7 @@ class AsyncClient:
         return Opening(opened())
 
     async def call(self, method: str, request: object, timeout: float | None = None) -> Any:
-        """A unary call by its name in the schema; errors as the classes of ``errors``."""
+        """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
         try:
             return await getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
@@ -199,9 +199,9 @@ class AsyncSession:
         try:
             await self.delete()
         except SessionNotFound:
-            pass  # it has expired, or was deleted by hand
+            pass  # expired or deleted already
         except ServiceError:
-            if error_type is None:  # otherwise what went wrong inside is the news
+            if error_type is None:  # else the error inside the context takes precedence
                 raise
 
     def track(
@@ -219,7 +219,7 @@ class AsyncSession:
         return awatch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     async def info(self) -> SessionInfo:
-        """State and statistics as of the last frame."""
+        """State and statistics after the last frame."""
         return session_info_from(await self._client.call("GetSession", pb.GetSessionRequest(name=self.name)))
 
     async def reset(self, vertices: np.ndarray | None = None, *, velocities: np.ndarray | None = None) -> SessionInfo:
@@ -233,9 +233,9 @@ class AsyncSession:
         return session_info_from(await self._client.call("UpdateSession", request))
 
     async def snapshot(self) -> bytes:
-        """The tracker's state, for ``restore_session``."""
+        """The state of the tracker, for ``restore_session``."""
         return (await self._client.call("SnapshotSession", pb.SnapshotSessionRequest(name=self.name))).data
 
     async def delete(self) -> None:
-        """Ends the session on the server."""
+        """Deletes the session on the server."""
         await self._client.call("DeleteSession", pb.DeleteSessionRequest(name=self.name))

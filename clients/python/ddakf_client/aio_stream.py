@@ -1,4 +1,4 @@
-"""The asynchronous stream: as ``stream``, with tasks in place of threads."""
+"""Asynchronous stream: the state machine of ``exchange`` with tasks, where ``stream`` has threads."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ddakf_client.calls import failure
 from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
 from ddakf_client.results import FrameError, Notice, Result
 
-_NO_MORE = object()
+_END = object()
 _LOST_STATUS = "Internal error from Core"
 _STATUS_SECONDS = 1.0
 
 
 class Connection(Protocol):
-    """What a stream needs of its client."""
+    """The part of a client that a stream uses."""
 
     target: str
 
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
-        """Opens the stream's call."""
+        """Opens the call of the stream."""
 
     def move(self, target: str) -> None:
-        """The server is at another address from now on."""
+        """Connects to the server at another address from now on."""
 
 
 async def track(
     connection: Connection, frames: AsyncIterable[object] | Iterable[object], plan: Plan
 ) -> AsyncIterator[Result | FrameError]:
-    """Streams frames and yields what comes back; returns when every frame has its answer, or raises why not."""
+    """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
     stream = _Stream(plan, frames)
     try:
         while True:
@@ -48,18 +48,18 @@ async def track(
                     yield refused
                 return
             except grpc.RpcError as error:
-                status = await stream.servers_status() or error
-                # The server ended the stream in order, while this side was still writing.
+                status = await stream.server_status() or error
+                # The server closed the stream normally while this side was still writing.
                 if status.code() is grpc.StatusCode.OK:
                     stream.ended()
-                lost = status.details() == _LOST_STATUS  # the server said nothing: there was no connection any more
+                lost = status.details() == _LOST_STATUS  # no status of the server: the connection is lost
                 failed = Unavailable(f"the connection to {connection.target} was lost") if lost else None
                 failed = stream.failure or failed or failure(status, connection.target, plan.timeout)
                 if not stream.may_resume(failed):
                     raise failed from None
             await stream.pause()
     except asyncio.CancelledError:
-        # What a read raises when the call was cancelled from this side, too.
+        # A read also raises this when this side cancelled the call.
         if stream.failure:
             raise stream.failure from None
         raise
@@ -68,7 +68,7 @@ async def track(
 
 
 class _Stream:
-    """An exchange and the tasks beside it, which end with the stream."""
+    """An exchange and its tasks, which end with the stream."""
 
     def __init__(self, plan: Plan, frames: AsyncIterable[object] | Iterable[object]):
         self._exchange = Exchange(plan, time.monotonic())
@@ -84,7 +84,7 @@ class _Stream:
         return self._exchange.failure
 
     def open(self, open_call: Callable[[AsyncIterator[pb.TrackRequest]], grpc.aio.StreamStreamCall]) -> None:
-        """The first call of the stream, or the next one after that was lost."""
+        """Opens the first call of the stream, or the next one after a lost connection."""
         self._calls += 1
         self._statuses = statuses = []
         self._call = open_call(self.requests(self._calls))
@@ -94,11 +94,11 @@ class _Stream:
             return
         self._tasks = [asyncio.create_task(self._pull()), asyncio.create_task(self._watch())]
 
-    async def servers_status(self) -> grpc.aio.AioRpcError | None:
-        """What the server ended the call with, if that can be found.
+    async def server_status(self) -> grpc.aio.AioRpcError | None:
+        """The status that the server sent, or None if it did not arrive.
 
-        A write that fails because the call has ended makes grpc.aio put a status of its own in the place of the
-        server's, before or after that one arrives (https://github.com/grpc/grpc/issues/36066).
+        If a write fails because the call has ended, grpc.aio replaces the status of the server by one of its own, before or
+        after the former arrives (https://github.com/grpc/grpc/issues/36066).
         """
         deadline = time.monotonic() + _STATUS_SECONDS
         while time.monotonic() < deadline:
@@ -109,13 +109,13 @@ class _Stream:
         return None
 
     def may_resume(self, error: ServiceError) -> bool:
-        """Whether the stream shall be opened once more; from now on nothing is sent by the call that ended."""
+        """Whether to open the stream again. The ended call sends nothing more."""
         self._calls += 1
         self._changed.set()
         return self._exchange.may_resume(error, time.monotonic())
 
     async def pause(self) -> None:
-        """Waits until the next attempt is due."""
+        """Waits until the next attempt."""
         await asyncio.sleep(self._exchange.pause(time.monotonic()))
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ class _Stream:
             task.cancel()
 
     async def read(self) -> pb.TrackResponse:
-        """The next answer, or EOF."""
+        """Returns the next response, or EOF."""
         self._exchange.reading(time.monotonic())
         try:
             return await self._call.read()
@@ -140,7 +140,7 @@ class _Stream:
         return self._exchange.ended()
 
     async def requests(self, number: int) -> AsyncIterator[pb.TrackRequest]:
-        """What the call of this number sends, for as long as it is the present one."""
+        """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
         yield exchange.plan.start(again=number > 1)
         while True:
@@ -161,19 +161,19 @@ class _Stream:
 
     async def _pull(self) -> None:
         try:
-            frames = _asynchronous(self._frames)
+            frames = _as_async_iterator(self._frames)
             while await self._until(self._exchange.can_offer):
-                if (frame := await anext(frames, _NO_MORE)) is _NO_MORE:
+                if (frame := await anext(frames, _END)) is _END:
                     break
                 self._exchange.offer(frame, time.monotonic())
                 self._changed.set()
-        except Exception as error:  # of the caller's iterator: raised where the results are read
+        except Exception as error:  # of the iterator of the caller: raised where the results are read
             self._fail(error)
         self._exchange.exhausted = True
         self._changed.set()
 
     async def _watch(self) -> None:
-        """Ends a stream whose server has been silent for too long."""
+        """Ends the stream when the server exceeds the timeout."""
         while (left := self._exchange.deadline(now := time.monotonic()) - now) > 0:
             await asyncio.sleep(left)
         self._fail(self._exchange.overdue())
@@ -190,7 +190,7 @@ class _Stream:
 
 
 def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
-    """The status of a call that has one, as an error. Nothing is waited for: coroutines end at once."""
+    """The status of a finished call as an error. Its coroutines return at once."""
 
     def value(coroutine: Coroutine):
         try:
@@ -203,12 +203,12 @@ def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
     return grpc.aio.AioRpcError(code, grpc.aio.Metadata(), trailing or grpc.aio.Metadata(), details)
 
 
-async def _asynchronous(frames: AsyncIterable[object] | Iterable[object]) -> AsyncIterator[object]:
-    """Frames of either kind; an ordinary iterator runs in a thread, for it may wait for a camera."""
+async def _as_async_iterator(frames: AsyncIterable[object] | Iterable[object]) -> AsyncIterator[object]:
+    """Yields frames of either kind of iterable. An ordinary iterator runs in a thread, because it may wait for a camera."""
     if isinstance(frames, AsyncIterable):
         async for frame in frames:
             yield frame
         return
-    ordinary = iter(frames)
-    while (frame := await asyncio.to_thread(next, ordinary, _NO_MORE)) is not _NO_MORE:
+    iterator = iter(frames)
+    while (frame := await asyncio.to_thread(next, iterator, _END)) is not _END:
         yield frame

@@ -1,4 +1,4 @@
-"""What the synchronous and the asynchronous client share: requests, checks of answers, errors."""
+"""Requests, checks of answers and errors, shared by the synchronous and the asynchronous client."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from google.protobuf.descriptor import FieldDescriptor
 from ddakf_client.results import Limits, ServerInfo, server_info_from
 
 TIMEOUT = 10.0
-"""Seconds that a call, or the answer to a frame, may take unless the caller says otherwise."""
+"""Default timeout in seconds of a call, and of the answer to a frame."""
 
 
 def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
@@ -35,7 +35,7 @@ def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
 
 
 def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
-    """The exception for a failed call; one that the server did not write says which server and how long."""
+    """The exception of a failed call. Errors that the server did not send name the server and the timeout."""
     failed = from_rpc_error(error)
     if type(failed) is Unavailable:
         return Unavailable(f"{target} does not answer: {failed.message}", retry_after=failed.retry_after)
@@ -45,24 +45,24 @@ def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
 
 
 def checked_server(message: pb.ServerInfo) -> ServerInfo:
-    """The server's description.
+    """Converts the description of the server.
 
     Raises:
-        VersionMismatch: it speaks another major version.
+        VersionMismatch: the server has another major version.
     """
     require_compatible(message.api_version, peer="server")
     return server_info_from(message)
 
 
 def require_codec(codec: str, server: ServerInfo) -> None:
-    """Raises :class:`CodecError` unless both sides know the codec."""
+    """Raises :class:`CodecError` unless the server supports the codec."""
     if codec not in server.codecs:
-        expected = f"one that the server has, {' or '.join(server.codecs)}"
+        expected = f"a codec of the server, {' or '.join(server.codecs)}"
         raise CodecError(field="codec", expected=expected, got=repr(codec))
 
 
 def require_every_nth(every_nth: object) -> None:
-    """Raises :class:`InvalidArgument` unless it is a whole number from 1 on."""
+    """Raises :class:`InvalidArgument` unless it is an integer of at least 1."""
     if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
         raise InvalidArgument(field="every_nth", expected="a whole number from 1 on", got=repr(every_nth)[:80])
 
@@ -79,7 +79,7 @@ def create_request(
     limits: Limits | None = None,
     session_id: str = "",
 ) -> pb.CreateSessionRequest:
-    """The request of ``create_session``; its arguments are described there."""
+    """The request of ``create_session``, which describes the arguments."""
     _require_type("clean", clean, (bool, np.bool_), "True or False")
     session = pb.Session(labels=_labels(labels), config_json=_config_json(config), fabric=_text("fabric", fabric))
     session.garment.CopyFrom(_mesh(garment, faces, "garment"))
@@ -162,14 +162,14 @@ def list_request(
 
 
 def session_name(session_id: str) -> str:
-    """ "sessions/{id}" of an id or of such a name."""
+    """The name "sessions/{id}" of an id, or the name itself."""
     _text("session_id", session_id)
     return session_id if session_id.startswith("sessions/") else f"sessions/{session_id}"
 
 
 def _require_type(field: str, value: object, types: type | tuple[type, ...], expected: str) -> None:
     if not isinstance(value, types):
-        raise InvalidArgument(field=field, expected=expected, got=_shown(value))
+        raise InvalidArgument(field=field, expected=expected, got=_described(value))
 
 
 def _text(field: str, value: object) -> str:
@@ -177,7 +177,7 @@ def _text(field: str, value: object) -> str:
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise InvalidArgument(field=field, expected="text that UTF-8 has", got=ascii(value)[:80]) from None
+        raise InvalidArgument(field=field, expected="text that UTF-8 can encode", got=ascii(value)[:80]) from None
     return value
 
 
@@ -187,7 +187,7 @@ def _labels(labels: object) -> dict[str, str]:
     _require_type("labels", labels, Mapping, "a dict of text to text")
     for key, value in labels.items():
         if not isinstance(key, str):
-            raise InvalidArgument(field="labels", expected="text as keys", got=_shown(key))
+            raise InvalidArgument(field="labels", expected="text as keys", got=_described(key))
         _text("labels", key)
         _text(f"labels[{key!r}]", value)
     return dict(labels)
@@ -202,14 +202,14 @@ def _limits(limits: object) -> pb.SessionLimits:
         try:
             setattr(message, name, value)
         except (TypeError, ValueError, OverflowError):
-            whole = message.DESCRIPTOR.fields_by_name[name].cpp_type != FieldDescriptor.CPPTYPE_DOUBLE
-            expected = "a whole number from 0 to 4294967295" if whole else "a number"
-            raise InvalidArgument(field=f"limits.{name}", expected=expected, got=_shown(value)) from None
+            integer = message.DESCRIPTOR.fields_by_name[name].cpp_type != FieldDescriptor.CPPTYPE_DOUBLE
+            expected = "a whole number from 0 to 4294967295" if integer else "a number"
+            raise InvalidArgument(field=f"limits.{name}", expected=expected, got=_described(value)) from None
     return message
 
 
-def _shown(value: object) -> str:
-    """A value for a sentence: itself where that is short, with its type."""
+def _described(value: object) -> str:
+    """Describes a value in an error: its type, and the value itself if it is short."""
     if isinstance(value, (float, str)) or (isinstance(value, int) and value.bit_length() <= 128):
         return f"{type(value).__name__} {repr(value)[:40]}"
     return type(value).__name__
@@ -233,4 +233,4 @@ def _config_json(config: object) -> str:
     try:
         return json.dumps(values, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise InvalidConfig(field="config", expected="values that JSON has", got=str(error)) from None
+        raise InvalidConfig(field="config", expected="values that JSON can represent", got=str(error)) from None

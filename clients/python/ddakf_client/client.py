@@ -1,4 +1,4 @@
-"""The synchronous client."""
+"""Synchronous client: connection, session calls, and the entry points of streams and watchers."""
 
 from __future__ import annotations
 
@@ -45,14 +45,14 @@ def connect(
 
     Args:
         target: "host:port".
-        timeout: seconds that each call, and the answer to each frame, may take.
-        credentials: of TLS, e.g. ``grpc.ssl_channel_credentials(root_certificates)``; None: no encryption.
+        timeout: seconds per call, and per answer to a frame.
+        credentials: TLS credentials, e.g. ``grpc.ssl_channel_credentials(root_certificates)``; None: no encryption.
         api_key: sent with every call.
-        max_message_bytes: of one message, in either direction.
+        max_message_bytes: limit of one message in either direction.
 
     Raises:
-        Unavailable, DeadlineExceeded: no server answers there.
-        VersionMismatch: client and server do not fit together.
+        Unavailable, DeadlineExceeded: no server answers at this address.
+        VersionMismatch: client and server have incompatible versions.
     """
     options = client_options(max_message_bytes)
 
@@ -71,12 +71,12 @@ def connect(
 
 
 class Client:
-    """A connection to a server, made by :func:`connect`; use it as a context, or call :meth:`close`.
+    """A connection to a server, made by :func:`connect`. Use it as a context, or call :meth:`close`.
 
     Attributes:
-        target: "host:port"; another one once the server has said that it continues there.
-        timeout: seconds that each call may take.
-        server: what the server said when the connection was made.
+        target: "host:port"; changes when the server redirects the client.
+        timeout: seconds per call.
+        server: properties of the server when the client connected.
     """
 
     server: ServerInfo
@@ -96,19 +96,19 @@ class Client:
         self.close()
 
     def close(self) -> None:
-        """Ends the connection and what is open on it. Sessions stay on the server until they expire."""
+        """Closes the connection and its calls. Sessions stay on the server until they expire."""
         for channel in self._channels.values():
             channel.close()
 
     def move(self, target: str) -> None:
-        """Sends everything from now on to the server at another address; streams that are open stay where they are."""
+        """Sends later calls to the server at another address. Open streams stay on their connection."""
         self.target = target
         if target not in self._channels:
             self._channels[target] = self._open_channel(target)
         self._stub = TrackingServiceStub(self._channels[target])
 
     def server_info(self) -> ServerInfo:
-        """What the server is and allows; raises VersionMismatch when it does not fit."""
+        """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
         return calls.checked_server(self.call("GetServerInfo", pb.GetServerInfoRequest(api_version=API_VERSION)))
 
     def create_session(
@@ -127,24 +127,24 @@ class Client:
         limits: Limits | None = None,
         session_id: str = "",
     ) -> Session:
-        """Creates a session; leaving its context deletes it.
+        """Creates a session. The end of its context deletes it.
 
         Args:
             garment: (V, 3) rest vertices in metres, with `faces`; or an object with ``vertices`` and ``faces``.
             faces: (F, 3) vertex indices.
-            body: an object with ``vertices`` and ``faces`` or a tuple of both: the body in its pose at the start.
-            config: the tracker's configuration, stages of fields, or a ``ddakf.Config``.
+            body: the body in its initial pose: an object with ``vertices`` and ``faces``, or a tuple of both.
+            config: configuration of the tracker: a dict of stages, or a ``ddakf.Config``.
             fabric: name of a fabric preset.
-            clean: repair the garment rather than refuse it; see :attr:`Session.vertex_map`.
-            flow: "realtime" (the newest frame wins) or "lossless" (every frame, in order).
-            codec: how clouds are sent, a name of ``CODECS``.
-            step: quantisation step of the cloud, metres.
+            clean: repair an invalid garment; see :attr:`Session.vertex_map`.
+            flow: "realtime" (the newest frame replaces older ones) or "lossless" (every frame, in order).
+            codec: codec of the clouds, a name of ``CODECS``.
+            step: quantisation step of the clouds, metres.
             labels: free key-value pairs.
-            limits: bounds other than the server's defaults.
-            session_id: 4-63 of [a-z0-9-]; the server chooses when empty.
+            limits: limits other than the defaults of the server.
+            session_id: 4-63 of [a-z0-9-]; empty: the server chooses.
 
         Raises:
-            InvalidMesh, InvalidConfig, SessionExists, ResourceExhausted, CodecError: as they say.
+            InvalidMesh, InvalidConfig, SessionExists, ResourceExhausted, CodecError: see ``ddakf_client.errors``.
         """
         request = calls.create_request(
             garment,
@@ -162,10 +162,10 @@ class Client:
     def open_session(
         self, session_id: str, *, flow: str = "realtime", codec: str = DEFAULT_CODEC, step: float = DEFAULT_STEP
     ) -> Session:
-        """A session that exists already; leaving its context keeps it.
+        """Opens an existing session. The end of its context does not delete it.
 
         Raises:
-            SessionNotFound: no such session.
+            SessionNotFound: the session does not exist.
         """
         request = pb.GetSessionRequest(name=calls.session_name(session_id))
         return self._session("GetSession", request, keep=True, flow=flow, codec=codec, step=step)
@@ -181,16 +181,16 @@ class Client:
         limits: Limits | None = None,
         session_id: str = "",
     ) -> Session:
-        """A new session that goes on from :meth:`Session.snapshot`, of this server or another.
+        """Creates a session that continues from :meth:`Session.snapshot` of this server or another.
 
         Raises:
-            InvalidSnapshot: the bytes are none.
+            InvalidSnapshot: the data is no snapshot.
         """
         request = calls.restore_request(snapshot, labels=labels, limits=limits, session_id=session_id)
         return self._session("RestoreSession", request, keep=False, flow=flow, codec=codec, step=step)
 
     def sessions(self, *, state: str | None = None, labels: Mapping[str, str] | None = None) -> Iterator[SessionInfo]:
-        """The server's sessions, oldest first; only those in `state` and with all `labels`, when given."""
+        """Yields the sessions of the server, oldest first, filtered by `state` and `labels` if given."""
         page_token = ""
         while True:
             page = self.call("ListSessions", calls.list_request(state=state, labels=labels, page_token=page_token))
@@ -208,16 +208,16 @@ class Client:
         resolution: float = 0.0,
         max_samples: int = 0,
     ) -> History:
-        """What happened in a session over time, a live one or the last past one of this id.
+        """History of a live session, or of the last ended session with this id.
 
         Args:
-            start, end: with a time zone; without them from its creation up to now, or to its end.
-            resolution: seconds per sample; 0: as fine as fits into `max_samples`.
-            max_samples: 0: 500.
+            start, end: with a time zone; default: from the creation of the session to its end, or to now.
+            resolution: seconds per sample; 0: the finest with at most `max_samples`.
+            max_samples: largest number of samples; 0: 500.
 
         Raises:
-            SessionNotFound: none is remembered.
-            Unavailable: the server's database cannot be reached now.
+            SessionNotFound: the server has no history of this session.
+            Unavailable: the server cannot reach its database.
         """
         request = history_request(session_id, start=start, end=end, resolution=resolution, max_samples=max_samples)
         return history_from(self.call("GetSessionHistory", request))
@@ -229,7 +229,7 @@ class Client:
         return Session(self, message, replace(plan, name=message.name), keep=keep)
 
     def call(self, method: str, request: object, timeout: float | None = None):
-        """A unary call by its name in the schema; errors as the classes of ``errors``."""
+        """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
         try:
             return getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
@@ -248,10 +248,10 @@ class Session:
 
     Attributes:
         name: "sessions/{session_id}".
-        session_id: the id.
-        vertex_map: (V,) vertex i of the garment is vertex ``vertex_map[i]`` of the mesh that was sent; None unless the
-            session was created with ``clean=True``.
-        keep: leaving the context leaves the session on the server.
+        session_id: the part of the name after "sessions/".
+        vertex_map: (V,) vertex i of the garment is vertex ``vertex_map[i]`` of the sent mesh; None unless the session was
+            created with ``clean=True``.
+        keep: the end of the context does not delete the session.
     """
 
     def __init__(self, client: Client, message: pb.Session, plan: Plan, *, keep: bool):
@@ -270,9 +270,9 @@ class Session:
         try:
             self.delete()
         except SessionNotFound:
-            pass  # it has expired, or was deleted by hand
+            pass  # expired or deleted already
         except ServiceError:
-            if error_type is None:  # otherwise what went wrong inside is the news
+            if error_type is None:  # else the error inside the context takes precedence
                 raise
 
     def track(
@@ -293,31 +293,32 @@ class Session:
         timeout: float | None = None,
         resume: float = RESUME,
     ) -> Iterator[Result | FrameError]:
-        """Streams frames and yields their results in order, until every frame has been answered.
+        """Streams frames and yields their results in order, until every frame has an answer.
 
-        Frames are pulled in a thread of their own, so that `frames` may wait for a camera. In lossless flow they are
-        pulled only as fast as the server tracks them.
+        A separate thread pulls the frames, so that `frames` may wait for a camera. In lossless mode it pulls them only as
+        fast as the server tracks them.
 
         Args:
             frames: :class:`Frame` objects, tuples in the order of its fields, or objects with its attributes.
-            flow, codec, step: other than the session's.
-            on_error: a frame that is refused ends the stream ("raise") or gives a :class:`FrameError` ("yield").
-            on_notice: called with what the server says in between; by default it is logged.
-            velocities, covariance: ask for these arrays.
-            takeover: end another stream that the session has.
-            depth_codec: how depth images are sent, a name of ``DEPTH_CODECS``; floats go as "zstd" where it cannot have them.
-            compact: vertices, sigma and reliability in 9 bytes per vertex rather than 20; docs/protocol.md says how exact.
-            every_nth: arrays only in every n-th result of the session; those of the others are empty.
-            timeout: seconds that the answer to a frame may take.
-            resume: seconds for which a connection that was lost, or whose server stops, is tried to be had again, with
-                growing pauses. The session then goes on after the last frame that it has; frames without an answer are
-                sent again, in realtime flow the newest alone, and ``on_notice`` is told ("resumed"; ``value`` is the number
-                of answered frames that the server has forgotten). 0: such a stream raises.
+            flow, codec, step: override those of the session.
+            on_error: a refused frame ends the stream ("raise") or yields a :class:`FrameError` ("yield").
+            on_notice: called with each notice of the server; the default logs it.
+            velocities, covariance: request these arrays.
+            takeover: end another stream of the session.
+            depth_codec: compression of depth images, a name of ``DEPTH_CODECS``; images of floats that it cannot encode are
+                sent as "zstd".
+            compact: vertices, sigma and reliability take 9 bytes per vertex instead of 20; errors in docs/protocol.md.
+            every_nth: only every n-th result of the session has arrays; those of the others are empty.
+            timeout: seconds per answer to a frame.
+            resume: seconds of attempts to reconnect, with growing pauses, after the connection is lost or the server stops.
+                The session then continues after its last frame. Unanswered frames are sent again, in realtime mode only the
+                newest one. ``on_notice`` is called with "resumed"; its ``value`` is the number of answered frames that the
+                server has lost. 0: raise instead.
 
         Raises:
             SessionBusy: the session has another stream.
-            WorkerLost, Unavailable, DeadlineExceeded, SessionNotFound, ...: why the stream ended before its time.
-            InvalidFrame: a frame was refused; its ``sequence`` says which.
+            WorkerLost, Unavailable, DeadlineExceeded, SessionNotFound, ...: reason for the early end of the stream.
+            InvalidFrame: a frame was refused; ``sequence`` is its number.
         """
         given = {"flow": flow, "codec": codec, "step": step, "timeout": timeout}
         plan = replace(
@@ -339,27 +340,27 @@ class Session:
     def watch(
         self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
     ) -> Iterator[Result | FrameError]:
-        """Yields what the session's stream is answered, from now on, without being able to slow it.
+        """Yields the answers of the session's stream from now on. A watcher cannot slow the stream.
 
-        Who reads too slowly misses results. ``latency`` of a result is nan: the frame was somebody else's. Sessions
-        without a stream are waited for; a watcher does not keep a session from expiring.
+        A slow watcher misses results. ``latency`` of a result is nan, because another client sent the frame. Without a stream
+        the watcher waits; it does not keep a session from expiring.
 
         Args:
-            every_nth: arrays only in every n-th result; those of the others are empty.
-            on_notice: called with what the server says in between; by default it is logged.
+            every_nth: only every n-th result has arrays; those of the others are empty.
+            on_notice: called with each notice of the server; the default logs it.
 
         Raises:
-            SessionNotFound, SessionExpired, WorkerLost, Draining, Unavailable: why it ended, for it has no other end.
-            ResourceExhausted: the session has as many watchers as it may have.
+            SessionNotFound, SessionExpired, WorkerLost, Draining, Unavailable: reason for the end, always one of them.
+            ResourceExhausted: the session has the maximum number of watchers.
         """
         return watch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     def info(self) -> SessionInfo:
-        """State and statistics as of the last frame."""
+        """State and statistics after the last frame."""
         return session_info_from(self._client.call("GetSession", pb.GetSessionRequest(name=self.name)))
 
     def reset(self, vertices: np.ndarray | None = None, *, velocities: np.ndarray | None = None) -> SessionInfo:
-        """Starts the tracker again: from (V, 3) metres, default the rest shape; with (V, 3) m/s, default none."""
+        """Restarts the tracker from (V, 3) metres (default: the rest shape) with (V, 3) metres per second (default: zero)."""
         request = calls.reset_request(self.name, vertices, velocities=velocities)
         return session_info_from(self._client.call("ResetSession", request))
 
@@ -372,14 +373,14 @@ class Session:
         limits: Limits | None = None,
         etag: str = "",
     ) -> SessionInfo:
-        """Changes what is given, while frames are tracked too: the tracker goes on where it is.
+        """Changes the given fields, also during a stream; the tracker keeps its state.
 
         Args:
-            config: stages of fields, over the defaults; the session's fabric stays, unless another one is given.
-            etag: of the session as you saw it: it is changed only if nobody has changed it since.
+            config: a dict of stages, over the defaults; the fabric stays unless given.
+            etag: of the session as last read; the update fails if the session has changed since.
 
         Raises:
-            FailedPrecondition: the etag is another one.
+            FailedPrecondition: the session has another etag.
         """
         request = calls.update_request(
             self.name, labels=labels, config=config, fabric=fabric, limits=limits, etag=etag
@@ -387,9 +388,9 @@ class Session:
         return session_info_from(self._client.call("UpdateSession", request))
 
     def snapshot(self) -> bytes:
-        """The tracker's state, for :meth:`Client.restore_session`."""
+        """The state of the tracker, for :meth:`Client.restore_session`."""
         return self._client.call("SnapshotSession", pb.SnapshotSessionRequest(name=self.name)).data
 
     def delete(self) -> None:
-        """Ends the session on the server."""
+        """Deletes the session on the server."""
         self._client.call("DeleteSession", pb.DeleteSessionRequest(name=self.name))

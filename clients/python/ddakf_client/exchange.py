@@ -1,11 +1,11 @@
-"""One stream's state, without any waiting: the synchronous and the asynchronous client each put theirs around it.
+"""Stream state machine without waiting, used by the synchronous and the asynchronous client.
 
-Frames go through a slot for one. In lossless flow the slot has to be free before a frame is offered; in realtime flow a
-newer frame replaces the one in the slot. The slot is emptied while fewer than :data:`IN_FLIGHT` frames are unanswered,
-so that neither a slow server nor a slow line makes frames pile up in buffers that nobody sees.
+A slot holds one frame before it is sent. In lossless mode a frame is offered only to a free slot; in realtime mode a newer frame
+replaces the one in the slot. The slot is emptied while fewer than :data:`IN_FLIGHT` frames are unanswered. A slow server or
+network therefore fills no hidden buffers.
 
-A stream survives its connection: what is unanswered is kept, and sent again to the server that answers next, as far as that
-has not tracked it. In realtime flow only the newest such frame is.
+A stream survives the loss of its connection. It stores unanswered frames, and after a reconnect it sends again those that the
+server has not tracked: in lossless mode all, in realtime mode the newest one.
 """
 
 from __future__ import annotations
@@ -33,27 +33,27 @@ COMPACT = pb.ResultOptions(
     reliability_encoding=pb.ARRAY_ENCODING_QUANTISED_8,
 )
 IN_FLIGHT = 8
-"""Frames unanswered at most: enough to keep a server busy over a line of 200 ms at 30 frames per second."""
+"""Largest number of unanswered frames: keeps a server busy at 30 frames per second and 200 ms of network latency."""
 
 ON_ERROR = ("raise", "yield")
 RESUME = 30.0
-"""Seconds for which a lost connection is tried to be had again, unless the caller says otherwise."""
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0  # seconds between attempts
+"""Default time in seconds for attempts to reconnect."""
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0  # seconds between attempts to reconnect
 
 log = logging.getLogger("ddakf_client")
 
 
 def log_notice(notice: Notice) -> None:
-    """What happens to notices unless the caller takes them."""
+    """Default handler of notices."""
     log.warning("%s: %s", notice.kind, notice.message)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a caller wants from a stream; the fields are described in :meth:`ddakf_client.Session.track`.
+    """Options of a stream; :meth:`ddakf_client.Session.track` describes the fields.
 
     Raises:
-        InvalidArgument: a flow, codec or way to report errors that does not exist.
+        InvalidArgument: an option has an invalid value.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Plan:
             raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
 
     def start(self, again: bool = False) -> pb.TrackRequest:
-        """The first request; ``again`` takes the session over from the stream that was lost, should the server still have it."""
+        """The first request. ``again``: after a lost connection, take over the session from the old stream."""
         options = pb.ResultOptions(
             include_velocities=self.velocities, include_covariance=self.covariance, every_nth=self.every_nth
         )
@@ -102,28 +102,28 @@ class Plan:
 
 
 class Offered(NamedTuple):
-    """A frame on its way: its number, the caller's object, when it was handed over (monotonic clock, seconds)."""
+    """A frame to send: its number, the object of the caller, and its time of submission (monotonic clock, seconds)."""
 
     sequence: int
     frame: object
-    handed_over: float
+    submitted: float
 
 
 class Sent(NamedTuple):
-    """A frame without an answer, and when it was sent."""
+    """An unanswered frame and the time at which it was sent."""
 
     offered: Offered
     at: float
 
 
 class Exchange:
-    """Frames in, answers out. Times are given in, on the monotonic clock; the caller guards against concurrent use.
+    """State of one stream. Times are arguments, on the monotonic clock. The caller prevents concurrent use.
 
     Attributes:
         started: the server has opened the stream.
-        lost: the connection was lost, and has not been had again yet.
+        lost: the connection is lost and not yet replaced.
         exhausted: no more frames will be offered.
-        failure: why the stream has to end before its time, to be raised to the caller.
+        failure: error that ends the stream early and is raised to the caller.
     """
 
     def __init__(self, plan: Plan, now: float):
@@ -136,14 +136,14 @@ class Exchange:
         self._slot: Offered | None = None
         self._dropped = 0
         self._refused: list[FrameError] = []
-        # Frames without an answer, by number. In realtime those up to _passed count as answered.
+        # Unanswered frames by number. In realtime mode those up to _answered_through count as answered.
         self._unanswered: dict[int, Sent] = {}
-        self._passed = 0
+        self._answered_through = 0
         self._last_answered = 0
-        self._again: deque[Offered] = deque()  # frames to send again, before the one in the slot
-        self._attempts = 0  # to have the connection again, without a frame answered since
+        self._resend: deque[Offered] = deque()  # frames to send again, before the one in the slot
+        self._attempts = 0  # to reconnect, since the last answered frame
         self._lost_since = now
-        self._owed_since = now  # since when the server owes what is no answer to a frame: opening, closing
+        self._owed_since = now  # since when the server owes the start or the end of the stream
         self._reading_since: float | None = None
 
     # Frames in ------------------------------------------------------------------------------------------------------
@@ -152,30 +152,30 @@ class Exchange:
         return self.started and not (self._lossless and self._slot)
 
     def offer(self, frame: object, now: float) -> None:
-        """Puts a frame into the slot; in realtime flow the one that is there goes."""
+        """Puts a frame into the slot; in realtime mode it replaces the one in the slot."""
         self._dropped += self._slot is not None
         self._slot = Offered(self._next_sequence, frame, now)
         self._next_sequence += 1
 
     def can_take(self) -> bool:
-        waiting = sum(sequence > self._passed for sequence in self._unanswered)
-        return self.started and bool(self._slot or self._again) and waiting < self._in_flight
+        waiting = sum(sequence > self._answered_through for sequence in self._unanswered)
+        return self.started and bool(self._slot or self._resend) and waiting < self._in_flight
 
     def take(self, now: float) -> Offered:
-        """Empties the slot, to send what was in it; what has to be sent again goes first."""
-        if self._again:
-            offered = self._again.popleft()
+        """Returns the next frame to send: first those to send again, then the one in the slot."""
+        if self._resend:
+            offered = self._resend.popleft()
         else:
             offered, self._slot = self._slot, None
         self._unanswered[offered.sequence] = Sent(offered, now)
         return offered
 
     def is_done(self) -> bool:
-        """Nothing more will be sent."""
-        return self.failure is not None or (self.exhausted and self._slot is None and not self._again and not self.lost)
+        """Whether nothing more will be sent."""
+        return self.failure is not None or (self.exhausted and self._slot is None and not self._resend and not self.lost)
 
     def finish(self, now: float) -> None:
-        """Says that the end has been sent: the server owes its own."""
+        """Marks the end of the requests as sent: the server owes the end of the stream."""
         self._owed_since = now
 
     def refuse(self, offered: Offered, error: ServiceError) -> None:
@@ -194,14 +194,14 @@ class Exchange:
     # Answers out ----------------------------------------------------------------------------------------------------
 
     def reading(self, now: float | None) -> None:
-        """Says since when the caller waits for an answer; None: it does something else."""
+        """Sets the time since when the caller waits for an answer; None: it does not wait."""
         self._reading_since = now
 
     def receive(self, response: pb.TrackResponse, now: float) -> list[Result | FrameError | Notice]:
-        """What an answer gives to the caller, after the frames that could not be sent before it.
+        """Converts a response to answers for the caller, after those of frames that could not be sent.
 
         Raises:
-            ServiceError: a frame was refused and the plan says to raise.
+            ServiceError: a frame was refused and the plan requires an error.
         """
         kind = response.WhichOneof("message")
         if kind == "started":
@@ -217,28 +217,28 @@ class Exchange:
         return []
 
     def ended(self) -> list[FrameError]:
-        """What is left to say after the server has ended the stream without an error.
+        """The last answers after the server has ended the stream without an error.
 
         Raises:
-            Unavailable: it did so before every frame had its answer.
+            Unavailable: a frame has no answer.
         """
         if self.failure:
             raise self.failure
-        waiting = [sequence for sequence in self._unanswered if sequence > self._passed]
+        waiting = [sequence for sequence in self._unanswered if sequence > self._answered_through]
         if waiting or not self.is_done():
             before = f"it had answered frame {min(waiting)}" if waiting else "all frames were sent"
             raise Unavailable(f"the server ended the stream before {before}")
         return self.refused()
 
     def refused(self) -> list[FrameError]:
-        """The frames that could not be sent since this was last asked."""
+        """The frames that could not be sent since the last call."""
         refused, self._refused = self._refused, []
         return refused
 
     # A lost connection ----------------------------------------------------------------------------------------------
 
     def may_resume(self, error: ServiceError, now: float) -> bool:
-        """Whether to open the stream once more, after it ended with this error."""
+        """Whether to open the stream again after it ended with this error."""
         if self.failure or not (self.started or self.lost) or type(error) not in (Unavailable, Draining):
             return False
         if not self.lost:
@@ -247,33 +247,33 @@ class Exchange:
         return now - self._lost_since < self.plan.resume
 
     def pause(self, now: float) -> float:
-        """Seconds to wait before the next attempt: longer each time, by chance so that clients do not come all at once."""
+        """Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time."""
         self._attempts += 1
         self._owed_since = now
         return random.uniform(0.5, 1.0) * min(_FIRST_PAUSE * 2**self._attempts, _LONGEST_PAUSE)
 
     def _start(self, started: pb.Started) -> list[Notice]:
-        """The stream is open: the first time, or once more."""
+        """Handles the start of the stream, the first one or one after a reconnect."""
         last, resumed = started.last_sequence_number, self.lost
         self.started, self.lost = True, False
         self._next_sequence = max(self._next_sequence, last + 1)
         self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
         if not resumed:
             return []
-        # The connection may have been lost before all were sent that the one before it had lost.
-        unanswered = [*(sent.offered for _, sent in sorted(self._unanswered.items())), *self._again]
-        kept = [offered for offered in unanswered if offered.sequence > max(last, self._passed)]
+        # A connection may be lost before all frames of the previous one were sent again.
+        unanswered = [*(sent.offered for _, sent in sorted(self._unanswered.items())), *self._resend]
+        resent = [offered for offered in unanswered if offered.sequence > max(last, self._answered_through)]
         self._unanswered.clear()
         if not self._lossless:
-            kept = kept[-1:] if self._slot is None else []
-        self._again = deque(kept)
-        forgotten = max(self._last_answered - last, 0)
-        sent_again = f"{len(kept)} of {len(unanswered)}"
-        message = f"connected again: the session goes on after frame {last}; {sent_again} frames are sent again"
-        return [Notice("resumed", message, float(forgotten), "")]
+            resent = resent[-1:] if self._slot is None else []
+        self._resend = deque(resent)
+        lost_frames = max(self._last_answered - last, 0)
+        sent_again = f"{len(resent)} of {len(unanswered)}"
+        message = f"connected again: the session continues after frame {last}; {sent_again} frames are sent again"
+        return [Notice("resumed", message, float(lost_frames), "")]
 
     def deadline(self, now: float) -> float:
-        """When the server has to have said something; the plan's timeout from now when it owes nothing."""
+        """Time by which the server has to send something; if it owes nothing, the timeout from now."""
         if self._reading_since is None or not (self._unanswered or self._owes_more()):
             return now + self.plan.timeout
         oldest = min((sent.at for sent in self._unanswered.values()), default=self._owed_since)
@@ -282,7 +282,7 @@ class Exchange:
         return max(oldest, self._reading_since) + self.plan.timeout
 
     def overdue(self) -> DeadlineExceeded:
-        """The error for a passed deadline."""
+        """The error of an exceeded deadline."""
         owed = f"frame {min(self._unanswered)}" if self._unanswered else "the end of the stream"
         return DeadlineExceeded(
             f"no answer to {owed if self.started else 'the start of the stream'} within {self.plan.timeout:g} s"
@@ -292,20 +292,20 @@ class Exchange:
         return not self.started or self.is_done()
 
     def _answered(self, sequence: int, now: float) -> float:
-        """Results come in order, so every earlier frame has been answered or dropped."""
+        """Removes this frame and all earlier ones: results come in order, so earlier frames are answered or dropped."""
         sent = self._unanswered.get(sequence)
         self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > sequence}
         self._last_answered, self._attempts = sequence, 0
-        return now - sent.offered.handed_over if sent else 0.0
+        return now - sent.offered.submitted if sent else 0.0
 
     def _rejected(self, refused: FrameError) -> FrameError:
-        """A refusal may overtake the results of earlier frames; in realtime they may also have been dropped."""
+        """Removes a refused frame. A refusal may precede results of earlier frames; in realtime mode these may be dropped."""
         if self.plan.on_error == "raise":
             raise refused.error
         self._unanswered.pop(refused.sequence, None)
         self._attempts = 0
         if not self._lossless:
-            self._passed = max(self._passed, refused.sequence)
+            self._answered_through = max(self._answered_through, refused.sequence)
             oldest = refused.sequence - 2 * IN_FLIGHT
             self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
         return refused
@@ -314,7 +314,7 @@ class Exchange:
 def without_notices(
     answers: Iterable[Result | FrameError | Notice], move: Callable[[str], None], on_notice: Callable[[Notice], None]
 ) -> Iterator[Result | FrameError]:
-    """The answers to frames; notices go to ``on_notice``, and a server that they name as the next one to ``move``."""
+    """Yields the answers to frames. Calls ``on_notice`` with notices, and ``move`` with the address in a reconnect notice."""
     for answer in answers:
         if not isinstance(answer, Notice):
             yield answer
@@ -328,13 +328,14 @@ def encode_request(offered: Offered, plan: Plan) -> pb.TrackRequest:
     """The request of a frame.
 
     Raises:
-        ServiceError: it cannot be sent; :class:`~ddakf_api.errors.InvalidFrame` too for what its object raises itself.
+        ServiceError: the frame cannot be sent. An exception of the caller's object becomes an
+            :class:`~ddakf_api.errors.InvalidFrame`.
     """
     try:
         message = to_message(Frame.of(offered.frame), offered.sequence, plan.codec, plan.step, plan.depth_codec)
         return pb.TrackRequest(frame=message)
     except ServiceError:
         raise
-    except Exception as error:  # raised inside gRPC's iterator it would end the stream without a reason
+    except Exception as error:  # an error inside the iterator of gRPC ends the stream without a reason
         got = f"{type(offered.frame).__name__} ({type(error).__name__}: {str(error)[:120]})"
         raise InvalidFrame(field="frame", expected="a frame that can be made a message", got=got) from error

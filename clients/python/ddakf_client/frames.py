@@ -1,4 +1,4 @@
-"""Frames of the caller as messages."""
+"""Frames: objects of the caller to ``Frame`` messages."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from ddakf_api.codec import DEFAULT_DEPTH_CODEC, DEFAULT_SCALE, encode, encode_d
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
-_OF_THE_IMAGE = ("pose", "mask", "confidence", "min_confidence", "depth_scale")
+_IMAGE_OPTIONS = ("pose", "mask", "confidence", "min_confidence", "depth_scale")
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What the sensors saw at one moment: points, or the depth image of one camera.
+    """Measurements at one time: points, or the depth image of one camera.
 
     Attributes:
-        points: (N, 3) metres, world frame; N may be 0. None: there is a depth image.
+        points: (N, 3) metres, world frame; N may be 0. None for a depth image.
         timestamp: seconds of the caller's clock, strictly increasing.
-        sensor_origin: where the points were seen from, metres: (3,) for one sensor, (N, 3) one per point when several
-            are fused; None: unknown, no visibility test.
-        body_vertices: (B, 3) metres, the body in this frame; None: not known.
+        sensor_origin: optical centre in metres: (3,) for one sensor, (N, 3) one per point for several sensors; None: unknown,
+            no visibility test.
+        body_vertices: (B, 3) metres, the body in this frame; None: unknown.
         depth: (H, W) along the optical axis, 0 or NaN for none: floats in metres, or uint16 in units of `depth_scale`.
-        intrinsics: of the depth camera: fx, fy, cx, cy, pixels; pixel (0, 0) is the centre of the top left one.
+        intrinsics: fx, fy, cx, cy, pixels; pixel (0, 0) is the centre of the top left one.
         pose: (3, 4) or (4, 4) [R | t], camera axes (x right, y down, z forward) to world; None: the identity.
-        mask: (H, W), zero where a pixel is not of the garment; None: all are.
-        confidence: (H, W) uint8, 255 is certain, 0 unusable; None: not known.
-        min_confidence: pixels of a lower one are left out.
+        mask: (H, W), zero outside the garment; None: all pixels are of the garment.
+        confidence: (H, W) uint8, 255 is the highest, 0 unusable; None: unknown.
+        min_confidence: pixels of lower confidence are ignored.
         depth_scale: metres per unit of uint16 depth.
-        display_time: when the garment will be shown, seconds of the caller's clock, at most half a second after `timestamp`: the
-            result is predicted to it. None: as captured.
-        deadline: seconds after its arrival at the server at which nobody needs an answer any more: a frame whose turn comes
-            later is not tracked, but refused (DeadlineExceeded; see `on_error`) and counted as late. None: there is none.
+        display_time: time of display, seconds of the caller's clock, at most 0.5 s after `timestamp`; the result is predicted to
+            this time. None: the time of capture.
+        deadline: seconds after the arrival at the server within which tracking has to begin. A later frame is refused
+            (DeadlineExceeded; see `on_error`) and counted as late. None: no deadline.
     """
 
     points: np.ndarray | None = None
@@ -54,10 +54,10 @@ class Frame:
 
     @classmethod
     def of(cls, frame: object) -> Frame:
-        """A frame from a frame, a tuple of its first two to four fields, or any object with (some of) the attributes.
+        """Converts a frame, a tuple of its first two to four fields, or an object with (some of) its attributes.
 
         Raises:
-            InvalidFrame: neither of these.
+            InvalidFrame: another object.
         """
         if isinstance(frame, cls):
             return frame
@@ -74,7 +74,7 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
     """The message of a frame.
 
     Raises:
-        InvalidFrame: what cannot be sent; :class:`~ddakf_api.errors.CodecError` where it is about the points or the image.
+        InvalidFrame: an invalid field; :class:`~ddakf_api.errors.CodecError` for points or images.
     """
     message = pb.Frame(sequence_number=sequence, capture_time=_seconds("timestamp", frame.timestamp))
     if frame.display_time is not None:
@@ -104,13 +104,13 @@ def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
         if getattr(frame, name) is not None:
             raise InvalidFrame(field=name, expected="none beside a depth image", got=type(getattr(frame, name)).__name__)
     image = encode_depth(
-        frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _OF_THE_IMAGE}
+        frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _IMAGE_OPTIONS}
     )
     message.depth_image.CopyFrom(image)
 
 
 def _with_sensors(message: pb.Frame, points: np.ndarray, origin: object) -> tuple[np.ndarray, list[int] | None]:
-    """Names the sensors in the message; returns the points in runs by sensor, and the runs' lengths."""
+    """Adds the sensors to the message; returns the points in runs by sensor, and the lengths of the runs."""
     expected = "finite numbers of shape (3,) or (N, 3)"
     origin = checked_array("sensor_origin", origin, expected=expected, columns=None, error=InvalidFrame)
     per_point = origin.ndim == 2 and origin.shape == points.shape
@@ -121,8 +121,8 @@ def _with_sensors(message: pb.Frame, points: np.ndarray, origin: object) -> tupl
         _add_sensor(message, origin)
         return points, None
     order, runs, origins = group_by_sensor(origin)
-    for place, count in zip(origins, runs, strict=True):
-        _add_sensor(message, place).point_count = count
+    for sensor_position, count in zip(origins, runs, strict=True):
+        _add_sensor(message, sensor_position).point_count = count
     return points[order], runs
 
 

@@ -1,4 +1,4 @@
-"""``Client.history``: what happened in a session over time."""
+"""Session history: counts, reliability, latency and state changes over time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ddakf_client.results import value_name
 
 
 class StateChange(NamedTuple):
-    """The state of the session from this time on."""
+    """A change of the session to this state."""
 
     time: datetime
     state: str
@@ -23,17 +23,17 @@ class StateChange(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What happened in n spans of time, in order; spans without frames are left out. Times are the server's.
+    """Statistics of n intervals in temporal order, without empty intervals. Times are of the server's clock.
 
     Attributes:
         name: "sessions/{session_id}".
-        resolution: length of a span, seconds.
-        start: (n,) when it begins, seconds since 1970.
+        resolution: length of an interval, seconds.
+        start: (n,) start of each interval, seconds since 1970.
         applied, dropped, late, rejected: (n,) frames.
-        reliability, least_reliability: (n,) mean and least of the applied frames, in [0, 1].
+        reliability, least_reliability: (n,) mean and minimum over the applied frames, in [0, 1].
         paper_score, coverage: (n,) means.
-        latency, greatest_latency: (n,) seconds from arrival to answer, mean and greatest.
-        states: the changes of state; the first one may lie before the first span.
+        latency, greatest_latency: (n,) seconds from arrival to answer, mean and maximum.
+        states: state changes; the first may precede the first interval.
     """
 
     name: str
@@ -63,15 +63,15 @@ def history_request(
     """The request of ``Client.history``.
 
     Raises:
-        InvalidArgument: an argument of another type or out of its range.
+        InvalidArgument: an argument of another type or out of range.
     """
     request = pb.GetSessionHistoryRequest(name=session_name(session_id))
     for field, value in (("resolution", resolution), ("max_samples", max_samples)):
         try:
             setattr(request, field, value)
         except (TypeError, ValueError, OverflowError):
-            whole = field == "max_samples"
-            expected = "a whole number from 0 to 4294967295" if whole else "a number of seconds"
+            integer = field == "max_samples"
+            expected = "a whole number from 0 to 4294967295" if integer else "a number of seconds"
             raise InvalidArgument(field=field, expected=expected, got=repr(value)[:80]) from None
     for field, value in (("start_time", start), ("end_time", end)):
         if value is None:
@@ -83,7 +83,7 @@ def history_request(
 
 
 def history_from(message: pb.SessionHistory) -> History:
-    """The columns of a history."""
+    """Converts a message to arrays."""
     samples = message.samples
 
     def column(name: str) -> np.ndarray:

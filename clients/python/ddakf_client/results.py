@@ -1,4 +1,4 @@
-"""Answers of the server as plain objects. V garment vertices; metres and seconds."""
+"""Answers of the server as Python objects. V garment vertices; metres and seconds."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from ddakf_api.codec import CODECS, DEPTH_CODECS
 from ddakf_api.errors import ServiceError, from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
-_UPPER = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # xx xy xz yy yz zz to the nine elements of a symmetric matrix
-_MAX_ITEMS = 1 << 28  # what comes from the server is bounded by the message size
+_UPPER = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # indices of xx xy xz yy yz zz in the rows of a symmetric matrix
+_MAX_ITEMS = 1 << 28  # the message size bounds arrays of the server
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,25 +23,25 @@ class Result:
     """The garment after one frame.
 
     Attributes:
-        sequence: number of the frame: the i-th frame (from 0) of a stream has the number of its first one plus i.
+        sequence: number of the frame; frame i (from 0) of a stream has the number of its first frame plus i.
         timestamp: of the frame, seconds of the caller's clock.
         state: "initializing", "tracking", "recovering" or "lost".
         vertices: (V, 3) float32 metres.
         sigma: (V,) float32, sqrt(trace(covariance) / 3), metres.
         vertex_reliability: (V,) float32 in [0, 1].
-        observed: (V,) bool, a measurement of this frame reached the vertex.
-        velocities: (V, 3) float32 metres per second, or None when not asked for.
-        covariance: (V, 3, 3) float32 square metres, or None when not asked for.
+        observed: (V,) bool, the vertex has a measurement in this frame.
+        velocities: (V, 3) float32 metres per second, or None if not requested.
+        covariance: (V, 3, 3) float32 square metres, or None if not requested.
         reliability: of the frame, in [0, 1]; high means low error.
         paper_score: s_k of the paper.
-        coverage: share of the vertices that were observed.
-        dropped: frames that a newer one overtook: of the session in the server, of this stream before they were sent.
+        coverage: fraction of observed vertices.
+        dropped: frames replaced by a newer one: of the session on the server, and of this stream before sending.
         rejected: frames of the session that the server refused.
-        applied: frames of the session that the server tracked, this one included.
+        applied: frames of the session that the server tracked, including this one.
         late: frames of the session that the server did not track, because their deadline had passed.
         timings: seconds per stage of the tracker and of the server.
-        display_time: that the arrays hold for, seconds of the caller's clock: the timestamp, or the frame's display time.
-        latency: seconds from the moment the frame was handed over to the moment the result arrived.
+        display_time: time of the arrays, seconds of the caller's clock: the timestamp, or the display time of the frame.
+        latency: seconds from the submission of the frame to the arrival of the result.
     """
 
     sequence: int
@@ -67,12 +67,12 @@ class Result:
 
 @dataclass(frozen=True)
 class FrameError:
-    """A frame that was refused; the session is as it was.
+    """A refused frame; the session is unchanged.
 
     Attributes:
         sequence: number of the frame.
-        timestamp: of the frame, seconds of the caller's clock; None when it had none.
-        error: what ``on_error="raise"`` would have raised.
+        timestamp: of the frame, seconds of the caller's clock, or None.
+        error: the exception that ``on_error="raise"`` raises.
     """
 
     sequence: int
@@ -82,14 +82,14 @@ class FrameError:
 
 @dataclass(frozen=True)
 class Notice:
-    """What the server says between results.
+    """A message of the server between results.
 
     Attributes:
         kind: "draining", "slow_down", "reconnect", "resumed" or "waiting".
         message: one sentence.
-        value: draining: seconds left; slow_down: frames per second that can be tracked; resumed: tracked frames that the
-            server has forgotten; waiting: seconds so far.
-        target: reconnect: where to, may be empty.
+        value: draining: remaining seconds; slow_down: frames per second that can be tracked; resumed: tracked frames lost by
+            the server; waiting: seconds so far.
+        target: reconnect: address of the server, may be empty.
     """
 
     kind: str
@@ -99,10 +99,10 @@ class Notice:
 
 
 class Limits(NamedTuple):
-    """Bounds of a session; 0: the server's default in a request, not bounded in an answer.
+    """Limits of a session; 0 means the default of the server in a request, and no limit in an answer.
 
     Points per frame, frames per second, seconds without a frame, seconds since creation, unanswered frames in lossless
-    flow, seconds that the session waits for its client once a stream has ended.
+    mode, seconds until the client has to reconnect after the end of a stream.
     """
 
     max_points: int = 0
@@ -115,21 +115,21 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True)
 class SessionInfo:
-    """A session as the server sees it; reliability, paper_score and coverage are those of the last frame.
+    """State and statistics of a session; reliability, paper_score and coverage are of the last frame.
 
     Attributes:
         name: "sessions/{session_id}".
         state: as in :class:`Result`, or "idle", "expired", "closed".
-        config: the whole configuration in force.
+        config: the complete configuration in force.
         frame_rate: frames per second over the last few seconds.
-        last_sequence, last_timestamp: of the last frame that was applied; 0 when none was.
+        last_sequence, last_timestamp: of the last applied frame; 0: none.
         etag: changes with every update; see ``Session.update``.
-        expire_time: when it expires if nothing more comes.
-        checkpoint_time: when the checkpoint was written from which it would go on after a loss; None: there is none.
-        last_frame_time: when the last frame was applied, the server's clock; None: none was.
+        expire_time: time of its expiry without further activity.
+        checkpoint_time: time of the newest checkpoint; None: none.
+        last_frame_time: time of the last applied frame, the server's clock; None: none.
         last_latency: seconds from arrival at the server to the result, of the last frame.
-        recoveries, lost: times that it went on from a checkpoint, and tracked frames that were forgotten by that.
-        memory: estimate for its worker, bytes.
+        recoveries, lost: restarts from a checkpoint, and tracked frames lost by them.
+        memory: estimated memory in its worker, bytes.
     """
 
     name: str
@@ -165,7 +165,7 @@ class SessionInfo:
 
 @dataclass(frozen=True)
 class ServerInfo:
-    """What a server is and allows; codecs by the names that this client uses."""
+    """Properties and limits of a server; codecs by their names in this client."""
 
     api_version: str
     server_version: str
@@ -180,7 +180,7 @@ class ServerInfo:
 
 
 def result_from(message: pb.Result, *, dropped_before_sending: int, latency: float) -> Result:
-    """The result of a message. Arrays that the message leaves out are empty, or None for those on request."""
+    """Converts a message. Missing arrays are empty; velocities and covariance are None."""
     optional = {name: _array(message, name, n) for name, n in (("velocities", 3), ("covariance", 6))}
     covariance = optional["covariance"]
     return Result(
@@ -252,7 +252,7 @@ def session_info_from(message: pb.Session) -> SessionInfo:
 
 
 def vertex_map_from(message: pb.Session) -> np.ndarray | None:
-    """(V,) uint32, vertex i of the garment is vertex map[i] of the mesh that was sent; None when it was not cleaned."""
+    """(V,) uint32: vertex i of the garment is vertex map[i] of the sent mesh; None if the mesh was not cleaned."""
     return _array(message, "vertex_map", None)
 
 
@@ -287,7 +287,7 @@ def _array(message, name: str, components: int | None, missing: np.ndarray | Non
 
 @functools.lru_cache(256)
 def value_name(enum, value: int) -> str:
-    """The value's name as the library writes it: without the enum's own name, in lower case."""
+    """Name of an enum value in the style of the library: lower case, without the prefix of the enum."""
     if value not in enum.values():
         return f"unknown_{value}"
     prefix = enum.Name(0).removesuffix("UNSPECIFIED")

@@ -1,4 +1,4 @@
-"""The synchronous stream: the caller's thread reads answers; others pull frames, send them, and watch the time."""
+"""Synchronous stream: the thread of the caller reads answers; other threads pull frames, send them and watch the timeout."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from ddakf_client.exchange import Exchange, Plan, encode_request, without_notice
 from ddakf_client.results import FrameError, Notice, Result
 
 _JOIN_SECONDS = 1.0
-_NO_MORE = object()
+_END = object()
 
 
 class Connection(Protocol):
-    """What a stream needs of its client."""
+    """The part of a client that a stream uses."""
 
     target: str
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
-        """Opens the stream's call."""
+        """Opens the call of the stream."""
 
     def move(self, target: str) -> None:
-        """The server is at another address from now on."""
+        """Connects to the server at another address from now on."""
 
 
 def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Iterator[Result | FrameError]:
-    """Streams frames and yields what comes back; returns when every frame has its answer, or raises why not."""
+    """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
     stream = _Stream(plan, frames)
     try:
         while True:
@@ -53,7 +53,7 @@ def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Itera
 
 
 class _Stream:
-    """An exchange with a lock around it and threads beside it, which end with the stream."""
+    """An exchange with a lock and threads, which end with the stream."""
 
     def __init__(self, plan: Plan, frames: Iterable[object]):
         self._exchange = Exchange(plan, time.monotonic())
@@ -69,7 +69,7 @@ class _Stream:
         return self._exchange.failure
 
     def open(self, open_call: Callable[[Iterator[pb.TrackRequest]], grpc.Call]) -> None:
-        """The first call of the stream, or the next one after that was lost."""
+        """Opens the first call of the stream, or the next one after a lost connection."""
         with self._change():
             self._calls += 1
         self._call = open_call(self.requests(self._calls))
@@ -83,14 +83,14 @@ class _Stream:
         with self._change():
             self._closed.set()
         self._call.cancel()
-        # So that the caller may go on with the same iterator; nothing can interrupt one that waits for a camera.
+        # The caller may then reuse the iterator; an iterator that waits for a camera cannot be interrupted.
         for thread in self._threads:
             thread.join(_JOIN_SECONDS)
 
     # The caller's thread --------------------------------------------------------------------------------------------
 
     def read(self) -> pb.TrackResponse | None:
-        """The next answer, or None at the end."""
+        """Returns the next response, or None at the end."""
         self._exchange.reading(time.monotonic())
         try:
             return next(self._call, None)
@@ -107,13 +107,13 @@ class _Stream:
             return self._exchange.ended()
 
     def may_resume(self, error: ServiceError) -> bool:
-        """Whether the stream shall be opened once more; from now on nothing is sent by the call that ended."""
+        """Whether to open the stream again. The ended call sends nothing more."""
         with self._change():
             self._calls += 1
             return self._exchange.may_resume(error, time.monotonic())
 
     def pause(self) -> None:
-        """Waits until the next attempt is due."""
+        """Waits until the next attempt."""
         with self._changed:
             seconds = self._exchange.pause(time.monotonic())
         self._closed.wait(seconds)
@@ -121,7 +121,7 @@ class _Stream:
     # gRPC's thread --------------------------------------------------------------------------------------------------
 
     def requests(self, number: int) -> Iterator[pb.TrackRequest]:
-        """What the call of this number sends, for as long as it is the present one."""
+        """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
         yield exchange.plan.start(again=number > 1)
         while True:
@@ -150,22 +150,22 @@ class _Stream:
     def _pull(self) -> None:
         try:
             frames = iter(self._frames)
-            while self._wait_to_offer() and (frame := next(frames, _NO_MORE)) is not _NO_MORE:
+            while self._wait_to_offer() and (frame := next(frames, _END)) is not _END:
                 with self._change():
                     self._exchange.offer(frame, time.monotonic())
-        except BaseException as error:  # of the caller's iterator: raised where the results are read
+        except BaseException as error:  # of the iterator of the caller: raised where the results are read
             self._fail(error)
         with self._change():
             self._exchange.exhausted = True
 
     def _wait_to_offer(self) -> bool:
-        """Whether the stream goes on, once it may have another frame."""
+        """Waits until another frame may be offered; returns whether the stream continues."""
         with self._changed:
             self._changed.wait_for(lambda: self._closed.is_set() or self._exchange.can_offer())
         return not self._closed.is_set()
 
     def _watch(self) -> None:
-        """Ends a stream whose server has been silent for too long."""
+        """Ends the stream when the server exceeds the timeout."""
         while not self._closed.wait(max(0.0, self._seconds_left())):
             if self._seconds_left() <= 0:
                 with self._changed:

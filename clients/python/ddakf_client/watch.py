@@ -1,4 +1,4 @@
-"""What a session's stream is answered, for readers beside its client."""
+"""Watchers: read the answers of a session's stream beside its own client."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ def watch_request(name: str, every_nth: int) -> pb.WatchSessionRequest:
     """The request of ``Session.watch``.
 
     Raises:
-        InvalidArgument: `every_nth` is no whole number from 1 on.
+        InvalidArgument: `every_nth` is not an integer of at least 1.
     """
     require_every_nth(every_nth)
     return pb.WatchSessionRequest(name=name, api_version=API_VERSION, every_nth=every_nth)
 
 
 def watch(call: grpc.Call, on_notice: Callable[[Notice], None], target: str) -> Iterator[Result | FrameError]:
-    """Yields answers until the session ends, and then raises why it did."""
+    """Yields answers until the session ends, then raises the reason."""
     try:
         for response in call:
             yield from _answers(response, on_notice)

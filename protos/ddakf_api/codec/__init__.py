@@ -5,8 +5,8 @@
     image = encode_depth(depth, (fx, fy, cx, cy), pose=T_world_camera)
     depth = decode_depth(image, max_pixels=1_000_000)
 
-Decoding trusts nothing: counts are compared with the limit, and sizes that a payload declares with its count, before
-memory is taken for them; whatever the bytes are, the answer is points or a :class:`~ddakf_api.errors.CodecError`.
+A decoder trusts no input. It compares counts with the limit, and declared sizes with the count, before it allocates memory.
+Any input gives points or a :class:`~ddakf_api.errors.CodecError`.
 """
 
 from ddakf_api.codec.cloud import CODECS, DEFAULT_CODEC, Encoded, decode, encode

@@ -1,4 +1,4 @@
-"""Points to ``PointCloud`` messages and back, by the codec's name."""
+"""Point-cloud codecs: arrays of points to ``PointCloud`` messages and back."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CODECS = {
     "morton-deflate": pb.POINT_CODEC_MORTON_DEFLATE,
     "draco": pb.POINT_CODEC_DRACO,
 }
-"""The codecs that this package reads and writes, by the name that users give them; draco needs the package dracopy."""
+"""Codecs by the name in the API; draco needs the package dracopy."""
 
 DEFAULT_CODEC = "morton-zstd"
 
@@ -39,8 +39,8 @@ class Encoded(NamedTuple):
 
     Attributes:
         cloud: the message.
-        order: (N,) int64: point i of the decoded cloud is point ``order[i]`` of the given one, for data that belongs to
-            points; None when the codec keeps the order.
+        order: (N,) int64: point i of the decoded cloud is point ``order[i]`` of the given one. It permutes per-point data.
+            None: the codec keeps the order.
     """
 
     cloud: pb.PointCloud
@@ -56,11 +56,11 @@ def encode(
         points: (N, 3) metres, finite; N may be 0.
         codec: a name of :data:`CODECS`.
         step: quantisation step, metres; the error is at most half of it per axis. Not used by ``raw``.
-        runs: lengths of the consecutive runs of points, one per sensor, that have to stay runs; default: one.
+        runs: lengths of the consecutive runs of points, one per sensor; the encoded cloud keeps them. Default: one run.
 
     Raises:
-        CodecError: unknown codec, points that are not finite numbers of shape (N, 3), an extent too large for the step,
-            runs that do not sum to N.
+        CodecError: the codec is unknown, the points are not finite numbers of shape (N, 3), their extent is too large for
+            the step, or the runs do not sum to N.
     """
     if codec not in CODECS:
         raise CodecError(field="codec", expected=" or ".join(CODECS), got=repr(codec))
@@ -73,7 +73,7 @@ def encode(
 
 
 def _fill(cloud: pb.PointCloud, codec: str, points: np.ndarray, step: float, runs: list[int]) -> np.ndarray | None:
-    """Sets payload, step and origin; returns the order of the points, None when they keep theirs."""
+    """Sets data, step and origin; returns the order of the points, or None if it is unchanged."""
     if codec == "raw":
         cloud.data = _as_float32(points).tobytes()
         return None
@@ -98,17 +98,16 @@ def decode(cloud: pb.PointCloud, *, max_points: int, draco_decoder: draco.Decode
     """Decodes a cloud.
 
     Args:
-        cloud: the message; anything may have happened to it.
-        max_points: the largest N that is accepted; memory stays below about 100 bytes per point of it.
-        draco_decoder: what decodes Draco; None: such clouds are refused.
+        cloud: the message, untrusted.
+        max_points: the largest accepted N; decoding takes less than about 100 bytes per point of it.
+        draco_decoder: decoder of Draco clouds; None: they are refused.
 
     Returns:
         (N, 3) float64 metres, finite.
 
     Raises:
-        CodecError: too many points, an unknown codec, bytes that are not what they should be, or that have another
-            CRC-32 than the message says.
-        Unimplemented: Draco without a decoder.
+        CodecError: too many points, an unknown codec, invalid data, or data with another CRC-32 than the message says.
+        Unimplemented: a Draco cloud, but no decoder.
     """
     count = cloud.point_count
     if count > max_points:
@@ -143,11 +142,11 @@ def _decode_raw(data: bytes, count: int) -> np.ndarray:
     if not np.isfinite(points).all():
         bad = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
         raise CodecError(field="point_cloud.data", expected="finite positions", got=f"{bad} points that are not")
-    return points.astype(np.float64)  # not before: NumPy warns of a signalling NaN
+    return points.astype(np.float64)  # after the check: NumPy warns when it converts a signalling NaN
 
 
 def _require_checksum(cloud: pb.PointCloud) -> None:
-    """Damage that no codec notices by itself; clients that send no checksum are not checked."""
+    """Detects damage that no codec notices; without a checksum in the message nothing is checked."""
     if not cloud.HasField("crc32") or (actual := zlib.crc32(cloud.data)) == cloud.crc32:
         return
     expected, got = f"CRC-32 {cloud.crc32:08x}", f"{actual:08x}"

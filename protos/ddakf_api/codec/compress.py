@@ -1,4 +1,4 @@
-"""The general compressors of payloads, each bounded before memory is taken."""
+"""General-purpose compression: zstd and deflate, with the decompressed size bounded before memory is allocated."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ import zstandard
 
 from ddakf_api.errors import CodecError, first_line
 
-LEVEL = 1  # of both compressors: higher ones gain under 3 % and cost several times the time
-MAX_WINDOW_BYTES = 1 << 23  # what every zstd decoder has to support; level 1 writes far smaller ones
+LEVEL = 1  # of both compressors; higher levels save under 3 % and take several times as long
+MAX_WINDOW_BYTES = 1 << 23  # every zstd decoder has to support it; level 1 writes far smaller windows
 
 
 def zstd_compress(data: bytes) -> bytes:
-    """One zstd frame with its content size and a checksum."""
+    """Compresses into one zstd frame with content size and checksum."""
     return zstandard.ZstdCompressor(level=LEVEL, write_checksum=True, write_content_size=True).compress(data)
 
 
 def zstd_decompress(data: bytes, require_size: Callable[[int], object], field: str) -> bytes:
-    """What a zstd frame holds. What it declares is checked first: zstandard would allocate as much at once.
+    """Decompresses one zstd frame. The declared size is checked first, because zstandard allocates it at once.
 
     Args:
-        require_size: raises unless a frame may declare this many bytes.
-        field: name for errors.
+        require_size: raises unless the frame may declare this content size in bytes.
+        field: name of the field in errors.
 
     Raises:
-        CodecError: no such frame, one that declares no size or a large window, or one that is damaged.
+        CodecError: not one zstd frame, no declared size, too large a window, or damaged data.
     """
     try:
         header = zstandard.get_frame_parameters(data)
@@ -42,23 +42,23 @@ def zstd_decompress(data: bytes, require_size: Callable[[int], object], field: s
 
 
 def deflate_compress(data: bytes) -> bytes:
-    """A zlib stream."""
+    """Compresses into a zlib stream."""
     return zlib.compress(data, LEVEL)
 
 
-def inflate(data: bytes, most: int, field: str) -> bytes:
-    """What a zlib stream holds; inflating stops one byte above the largest size, ``most``.
+def inflate(data: bytes, max_bytes: int, field: str) -> bytes:
+    """Decompresses one zlib stream; stops one byte above ``max_bytes``.
 
     Raises:
-        CodecError: no zlib stream, one that is damaged, goes on, or holds more.
+        CodecError: not one whole zlib stream, damaged data, or more than ``max_bytes``.
     """
     inflater = zlib.decompressobj()
     try:
-        inflated = inflater.decompress(data, most + 1)
+        inflated = inflater.decompress(data, max_bytes + 1)
     except zlib.error as error:
         raise CodecError(field=field, expected="one whole zlib stream", got=first_line(error)) from None
-    if len(inflated) > most:
-        raise CodecError(field=field, expected=f"at most {most} bytes when inflated", got="more")
+    if len(inflated) > max_bytes:
+        raise CodecError(field=field, expected=f"at most {max_bytes} bytes when inflated", got="more")
     if not inflater.eof:
         raise CodecError(field=field, expected="one whole zlib stream", got=f"{len(data)} bytes without its end")
     if inflater.unused_data:

@@ -1,4 +1,4 @@
-"""Depth images to ``DepthImage`` messages and back. What they mean in space is for the tracker's side to compute."""
+"""Depth-image codecs: arrays to ``DepthImage`` messages and back. Unprojection is the tracker's task."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ DEPTH_CODECS = {
     "png": pb.DEPTH_COMPRESSION_PNG,
     "rvl": pb.DEPTH_COMPRESSION_RVL,
 }
-"""How images are compressed, by the name that users give it; png needs pillow, and png and rvl need uint16."""
+"""Compressions by the name in the API; png needs the package pillow, png and rvl need uint16."""
 
 DEFAULT_DEPTH_CODEC = "zstd"
 DEFAULT_SCALE = 0.001
 """Metres per unit of uint16 depth."""
 
 _ROTATION_ERROR = 1e-3  # largest element of R R' - I; float32 poses stay far below
-_BYTES_PER_PIXEL, _HEADER_BYTES = 5, 1 << 16  # of float32 in the worst compression, and its frame
+_BYTES_PER_PIXEL, _HEADER_BYTES = 5, 1 << 16  # upper bounds of a compressed float32 pixel and of a header
 
 
 class Depth(NamedTuple):
-    """A depth image, unpacked.
+    """A decoded depth image.
 
     Attributes:
         depth: (H, W) float32 metres along the optical axis; not positive, or not finite: no measurement.
-        keep: (H, W) bool, pixels of the garment that are certain enough; None: all.
+        keep: (H, W) bool, pixels inside the mask with enough confidence; None: all.
         intrinsics: fx, fy, cx, cy, pixels.
         pose: (3, 4) float64 [R | t], sensor to world, metres.
     """
@@ -63,14 +63,15 @@ def encode_depth(
         depth: (H, W) along the optical axis, 0 or NaN for none: floats in metres, or uint16 in units of ``depth_scale``.
         intrinsics: fx, fy, cx, cy, pixels; pixel (0, 0) is the centre of the top left one.
         pose: (3, 4) or (4, 4) [R | t], camera axes (x right, y down, z forward) to world, metres; None: the identity.
-        mask: (H, W) bool or integers, zero where a pixel is not of the garment.
-        confidence: (H, W) uint8, 255 is certain.
-        min_confidence: pixels of a lower one are left out.
+        mask: (H, W) bool or integers, zero outside the garment.
+        confidence: (H, W) uint8, 255 is the highest.
+        min_confidence: pixels of lower confidence are ignored.
         depth_scale: metres per unit of uint16 depth.
-        codec: a name of :data:`DEPTH_CODECS`, of all three images; where one cannot be, as floats in png, "zstd".
+        codec: a name of :data:`DEPTH_CODECS`, for all three images; an image that it cannot encode, such as floats in png,
+            is sent as "zstd".
 
     Raises:
-        CodecError: arrays of other shapes or types, an unknown codec.
+        CodecError: an array has another shape or type, or the codec is unknown.
     """
     if codec not in DEPTH_CODECS:
         raise CodecError(field="depth_codec", expected=" or ".join(DEPTH_CODECS), got=repr(codec)[:80])
@@ -104,26 +105,26 @@ def encode_depth(
 
 
 def require_image_within(image: pb.DepthImage, max_pixels: int) -> None:
-    """Refuses an image whose size, or that of its payloads, no image within the limit has; before anything is decoded."""
+    """Refuses an image with more pixels, or more encoded bytes, than the limit allows; nothing is decoded."""
     if not (image.width and image.height) or image.width * image.height > max_pixels:
         expected, got = f"1 to {max_pixels} pixels", f"{image.width} x {image.height}"
         raise CodecError(field="depth_image", expected=expected, got=got)
-    most = _BYTES_PER_PIXEL * image.width * image.height + _HEADER_BYTES
+    max_bytes = _BYTES_PER_PIXEL * image.width * image.height + _HEADER_BYTES
     for name in ("data", "mask", "confidence"):
-        if (size := len(getattr(image, name))) > most:
-            raise CodecError(field=f"depth_image.{name}", expected=f"at most {most} bytes", got=f"{size} bytes")
+        if (size := len(getattr(image, name))) > max_bytes:
+            raise CodecError(field=f"depth_image.{name}", expected=f"at most {max_bytes} bytes", got=f"{size} bytes")
 
 
 def decode_depth(image: pb.DepthImage, *, max_pixels: int) -> Depth:
-    """Unpacks a depth image.
+    """Decodes a depth image.
 
     Args:
-        image: the message; anything may have happened to it.
-        max_pixels: the largest width x height that is accepted; memory stays below 200 bytes per pixel of it.
+        image: the message, untrusted.
+        max_pixels: the largest accepted width x height; decoding takes less than 200 bytes per pixel of it.
 
     Raises:
-        CodecError: too many pixels, unknown encodings, payloads that are not what they should be.
-        InvalidFrame: intrinsics, a pose or a scale that cannot be used.
+        CodecError: too many pixels, an unknown encoding, or invalid data.
+        InvalidFrame: invalid intrinsics, pose or scale.
     """
     require_image_within(image, max_pixels)
     lens = _lens(image.intrinsics)
@@ -171,7 +172,7 @@ def _compress(image: np.ndarray, compression: int) -> bytes:
 
 
 def _decompress(data: bytes, compression: int, shape: tuple[int, int], dtype: np.dtype, field: str) -> np.ndarray:
-    """The (H, W) image of this type, whose size in bytes is known before any is taken."""
+    """The (H, W) image of this type. Its size in bytes is checked before memory is allocated."""
     size = shape[0] * shape[1] * dtype.itemsize
 
     def require_size(got: int) -> None:
@@ -206,7 +207,7 @@ def _rigid(pose: np.ndarray) -> np.ndarray:
         error = np.abs(rotation @ rotation.T - np.eye(3)).max()
         if error <= _ROTATION_ERROR and np.linalg.det(rotation) > 0:
             return pose
-    raise InvalidFrame(field="depth_image.pose.matrix", expected="[R | t] with R a rotation", got="another R")
+    raise InvalidFrame(field="depth_image.pose.matrix", expected="[R | t] with R a rotation", got="R that is no rotation")
 
 
 def _pose_rows(pose: np.ndarray) -> list[float]:

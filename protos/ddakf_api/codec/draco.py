@@ -1,8 +1,8 @@
-"""Draco point clouds: geometry alone, written in the order of Morton codes, decoded in a process of their own.
+"""Draco codec: positions only, encoded in Morton order, decoded in a separate process.
 
-The decoder of DracoPy trusts its input: damaged bytes can take all memory, run for minutes or end the process, and it keeps
-Python's interpreter locked meanwhile. So the header is checked first, and what it cannot say is bounded by a child process
-with little memory and time; if that dies, it costs one cloud and is started again with the next.
+The decoder of DracoPy trusts its input: damaged data can exhaust memory, run for minutes or end the process, and it holds the
+interpreter lock meanwhile. Therefore the header is checked first, and the decoder runs in a process with limited memory and CPU
+time. If this process dies, one cloud is refused, and the next cloud starts a new process.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from ddakf_api.codec.quantise import quantise
 from ddakf_api.errors import CodecError, Unimplemented
 
 FIELD = "point_cloud.data"
-SECONDS = 2.0  # of CPU time that one cloud may take; a million points take a tenth of it
-MEMORY, MEMORY_PER_POINT = 64 << 20, 160  # bytes that decoding may take; an honest cloud takes half
+SECONDS = 2.0  # CPU time limit per cloud; a million points take a tenth of it
+MEMORY, MEMORY_PER_POINT = 64 << 20, 160  # limits in bytes of the decoder process; a valid cloud takes half
 
-_PATIENCE = 1.0  # seconds that the child has to end once its input has ended
+_EXIT_TIMEOUT = 1.0  # seconds from the end of the input to the exit of the process
 
-_REQUEST, _ANSWER = struct.Struct("<QI"), struct.Struct("<Qq")
+_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qq")
 
-# Magic, version 2.2 or 2.3, a point cloud, sequential or k-d tree, no flags (no metadata); the number of points.
+# Magic, version 2.2 or 2.3, point cloud, sequential or k-d tree, no flags (no metadata), number of points.
 _HEADER = struct.Struct("<5sBBBBHi")
 _MAGIC, _VERSIONS, _POINT_CLOUD, _METHODS = b"DRACO", ((2, 2), (2, 3)), 0, (0, 1)
 # One attribute: position, float32, three components, not normalised.
@@ -41,15 +41,15 @@ _GEOMETRY = bytes([1, 1, 0, 9, 3, 0])
 
 @functools.cache
 def installed() -> bool:
-    """Whether DracoPy is there."""
+    """Whether DracoPy is installed."""
     return importlib.util.find_spec("DracoPy") is not None
 
 
 def encode(points: np.ndarray, step: float, runs: list[int]) -> tuple[bytes, np.ndarray]:
-    """A Draco point cloud, and the order (N,) int64 of its points, in Morton order within each run.
+    """Encodes points in Morton order within each run; returns the data and the order (N,) int64.
 
-    Sequential encoding of sorted points keeps runs and order, and takes a tenth of the time of Draco's own k-d tree for a seventh
-    more bytes. Positions are float32 on the wire: far from the origin that adds its rounding to the half step.
+    Sequential encoding keeps the runs and the order. It takes a tenth of the time of Draco's k-d tree and a seventh more bytes.
+    The positions are float32, whose rounding adds to the error of half a step far from the origin.
 
     Args:
         points: (N, 3) metres, N > 0.
@@ -57,7 +57,7 @@ def encode(points: np.ndarray, step: float, runs: list[int]) -> tuple[bytes, np.
         runs: lengths that sum to N.
 
     Raises:
-        CodecError: DracoPy is not installed, points that are not finite or extend over too many steps.
+        CodecError: DracoPy is not installed, a point is not finite, or the extent is too large for the step.
     """
     if not installed():
         raise CodecError(field="codec", expected="the package dracopy, which draco needs", got="none installed")
@@ -78,7 +78,7 @@ def encode(points: np.ndarray, step: float, runs: list[int]) -> tuple[bytes, np.
 
 
 def require_header(data: bytes, count: int) -> None:
-    """Refuses what is no Draco point cloud of exactly ``count`` positions, before anything is decoded."""
+    """Refuses data whose header is not that of a Draco point cloud with ``count`` positions; nothing is decoded."""
     if len(data) < _HEADER.size + len(_GEOMETRY):
         raise CodecError(field=FIELD, expected="a Draco point cloud", got=f"{len(data)} bytes")
     magic, major, minor, kind, method, flags, declared = _HEADER.unpack_from(data)
@@ -97,62 +97,62 @@ def require_header(data: bytes, count: int) -> None:
 
 
 class Decoder:
-    """Decodes Draco in a child process, which it starts when first asked and again after it has died.
+    """Decodes Draco in a separate process, started by the first cloud and again after a crash.
 
-    Any number of threads may ask; one cloud is decoded at a time.
+    Thread-safe; decodes one cloud at a time.
 
     Args:
-        max_points: of one cloud; the process has memory for as many.
-        seconds: CPU time of one cloud.
+        max_points: largest cloud, for which the memory limit of the process is made.
+        seconds: CPU time limit per cloud.
     """
 
     def __init__(self, max_points: int, seconds: float = SECONDS):
         self._memory, self._seconds = MEMORY + MEMORY_PER_POINT * max_points, seconds
         self._process: subprocess.Popen | None = None
-        self._asked = 0
+        self._requests = 0
         self._lock = threading.Lock()
 
     def decode(self, data: bytes, count: int) -> np.ndarray:
-        """(count, 3) float64 metres, finite, of a cloud that declares ``count`` points.
+        """Decodes a cloud of ``count`` points to (count, 3) float64 metres, finite.
 
         Raises:
-            CodecError: the bytes are none, or decoding them took more memory or time than such a cloud takes.
+            CodecError: invalid data, or decoding exceeded the limits of memory or time.
             Unimplemented: DracoPy is not installed.
         """
         require_header(data, count)
         if not installed():
             raise Unimplemented("point_cloud.codec: Draco needs the package dracopy here", field="point_cloud.codec")
         with self._lock:
-            points = self._ask(data, count)
+            points = self._request(data, count)
         if points is None or len(points) != count or not np.isfinite(points).all():
-            got = "none that can be decoded" if points is None else f"{len(points)}, or numbers that are not finite"
+            got = "data that cannot be decoded" if points is None else f"{len(points)}, or numbers that are not finite"
             raise CodecError(field=FIELD, expected=f"{count} finite positions", got=got)
         return points.astype(np.float64)
 
     def process_id(self) -> int | None:
-        """Of the child, if one runs."""
+        """Id of the decoder process, or None if none runs."""
         return self._process.pid if self._process is not None and self._process.poll() is None else None
 
     def close(self) -> None:
-        """Ends the child."""
+        """Ends the decoder process."""
         with self._lock:
             self._end()
 
-    def _ask(self, data: bytes, expected: int) -> np.ndarray | None:
+    def _request(self, data: bytes, expected: int) -> np.ndarray | None:
         if self.process_id() is None:
             self._start()
         try:
-            self._asked += 1
-            self._process.stdin.write(_REQUEST.pack(self._asked, len(data)) + data)
+            self._requests += 1
+            self._process.stdin.write(_REQUEST.pack(self._requests, len(data)) + data)
             self._process.stdin.flush()
-            number, count = _ANSWER.unpack(self._read(_ANSWER.size))
-            if number != self._asked or count > expected:
-                raise EOFError  # the two processes are out of step: none of what follows can be believed
+            number, count = _RESPONSE.unpack(self._read(_RESPONSE.size))
+            if number != self._requests or count > expected:
+                raise EOFError  # requests and responses are out of step: no later response can be trusted
             return None if count < 0 else np.frombuffer(self._read(12 * count), "<f4").reshape(count, 3)
         except (OSError, EOFError):
             status = self._end()
-            what = f"one that its decoder, ended by signal {-status}, cannot bear" if status < 0 else "one that ended its decoder"
-            raise CodecError(field=FIELD, expected="a Draco point cloud", got=what) from None
+            got = "data that ended the decoder" + (f" by signal {-status}" if status < 0 else "")
+            raise CodecError(field=FIELD, expected="a Draco point cloud", got=got) from None
 
     def _read(self, size: int) -> bytes:
         data = self._process.stdout.read(size)
@@ -162,19 +162,19 @@ class Decoder:
 
     def _start(self) -> None:
         self._end()
-        child = Path(__file__).with_name("draco_child.py")
+        script = Path(__file__).with_name("draco_worker.py")
         self._process = subprocess.Popen(
-            # -P: the folder of the file is no place to import from
-            [sys.executable, "-P", str(child), str(self._memory), str(self._seconds)],
+            # -P: modules are not imported from the folder of the script
+            [sys.executable, "-P", str(script), str(self._memory), str(self._seconds)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )
-        self._finalizer = weakref.finalize(self, _end, self._process)  # with this object, or the interpreter
+        self._finalizer = weakref.finalize(self, _end, self._process)  # at the end of this object, or of the interpreter
 
     def _end(self) -> int:
-        """Returns the exit status."""
+        """Ends the decoder process and returns its exit status."""
         process, self._process = self._process, None
         if process is None:
             return 0
@@ -184,10 +184,10 @@ class Decoder:
 
 def _end(process: subprocess.Popen) -> int:
     process.stdout.close()
-    with contextlib.suppress(BrokenPipeError):  # what was still to be written to a dead process
+    with contextlib.suppress(BrokenPipeError):  # unwritten data for a process that has ended
         process.stdin.close()
     try:
-        return process.wait(timeout=_PATIENCE)
+        return process.wait(timeout=_EXIT_TIMEOUT)
     except subprocess.TimeoutExpired:
         process.kill()
         return process.wait()

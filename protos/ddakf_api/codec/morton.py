@@ -1,7 +1,6 @@
-"""Morton codes: the bits of three coordinates interleaved, so that sorting by code keeps neighbours together.
+"""Morton codes: the interleaved bits of three coordinates. Points with similar codes are close in space.
 
-Both directions look bits up in small tables (16 and 32 kB, which stay in the first-level cache) rather than shifting
-them apart step by step.
+Interleaving and separation use lookup tables of 16 and 32 kB, which fit into the first-level cache.
 """
 
 from __future__ import annotations
@@ -9,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 BITS = 21
-"""Bits per coordinate: three of them fill 63 of the 64 of a code."""
+"""Bits per coordinate: three coordinates fill 63 of the 64 bits of a code."""
 
 _HALF = 11
 _CHUNK = 12
@@ -24,7 +23,7 @@ def _spread_table() -> np.ndarray:
 
 
 def _gather_table() -> np.ndarray:
-    """For each 12 bits of a code: 4 bits of x at 0, of y at 21, of z at 42."""
+    """Maps 12 bits of a code to 4 bits of x at bit 0, of y at bit 21, of z at bit 42."""
     values = np.arange(1 << _CHUNK, dtype=np.uint64)
     table = np.zeros_like(values)
     for bit in range(_CHUNK):
@@ -61,25 +60,25 @@ def separate(codes: np.ndarray) -> np.ndarray:
 
 
 def sort_within_runs(codes: np.ndarray, runs: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Codes sorted inside each of the consecutive runs, and the permutation (N,) int64: sorted = codes[permutation].
+    """Sorts codes inside each run; returns them and the permutation (N,) int64 with sorted = codes[permutation].
 
-    Where code and index fit into 64 bits together, they are sorted as one number: numpy sorts values several times
-    faster than it finds a permutation.
+    If code and index together fit into 64 bits, they are sorted as one number: numpy.sort is several times faster than
+    numpy.argsort.
     """
     index_bits = max(len(codes) - 1, 0).bit_length()
-    together = int(codes.max(initial=0)).bit_length() + index_bits <= 64
+    packed = int(codes.max(initial=0)).bit_length() + index_bits <= 64
     order = np.arange(len(codes), dtype=np.uint64)
-    if together:
+    if packed:
         order |= codes << np.uint64(index_bits)
     start = 0
     for length in runs:
         run = slice(start, start + length)
-        if together:
+        if packed:
             order[run].sort()
         else:
             order[run] = start + np.argsort(codes[run], kind="stable")
         start += length
-    if together:
+    if packed:
         return order >> np.uint64(index_bits), (order & np.uint64((1 << index_bits) - 1)).view(np.int64)
     order = order.view(np.int64)
     return codes[order], order

@@ -1,8 +1,7 @@
-"""Differences of codes in byte planes, and the two compressors over them, bounded by their number.
+"""Byte planes: Morton codes as differences, split into planes of equal significance and compressed.
 
-Sorted codes differ by little, so the high bytes of the differences are nearly all zero: held plane by plane they vanish
-under any general compressor. Differences are taken modulo 256^P, so that a run that starts over costs nothing extra and
-the planes need not say where runs begin.
+Sorted codes have small differences, whose high bytes are nearly all zero. Stored plane by plane they compress to almost
+nothing. Differences are modulo 256^P: a run that begins at a lower code needs no extra byte and no marker.
 """
 
 from __future__ import annotations
@@ -18,17 +17,17 @@ _FIELD = "point_cloud.data"
 
 
 def to_planes(codes: np.ndarray) -> bytes:
-    """(N,) uint64 codes, N > 0, as P * N bytes, with the smallest P that holds the largest code."""
+    """(N,) uint64 codes, N > 0, as P * N bytes. P is the smallest number of bytes for the largest code."""
     planes = max(1, -(-int(codes.max()).bit_length() // 8))
     differences = np.diff(codes, prepend=np.uint64(0)).astype("<u8", copy=False)
     return differences.view(np.uint8).reshape(-1, MAX_PLANES)[:, :planes].T.tobytes()
 
 
 def from_planes(data: bytes, count: int) -> np.ndarray:
-    """(count,) uint64 codes of P * count bytes.
+    """(count,) uint64 codes from P * count bytes.
 
     Raises:
-        CodecError: the bytes are not 1 to 8 whole planes, or a code needs more than 63 bits.
+        CodecError: the data is not 1 to 8 whole planes, or a code has more than 63 bits.
     """
     planes = _require_whole_planes(len(data), count)
     words = np.zeros((count, MAX_PLANES), np.uint8)
@@ -42,12 +41,12 @@ def from_planes(data: bytes, count: int) -> np.ndarray:
 
 
 def zstd_decompress(data: bytes, count: int) -> bytes:
-    """The planes of `count` codes; raises :class:`CodecError` where the frame is not what it should be."""
+    """The planes of `count` codes from a zstd frame; raises :class:`CodecError` for any other data."""
     return compress.zstd_decompress(data, lambda size: _require_whole_planes(size, count), _FIELD)
 
 
 def deflate_decompress(data: bytes, count: int) -> bytes:
-    """The planes of `count` codes; raises :class:`CodecError` where the stream is not what it should be."""
+    """The planes of `count` codes from a zlib stream; raises :class:`CodecError` for any other data."""
     return compress.inflate(data, MAX_PLANES * count, _FIELD)
 
 

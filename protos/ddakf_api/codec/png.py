@@ -1,4 +1,4 @@
-"""Greyscale PNG of 8 or 16 bits, with Pillow, which sees nothing but a header that has been checked and the pixels."""
+"""Greyscale PNG of 8 or 16 bits. Pillow reads only a checked header and the pixel data."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from ddakf_api.errors import CodecError, Unimplemented, first_line
 _SIGNATURE = b"\x89PNG\r\n\x1a\n"
 _CHUNK = struct.Struct(">I4s")
 _HEADER = struct.Struct(">IIBBBBB")  # width, height, bits, colour type, compression, filter, interlace
-_KEPT = (b"IHDR", b"IDAT", b"IEND")  # all others, which may unfold to anything, are left out
+_CRITICAL = (b"IHDR", b"IDAT", b"IEND")  # other chunks, which may expand without bound, are removed
 
 
 @functools.cache
 def installed() -> bool:
-    """Whether Pillow is there."""
+    """Whether Pillow is installed."""
     return importlib.util.find_spec("PIL") is not None
 
 
 def compress(image: np.ndarray) -> bytes:
-    """A PNG of a (H, W) uint8 or uint16 image.
+    """Encodes a (H, W) uint8 or uint16 image as PNG.
 
     Raises:
         CodecError: Pillow is not installed.
@@ -39,45 +39,45 @@ def compress(image: np.ndarray) -> bytes:
 
 
 def decompress(data: bytes, shape: tuple[int, int], dtype: np.dtype, field: str) -> np.ndarray:
-    """The image of this shape, (height, width), and type, uint8 or uint16.
+    """Decodes an image of this shape (height, width) and type (uint8 or uint16).
 
     Raises:
-        CodecError: no PNG, one of another size or kind than expected, or a damaged one.
+        CodecError: not a PNG, a PNG of another size or type, or a damaged PNG.
         Unimplemented: Pillow is not installed.
     """
     if not installed():
         raise Unimplemented(f"{field}: PNG needs the package pillow here", field=field)
     from PIL import Image
 
-    essential = _essential(data, shape, 8 * dtype.itemsize, field)
+    critical = _critical_chunks(data, shape, 8 * dtype.itemsize, field)
     try:
-        with Image.open(io.BytesIO(essential), formats=["PNG"]) as image:
+        with Image.open(io.BytesIO(critical), formats=["PNG"]) as image:
             pixels = np.asarray(image)
     except (OSError, SyntaxError, ValueError, EOFError, struct.error) as error:
-        raise CodecError(field=field, expected="one whole PNG", got=f"a damaged one ({first_line(error)})") from None
+        raise CodecError(field=field, expected="one whole PNG", got=f"a damaged PNG ({first_line(error)})") from None
     return pixels.astype(dtype)
 
 
-def _essential(data: bytes, shape: tuple[int, int], bits: int, field: str) -> bytes:
-    """The PNG without its ancillary chunks, whose header says what is expected."""
+def _critical_chunks(data: bytes, shape: tuple[int, int], bits: int, field: str) -> bytes:
+    """The PNG without ancillary chunks; raises :class:`CodecError` unless its header is the expected one."""
     if not data.startswith(_SIGNATURE):
-        raise CodecError(field=field, expected="a PNG", got=f"{len(data)} bytes that begin otherwise")
-    kept, place, first, kind = [_SIGNATURE], len(_SIGNATURE), True, b""
+        raise CodecError(field=field, expected="a PNG", got=f"{len(data)} bytes without its signature")
+    chunks, offset, first, kind = [_SIGNATURE], len(_SIGNATURE), True, b""
     while kind != b"IEND":
-        if place + _CHUNK.size > len(data):
-            raise CodecError(field=field, expected="one whole PNG", got="one without its end")
-        size, kind = _CHUNK.unpack_from(data, place)
-        end = place + _CHUNK.size + size + 4
+        if offset + _CHUNK.size > len(data):
+            raise CodecError(field=field, expected="one whole PNG", got="a truncated PNG")
+        size, kind = _CHUNK.unpack_from(data, offset)
+        end = offset + _CHUNK.size + size + 4
         if end > len(data):
-            raise CodecError(field=field, expected="one whole PNG", got="one without its end")
+            raise CodecError(field=field, expected="one whole PNG", got="a truncated PNG")
         if first != (kind == b"IHDR"):
-            raise CodecError(field=field, expected="a PNG of one header, first", got=repr(kind))
+            raise CodecError(field=field, expected="a PNG with one header, the first chunk", got=repr(kind))
         if first:
-            _require_header(data[place + _CHUNK.size : end - 4], shape, bits, field)
-        if kind in _KEPT:
-            kept.append(data[place:end])
-        place, first = end, False
-    return b"".join(kept)
+            _require_header(data[offset + _CHUNK.size : end - 4], shape, bits, field)
+        if kind in _CRITICAL:
+            chunks.append(data[offset:end])
+        offset, first = end, False
+    return b"".join(chunks)
 
 
 def _require_header(data: bytes, shape: tuple[int, int], bits: int, field: str) -> None:

@@ -1,8 +1,9 @@
-"""RVL, a lossless codec of 16-bit depth (Wilson 2017, "Fast lossless depth image compression", ISS 2017), without a compiler.
+"""RVL: lossless compression of 16-bit depth (Wilson 2017, "Fast lossless depth image compression", ISS 2017) in NumPy.
 
-Runs of zeros and runs of others take turns; of the others the differences follow, folded to positive numbers. Every number
-is a string of nibbles of 3 bits, least significant first, whose fourth bit says that more follow; eight nibbles fill a 32-bit
-word from the top. Numbers are taken apart for the whole image at once; only the runs, two or so per row, are followed one by one.
+The stream is a sequence of numbers: length of a run of zeros, length of a run of nonzero pixels, differences of these pixels
+(zigzag-encoded), and so on. A number is a sequence of nibbles with 3 bits each, least significant first; the fourth bit marks
+that more follow. Eight nibbles fill a 32-bit word from its most significant end. All numbers of an image are decoded at once;
+only the loop over the runs, about two per row, is sequential.
 """
 
 from __future__ import annotations
@@ -12,27 +13,27 @@ import numpy as np
 from ddakf_api.errors import CodecError
 
 _WORD = np.dtype("<u4")
-_MAX_NIBBLES = 10  # of one number: 30 bits, more than any run or difference has
-_BYTES_PER_PIXEL, _NUMBERS_PER_PIXEL = 3, 2  # most that an image takes: six nibbles of a difference, or runs of one pixel
-_BEGIN, _FILL = 16, 8  # bytes and numbers more that a small image takes
+_MAX_NIBBLES = 10  # of one number: 30 bits, more than any run or difference needs
+_BYTES_PER_PIXEL, _NUMBERS_PER_PIXEL = 3, 2  # upper bounds: six nibbles of a difference, and runs of one pixel
+_EXTRA_BYTES, _EXTRA_NUMBERS = 16, 8  # beyond these bounds, for small images and the padding of the last word
 
 
 def compress(image: np.ndarray) -> bytes:
-    """The stream of a uint16 image of any shape, read row by row."""
+    """Encodes a uint16 image of any shape in row-major order."""
     pixels = np.ascontiguousarray(image, np.uint16).ravel()
-    filled = pixels != 0
-    # where runs begin, the first one of zeros, maybe of none
-    edges = np.flatnonzero(np.diff(filled, prepend=False))
+    nonzero = pixels != 0
+    # starts of the runs after the first one, which is of zeros and may be empty
+    edges = np.flatnonzero(np.diff(nonzero, prepend=False))
     lengths = np.diff(np.concatenate([[0], edges, [len(pixels)]]))
     if len(lengths) % 2:
-        lengths = np.append(lengths, 0)  # ends with a run of zeros: no others follow
-    values = pixels[filled].astype(np.int64)
+        lengths = np.append(lengths, 0)  # the last run is of zeros: an empty one follows
+    values = pixels[nonzero].astype(np.int64)
     differences = np.diff(values, prepend=0)
     folded = (differences << 1) ^ (differences >> 63)
-    others = lengths[1::2]
-    starts = np.arange(len(others)) * 2 + np.cumsum(others) - others  # of each pair of runs among all numbers
+    nonzero_runs = lengths[1::2]
+    starts = np.arange(len(nonzero_runs)) * 2 + np.cumsum(nonzero_runs) - nonzero_runs  # index of each pair of lengths
     numbers = np.empty(len(lengths) + len(folded), np.int64)
-    numbers[starts], numbers[starts + 1] = lengths[0::2], others
+    numbers[starts], numbers[starts + 1] = lengths[0::2], nonzero_runs
     is_difference = np.ones(len(numbers), bool)
     is_difference[starts] = is_difference[starts + 1] = False
     numbers[is_difference] = folded
@@ -40,24 +41,24 @@ def compress(image: np.ndarray) -> bytes:
 
 
 def decompress(data: bytes, shape: tuple[int, int], field: str) -> np.ndarray:
-    """The uint16 image of this shape.
+    """Decodes a uint16 image of this shape.
 
     Args:
-        data: the stream, which may be anything.
-        shape: height and width; the product is the caller's to bound.
-        field: name for errors.
+        data: the stream, untrusted.
+        shape: height and width; the caller bounds their product.
+        field: name of the field in errors.
 
     Raises:
-        CodecError: runs that do not fill the image exactly, numbers that are no depth, or more data than that.
+        CodecError: the runs do not fill the image exactly, a value is no 16-bit depth, or data follows.
     """
     count = shape[0] * shape[1]
-    most = _BYTES_PER_PIXEL * count + _BEGIN
-    if len(data) % 4 or len(data) > most:
-        raise CodecError(field=field, expected=f"whole 32-bit words, at most {most} bytes", got=f"{len(data)} bytes")
-    numbers = _from_words(data, _NUMBERS_PER_PIXEL * count + _FILL, field)
+    max_bytes = _BYTES_PER_PIXEL * count + _EXTRA_BYTES
+    if len(data) % 4 or len(data) > max_bytes:
+        raise CodecError(field=field, expected=f"whole 32-bit words, at most {max_bytes} bytes", got=f"{len(data)} bytes")
+    numbers = _from_words(data, _NUMBERS_PER_PIXEL * count + _EXTRA_NUMBERS, field)
     starts, lengths, used = _runs(numbers, count, field)
-    if len(numbers) - used > _FILL:  # nibbles that fill the last word read as zeros
-        raise CodecError(field=field, expected=f"runs of {count} pixels", got="more after them")
+    if len(numbers) - used > _EXTRA_NUMBERS:  # the padding of the last word decodes as zeros
+        raise CodecError(field=field, expected=f"runs of {count} pixels", got="data after them")
     is_difference = np.ones(used, bool)
     is_difference[starts] = is_difference[starts + 1] = False
     folded = numbers[:used][is_difference]
@@ -70,43 +71,44 @@ def decompress(data: bytes, shape: tuple[int, int], field: str) -> np.ndarray:
 
 
 def _runs(numbers: np.ndarray, count: int, field: str) -> tuple[np.ndarray, np.ndarray, int]:
-    """Places of the pairs of runs among the numbers, the runs' lengths in turns, and how many numbers they take together."""
+    """Indices of the pairs of run lengths, the lengths (zeros and nonzeros in turn), and the count of numbers used."""
     listed, total = numbers.tolist(), len(numbers)
-    starts, lengths, place, left = [], [], 0, count
-    while left > 0:
-        if place + 1 >= total:
-            raise CodecError(field=field, expected=f"runs of {count} pixels", got=f"an end after {count - left}")
-        zeros, others = listed[place], listed[place + 1]
-        if zeros + others == 0:
-            raise CodecError(field=field, expected="runs of pixels", got="two empty ones")
-        left -= zeros + others
-        starts.append(place)
-        lengths += (zeros, others)
-        place += 2 + others
-    if left < 0 or place > total:
-        raise CodecError(field=field, expected=f"runs of {count} pixels", got="longer ones" if left < 0 else "an end within one")
-    return np.array(starts, np.int64), np.array(lengths, np.int64), place
+    starts, lengths, index, remaining = [], [], 0, count
+    while remaining > 0:
+        if index + 1 >= total:
+            raise CodecError(field=field, expected=f"runs of {count} pixels", got=f"an end after {count - remaining}")
+        zeros, nonzeros = listed[index], listed[index + 1]
+        if zeros + nonzeros == 0:
+            raise CodecError(field=field, expected="runs of pixels", got="two empty runs")
+        remaining -= zeros + nonzeros
+        starts.append(index)
+        lengths += (zeros, nonzeros)
+        index += 2 + nonzeros
+    if remaining < 0 or index > total:
+        got = "longer runs" if remaining < 0 else "an end inside a run"
+        raise CodecError(field=field, expected=f"runs of {count} pixels", got=got)
+    return np.array(starts, np.int64), np.array(lengths, np.int64), index
 
 
 def _to_words(numbers: np.ndarray) -> bytes:
     digits = np.maximum(1, -(-np.frexp(numbers.astype(np.float64))[1] // 3))
     owner = np.repeat(np.arange(len(numbers)), digits)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(digits) - digits, digits)
-    nibbles = (numbers[owner] >> (3 * place)) & 7
-    nibbles |= (place < digits[owner] - 1) << 3
+    digit = np.arange(len(owner)) - np.repeat(np.cumsum(digits) - digits, digits)
+    nibbles = (numbers[owner] >> (3 * digit)) & 7
+    nibbles |= (digit < digits[owner] - 1) << 3
     padded = np.zeros(-(-len(nibbles) // 8) * 8, np.uint8)
     padded[: len(nibbles)] = nibbles
     return (padded[0::2] << 4 | padded[1::2]).view(">u4").astype(_WORD).tobytes()
 
 
-def _from_words(data: bytes, most: int, field: str) -> np.ndarray:
-    """(n,) int64 numbers, n at most ``most``; nibbles at the end that are part of none are left out."""
+def _from_words(data: bytes, max_numbers: int, field: str) -> np.ndarray:
+    """(n,) int64 numbers, n at most ``max_numbers``; an incomplete number at the end is ignored."""
     packed = np.frombuffer(data, _WORD).astype(">u4").view(np.uint8)
     nibbles = np.empty(2 * len(packed), np.uint8)
     nibbles[0::2], nibbles[1::2] = packed >> 4, packed & 15
     count = int(np.count_nonzero(nibbles < 8))
-    if count > most:
-        raise CodecError(field=field, expected=f"at most {most} numbers", got=str(count))
+    if count > max_numbers:
+        raise CodecError(field=field, expected=f"at most {max_numbers} numbers", got=str(count))
     ends = np.flatnonzero(nibbles < 8)
     if count == 0:
         return np.empty(0, np.int64)
@@ -115,7 +117,7 @@ def _from_words(data: bytes, most: int, field: str) -> np.ndarray:
     if digits.max() > _MAX_NIBBLES:
         raise CodecError(field=field, expected=f"numbers of at most {_MAX_NIBBLES} nibbles", got=str(digits.max()))
     numbers = np.zeros(len(ends), np.int64)
-    for place in range(int(digits.max())):
-        more = np.flatnonzero(digits > place)
-        numbers[more] |= (nibbles[starts[more] + place] & 7).astype(np.int64) << (3 * place)
+    for digit in range(int(digits.max())):
+        longer = np.flatnonzero(digits > digit)
+        numbers[longer] |= (nibbles[starts[longer] + digit] & 7).astype(np.int64) << (3 * digit)
     return numbers

@@ -1,4 +1,4 @@
-"""Which sensor saw which point: consecutive runs of points, one per sensor, in the order of ``Frame.sensors``."""
+"""Sensors of a point cloud: one run of consecutive points per sensor, in the order of ``Frame.sensors``."""
 
 from __future__ import annotations
 
@@ -13,45 +13,45 @@ MAX_SENSORS = 64
 
 
 def group_by_sensor(origins: np.ndarray) -> tuple[np.ndarray, list[int], np.ndarray]:
-    """Groups points by the optical centre that saw them.
+    """Groups points by the optical centre of their sensor.
 
     Args:
-        origins: (N, 3) metres, one per point, of at most 64 different values.
+        origins: (N, 3) metres, one per point, at most 64 distinct.
 
     Returns:
-        The permutation (N,) int64 that puts the points into runs (stable inside each), the runs' lengths, and the S
-        different origins (S, 3).
+        The permutation (N,) int64 that sorts the points into runs (stable inside each), the lengths of the runs, and the S
+        distinct origins (S, 3).
 
     Raises:
-        InvalidFrame: too many different origins.
+        InvalidFrame: more than 64 distinct origins.
     """
-    different, sensor = np.unique(origins, axis=0, return_inverse=True)
-    if len(different) > MAX_SENSORS:
+    distinct, sensor = np.unique(origins, axis=0, return_inverse=True)
+    if len(distinct) > MAX_SENSORS:
         raise InvalidFrame(
-            field="sensor_origin", expected=f"at most {MAX_SENSORS} different origins", got=str(len(different))
+            field="sensor_origin", expected=f"at most {MAX_SENSORS} different origins", got=str(len(distinct))
         )
     sensor = sensor.ravel()
-    return np.argsort(sensor, kind="stable"), np.bincount(sensor, minlength=len(different)).tolist(), different
+    return np.argsort(sensor, kind="stable"), np.bincount(sensor, minlength=len(distinct)).tolist(), distinct
 
 
 def require_few_sensors(sensors: Sequence[pb.Sensor]) -> None:
-    """Raises :class:`InvalidFrame` for more than 64: two bytes of a message are a sensor, which takes twenty times as much."""
+    """Raises :class:`InvalidFrame` for more than 64. A sensor of two bytes in the message takes twenty times as much memory."""
     if len(sensors) > MAX_SENSORS:
         raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(len(sensors)))
 
 
 def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | None:
-    """Where the points of a frame were seen from.
+    """The optical centres of a frame's points.
 
     Args:
         sensors: ``Frame.sensors``.
         count: N, the number of points.
 
     Returns:
-        None when the frame names no sensor, (3,) metres for one, (N, 3) for several.
+        None for a frame without sensors, (3,) metres for one sensor, (N, 3) metres for several.
 
     Raises:
-        InvalidFrame: too many sensors, none placed, run lengths that do not sum to N, or a pose that is none.
+        InvalidFrame: too many sensors, a sensor without origin and pose, runs that do not sum to N, or an invalid pose.
     """
     if not sensors:
         return None
@@ -66,16 +66,16 @@ def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | Non
 
 
 def pose_matrix(pose: pb.Pose, field: str) -> np.ndarray:
-    """(3, 4) float64 [R | t] of a pose, finite; whether R is a rotation is not looked at.
+    """(3, 4) float64 [R | t] of a pose, finite. R is not checked.
 
     Raises:
-        InvalidFrame: other than 12 finite numbers, or none for the identity.
+        InvalidFrame: the pose has neither 12 finite numbers nor none (the identity).
     """
     matrix = np.array(pose.matrix or [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0], np.float64)
     if len(matrix) != 12:
         raise InvalidFrame(field=f"{field}.matrix", expected="12 numbers", got=str(len(matrix)))
     if not np.isfinite(matrix).all():
-        raise InvalidFrame(field=f"{field}.matrix", expected="finite numbers", got="others")
+        raise InvalidFrame(field=f"{field}.matrix", expected="finite numbers", got="NaN or infinity")
     return matrix.reshape(3, 4)
 
 

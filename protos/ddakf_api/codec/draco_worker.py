@@ -1,8 +1,8 @@
-"""What runs in the process of :class:`~ddakf_api.codec.draco.Decoder`, started by the path of this file.
+"""Draco decoder process: :class:`~ddakf_api.codec.draco.Decoder` runs this file as a script.
 
-Reads ``<number u64><size u32><data>`` from standard input and writes ``<the same number u64><count i64><count * 12 bytes of
-float32>`` to standard output, count -1 where the data cannot be decoded, until its input ends. Imports nothing of this package:
-it has to be up at once.
+Request on standard input: ``<number u64><size u32><data>``. Response on standard output: ``<number u64><count i64><count * 12
+bytes of float32>``, with the number of the request; the count is -1 if the data cannot be decoded. The process ends with its
+input. It imports nothing of this package, so that it starts fast.
 """
 
 import os
@@ -15,45 +15,45 @@ from pathlib import Path
 import DracoPy
 import numpy as np
 
-_REQUEST, _ANSWER = struct.Struct("<QI"), struct.Struct("<Qq")
+_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qq")
 
 
 def main(memory: int, seconds: float) -> None:
-    """Decodes one after the other.
+    """Decodes one cloud after the other.
 
     Args:
-        memory: bytes of address space beyond what the idle process has; more fails inside the decoder.
-        seconds: CPU time of one decode; more ends the process.
+        memory: bytes of address space beyond that of the idle process; larger allocations fail inside the decoder.
+        seconds: CPU time per cloud; a longer one ends the process.
     """
     limit = _address_space() + memory
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     source, sink = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the decoder prints where it meets what it does not know
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the decoder prints messages about unknown data
     while len(head := source.read(_REQUEST.size)) == _REQUEST.size:
         number, size = _REQUEST.unpack(head)
         data = source.read(size)
-        # The default action ends the process even while the decoder keeps the interpreter locked.
+        # The default action of the signal ends the process even while the decoder holds the interpreter lock.
         signal.setitimer(signal.ITIMER_PROF, seconds)
         points = _decoded(data)
         signal.setitimer(signal.ITIMER_PROF, 0)
-        sink.write(_ANSWER.pack(number, -1 if points is None else len(points)))
+        sink.write(_RESPONSE.pack(number, -1 if points is None else len(points)))
         if points is not None:
             sink.write(points.data)
         sink.flush()
 
 
 def _decoded(data: bytes) -> np.ndarray | None:
-    """(N, 3) float32; None where there are none to be had."""
+    """(N, 3) float32, or None if the data cannot be decoded."""
     try:
         points = np.ascontiguousarray(DracoPy.decode(data).points, "<f4")
-    except Exception:  # whatever it is, the answer is the same
+    except Exception:  # every failure has the same response
         return None
     return points if points.ndim == 2 and points.shape[1] == 3 else None
 
 
 def _address_space() -> int:
-    """Bytes, of this process."""
+    """Address space of this process in bytes."""
     return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
 
 
