@@ -6,11 +6,13 @@ DDAKF_DATA ?= ../shared/data
 export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help install demo test lint serve bench load soak chaos kill fuzz evaluate report report-quick clean
+.PHONY: help install demo test test-all test-without-recordings coverage warm lint serve bench load soak chaos kill fuzz evaluate report report-quick clean
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
-	@echo "make test    lint and all tests"
+	@echo "make test    lint and the tests that matter most, in at most five minutes on two cores (ARGS='tests/stages -x')"
+	@echo "make test-all  lint and all tests, with line coverage, in at most twelve minutes on two cores"
+	@echo "make test-without-recordings  the tests that depend on the recordings of DDAKF_DATA, without them"
 	@echo "make serve   the service in the foreground"
 	@echo "make bench   speed and accuracy, as ratios inside one run"
 	@echo "make load    four clients at 30 frames per second: what the service sustains (ARGS='--clients 8 --codec raw ...')"
@@ -53,9 +55,28 @@ lint: $(DEV)
 	@$(BIN)/ruff check .
 	@$(BIN)/lint-imports --no-logo 2>/dev/null || $(BIN)/lint-imports
 
-test: lint
+# a file's tests stay in one process, which keeps the servers they share
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 15
+
+warm: $(DEV)
 	@$(BIN)/ddakf doctor --warm
-	@$(BIN)/python -m pytest
+
+test: lint warm
+	@$(PYTEST) -m "not slow" $(ARGS)
+
+test-all: lint warm
+	@$(PYTEST) --cov --cov-report= $(ARGS)
+	@$(MAKE) --no-print-directory coverage
+
+test-without-recordings: warm
+	@DDAKF_DATA=/nonexistent $(PYTEST) -m recordings $(ARGS)
+
+# line coverage of the last `make test-all`: modules that are not covered in full, and the sum of each package
+coverage: $(DEV)
+	@$(BIN)/coverage report --skip-covered --sort cover
+	@for package in ddakf ddakf_service ddakf_client ddakf_api; do \
+		printf '%-14s %s %%\n' $$package $$($(BIN)/coverage report --format total --include "*/$$package/*"); \
+	done
 
 bench: $(DEV)
 	@$(BIN)/python benchmarks/bench.py

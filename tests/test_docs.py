@@ -149,8 +149,8 @@ def test_no_link_is_dead(document):
 
 def test_the_commands_of_the_documents_exist():
     text = "\n".join(document.read_text() for document in DOCUMENTS)
-    targets = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(), re.M))
-    assert set(re.findall(r"\bmake ([a-z]+)\b(?=`|  )", text)) <= targets
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
+    assert set(re.findall(r"\bmake ([a-z-]+)(?=`|  )", text)) <= targets
     commands = next(a for a in _parser()._actions if a.dest == "command").choices
     for block in (body for language, body in CODE.findall(text) if not language):
         for name, rest in re.findall(r"^ddakf ([a-z]+)(.*)$", block, re.M):

@@ -172,6 +172,7 @@ def test_depths_that_are_no_numbers_are_not_seen(tmp_path):
     assert np.count_nonzero(datasets.load_depth(tmp_path / "a.mat").depth) == 40 * 40
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize("name", ["a1_s1_t1", "a12_s2_t1", "a26_s3_t1"])
 def test_kinect_recordings_give_a_template_of_a_person(recording, name):
     frames = datasets.load_depth(recording(f"depth/utd-mhad/{name}_depth.mat"))

@@ -130,6 +130,7 @@ def test_a_flow_that_is_not_what_its_header_says_is_refused(tmp_path, data):
         read_scene_flow(tmp_path / "b.sflow")
 
 
+@pytest.mark.recordings
 def test_the_true_flow_of_a_recorded_pair_ends_on_the_target(recording):
     pair = load_pair(recording("depth/deepdeform/seq258"))
     assert np.linalg.norm(pair.flow, axis=1).mean() == pytest.approx(0.232, abs=0.001)

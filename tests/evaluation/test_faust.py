@@ -116,6 +116,7 @@ def test_what_is_not_faust_is_refused(published, tmp_path):
             load_faust(tmp_path / "bad.npz")
 
 
+@pytest.mark.recordings
 def test_people_keep_their_limbs_on_the_way(recording):
     found = load_faust(recording("faust/registrations_s0-s7.npz"))
     assert found.subjects == tuple(range(8))

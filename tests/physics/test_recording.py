@@ -1,8 +1,5 @@
 """The energies and the body's motion on a recorded garment."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -11,21 +8,19 @@ from ddakf.body import proximity
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, shear, stretch
 
+pytestmark = pytest.mark.recordings
+
 
 @pytest.fixture(scope="module")
-def recording():
-    folder = os.environ.get("DDAKF_DATA")
-    path = Path(folder or "", "sequences", "pergamo_005.npz")
-    if not folder or not path.exists():
-        pytest.skip("needs the recordings: set DDAKF_DATA to the folder that has sequences/pergamo_005.npz")
-    with np.load(path) as data:
+def sequence(recording):
+    with np.load(recording("sequences/pergamo_005.npz")) as data:
         return {name: data[name] for name in data.files}
 
 
-def test_riding_on_the_body_predicts_the_garment(recording):
+def test_riding_on_the_body_predicts_the_garment(sequence):
     """The root mean square error of the prediction falls below a fifth of that of standing still."""
-    garment, poses = recording["garment_V"].astype(float), recording["body_V"].astype(float)
-    body = proximity.build(Mesh(poses[0], recording["body_F"]))
+    garment, poses = sequence["garment_V"].astype(float), sequence["body_V"].astype(float)
+    body = proximity.build(Mesh(poses[0], sequence["body_F"]))
     still, ride = [], []
     for frame in range(20, 60, 10):
         now, later = garment[frame], garment[frame + 1]
@@ -37,9 +32,9 @@ def test_riding_on_the_body_predicts_the_garment(recording):
 
 
 @pytest.mark.parametrize("module", [stretch, shear, bend])
-def test_energies_of_a_real_garment_are_finite(recording, module):
-    garment = recording["garment_V"].astype(float)
-    mesh, kept = Mesh.cleaned(garment[0], recording["garment_F"])
+def test_energies_of_a_real_garment_are_finite(sequence, module):
+    garment = sequence["garment_V"].astype(float)
+    mesh, kept = Mesh.cleaned(garment[0], sequence["garment_F"])
     lin = module.linearize(garment[60][kept], module.build(mesh))
     assert np.isfinite(physics.energy(lin))
     assert np.isfinite(physics.diagonal_blocks(lin, mesh.n_vertices)).all()

@@ -1,8 +1,5 @@
 """Small garments, states and clouds for the tests of the stages and of the tracker."""
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -10,7 +7,6 @@ from ddakf import Mesh
 from ddakf.errors import MissingDependency
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.files.open3d_bridge import import_open3d
-from ddakf.files.sequence import load_sequence
 from ddakf.physics import energies
 from ddakf.stages.associate import Measurement, associate
 from ddakf.types import State
@@ -131,14 +127,3 @@ def open3d():
         return import_open3d()
     except MissingDependency as missing:
         pytest.skip(str(missing))
-
-
-def recording(name: str):
-    """A recorded sequence from the folder that DDAKF_DATA names, or a skip."""
-    root = os.environ.get("DDAKF_DATA")
-    if not root:
-        pytest.skip("DDAKF_DATA does not name the folder of the recordings")
-    path = Path(root) / "sequences" / f"{name}.npz"
-    if not path.exists():
-        pytest.skip(f"the recording {name} is not in DDAKF_DATA")
-    return load_sequence(path)

@@ -9,9 +9,10 @@ from ddakf import Config, Mesh
 from ddakf.config import GridFilter, KnnFilter
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor
+from ddakf.files.sequence import load_sequence
 from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
-from tests.stages.scenes import about, open3d, planes_of, recording
+from tests.stages.scenes import about, open3d, planes_of
 
 DEFAULT, PAPER = Config(), Config.paper()
 SAMPLE = sample()
@@ -79,22 +80,30 @@ def test_literal_filter_removes_what_open3d_removes(view):
 
 # The default filter -------------------------------------------------------------------------------------------------
 
-SEQUENCES = ["sample", "pergamo_005", "samba_dress"]
+SEQUENCES = [
+    "sample",
+    pytest.param("pergamo_005", marks=pytest.mark.recordings),
+    pytest.param("samba_dress", marks=pytest.mark.recordings),
+]
+
+
+@pytest.fixture
+def sequence(name, recording):
+    return SAMPLE if name == "sample" else load_sequence(recording(f"sequences/{name}.npz"))
 
 
 @pytest.mark.parametrize("margin", [0.0, 0.3], ids=["in the box", "in the enlarged box"])
 @pytest.mark.parametrize("view", ["full", "front"])
 @pytest.mark.parametrize("name", SEQUENCES)
-def test_default_filter_is_as_good_as_open3ds(name, view, margin):
+def test_default_filter_is_as_good_as_open3ds(sequence, view, margin):
     """At least its share of 10 % injected outliers less a percentage point, and no more inliers (to 0.02 points)."""
-    shares, losses = outcome(name, view, margin)
+    shares, losses = outcome(sequence, view, margin)
     assert shares["ours"] >= shares["open3d"] - 0.01
     assert losses["ours"] <= losses["open3d"] + 0.0002
 
 
-def outcome(name, view, margin):
+def outcome(sequence, view, margin):
     """Shares of the outliers, and of the inliers, that each filter removes; pooled over frames."""
-    sequence = SAMPLE if name == "sample" else recording(name)
     removed = {"open3d": [], "ours": []}
     outlier = []
     for seed, frame in enumerate([0, len(sequence) // 2]):
