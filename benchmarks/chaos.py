@@ -30,7 +30,7 @@ import inputs
 import numpy as np
 import traffic
 from ddakf_client import Frame, Notice, Result, aconnect
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 from postgres import NoPostgres, Postgres
 from rich.console import Console
 

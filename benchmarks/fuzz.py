@@ -296,7 +296,7 @@ def _address_space() -> int:
 
 def http(arguments) -> bool:
     """Whether schemathesis found no answer of 500 and above, and none that the OpenAPI document does not describe."""
-    from ddakf_service.child import ServiceProcess
+    from ddakf_service.commands.service_process import ServiceProcess
 
     service = ServiceProcess(["--workers", "1"], log=arguments.out / "service.log")
     try:

@@ -15,11 +15,11 @@ from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack, pack_mesh, unpack
 from ddakf_api.errors import ServiceError
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service import messages
-from ddakf_service.payload import require_payload_within
 from ddakf_service.store import checkpoints
-from ddakf_service.workers.compute import Compute
+from ddakf_service.streaming.frame_bounds import require_payload_within
+from ddakf_service.workers import decode
 from ddakf_service.workers.pool import Limits
+from ddakf_service.workers.tracker_host import TrackerHost
 from ddakf_service.workers.wire import join
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
@@ -150,15 +150,15 @@ def _depth_image() -> Target:
     def run(data: bytes) -> None:
         frame = pb.Frame(depth_image=pb.DepthImage.FromString(data))
         require_payload_within(frame, LIMITS.max_points, LIMITS.max_image_pixels)
-        arguments = messages.step_arguments(frame, LIMITS, None)
+        arguments = decode.step_arguments(frame, LIMITS, None)
         assert len(arguments["points"]) <= LIMITS.max_image_pixels
 
     return Target(run, [image.SerializeToString() for image in _depth_images()])
 
 
-def _computing() -> Compute:
+def _computing() -> TrackerHost:
     warmup.warm()  # which would count as the time and the memory of an input
-    compute = Compute(LIMITS)
+    compute = TrackerHost(LIMITS)
     compute.open("fuzz", _creation().SerializeToString())
     return compute
 
@@ -193,7 +193,7 @@ def _frame_as_json() -> Target:
 
 def _session() -> Target:
     warmup.warm()
-    compute = Compute(LIMITS)
+    compute = TrackerHost(LIMITS)
 
     def run(data: bytes) -> None:
         compute.open("fuzz", data)
@@ -221,7 +221,7 @@ def _tracker() -> ddakf.Tracker:
 
 
 def _restored(data: bytes) -> None:
-    tracker = messages.restored(data, LIMITS)
+    tracker = decode.restored(data, LIMITS)
     later = tracker.step(_sheet()[0], timestamp=(tracker._time or 0.0) + 1.0)
     assert np.isfinite(later.vertices).all()
 

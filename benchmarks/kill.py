@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import traffic
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 from rich.console import Console
 
 from ddakf.evaluation import machine

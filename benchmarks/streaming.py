@@ -14,7 +14,7 @@ import inputs
 import numpy as np
 from ddakf_api.codec import CODECS, DEPTH_CODECS, DracoDecoder, decode, decode_depth, encode, encode_depth
 from ddakf_client import Frame, Result, connect
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 from library import WARM, percentiles
 
 import ddakf

@@ -27,7 +27,7 @@ from ddakf_api.errors import ServiceError, from_detail, from_rpc_error
 from ddakf_api.transport import client_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 from prometheus_client.parser import text_string_to_metric_families
 
 from ddakf import data

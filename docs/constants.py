@@ -17,8 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from ddakf_api.errors import ERRORS
+from ddakf_service.observability.metrics import Metrics
 from ddakf_service.settings import ENV_PREFIX, Settings
-from ddakf_service.telemetry import Metrics
 from prometheus_client.metrics import MetricWrapperBase
 
 from ddakf import Config

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 from ddakf_client import Frame, connect
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 
 from ddakf import data
 from ddakf.evaluation.sensors import Sensor

@@ -10,8 +10,8 @@ import ddakf
 from ddakf.physics.fabric import PRESETS
 
 from .build import build
-from .messages import RESULT_ENCODINGS
 from .settings import Settings
+from .workers.encode import RESULT_ENCODINGS
 
 
 def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:

@@ -10,20 +10,24 @@ import signal
 from collections.abc import Callable
 from typing import NamedTuple
 
+from .auth.guard import Guard
+from .auth.key_database import StoredKeys
+from .auth.keys import KeyRing
+from .auth.tls import Tls
 from .build import build
-from .grpc_service import GrpcServer
-from .http import HttpServer
-from .rest import create_app
-from .sessions import Sessions
+from .observability.metrics import Metrics
+from .observability.tracing import tracer_for
+from .sessions.service import Sessions
 from .settings import Settings
-from .store import Store
-from .telemetry import Metrics
-from .tracing import tracer_for
-from .trust.guard import Guard, HttpGuard
-from .trust.keys import KeyRing
-from .trust.stored import StoredKeys
-from .trust.tls import Tls
-from .workers.local import LocalPool
+from .store.store import Store
+from .streaming.frame_recorder import FrameRecorder
+from .streaming.streams import Streams
+from .transports.grpc.service import GrpcServer
+from .transports.http_guard import HttpGuard
+from .transports.http_server import HttpServer
+from .transports.rest.routes import create_app
+from .transports.websocket.routes import add_websockets
+from .workers.local_pool import LocalPool
 from .workers.pool import Limits, Progress
 
 log = logging.getLogger(__name__)
@@ -74,12 +78,15 @@ class Server:
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
         )
-        self._sessions = Sessions(self._pool, settings, self._metrics, self._store, self._tracer)
+        self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
+        recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
+        self._streams = Streams(self._sessions.components, recorder)
         self._keys = KeyRing(StoredKeys(self._store.database), on_revoked=self._sessions.shut_out)
         guard = Guard(self._keys, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
-        self._grpc = GrpcServer(self._sessions, settings, guard, tls)
+        self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
+        add_websockets(app, self._streams, settings.reader_timeout)
         self._http = HttpServer(HttpGuard(app, guard), settings, tls)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0

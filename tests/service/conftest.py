@@ -23,7 +23,7 @@ from ddakf_api.errors import SessionBusy, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
 from ddakf_client import connect
-from ddakf_service.child import ServiceProcess
+from ddakf_service.commands.service_process import ServiceProcess
 from ddakf_service.server import Addresses, Server
 from ddakf_service.settings import Settings
 from postgres import NoPostgres, Postgres

@@ -11,9 +11,9 @@ import threading
 from pathlib import Path
 
 import pytest
-from ddakf_service.trust.tls import Tls
+from ddakf_service.auth.tls import Tls
 
-from .trust.certificates import Authority
+from .auth.certificates import Authority
 
 HEALTHY = Path(__file__).parents[2] / "docker/healthy"
 

@@ -25,7 +25,7 @@ from google.protobuf.message import DecodeError
 
 from ddakf.errors import InvalidConfig
 
-from ..telemetry import Metrics
+from ..observability.metrics import Metrics
 from .condition import Condition
 
 log = logging.getLogger(__name__)
@@ -99,7 +99,7 @@ class Checkpoints:
         self._local = isinstance(self._files, LocalFileSystem)
         self.folder = Path(self._root) if self._local else None
         self._keep, self._metrics = keep, metrics
-        self.condition = Condition("checkpoints", metrics)
+        self.condition = Condition("checkpoints", metrics.store_up, metrics.store_errors)
         self._changed = threading.Condition()
         self._waiting: dict[int, pb.SessionSnapshot] = {}
         self._writing: tuple[int, pb.SessionSnapshot] | None = None

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 
+from prometheus_client import Counter, Gauge
 from sqlalchemy.exc import DBAPIError
-
-from ..telemetry import Metrics
 
 log = logging.getLogger(__name__)
 
@@ -20,10 +19,10 @@ class Condition:
         problem: one sentence while the part does not work; empty while it does.
     """
 
-    def __init__(self, part: str, metrics: Metrics):
+    def __init__(self, part: str, up: Gauge, errors: Counter):
         self.part = part
         self.problem = ""
-        self._up, self._errors = metrics.store_up.labels(part), metrics.store_errors.labels(part)
+        self._up, self._errors = up.labels(part), errors.labels(part)
         self._up.set(1)
 
     def works(self) -> None:

@@ -1,6 +1,6 @@
 """The database: an engine, migrations, one thread that writes, and queues of rows in front of it.
 
-Nobody waits for the database but who reads from it: writers leave rows in a :class:`Queue`. While the database cannot be
+Nobody waits for the database but who reads from it: writers leave rows in a :class:`RowQueue`. While the database cannot be
 reached the rows wait there, up to the queue's capacity, and are written when it comes back.
 """
 
@@ -11,12 +11,11 @@ import contextlib
 import logging
 import sqlite3
 import threading
-from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Generic, TypeVar
+from typing import TypeVar
 
 import alembic.command
 import alembic.config
@@ -29,18 +28,17 @@ from sqlalchemy.exc import TimeoutError as PoolTimeout
 
 from ddakf.errors import InvalidConfig
 
-from ..telemetry import Metrics
+from ..observability.metrics import Metrics
 from .condition import Condition
+from .row_queue import RowQueue
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
-Row = TypeVar("Row")
 
 IN_MEMORY = "sqlite://"
 
 _GATHER = 0.25  # seconds for which rows are gathered before they are written together
-_BATCH = 1000  # rows per transaction
 _FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database does not work
 _CHORE_INTERVAL = 3600.0  # seconds between runs of the chores, such as retention
 _READERS = 4  # threads
@@ -57,91 +55,6 @@ _POSTGRES_ARGUMENTS = {
     "tcp_user_timeout": 10_000,  # ms; a vanished host is noticed after this long rather than after a quarter of an hour
     "options": "-c statement_timeout=20000 -c lock_timeout=10000",
 }
-
-
-class Queue(Generic[Row]):
-    """Rows on their way to the database, oldest first; made by :meth:`Database.queue`. Any thread may call."""
-
-    def __init__(self, changed: threading.Condition, capacity: int, write, on_dropped, on_written):
-        self._changed, self._capacity, self._write = changed, capacity, write
-        self._on_dropped, self._on_written = on_dropped, on_written
-        self._rows: OrderedDict[Hashable, Row] = OrderedDict()
-        self._flying: OrderedDict[Hashable, Row] = OrderedDict()
-
-    def put(self, key: Hashable, row: Row) -> None:
-        """Leaves a row, in place of the one that waits under the same key; the oldest one goes when there is no room."""
-        with self._changed:
-            self._rows[key] = row
-            self._shorten()
-            self._changed.notify_all()
-
-    def discard(self, key: Hashable) -> None:
-        """Takes a row back, unless it is being written."""
-        with self._changed:
-            self._rows.pop(key, None)
-
-    def pending(self) -> dict[Hashable, Row]:
-        """What is not known to be written, oldest first. A reader asks this first and the database afterwards."""
-        with self._changed:
-            return {**self._flying, **self._rows}
-
-    def __len__(self) -> int:
-        return len(self._rows) + len(self._flying)
-
-    def __contains__(self, key: Hashable) -> bool:
-        """Whether a row of this key is not known to be written."""
-        with self._changed:
-            return key in self._rows or key in self._flying
-
-    def _flush(self, engine: sa.Engine) -> None:
-        """Writes everything that waits, in the calling thread."""
-        while self._take():
-            try:
-                with engine.begin() as connection:
-                    self._write(connection, list(self._flying.values()))
-            except (DataError, IntegrityError):
-                self._flush_singly(engine)
-            except BaseException:
-                self._put_back()
-                raise
-            self._on_written()
-            with self._changed:
-                self._flying.clear()
-                self._changed.notify_all()
-
-    def _flush_singly(self, engine: sa.Engine) -> None:
-        """Writes the rows one by one: what the database refuses shall not keep the others."""
-        while self._flying:
-            key, row = next(iter(self._flying.items()))
-            try:
-                with engine.begin() as connection:
-                    self._write(connection, [row])
-            except (DataError, IntegrityError):
-                log.exception("the database refused a row, which is left out", extra={"key": key})
-                self._on_dropped(1)
-            except BaseException:
-                self._put_back()
-                raise
-            with self._changed:
-                del self._flying[key]
-
-    def _take(self) -> bool:
-        with self._changed:
-            while self._rows and len(self._flying) < _BATCH:
-                key, row = self._rows.popitem(last=False)
-                self._flying[key] = row
-            return bool(self._flying)
-
-    def _put_back(self) -> None:
-        with self._changed:
-            self._rows = OrderedDict({**self._flying, **self._rows})
-            self._flying.clear()
-            self._shorten()
-
-    def _shorten(self) -> None:
-        while len(self._rows) > self._capacity:
-            self._rows.popitem(last=False)
-            self._on_dropped(1)
 
 
 class Database:
@@ -162,9 +75,9 @@ class Database:
         self._engine = _engine(url)
         self.file = _file(self._engine.url)
         self.in_memory = self._engine.dialect.name == "sqlite" and self.file is None
-        self.condition = Condition("database", metrics)
+        self.condition = Condition("database", metrics.store_up, metrics.store_errors)
         self._dropped = metrics.store_dropped
-        self._queues: list[Queue] = []
+        self._queues: list[RowQueue] = []
         self._chores: list[Callable[[sa.Connection], None]] = []
         self._changed = threading.Condition()
         self._hurry, self._closing = threading.Event(), threading.Event()
@@ -185,7 +98,7 @@ class Database:
             self._engine.url, poolclass=sa.NullPool, isolation_level="AUTOCOMMIT", hide_parameters=True, connect_args=arguments
         )
 
-    def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> Queue:
+    def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> RowQueue:
         """A queue whose rows ``write`` brings into the database.
 
         Queues are emptied in the order in which they were made. ``write`` runs in the writing thread and may be called
@@ -194,7 +107,7 @@ class Database:
         Args:
             capacity: rows; the oldest is dropped, and counted, when one more comes.
         """
-        queue = Queue(self._changed, capacity, write, self._dropped.inc, self.condition.works)
+        queue = RowQueue(self._changed, capacity, write, self._dropped.inc, self.condition.works)
         self._queues.append(queue)
         return queue
 

@@ -1,5 +1,1 @@
-"""Where sessions are computed: an interface, and the processes of this machine that implement it."""
-
-from .pool import Health, Limits, Memory, WorkerPool, worker_lost
-
-__all__ = ["Health", "Limits", "Memory", "WorkerPool", "worker_lost"]
+"""Worker processes: an interface of a pool, and the processes of this machine that implement it."""

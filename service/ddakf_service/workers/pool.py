@@ -96,9 +96,7 @@ class WorkerPool(Protocol):
     async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         """Creates a session from a snapshot: RestoreSessionRequest in, Session with its meshes out. Raises as :meth:`open`."""
 
-    async def submit(
-        self, session_id: str, frame: bytes, options: bytes, *, max_points: int, turn_by: float = math.inf
-    ) -> bytes:
+    async def submit(self, session_id: str, frame: bytes, options: bytes, *, max_points: int, turn_by: float = math.inf) -> bytes:
         """Tracks one frame of at most ``max_points``: Frame and ResultOptions in, Result out.
 
         Raises:

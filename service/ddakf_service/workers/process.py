@@ -15,9 +15,9 @@ import sys
 
 from ddakf_api.errors import to_detail
 
-from ..telemetry import configure_logging, current_session
-from .compute import Compute
+from ..observability.logs import configure_logging, current_session
 from .pool import Limits
+from .tracker_host import TrackerHost
 from .wire import BlockingChannel, Kind, Message
 
 log = logging.getLogger(__name__)
@@ -32,14 +32,14 @@ def main(descriptor: int, limits: Limits) -> None:
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _die_with_parent()
     channel = BlockingChannel(socket.socket(fileno=descriptor))
-    compute = Compute(limits)
+    compute = TrackerHost(limits)
     compute.warm(lambda *step: channel.send(Message(Kind.PROGRESS, payload=json.dumps(step).encode())))
     channel.send(Message(Kind.READY))
     while (request := channel.receive()) is not None:
         channel.send(_answer(compute, request))
 
 
-def _answer(compute: Compute, request: Message) -> Message:
+def _answer(compute: TrackerHost, request: Message) -> Message:
     current_session.set(request.session_id)
     try:
         payload = compute.handle(request)

@@ -15,7 +15,7 @@ from pathlib import Path
 from ddakf_api.errors import from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from . import wire
+from ..workers import wire
 from .pool import UNKNOWN, Limits, Memory, Progress, worker_lost
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.store import Database, SessionRecord
-from ddakf_service.telemetry import Metrics
+from ddakf_service.observability.metrics import Metrics
+from ddakf_service.store.database import Database
+from ddakf_service.store.session_record import SessionRecord
 
 PATIENCE = 20.0  # seconds
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.observability.metrics import Metrics
 from ddakf_service.store.checkpoints import Checkpoints, DamagedCheckpoint, pack, unpack
-from ddakf_service.telemetry import Metrics
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -238,7 +238,7 @@ def test_a_process_killed_while_it_writes_leaves_a_whole_checkpoint(tmp_path):
 import itertools
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.store.checkpoints import Checkpoints
-from ddakf_service.telemetry import Metrics
+from ddakf_service.observability.metrics import Metrics
 checkpoints = Checkpoints({str(tmp_path)!r}, "here", 2, Metrics())
 checkpoints.open()
 for number in itertools.count():

@@ -12,8 +12,7 @@ import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
 from ddakf_api.errors import Unavailable
-from ddakf_service.store import Database
-from ddakf_service.store.database import IN_MEMORY
+from ddakf_service.store.database import IN_MEMORY, Database
 from ddakf_service.store.tables import api_keys, metadata, state_changes
 
 from ddakf.errors import InvalidConfig

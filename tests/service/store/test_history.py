@@ -7,7 +7,9 @@ from typing import NamedTuple
 import pytest
 from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.store import Database, History, new_uid
+from ddakf_service.store.database import Database
+from ddakf_service.store.history import History
+from ddakf_service.store.session_record import new_uid
 
 from .conftest import PATIENCE
 

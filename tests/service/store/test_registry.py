@@ -7,7 +7,7 @@ import time
 
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.store import Registry
+from ddakf_service.store.registry import Registry
 
 from .conftest import PATIENCE, record
 

@@ -1,0 +1,1 @@
+"""Authentication and authorisation: keys with scopes, the guard before every call, TLS."""

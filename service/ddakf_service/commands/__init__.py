@@ -1,0 +1,1 @@
+"""The commands ``ddakf serve``, ``ddakf keys`` and ``ddakf demo``."""

@@ -1,0 +1,164 @@
+"""What ``ddakf serve`` does: settings, the service in the foreground, progress and addresses."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import logging
+import os
+import sys
+from collections.abc import Callable, Mapping
+
+import uvloop
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+import ddakf
+from ddakf.errors import InvalidConfig
+
+from ..observability.logs import configure_logging
+from ..server import Addresses, Server
+from ..settings import ENV_PREFIX, Origin, Settings, load, shown
+from ..workers.worker import WorkerStartFailed
+
+EXIT_FAILED, EXIT_MISUSED = 1, 2
+
+log = logging.getLogger(__name__)
+
+
+def serve(args: argparse.Namespace) -> int:
+    """Runs until a signal; returns the exit status."""
+    flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
+    try:
+        settings, origins = load(flags, args.config)
+        if args.print_config:
+            _print_settings(settings, origins, args.json)
+            return 0
+        return _serve(settings, args.json, args.with_parent)
+    except InvalidConfig as error:
+        print(f"ddakf serve: {error}", file=sys.stderr)
+        return EXIT_MISUSED
+    except WorkerStartFailed as error:
+        print(f"ddakf serve: {error}", file=sys.stderr)
+        return EXIT_FAILED
+
+
+def _serve(settings: Settings, as_json: bool, with_parent: bool) -> int:
+    configure_logging(settings.log_level, settings.log_format)
+    # The workers read these, so that their lines look like the server's.
+    os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
+    announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
+    with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+        try:
+            runner.run(_run(settings, announcer, with_parent))
+        finally:
+            announcer.close()
+    return 0
+
+
+async def _run(settings: Settings, announcer: ConsoleAnnouncer | JsonAnnouncer | LogAnnouncer, with_parent: bool) -> None:
+    server = Server(settings)
+    if with_parent:
+        await _call_at_end_of_input(server.stop)
+    await server.run(announcer.progress, announcer.ready)
+
+
+async def _call_at_end_of_input(stop: Callable[[], None]) -> None:
+    class Watch(asyncio.Protocol):
+        def connection_lost(self, error: Exception | None) -> None:
+            stop()
+
+    await asyncio.get_running_loop().connect_read_pipe(Watch, sys.stdin)
+
+
+class ConsoleAnnouncer:
+    """Progress line and addresses for a person."""
+
+    def __init__(self):
+        self._console = Console()
+        self._bar: Progress | None = None
+
+    def progress(self, done: int, total: int, name: str) -> None:
+        if not self._console.is_terminal:
+            self._console.print(f"compiling kernels: {done} of {total}, {name}", highlight=False, soft_wrap=True)
+            return
+        if self._bar is None:
+            self._bar = compile_bar(self._console)
+            self._bar.start()
+            self._task = self._bar.add_task("compiling kernels", total=total, name="")
+        self._bar.update(self._task, completed=done, total=total, name=name)
+
+    def ready(self, addresses: Addresses) -> None:
+        self.close()
+        for line in (
+            f"ddakf {ddakf.__version__} is ready; Ctrl-C stops it",
+            f"  gRPC  {addresses.grpc}",
+            f"  REST  {addresses.http}  (documentation at /docs, metrics at /metrics)",
+        ):
+            self._console.print(line, highlight=False, soft_wrap=True)
+
+    def close(self) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+            self._bar = None
+
+
+class JsonAnnouncer:
+    """The same as one JSON object per line, for a program."""
+
+    def progress(self, done: int, total: int, name: str) -> None:
+        self._write(event="compiling", done=done, total=total, name=name)
+
+    def ready(self, addresses: Addresses) -> None:
+        self._write(event="ready", grpc=addresses.grpc, http=addresses.http, pid=os.getpid())
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+    def _write(self, **event) -> None:
+        sys.stdout.write(json.dumps(event) + "\n")
+        sys.stdout.flush()
+
+
+class LogAnnouncer:
+    """The same among the lines of a log that programs read, so that the output holds nothing else."""
+
+    def progress(self, done: int, total: int, name: str) -> None:
+        log.info("compiling kernels", extra={"done": done, "total": total, "kernel": name})
+
+    def ready(self, addresses: Addresses) -> None:
+        log.info("ready", extra={"version": ddakf.__version__, "grpc": addresses.grpc, "http": addresses.http})
+
+    def close(self) -> None:
+        """Nothing stays open."""
+
+
+def compile_bar(console: Console) -> Progress:
+    """A progress bar for the compilation of the kernels."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[name]}"),
+    )
+    return Progress(*columns, console=console, transient=True)
+
+
+def _print_settings(settings: Settings, origins: Mapping[str, Origin], as_json: bool) -> None:
+    if as_json:
+        rows = {name: {"value": _shown(settings, name), "from": str(origin)} for name, origin in origins.items()}
+        sys.stdout.write(json.dumps(rows, indent=2) + "\n")
+        return
+    table = Table("setting", "value", "from", "meaning", box=None, header_style="bold")
+    for name, origin in origins.items():
+        table.add_row(name, str(_shown(settings, name)), str(origin), Settings.model_fields[name].description)
+    Console().print(table)
+
+
+def _shown(settings: Settings, name: str):
+    """A value as it may be seen by anybody."""
+    value = getattr(settings, name)
+    return shown(name, value) if isinstance(value, str) else value

@@ -1,0 +1,95 @@
+"""The service as a child process: started on free loopback ports, stopped in order, never left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..workers.pool import Progress
+
+_STOP_PATIENCE = 20.0  # seconds for an orderly shutdown, drain included
+
+
+class ServiceFailed(RuntimeError):
+    """The child ended before it was ready; the message is the end of its log."""
+
+
+class ServiceProcess:
+    """A service of one's own.
+
+    Args:
+        arguments: of ``ddakf serve``, beyond the ports. Without ``--data-dir`` it has a folder that goes with it, or, where
+            it is kept, none.
+        log: file for its log.
+        keep: it shall outlive this process.
+
+    Attributes:
+        grpc: "host:port". http: "http://host:port". Both set by :meth:`wait_until_ready`.
+    """
+
+    def __init__(self, arguments: Sequence[str] = (), *, log: Path, keep: bool = False):
+        self._log, self._keep = log, keep
+        self.grpc = self.http = ""
+        self._folder: tempfile.TemporaryDirectory | None = None
+        if "--data-dir" not in arguments:
+            self._folder = None if keep else tempfile.TemporaryDirectory(prefix="ddakf-")
+            arguments = [*arguments, "--data-dir", self._folder.name if self._folder else "none"]
+        command = [sys.executable, "-m", "ddakf_service", "--json", "--grpc-port", "0", "--http-port", "0", *arguments]
+        with log.open("wb") as log_file:
+            self._process = subprocess.Popen(
+                # The pipe to its standard input closes with this process, however that ends.
+                command if keep else [*command, "--with-parent"],
+                stdin=subprocess.DEVNULL if keep else subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log_file,
+                # A Ctrl-C here must not reach it before its clients have left.
+                start_new_session=True,
+            )
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def wait_until_ready(self, progress: Progress = lambda done, total, name: None) -> None:
+        """Returns when sessions are taken.
+
+        Raises:
+            ServiceFailed: it ended instead.
+        """
+        with self._process.stdout as lines:
+            for line in lines:
+                event = json.loads(line)
+                if event["event"] == "ready":
+                    self.grpc, self.http = event["grpc"], event["http"]
+                    return
+                progress(event["done"], event["total"], event["name"])
+        raise ServiceFailed(f"the service ended with status {self._process.wait()}: {self._last_words()}")
+
+    def stop(self, number: int = signal.SIGTERM) -> int:
+        """Ends it, the workers included, and returns its exit status."""
+        if self._process.poll() is None:
+            self._process.send_signal(number)
+        return self.wait()
+
+    def wait(self) -> int:
+        """Returns the exit status; kills what does not end in time."""
+        try:
+            return self._process.wait(_STOP_PATIENCE)
+        except subprocess.TimeoutExpired:
+            os.killpg(self._process.pid, signal.SIGKILL)
+            return self._process.wait()
+        finally:
+            if self._process.stdin:
+                self._process.stdin.close()
+            if self._folder:
+                self._folder.cleanup()
+
+    def _last_words(self) -> str:
+        lines = self._log.read_text(errors="replace").strip().splitlines()
+        return lines[-1] if lines else "its log is empty"

@@ -1,0 +1,62 @@
+"""Logs: one line of text or one JSON object per event, with the id of its session."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+import time
+from contextvars import ContextVar
+
+# Set by whoever works for a session, so that every line logged meanwhile carries its id.
+current_session: ContextVar[str] = ContextVar("current_session", default="-")
+
+
+_PLAIN_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "session"}
+
+
+def configure_logging(level: str, format: str) -> None:
+    """Sends all logs to standard error as ``text`` or ``json`` lines, from ``level`` upward."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(JsonFormatter() if format == "json" else TextFormatter())
+    handler.addFilter(_add_session)
+    root = logging.getLogger()
+    root.handlers[:] = [handler]
+    root.setLevel(level.upper())
+    # The service says itself when it starts and stops; OpenTelemetry would warn of every span that finds no room.
+    for chatty, lowest in (("uvicorn", logging.WARNING), ("alembic", logging.WARNING), ("opentelemetry", logging.ERROR)):
+        logging.getLogger(chatty).setLevel(max(lowest, root.level))
+
+
+def _add_session(record: logging.LogRecord) -> bool:
+    if not hasattr(record, "session"):
+        record.session = current_session.get()
+    return True
+
+
+def _fields(record: logging.LogRecord) -> dict:
+    return {k: v for k, v in vars(record).items() if k not in _PLAIN_FIELDS}
+
+
+class TextFormatter(logging.Formatter):
+    def __init__(self):
+        super().__init__("%(asctime)s %(levelname)-7s %(session)s %(message)s")
+
+    def formatMessage(self, record):
+        fields = "".join(f" {key}={value}" for key, value in _fields(record).items())
+        return super().formatMessage(record) + fields
+
+
+class JsonFormatter(logging.Formatter):
+    def format(self, record):
+        line = {
+            "time": time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created)) + f".{int(record.msecs):03d}Z",
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "session": record.session,
+            "message": record.getMessage(),
+            **_fields(record),
+        }
+        if record.exc_info:
+            line["exception"] = self.formatException(record.exc_info)
+        return json.dumps(line, default=str)

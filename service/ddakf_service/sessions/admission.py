@@ -1,0 +1,153 @@
+"""What a session may be that somebody asks for: its id, labels, limits and flow, and whether there is room for it."""
+
+from __future__ import annotations
+
+import math
+import re
+import secrets
+from collections.abc import Sequence
+
+from ddakf_api.errors import Draining, InvalidArgument, ResourceExhausted
+from ddakf_api.v1 import tracking_pb2 as pb
+
+from ..auth.principal import Principal
+from ..settings import Settings
+from ..workers.pool import Memory
+
+_MAX_TEXT = 256  # characters of a label, its value or a request id
+_MAX_LABELS = 64  # of a session
+_SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
+_RETRY_WHEN_FULL = 5.0  # seconds
+_RESTORED = 8  # bytes that a restored tracker takes per byte of its snapshot, at most
+_REAL_LIMITS = {
+    "max_frame_rate": "frames per second",
+    "idle_timeout": "seconds",
+    "max_lifetime": "seconds",
+    "departure_timeout": "seconds",
+}
+
+
+class Admission:
+    """The server's bounds on what is asked for. What makes no sense is an ``InvalidArgument`` that names its field.
+
+    Attributes:
+        draining: the server is about to stop, and takes nothing new.
+    """
+
+    def __init__(self, settings: Settings):
+        self._settings = settings
+        self.draining = False
+
+    def require_running(self, what: str) -> None:
+        """Refuses what is new, such as "streams", while the server drains: the last checkpoint would not know of it."""
+        if self.draining:
+            raise Draining(f"the server is about to stop and takes no new {what}")
+
+    def require_room(self, principal: Principal, owners: Sequence[str | None]) -> None:
+        """Refuses a session beyond the server's number, or beyond its key's.
+
+        Args:
+            owners: of the sessions that there are, one each.
+
+        Raises:
+            ResourceExhausted: naming whose bound it is.
+        """
+        s = self._settings
+        for whose, count, most in (
+            ("the server", len(owners), s.max_sessions),
+            ("the key", owners.count(principal.id), principal.max_sessions or s.max_sessions_per_key),
+        ):
+            if count >= most:
+                raise ResourceExhausted(
+                    f"sessions: {whose} has its {most} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
+                )
+
+    def require_stream_room(self, principal: Principal, key_ids: Sequence[str]) -> None:
+        """Refuses a stream or a watcher beyond the number of its key; who needs no key is bound by the sessions' own numbers.
+
+        Args:
+            key_ids: of the streams and watchers that there are, one each.
+
+        Raises:
+            ResourceExhausted
+        """
+        most = self._settings.max_streams_per_key
+        if principal.id and key_ids.count(principal.id) >= most:
+            raise ResourceExhausted(
+                f"streams: the key has its {most} streams and watchers already; try again later or end one",
+                retry_after=_RETRY_WHEN_FULL,
+            )
+
+    def limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
+        """What the client asked for, lowered to what the server allows."""
+        s = self._settings
+        for name, unit in _REAL_LIMITS.items():
+            if not 0 <= getattr(asked, name) < math.inf:
+                raise InvalidArgument(
+                    field=f"limits.{name}", expected=f"a positive number of {unit}", got=f"{getattr(asked, name):g}"
+                )
+        idle = min(asked.idle_timeout or s.idle_timeout, s.idle_timeout)
+        return pb.SessionLimits(
+            max_points=min(asked.max_points or s.max_points, s.max_points),
+            max_frame_rate=_lower(asked.max_frame_rate, s.max_frame_rate),
+            idle_timeout=idle,
+            max_lifetime=_lower(asked.max_lifetime, s.max_lifetime),
+            max_frames_in_flight=min(asked.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
+            departure_timeout=min(asked.departure_timeout or s.departure_timeout, idle),
+        )
+
+    def mode(self, asked: pb.FlowMode) -> pb.FlowMode:
+        """The flow of a stream."""
+        if asked not in pb.FlowMode.values():
+            raise InvalidArgument(field="flow_mode", expected="realtime or lossless", got=f"unknown value {asked}")
+        if asked != pb.FLOW_MODE_UNSPECIFIED:
+            return asked
+        return pb.FLOW_MODE_LOSSLESS if self._settings.default_flow == "lossless" else pb.FLOW_MODE_REALTIME
+
+    def memory(self, request: pb.CreateSessionRequest | pb.RestoreSessionRequest) -> Memory:
+        """Estimate for a session whose meshes or snapshot nobody has read yet."""
+        if isinstance(request, pb.RestoreSessionRequest):
+            return Memory(_RESTORED * len(request.data), 0)
+        counts = []
+        for mesh in (request.session.garment, request.session.body):
+            double = mesh.vertices.encoding == pb.ARRAY_ENCODING_FLOAT64
+            counts += [len(mesh.vertices.data) // (24 if double else 12), len(mesh.faces.data) // 12]
+        return Memory.of(*counts, self.limits(request.session.limits).max_points)
+
+
+def is_session_id(text: str) -> bool:
+    """Whether a session may have, or have had, this id."""
+    return _SESSION_ID.fullmatch(text) is not None
+
+
+def session_id(wanted: str) -> str:
+    """The id that was asked for, or one that nobody guesses."""
+    if not wanted:
+        return "s-" + secrets.token_hex(8)
+    if not is_session_id(wanted):
+        raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80]))
+    return wanted
+
+
+def labels(session: pb.Session) -> dict[str, str]:
+    """The labels that were asked for."""
+    found = dict(session.labels)
+    if len(found) > _MAX_LABELS:
+        raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(found)))
+    longest = max((len(text) for pair in found.items() for text in pair), default=0)
+    if longest > _MAX_TEXT:
+        raise InvalidArgument(field="labels", expected=f"at most {_MAX_TEXT} characters each", got=str(longest))
+    return found
+
+
+def require_request_id(request_id: str) -> None:
+    """Refuses a request id that is none, or that PostgreSQL would not take, which has no NUL in a text."""
+    if len(request_id) > _MAX_TEXT:
+        raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
+    if "\0" in request_id:
+        raise InvalidArgument(field="request_id", expected="text without NUL", got=repr(request_id[:80]))
+
+
+def _lower(asked: float, most: float) -> float:
+    """The smaller one of two bounds, where 0 is none."""
+    return min(asked or most, most or asked)

@@ -1,0 +1,224 @@
+"""What can be done with the sessions of a server, from creation to end. Every transport speaks to this class alone."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Sequence, Set
+from time import monotonic
+
+from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, ServiceError, SessionNotFound
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_api.version import require_compatible
+
+from ..observability.metrics import Metrics
+from ..sessions import admission
+from ..settings import Settings
+from ..store.store import Store
+from ..workers.pool import WorkerPool
+from .admission import Admission
+from .catalog import SessionCatalog, revoked
+from .components import SessionComponents
+from .durability import Durability
+from .lifecycle import Lifecycle
+from .persistence import Persistence
+from .session import Session
+from .tracker_access import TrackerAccess
+
+log = logging.getLogger(__name__)
+
+_EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
+_LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
+_CHANGEABLE = ("labels", "limits", "config_json", "fabric")
+
+
+class Sessions:
+    """All sessions of this server; lives in the event loop and never computes.
+
+    Args:
+        pool: where they are computed. Its ``on_lost`` should be :meth:`lose`.
+        store: what outlives this object, opened.
+
+    Attributes:
+        components: shared with the streams.
+    """
+
+    def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics, store: Store):
+        self._pool, self._settings, self._store = pool, settings, store
+        self._admission = Admission(settings)
+        self._persistence = Persistence(store.registry, store.history, store.checkpoints, store.server_id, store.require_name)
+        self._catalog = catalog = SessionCatalog(self._persistence.last)
+        self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up)
+        self._tracker_access = TrackerAccess(catalog, self._durability)
+        self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability)
+        self.components = SessionComponents(
+            pool, settings, self._admission, catalog, self._persistence, self._durability, self._tracker_access
+        )
+        metrics.sessions.set_function(lambda: len(catalog))
+        metrics.streams.set_function(lambda: sum(session.stream is not None for session in catalog))
+        metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in catalog))
+
+    @property
+    def draining(self) -> bool:
+        """The server is about to stop, and takes nothing new."""
+        return self._admission.draining
+
+    def _give_up(self, session: Session, reason: ServiceError) -> None:
+        self._lifecycle.end(session, reason)
+
+    async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
+        """Creates a session, or answers the one that the same request id created. It belongs to the key of the call."""
+        require_compatible(request.api_version, peer="client")
+        return await self._lifecycle.create(request, self._pool.open)
+
+    async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
+        """Creates a session from a snapshot."""
+        require_compatible(request.api_version, peer="client")
+        return await self._lifecycle.create(request, self._pool.restore)
+
+    async def load(self) -> None:
+        """Takes the sessions back that this server had before its process ended; tries again, in the background, for as long
+        as the database cannot be reached."""
+        await self._lifecycle.load()
+
+    async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
+        session = await self._catalog.known(name)
+        if view == pb.SESSION_VIEW_FULL and session.asleep:
+            async with self._tracker_access.of(session):
+                pass
+        return session.message(view)
+
+    def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
+        """Those that the caller may read, oldest first, one page."""
+        return self._catalog.page(request)
+
+    async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
+        """Changes labels, limits, configuration and fabric, all of them or, when one cannot be used, none."""
+        change, session = request.session, self._catalog.mine(request.session.name)
+        paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
+        if unknown := sorted(paths - set(_CHANGEABLE)):
+            raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
+        labels = admission.labels(change) if "labels" in paths else None
+        limits = self._admission.limits(change.limits) if "limits" in paths else None
+        async with self._tracker_access.of(session):
+            if change.etag and change.etag != str(session.revision):
+                raise FailedPrecondition(
+                    f"{session.name} has been changed meanwhile: its etag is {session.revision}, not {change.etag[:80]}",
+                    field="etag",
+                )
+            if paths & {"config_json", "fabric"}:
+                await self._configure(session, change, paths)
+            # What is not named stays as it is now: another call may have changed it while this one waited.
+            session.labels = session.labels if labels is None else labels
+            session.limits = session.limits if limits is None else limits
+            session.revision += 1
+        self._persistence.save(session)
+        return session.message()
+
+    async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
+        """The configuration in force, or another one, and the fabric over it, or another one, as at creation."""
+        opened = session.opened
+        wanted = pb.Session(
+            config_json=change.config_json if "config_json" in paths else opened.config_json,
+            fabric=change.fabric if "fabric" in paths else opened.fabric,
+        )
+        answer = pb.Session.FromString(await self._pool.configure(session.id, wanted.SerializeToString()))
+        await self._durability.secure(session)
+        opened.config_json, opened.fabric = answer.config_json, answer.fabric
+
+    async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
+        """Starts the tracker again."""
+        session = self._catalog.mine(request.name)
+        payload = request.SerializeToString()
+        async with self._tracker_access.of(session):
+            await self._pool.reset(session.id, payload)
+            session.restarted(payload)
+            await self._durability.secure(session)
+        return session.message()
+
+    async def snapshot(self, name: str) -> pb.SessionSnapshot:
+        session = self._catalog.mine(name)
+        async with self._tracker_access.of(session):
+            data = await self._pool.snapshot(session.id, compressed=True)
+        return pb.SessionSnapshot(session=session.message(), data=data)
+
+    async def delete(self, name: str) -> None:
+        session = self._catalog.mine(name)
+        self._lifecycle.end(session, SessionNotFound(f"{session.name} was deleted"))
+        await self._lifecycle.ended(session)
+
+    async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
+        """What happened in a session over time, a live one or the last past one of the name.
+
+        Raises:
+            SessionNotFound: none is remembered. InvalidArgument: a time or number that makes no sense.
+            Unavailable: the database cannot be reached.
+        """
+        found = await self._catalog.last(request.name)
+        if isinstance(found, Session):
+            return await self._store.history.query(request, found.uid, found.created)
+        return await self._store.history.query(request, found.uid, found.create_time, found.end_time)
+
+    def shut_out(self, key_ids: Set[str]) -> None:
+        """Ends the streams and watchers of keys that were revoked; their sessions end as those that were left do."""
+        self._catalog.shut_out(key_ids)
+        for session in self._catalog if key_ids else ():
+            session.shut_out(key_ids, revoked())
+
+    def lose(self, session_ids: Sequence[str]) -> None:
+        """Has the sessions whose worker is gone go on in another one, those with a stream first."""
+        lost = sorted(self._catalog.some(session_ids), key=lambda session: session.stream is None)
+        for session in lost:
+            session.seated = False
+        for session in lost:
+            self._durability.revive(session)
+
+    async def expire_idle(self) -> None:
+        """Ends sessions whose time is over, and registers what has changed of the others; runs until it is cancelled."""
+        while True:
+            await asyncio.sleep(_EXPIRY_INTERVAL)
+            for session in self._catalog:
+                try:
+                    self._expire(session)
+                    self._persistence.save(session)
+                except Exception:  # one session's trouble shall not keep the others for ever
+                    log.exception("a session could not be ended as it should", extra={"session": session.id})
+
+    def _expire(self, session: Session) -> None:
+        """Ends a session if its time is over."""
+        moment, reason = session.expiry()
+        if monotonic() > moment:
+            log.info("the session expired", extra={"session": session.id})
+            self._lifecycle.end(session, reason)
+
+    async def drain(self, grace: float) -> None:
+        """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds, and the last
+        checkpoints are taken."""
+        self._admission.draining = True
+        message = f"the server stops in {grace:g} s; connect again later or elsewhere"
+        for session in self._catalog:
+            session.tell(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
+        deadline = monotonic() + grace
+        while any(s.stream for s in self._catalog) and monotonic() < deadline:
+            await asyncio.sleep(0.02)
+        for session in self._catalog:
+            if session.stream:
+                session.stream.notify(self._reconnect())
+                session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
+        for session in self._catalog:
+            self._durability.background(self._last_checkpoint(session))
+        await self._durability.settle(_LAST_CHECKPOINTS)
+        for session in self._catalog:
+            self._persistence.save(session)
+            self._lifecycle.forsake(session, Draining("the server has stopped; connect again later or elsewhere"))
+
+    def _reconnect(self) -> pb.Notice:
+        where = self._settings.successor
+        message = f"connect again{f' to {where}' if where else ''}; the session waits there"
+        return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message=message, target=where)
+
+    async def _last_checkpoint(self, session: Session) -> None:
+        """Of what was tracked since the one before; a frame that is in the worker is waited for."""
+        async with session.lock:
+            if session.seated and session.placed != session.statistics.frames_applied:
+                self._durability.checkpoint(session)

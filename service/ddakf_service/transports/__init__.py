@@ -1,0 +1,1 @@
+"""Transports: the contract over gRPC, REST and WebSocket."""

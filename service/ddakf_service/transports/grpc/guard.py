@@ -1,0 +1,41 @@
+"""Guard of every gRPC method."""
+
+from __future__ import annotations
+
+import grpc
+from ddakf_api.errors import ServiceError, class_of, to_detail
+
+from ...auth.guard import ADMIN, GRPC_SCOPES, Guard, bearer_key
+from ...auth.principal import current_principal
+from .errors import trailers
+
+
+class GrpcGuard(grpc.aio.ServerInterceptor):
+    """Before every gRPC method."""
+
+    def __init__(self, guard: Guard):
+        self._guard = guard
+
+    async def intercept_service(self, continuation, details):
+        handler = await continuation(details)
+        if handler is None:
+            return None
+        headers = dict(details.invocation_metadata or ())
+        enough = GRPC_SCOPES.get(details.method, ADMIN)
+        try:
+            principal = await self._guard.admit(bearer_key(headers.get("authorization")), enough, headers)
+        except ServiceError as error:
+            return _refusing(error)
+        current_principal.set(principal)
+        return handler
+
+
+def _refusing(error: ServiceError) -> grpc.RpcMethodHandler:
+    """A handler for a method of any kind that says why not. As one of streams it reads nothing of what was sent."""
+    detail, cls = to_detail(error), class_of(error)
+
+    async def refuse(requests, context):
+        await context.abort(cls.status, detail.message, trailers(detail, cls))
+        yield
+
+    return grpc.stream_stream_rpc_method_handler(refuse)

@@ -1,0 +1,75 @@
+"""Message modes of a WebSocket: protobuf in binary frames, or JSON in text frames."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Protocol
+
+from ddakf_api.errors import InvalidArgument
+from ddakf_api.v1 import tracking_pb2 as pb
+from fastapi import WebSocket
+from google.protobuf import json_format
+from google.protobuf.message import DecodeError
+
+from ..bounded_parsing import parsed, require_few_in_json
+
+_LARGE = 1 << 16  # bytes of a message from which on JSON is written and read in a thread
+
+
+class Mode(Protocol):
+    """How messages look in WebSocket frames."""
+
+    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+        """The request in a received frame; None for an empty one."""
+
+    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
+        """Sends an answer."""
+
+
+class Binary:
+    """Serialised messages in binary frames."""
+
+    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+        if (data := event.get("bytes")) is None:
+            raise InvalidArgument(field="message", expected="a binary frame, or mode=json", got="a text frame")
+        try:
+            return parsed(pb.TrackRequest, data) if data else None
+        except DecodeError:
+            raise InvalidArgument(
+                field="message", expected="a serialised TrackRequest", got=f"{len(data)} bytes that are none"
+            ) from None
+
+    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
+        await websocket.send_bytes(response.SerializeToString())
+
+
+class Json:
+    """The protobuf JSON mapping in text frames, with the names of the contract; arrays are base64."""
+
+    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+        if (text := event.get("text")) is None:
+            raise InvalidArgument(field="message", expected="a text frame in mode=json", got="a binary frame")
+        require_few_in_json(text)
+        try:
+            request = await _maybe_in_thread(len(text), json_format.Parse, text or "{}", pb.TrackRequest())
+        except (json_format.ParseError, RecursionError) as error:
+            got = " ".join(str(error).split())
+            raise InvalidArgument(field="message", expected="a TrackRequest as JSON", got=got) from None
+        return request if request.WhichOneof("message") else None
+
+    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
+        await websocket.send_text(await _maybe_in_thread(response.ByteSize(), _as_json, response))
+
+
+MODES: dict[str, Mode] = {"binary": Binary(), "json": Json()}
+
+
+def _as_json(response: pb.TrackResponse) -> str:
+    return json_format.MessageToJson(
+        response, preserving_proto_field_name=True, always_print_fields_with_no_presence=True, indent=None
+    )
+
+
+async def _maybe_in_thread(size: int, function, *arguments):
+    """A large message is converted where it holds up nobody."""
+    return await asyncio.to_thread(function, *arguments) if size > _LARGE else function(*arguments)

@@ -1,0 +1,155 @@
+"""The contract over WebSocket: a session's stream and its watchers, as protobuf in binary frames or as JSON in text frames.
+
+An empty message says that no more frames follow, what half-closing says over gRPC. A stream that ends with an error ends
+with the close code 4000 plus the error's HTTP status, and its sentence as the reason.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import logging
+import re
+
+from ddakf_api.errors import DeadlineExceeded, FailedPrecondition, InvalidArgument, ServiceError, class_of, to_detail
+from ddakf_api.v1 import tracking_pb2 as pb
+from fastapi import FastAPI, WebSocket, WebSocketDisconnect
+
+from ddakf import errors as library
+
+from ...streaming.stream import Stream
+from ...streaming.streams import Streams
+from ..truncation import truncated
+from .modes import MODES, Mode
+
+log = logging.getLogger(__name__)
+
+# What a browser that names its key as a subprotocol names first, because it needs one of them agreed to.
+SUBPROTOCOL = "ddakf.v1"
+ERROR_CODES = 4000  # plus the HTTP status of the error
+_NORMAL = 1000
+_MAX_REASON_BYTES = 123  # RFC 6455: a control frame holds 125, two of them the code
+
+
+def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
+    """The routes ``/v1/sessions/{id}/stream`` and ``/v1/sessions/{id}/watch``; ``?mode=json`` for text frames.
+
+    Args:
+        patience: seconds that a stream's client has to send Start.
+    """
+
+    @app.websocket("/v1/sessions/{session_id}/stream")
+    async def stream(websocket: WebSocket, session_id: str) -> None:
+        await _answering_errors(websocket, functools.partial(_stream, patience=patience), streams, f"sessions/{session_id}")
+
+    @app.websocket("/v1/sessions/{session_id}/watch")
+    async def watch(websocket: WebSocket, session_id: str) -> None:
+        await _answering_errors(websocket, _watch, streams, f"sessions/{session_id}")
+
+
+async def _answering_errors(websocket: WebSocket, converse, streams: Streams, name: str) -> None:
+    """Runs a conversation and closes the connection with what it ended with."""
+    await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
+    code, reason = _NORMAL, ""
+    try:
+        await converse(websocket, streams, name)
+    except WebSocketDisconnect:
+        return
+    except (ServiceError, library.DdakfError) as error:
+        code, reason = _closing(error)
+    except Exception as error:
+        log.exception("a WebSocket stream failed")
+        code, reason = _closing(error)
+    try:
+        await websocket.close(code, reason)
+    except (WebSocketDisconnect, RuntimeError):
+        log.debug("the client had left before it was told %s", code)
+
+
+async def _stream(websocket: WebSocket, streams: Streams, name: str, *, patience: float) -> None:
+    mode = _mode(websocket)
+    try:
+        async with asyncio.timeout(patience):
+            start = await _start(websocket, mode, name)
+    except TimeoutError:
+        raise DeadlineExceeded(f"no start came within {patience:g} s") from None
+    stream = await streams.open(start)
+    reader = asyncio.create_task(_read(websocket, mode, stream))
+    try:
+        await stream.deliver(lambda response: _send(websocket, mode, response))
+    finally:
+        reader.cancel()
+        closing = streams.leave(stream)
+    await asyncio.shield(closing)
+
+
+async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
+    request = await mode.parsed(await _receive(websocket))
+    if request is None or request.WhichOneof("message") != "start":
+        raise FailedPrecondition("the first message of a stream has to be start", field="start")
+    if request.start.name not in ("", name):
+        raise InvalidArgument(field="start.name", expected=f"{name}, as in the address, or nothing", got=request.start.name)
+    request.start.name = name
+    return request.start
+
+
+async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
+    mode, query = _mode(websocket), websocket.query_params
+    every_nth = query.get("every_nth", "1")
+    if not re.fullmatch("[0-9]{1,9}", every_nth):
+        raise InvalidArgument(field="every_nth", expected="a whole number of at most 9 digits", got=repr(every_nth[:80]))
+    request = pb.WatchSessionRequest(name=name, api_version=query.get("api_version", ""), every_nth=int(every_nth))
+    watcher = streams.watch(request)
+
+    async def refuse_messages() -> None:
+        try:
+            await _receive(websocket)
+            watcher.close(FailedPrecondition("a watcher only reads", field="message"))
+        except WebSocketDisconnect as left:
+            watcher.close(left)
+
+    reader = asyncio.create_task(refuse_messages())
+    try:
+        async for response in watcher.responses():
+            await _send(websocket, mode, response)
+    finally:
+        reader.cancel()
+        watcher.leave()
+
+
+async def _read(websocket: WebSocket, mode: Mode, stream: Stream) -> None:
+    """Always reads, but for the time that a lossless session holds its client back."""
+    try:
+        while (request := await mode.parsed(await _receive(websocket))) is not None:
+            await stream.receive(request)
+        stream.finish()
+        await _receive(websocket)
+        raise FailedPrecondition("no message may follow the empty one", field="message")
+    except Exception as error:  # the client left, or sent what cannot be used
+        stream.end(error)
+
+
+async def _receive(websocket: WebSocket) -> dict:
+    event = await websocket.receive()
+    if event["type"] == "websocket.disconnect":
+        raise WebSocketDisconnect(event["code"])
+    return event
+
+
+async def _send(websocket: WebSocket, mode: Mode, response: pb.TrackResponse) -> None:
+    try:
+        await mode.send(websocket, response)
+    except RuntimeError as error:  # the connection was closed beneath: a message too large, no answer to a ping
+        raise WebSocketDisconnect() from error
+
+
+def _mode(websocket: WebSocket) -> Mode:
+    name = websocket.query_params.get("mode", "binary")
+    if name not in MODES:
+        raise InvalidArgument(field="mode", expected=" or ".join(MODES), got=repr(name[:80]))
+    return MODES[name]
+
+
+def _closing(error: Exception) -> tuple[int, str]:
+    """The close code of an error, and its sentence as far as it fits."""
+    return ERROR_CODES + class_of(error).http_status, truncated(to_detail(error).message, _MAX_REASON_BYTES)

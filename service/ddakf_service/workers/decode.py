@@ -1,0 +1,152 @@
+"""Messages of the contract to what the tracker takes, and back. Runs in the workers.
+
+Every length is checked against its limit before memory is taken; errors name the field of the message.
+"""
+
+from __future__ import annotations
+
+import json
+from contextlib import contextmanager
+
+import numpy as np
+from ddakf_api import codec
+from ddakf_api.arrays import FLOATS, unpack, unpack_mesh
+from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidSnapshot
+from ddakf_api.v1 import tracking_pb2 as pb
+
+import ddakf
+from ddakf import errors as library
+from ddakf import snapshot
+from ddakf.files import depth as depths
+
+from .pool import Limits
+
+_MAX_CONFIG_CHARACTERS = 1 << 16
+# The arguments of Tracker.step by the fields of a frame that they come from.
+_FRAME_FIELDS = {"points": "point_cloud", "timestamp": "capture_time", "sensor_origin": "sensors"}
+MOST_AHEAD = 0.5  # s between capture and display: later is no latency, and no prediction
+
+
+def garment(request: pb.CreateSessionRequest, max_vertices: int, max_faces: int) -> tuple[ddakf.Mesh, np.ndarray | None]:
+    """The garment, and with ``clean`` the vertex map (V,) of the repair."""
+    vertices, faces = unpack_mesh(request.session.garment, field="garment", max_vertices=max_vertices, max_faces=max_faces)
+    with _fields_of("garment"):
+        return ddakf.Mesh.cleaned(vertices, faces) if request.clean else (ddakf.Mesh(vertices, faces), None)
+
+
+def body(session: pb.Session, max_vertices: int, max_faces: int) -> ddakf.Mesh | None:
+    """The body, if there is one."""
+    if not session.HasField("body"):
+        return None
+    vertices, faces = unpack_mesh(session.body, field="body", max_vertices=max_vertices, max_faces=max_faces)
+    with _fields_of("body"):
+        return ddakf.Mesh(vertices, faces)
+
+
+def config(session: pb.Session) -> ddakf.Config:
+    """The tracker's configuration: ``config_json`` over the defaults, then ``fabric``."""
+    text = session.config_json
+    if len(text) > _MAX_CONFIG_CHARACTERS:
+        raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
+    try:
+        chosen = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
+    except (json.JSONDecodeError, RecursionError) as error:
+        raise InvalidConfig(field="config_json", expected="a JSON object", got=str(error)) from None
+    return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
+
+
+def restored(data: bytes, limits: Limits) -> ddakf.Tracker:
+    """The tracker of a snapshot; nothing is built of one whose meshes no new session could have."""
+    numbers, arrays = snapshot.unpack(data)
+    for name, most, what in (
+        ("garment_V", limits.max_vertices, "garment vertices"),
+        ("garment_F", limits.max_faces, "garment faces"),
+        ("body_V", limits.max_body_vertices, "body vertices"),
+        ("body_F", limits.max_faces, "body faces"),
+    ):
+        count = np.size(arrays[name]) // 3 if name in arrays else 0
+        if count > most:
+            raise InvalidSnapshot(field="data", expected=f"at most {most} {what}", got=str(count))
+    return snapshot.build(numbers, arrays, ddakf.Tracker)
+
+
+def step_arguments(frame: pb.Frame, limits: Limits, draco: codec.DracoDecoder) -> dict:
+    """The arguments of ``Tracker.step`` for a frame."""
+    if frame.WhichOneof("payload") == "depth_image":
+        points, origin = _unprojected(frame, limits)
+    else:
+        points = codec.decode(frame.point_cloud, max_points=limits.max_points, draco_decoder=draco)
+        origin = codec.sensor_origins(frame.sensors, len(points))
+    return {
+        "points": points,
+        "timestamp": frame.capture_time,
+        "sensor_origin": origin,
+        "body_vertices": _body_vertices(frame.body_vertices, limits.max_body_vertices),
+    }
+
+
+def seconds_ahead(frame: pb.Frame) -> float:
+    """How long after its capture the frame's answer will be shown."""
+    if frame.display_time == 0:
+        return 0.0
+    ahead = frame.display_time - frame.capture_time
+    if not 0 <= ahead <= MOST_AHEAD:  # also false for a NaN
+        expected = f"0, or {frame.capture_time:.6f} to {MOST_AHEAD} s later"
+        raise InvalidFrame(field="display_time", expected=expected, got=f"{frame.display_time:.6f}")
+    return ahead
+
+
+@contextmanager
+def frame_fields(frame: pb.Frame):
+    """Makes errors of the tracker name the fields of the frame."""
+    try:
+        yield
+    except library.InvalidFrame as error:
+        field = _FRAME_FIELDS.get(error.field, error.field)
+        if frame.WhichOneof("payload") == "depth_image" and error.field in ("points", "sensor_origin"):
+            field = "depth_image" if error.field == "points" else "depth_image.pose"
+        raise InvalidFrame(field=field, expected=error.expected, got=error.got) from None
+
+
+def optional_array(message, field: str, max_items: int) -> np.ndarray | None:
+    """(n, 3) numbers of an optional PackedArray."""
+    if not message.HasField(field):
+        return None
+    return unpack(getattr(message, field), 3, field=field, max_items=max_items, encodings=FLOATS).astype(np.float64)
+
+
+def _unprojected(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """World points (N, 3) of a depth image, metres, without those that float behind edges, and the camera's centre (3,)."""
+    if frame.sensors:
+        raise InvalidFrame(field="sensors", expected="none beside a depth image, which has its pose", got=str(len(frame.sensors)))
+    image = codec.decode_depth(frame.depth_image, max_pixels=limits.max_image_pixels)
+    lens = depths.Intrinsics(*image.intrinsics)
+    keep = depths.without_fliers(image.depth, depths.largest_step(image.depth, min(lens.fx, lens.fy)))
+    if image.keep is not None:
+        keep &= image.keep
+    count = int(np.count_nonzero(keep))
+    if count > limits.max_points:
+        expected = f"at most {limits.max_points} pixels with a measurement (mask or scale it)"
+        raise InvalidFrame(field="depth_image", expected=expected, got=str(count))
+    return depths.unproject(image.depth, keep, lens, image.pose), image.pose[:, 3]
+
+
+def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:
+    if not data:
+        return None
+    if len(data) % 12:
+        raise InvalidFrame(field="body_vertices", expected="float32 triples, 12 bytes each", got=f"{len(data)} bytes")
+    if len(data) > 12 * max_vertices:
+        raise InvalidFrame(field="body_vertices", expected=f"at most {max_vertices}", got=str(len(data) // 12))
+    with np.errstate(invalid="ignore"):  # a signalling NaN, of which NumPy warns here, is refused with the others
+        return np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float64)
+
+
+@contextmanager
+def _fields_of(name: str):
+    """Makes errors of a mesh say which mesh."""
+    try:
+        yield
+    except library.InvalidMesh as error:
+        field = error.field.replace("mesh", name, 1)
+        raise library.InvalidMesh(field, error.expected, error.got) from None

@@ -1,0 +1,74 @@
+"""The ring of known keys, in front of a store that comes, goes and changes."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from ddakf_api.errors import Unauthenticated, Unavailable
+from ddakf_service.auth import keys
+from ddakf_service.auth.principal import Scope
+
+
+class UnreachableKeys:
+    """A database that is away, until it is ``there``."""
+
+    def __init__(self):
+        self.there, self.looks, self.kept = False, 0, []
+
+    def all(self):
+        self.looks += 1
+        if not self.there:
+            raise OSError("away")
+        return self.kept
+
+
+async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(monkeypatch):
+    store, (_, presented) = UnreachableKeys(), keys.generate("somebody", [Scope.STREAM], 0.0)
+    ring = keys.KeyRing(store, on_revoked=set)
+    with pytest.raises(Unavailable, match="the keys cannot be read now"):
+        await ring.principal(presented)
+    store.there = True
+    monkeypatch.setattr(keys, "_UNKNOWN_REFRESH", 0.0)
+    with pytest.raises(Unauthenticated):
+        await ring.principal(presented)
+
+
+async def test_a_key_that_is_made_right_after_the_keys_were_read_counts_at_once():
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
+    store.there = True
+    await ring.start()
+    key, presented = keys.generate("somebody", [Scope.STREAM], 0.0)
+    store.kept.append(key)
+    assert await ring.principal(presented) == key.principal
+    await ring.stop()
+
+
+async def test_many_who_come_with_unknown_keys_share_one_look():
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
+    store.there = True
+    unknown = [keys.generate("nobody", [Scope.STREAM], 0.0)[1] for _ in range(20)]
+    outcomes = await asyncio.gather(*(ring.principal(key) for key in unknown), return_exceptions=True)
+    assert {type(outcome) for outcome in outcomes} == {Unauthenticated}
+    assert store.looks == 1
+
+
+async def test_trouble_with_one_change_does_not_end_the_watch_for_others(monkeypatch):
+    told, (key, _) = [], keys.generate("somebody", [Scope.STREAM], 0.0)
+
+    def on_revoked(ids):
+        told.append(set(ids))
+        if len(told) == 2:
+            raise RuntimeError("a stream could not be ended")
+
+    monkeypatch.setattr(keys, "_REFRESH", 0.0)
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=on_revoked)
+    store.there, store.kept = True, [key]
+    await ring.start()
+    async with asyncio.timeout(20):
+        while len(told) < 3:
+            await asyncio.sleep(0)
+        store.kept = []
+        while told[-1] != {key.id}:
+            await asyncio.sleep(0)
+    await ring.stop()

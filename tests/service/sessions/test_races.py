@@ -1,0 +1,196 @@
+"""What happens to a session while something else does. The pool is one of a few lines; everything else is the service's."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import weakref
+
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.observability.metrics import Metrics
+from ddakf_service.observability.tracing import NoTracer
+from ddakf_service.sessions import service
+from ddakf_service.settings import Settings
+from ddakf_service.store.store import Store
+from ddakf_service.streaming.frame_recorder import FrameRecorder
+from ddakf_service.streaming.streams import Streams
+
+START = pb.Start(name="sessions/some", api_version=API_VERSION)
+
+
+class Pool:
+    """Notes what is opened and closed; ``busy`` keeps calls of a session waiting."""
+
+    def __init__(self):
+        self.calls = []
+        self.busy, self.configuring = asyncio.Event(), asyncio.Event()
+        self.lost = self.full = False
+
+    async def open(self, session_id, request, memory):
+        self.calls.append(("open", session_id))
+        return pb.Session().SerializeToString()
+
+    async def restore(self, session_id, request, memory):
+        self.calls.append(("restore", session_id))
+        if self.full:
+            raise ResourceExhausted("memory")
+        return pb.Session().SerializeToString()
+
+    async def configure(self, session_id, request):
+        self.configuring.set()
+        await self.busy.wait()
+        return pb.Session().SerializeToString()
+
+    async def snapshot(self, session_id, compressed=False):
+        if self.lost:
+            raise WorkerLost("lost")
+        return b""
+
+    async def reset(self, session_id, request):
+        self.lost = True  # right after it
+
+    async def close(self, session_id):
+        self.calls.append(("close", session_id))
+
+
+@pytest.fixture
+async def pool():
+    return Pool()
+
+
+@pytest.fixture
+async def store():
+    store = Store(Settings(data_dir="none"), Metrics())
+    yield store
+    await asyncio.to_thread(store.close)
+
+
+@pytest.fixture
+async def server(pool, store):
+    """All sessions of a server, of which one is there: "some"."""
+    server = service.Sessions(pool, Settings(data_dir="none"), Metrics(), store)
+    await server.load()
+    await create(server)
+    return server
+
+
+@pytest.fixture
+async def streams(server, store):
+    return Streams(server.components, FrameRecorder(Metrics(), store.history, NoTracer()))
+
+
+async def create(server) -> None:
+    await server.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id="some"))
+
+
+async def test_nothing_is_kept_of_a_session_that_ended_under_its_stream(server, streams):
+    session = weakref.ref(server._catalog.readable("sessions/some"))
+
+    async def serve() -> None:
+        stream = await streams.open(START)
+        opened.set()
+        try:
+            await stream.deliver(lambda response: asyncio.sleep(0))
+        finally:
+            await streams.leave(stream)
+
+    opened = asyncio.Event()
+    serving = asyncio.create_task(serve())
+    await opened.wait()
+    await server.delete("sessions/some")
+    with pytest.raises(SessionNotFound, match="was deleted"):
+        await serving
+    del serving
+    await server._durability.settle(1.0)
+    for _ in range(100):  # callbacks of what has ended, of threads too
+        gc.collect()
+        if session() is None:
+            break
+        await asyncio.sleep(0.05)
+    assert session() is None
+
+
+async def test_a_worker_forgets_a_session_whose_deletion_was_cut_off(server, pool):
+    session = server._catalog.readable("sessions/some")
+    async with session.lock:  # a frame is in the worker
+        deletion = asyncio.create_task(server.delete("sessions/some"))
+        await asyncio.sleep(0)
+        deletion.cancel()
+        await asyncio.wait({deletion})
+    await server._durability.settle(1.0)
+    assert pool.calls == [("open", "some"), ("close", "some")]
+
+
+async def test_an_id_is_free_once_the_worker_has_forgotten_it(server, pool):
+    async with server._catalog.readable("sessions/some").lock:
+        deletion = asyncio.create_task(server.delete("sessions/some"))
+        await asyncio.sleep(0)
+        creation = asyncio.create_task(create(server))
+        await asyncio.sleep(0)
+    await asyncio.gather(deletion, creation)
+    assert pool.calls == [("open", "some"), ("close", "some"), ("open", "some")]
+
+
+async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, pool, store):
+    session = server._catalog.readable("sessions/some")
+    change = pb.Session(name="sessions/some", fabric="denim")
+    update = asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change)))
+    await pool.configuring.wait()
+    deletion = asyncio.create_task(server.delete("sessions/some"))
+    await asyncio.sleep(0)
+    pool.busy.set()
+    await asyncio.gather(update, deletion)
+    assert (await store.registry.newest("some")).reason.name == "SessionNotFound"
+    assert session.uid not in server._persistence._saved
+
+
+async def test_a_stop_does_not_wait_for_a_session_on_its_way_back(server, monkeypatch):
+    monkeypatch.setattr(service, "_LAST_CHECKPOINTS", 0.05)
+    async with server._catalog.readable("sessions/some").lock:
+        await asyncio.wait_for(server.drain(0.0), 30.0)
+
+
+async def test_a_server_that_stops_opens_no_stream(server, streams):
+    server._admission.draining = True
+    with pytest.raises(Draining):
+        await streams.open(START)
+
+
+async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_not_exist(server, streams):
+    server._catalog.complete = False
+    with pytest.raises(Unavailable, match="not known before the database can be read"):
+        await streams.open(pb.Start(name="sessions/earlier", api_version=API_VERSION))
+
+
+async def test_a_reset_is_answered_once_a_lost_worker_does_not_undo_it(server):
+    with pytest.raises(WorkerLost):
+        await server.reset(pb.ResetSessionRequest(name="sessions/some"))
+
+
+async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
+    first = pb.Session(name="sessions/some", labels={"whose": "first"}, fabric="silk")
+    second = pb.Session(name="sessions/some", limits=pb.SessionLimits(max_points=7))
+    calls = [asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change))) for change in (first, second)]
+    await pool.configuring.wait()
+    pool.busy.set()
+    await asyncio.gather(*calls)
+    after = await server.get("sessions/some")
+    assert (dict(after.labels), after.limits.max_points) == ({"whose": "first"}, 7)
+
+
+async def test_a_session_waits_for_a_worker_with_room(server, pool):
+    """As the others have the memory until the lost worker is replaced."""
+    session = server._catalog.readable("sessions/some")
+    await server._durability.secure(session)
+    pool.full = True
+    server.lose(["some"])
+    while ("restore", "some") not in pool.calls:
+        await asyncio.sleep(0)
+    pool.full = False
+    async with asyncio.timeout(10):
+        while not session.seated:
+            await asyncio.sleep(0.01)
+    assert server._catalog.readable("sessions/some") is session

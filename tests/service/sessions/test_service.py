@@ -1,0 +1,232 @@
+"""Sessions over gRPC and REST: the same life, the same meaning."""
+
+from __future__ import annotations
+
+import base64
+import json
+import uuid
+
+import numpy as np
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.arrays import pack, pack_mesh
+from ddakf_api.errors import (
+    FailedPrecondition,
+    InvalidArgument,
+    InvalidConfig,
+    SessionExists,
+    SessionNotFound,
+    VersionMismatch,
+)
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import Frame
+
+import ddakf
+from ddakf import data
+from ddakf.evaluation.metrics import rmse_mm
+from ddakf.evaluation.sensors import Sensor
+
+from ..conftest import Api, Talk, frame_of, make_sheet, request_of
+
+
+def test_life_over_grpc(api, sheet):
+    session = api.create(sheet, "shirt-1", labels={"who": "me"}, fabric="silk")
+    assert session.name == "sessions/shirt-1"
+    assert (session.garment_vertex_count, session.garment_face_count) == (len(sheet.vertices), len(sheet.faces))
+    assert not session.HasField("garment")
+    full = api.call("GetSession", pb.GetSessionRequest(name=session.name, view=pb.SESSION_VIEW_FULL))
+    assert full.garment == pack_mesh(*sheet)
+    listed = api.call("ListSessions", pb.ListSessionsRequest(labels={"who": "me"}))
+    assert [s.name for s in listed.sessions] == [session.name]
+    api.delete(session.name)
+    with pytest.raises(SessionNotFound, match="deleted"):
+        api.get(session.name)
+
+
+def test_life_over_rest(http, sheet):
+    body = {"garment": {"vertices": sheet.vertices.tolist(), "faces": sheet.faces.tolist()}, "session_id": "shirt-2"}
+    created = http.post("/v1/sessions", json=body)
+    assert created.status_code == 201
+    assert created.headers["location"] == "/v1/sessions/shirt-2"
+    assert created.json()["garment_vertex_count"] == len(sheet.vertices)
+    got = http.get("/v1/sessions/shirt-2").json()
+    assert got["state"] == "idle"
+    assert got["config"] == ddakf.Config().to_dict()
+    assert "sessions/shirt-2" in [s["name"] for s in http.get("/v1/sessions").json()["sessions"]]
+    assert http.post("/v1/sessions", json=body).status_code == 409
+    assert http.delete("/v1/sessions/shirt-2").status_code == 204
+    assert http.get("/v1/sessions/shirt-2").status_code == 404
+
+
+def test_a_mesh_as_base64_is_the_same_mesh(http, api, sheet):
+    packed = pack_mesh(*sheet)
+    mesh = {
+        "vertices": {"encoding": "float64", "data": base64.b64encode(packed.vertices.data).decode()},
+        "faces": {"encoding": "uint32", "data": base64.b64encode(packed.faces.data).decode()},
+    }
+    name = http.post("/v1/sessions", json={"garment": mesh, "body": mesh}).json()["name"]
+    full = http.get(f"/v1/{name}", params={"view": "full"}).json()
+    assert full["garment"] == full["body"] == mesh
+    assert full["body_vertex_count"] == len(sheet.vertices)
+    api.delete(name)
+
+
+def test_both_sides_report_the_last_frame(api, http, session, sheet):
+    responses = list(api.track(session, (request_of(frame_of(sheet, i)) for i in (1, 2, 3))))
+    last = responses[-1].result
+    over_grpc = api.get(session).statistics
+    over_rest = http.get(f"/v1/{session}").json()
+    for field in ("reliability", "paper_score", "coverage", "frames_applied", "frames_dropped", "frames_rejected"):
+        assert getattr(over_grpc, field) == getattr(last, field) == over_rest["statistics"][field]
+    assert over_grpc.last_sequence_number == 3
+    assert over_grpc.last_capture_time == pytest.approx(0.1)
+    assert over_grpc.frame_rate > 0
+    assert over_rest["state"] == "idle"
+
+
+def test_listing_by_pages_and_state(api, http, sheet):
+    names = [api.create(sheet, labels={"page": "yes"}).name for _ in range(3)]
+    first = http.get("/v1/sessions", params={"label": "page=yes", "page_size": 2, "state": "idle"}).json()
+    params = {"label": "page=yes", "page_size": 2, "state": "idle", "page_token": first["next_page_token"]}
+    second = http.get("/v1/sessions", params=params).json()
+    assert [s["name"] for s in first["sessions"] + second["sessions"]] == names
+    assert second["next_page_token"] == ""
+    assert http.get("/v1/sessions", params={"label": "page=yes", "state": "lost"}).json()["sessions"] == []
+    assert http.get("/v1/sessions", params={"state": "happy"}).json()["error"]["field"] == "state"
+    for name in names:
+        api.delete(name)
+
+
+def test_a_taken_or_malformed_id_is_refused(api, session, sheet):
+    with pytest.raises(SessionExists):
+        api.create(sheet, session.removeprefix("sessions/"))
+    with pytest.raises(InvalidArgument, match="session_id"):
+        api.create(sheet, "No Spaces")
+
+
+def test_updating_labels_and_limits(api, session):
+    before = api.get(session)
+    change = pb.Session(name=session, labels={"a": "b"}, limits=pb.SessionLimits(max_points=10, idle_timeout=1e9))
+    after = api.call("UpdateSession", pb.UpdateSessionRequest(session=change))
+    assert dict(after.labels) == {"a": "b"}
+    assert after.limits.max_points == 10
+    assert after.limits.idle_timeout == before.limits.idle_timeout, "lowered to what the server allows"
+    assert after.etag != before.etag
+    with pytest.raises(InvalidArgument, match="update_mask"):
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, state=pb.SESSION_STATE_LOST)))
+
+
+def test_another_configuration_and_fabric_while_frames_are_tracked(api, session, sheet):
+    """The tracker goes on where it is: the frame number and the time of the last frame still count."""
+
+    def update(**change):
+        return api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, **change)))
+
+    talk = Talk(api, session)
+    assert talk.ask(frame_of(sheet, 1))[-1].result.frames_applied == 1
+    between = [update(config_json='{"associate": {"wide_gate": 0.05}}'), update(fabric="silk")]
+    with pytest.raises(InvalidConfig, match="fabric"):
+        update(fabric="iron", labels={"never": "set"})
+    assert talk.ask(frame_of(sheet, 2))[-1].result.frames_applied == 2
+    talk.end()
+    first, second = (json.loads(answer.config_json) for answer in between)
+    assert first["associate"]["wide_gate"] == second["associate"]["wide_gate"] == 0.05
+    assert first["physics"] != second["physics"] == ddakf.Config().with_fabric(ddakf.Fabric.named("silk")).to_dict()["physics"]
+    after = api.get(session)
+    assert (after.fabric, dict(after.labels), after.config_json) == ("silk", {}, between[1].config_json)
+
+
+def test_an_update_of_what_another_has_changed_meanwhile_is_refused(api, session):
+    seen = api.get(session).etag
+    change = pb.UpdateSessionRequest(session=pb.Session(name=session, etag=seen, labels={"mine": "1"}))
+    after = api.call("UpdateSession", change)
+    with pytest.raises(FailedPrecondition, match="etag") as caught:
+        api.call("UpdateSession", change)
+    assert caught.value.field == "etag"
+    change.session.etag = after.etag
+    assert api.call("UpdateSession", change).etag not in (seen, after.etag)
+
+
+def test_a_session_tells_its_memory_and_when_it_expires(api, sheet):
+    limits = pb.SessionLimits(idle_timeout=50, max_lifetime=20, departure_timeout=1e6, max_frame_rate=7, max_points=1000)
+    small = api.create(sheet, limits=limits)
+    large = api.create(make_sheet(40, 0.01))
+    assert small.limits.departure_timeout == 50, "at most the idle timeout"
+    assert small.limits.max_frame_rate == 7
+    assert small.expire_time.ToNanoseconds() - small.create_time.ToNanoseconds() == pytest.approx(20e9, abs=1e9)
+    assert 0 < small.statistics.memory_bytes < large.statistics.memory_bytes
+    for name in (small.name, large.name):
+        api.delete(name)
+
+
+@pytest.mark.parametrize("field", ["max_frame_rate", "idle_timeout", "max_lifetime", "departure_timeout"])
+@pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
+def test_a_limit_that_is_no_number_is_refused(api, session, field, value):
+    change = pb.Session(name=session, limits=pb.SessionLimits(**{field: value}))
+    with pytest.raises(InvalidArgument, match=field):
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=change))
+
+
+def test_a_repeated_request_over_another_connection_creates_once(service, api, sheet):
+    request = pb.CreateSessionRequest(
+        api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*sheet)), request_id=str(uuid.uuid4())
+    )
+    name = api.call("CreateSession", request).name
+    other = Api(service.grpc)
+    with other.channel:
+        assert other.call("CreateSession", request).name == name
+    api.delete(name)
+    with pytest.raises(SessionNotFound, match="deleted"):
+        api.call("CreateSession", request)
+
+
+def test_reset_starts_again_from_given_vertices(api, session, sheet):
+    moved = sheet.vertices + np.array([0.5, 0, 0])
+    list(api.track(session, [request_of(frame_of(sheet, 1))]))
+    request = pb.ResetSessionRequest(name=session, vertices=pack(moved, pb.ARRAY_ENCODING_FLOAT64))
+    api.call("ResetSession", request)
+    responses = list(api.track(session, [request_of(frame_of(sheet, 2, shift=(0.5, 0, 0)))]))
+    vertices = np.frombuffer(responses[-1].result.vertices.data, "<f4").reshape(-1, 3)
+    assert np.abs(vertices - moved).max() < 0.02
+    with pytest.raises(InvalidArgument, match="vertices"):
+        api.call("ResetSession", pb.ResetSessionRequest(name=session, vertices=pack(moved[:5])))
+
+
+def test_cleaning_answers_the_vertex_map(api, http, sheet):
+    vertices = np.concatenate([[[9.0, 9.0, 9.0]], sheet.vertices])
+    faces = np.concatenate([sheet.faces + 1, sheet.faces[:1] + 1])
+    mesh = {"vertices": vertices.tolist(), "faces": faces.tolist()}
+    refused = http.post("/v1/sessions", json={"garment": mesh})
+    assert refused.status_code == 422
+    message = refused.json()["error"]["message"]
+    assert "1 unreferenced" in message
+    assert "1 duplicate" in message
+    assert "clean=true" in message
+    created = http.post("/v1/sessions", json={"garment": mesh, "clean": True}).json()
+    assert created["vertex_map"] == list(range(1, len(vertices)))
+    api.delete(created["name"])
+
+
+def test_another_major_version_is_refused(api, sheet):
+    for version in ("2.0", "", "one"):
+        request = pb.CreateSessionRequest(api_version=version, session=pb.Session(garment=pack_mesh(*sheet)))
+        with pytest.raises(VersionMismatch, match="speaks ddakf API"):
+            api.call("CreateSession", request)
+
+
+@pytest.mark.slow
+def test_the_sample_is_tracked(client):
+    sequence = data.sample()
+    rng, sensor = np.random.default_rng(0), Sensor("full", points=6000)
+    garment = ddakf.Mesh(sequence.template, sequence.garment_faces)
+    body = ddakf.Mesh(sequence.body_vertices[0], sequence.body_faces)
+    frames = [
+        Frame(sensor.capture(sequence, i, rng).points, sequence.timestamp(i), None, sequence.body_vertices[i]) for i in range(6)
+    ]
+    with client.create_session(garment, body=body, flow="lossless") as session:
+        session.reset(sequence.garment_vertices[0])
+        results = list(session.track(frames, covariance=True, velocities=True))
+    assert [result.sequence for result in results] == [1, 2, 3, 4, 5, 6]
+    assert results[-1].state == "tracking"
+    assert results[-1].covariance.shape == (garment.n_vertices, 3, 3)
+    assert rmse_mm(results[-1].vertices, sequence.garment_vertices[5]) < 15

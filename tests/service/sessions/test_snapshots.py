@@ -1,0 +1,64 @@
+"""Snapshots over gRPC: what they restore, and which are refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.errors import InvalidSnapshot
+from ddakf_api.v1 import tracking_pb2 as pb
+
+import ddakf
+
+from ..conftest import Api, frame_of, make_sheet, request_of, running
+
+
+def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
+    list(api.track(session, [request_of(frame_of(sheet, 1))]))
+    snapshot = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=session))
+    copy = api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data))
+    following = request_of(frame_of(sheet, 2, shift=(0.004, 0, 0)))
+    a, b = [list(api.track(name, [following]))[-1].result for name in (session, copy.name)]
+    assert a.vertices == b.vertices
+    api.delete(copy.name)
+    with pytest.raises(InvalidSnapshot):
+        api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data[:-9]))
+
+
+@pytest.fixture(scope="module")
+def small_service(tmp_path_factory):
+    """Takes the sheet as garment and as body, and nothing larger."""
+    limits = ["--max-vertices", "144", "--max-faces", "242", "--max-body-vertices", "144", "--workers", "1"]
+    with running(limits, tmp_path_factory.mktemp("small")) as service:
+        yield Api(service.grpc)
+
+
+def torus(side: int) -> ddakf.Mesh:
+    """More faces than a sheet of as many vertices."""
+    i, j = (index.ravel() for index in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
+    u, v = 2 * np.pi * i / side, 2 * np.pi * j / side
+    vertices = np.stack([(1 + 0.3 * np.cos(v)) * np.cos(u), (1 + 0.3 * np.cos(v)) * np.sin(u), 0.3 * np.sin(v)], axis=1)
+    right, up = (i + 1) % side, (j + 1) % side
+    a, b, c, d = i * side + j, right * side + j, i * side + up, right * side + up
+    return ddakf.Mesh(vertices, np.concatenate([np.stack([a, b, c], axis=1), np.stack([c, b, d], axis=1)]))
+
+
+@pytest.mark.parametrize(
+    ("garment", "body", "words"),
+    [
+        (13, 12, "at most 144 garment vertices, got 169"),
+        (12, 13, "at most 144 body vertices, got 169"),
+        (12, "torus", "at most 242 body faces, got 288"),
+        (12, 12, ""),
+    ],
+)
+def test_a_snapshot_has_the_limits_of_a_new_session(small_service, garment, body, words):
+    below = torus(12) if body == "torus" else ddakf.Mesh(*make_sheet(body))
+    data = ddakf.Tracker(ddakf.Mesh(*make_sheet(garment)), body=below).snapshot()
+    request = pb.RestoreSessionRequest(api_version=API_VERSION, data=data)
+    if not words:
+        small_service.delete(small_service.call("RestoreSession", request).name)
+        return
+    with pytest.raises(InvalidSnapshot, match=words) as caught:
+        small_service.call("RestoreSession", request)
+    assert caught.value.field == "data"

@@ -1,0 +1,89 @@
+"""Errors over gRPC as clients of any language read them."""
+
+from __future__ import annotations
+
+import grpc
+import pytest
+from ddakf_api.errors import ERROR_METADATA_KEY, ERRORS, InvalidArgument, ResourceExhausted, from_rpc_error, to_detail
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.transports.grpc.errors import rich_status, shortened, trailers
+from google.rpc import error_details_pb2
+from grpc_status import rpc_status
+
+from ..conftest import TIMEOUT, make_sheet
+from .test_bad_input import create_request
+
+MOST_BYTES = 8192  # of the headers of an answer, which is where gRPC stops
+KINDS = (error_details_pb2.ErrorInfo, error_details_pb2.BadRequest, error_details_pb2.RetryInfo)
+
+
+def details_of(status) -> dict:
+    """The details of a status by their kind."""
+    found = {}
+    for packed in status.details:
+        message = next(kind() for kind in KINDS if packed.Is(kind.DESCRIPTOR))
+        packed.Unpack(message)
+        found[type(message).__name__] = message
+    return found
+
+
+def refusal(api, method: str, request) -> grpc.RpcError:
+    with pytest.raises(grpc.RpcError) as caught:
+        getattr(api.stub, method)(request, timeout=TIMEOUT)
+    return caught.value
+
+
+def test_a_bad_field_is_a_field_violation(api):
+    mesh = make_sheet()
+    error = refusal(api, "CreateSession", create_request(mesh._replace(vertices=mesh.vertices * 0)))
+    status = rpc_status.from_call(error)
+    details = details_of(status)
+    ours = from_rpc_error(error)
+    assert (status.code, status.message) == (grpc.StatusCode.INVALID_ARGUMENT.value[0], error.details())
+    (violation,) = details["BadRequest"].field_violations
+    assert (violation.field, violation.description) == ("garment", ours.message)
+    info = details["ErrorInfo"]
+    assert (info.reason, info.domain) == ("INVALID_MESH", "ddakf")
+    assert dict(info.metadata) == {"field": ours.field, "expected": ours.expected, "got": ours.got}
+
+
+def test_a_missing_session_is_no_fault_of_a_field(api):
+    error = refusal(api, "GetSession", pb.GetSessionRequest(name="sessions/none"))
+    assert error.code() is grpc.StatusCode.NOT_FOUND
+    details = details_of(rpc_status.from_call(error))
+    assert set(details) == {"ErrorInfo"}
+    assert details["ErrorInfo"].reason == "SESSION_NOT_FOUND"
+
+
+def test_retry_info_says_when():
+    error = ResourceExhausted("full", retry_after=2.5)
+    details = details_of(rich_status(to_detail(error), ResourceExhausted))
+    assert details["RetryInfo"].retry_delay.ToMilliseconds() == 2500
+
+
+@pytest.mark.parametrize("name", ERRORS)
+def test_every_error_has_a_reason_of_its_own(name):
+    reasons = {other: details_of(rich_status(to_detail(cls("x")), cls))["ErrorInfo"].reason for other, cls in ERRORS.items()}
+    assert len(set(reasons.values())) == len(ERRORS)
+    assert reasons[name].replace("_", "").lower() == name.lower()
+
+
+@pytest.mark.parametrize("letter", ["a", "é", "衣", "👕"])
+def test_the_longest_texts_fit_into_the_headers(letter):
+    long = letter * 5000
+    error = InvalidArgument(long, field=long, expected=long, got=long, retry_after=1e6)
+    detail = shortened(to_detail(error))
+    headers = [("grpc-status", b"3"), ("grpc-message", b"%FF" * len(detail.message.encode())), *trailers(detail, InvalidArgument)]
+    # HPACK counts 32 bytes per header beside its name and value; values of -bin are base64.
+    size = sum(len(key) + 32 + (len(value) if key == "grpc-message" else 4 * (len(value) // 3 + 1)) for key, value in headers)
+    assert size < MOST_BYTES
+
+
+def test_the_longest_texts_arrive(api):
+    """Unicode in a field of the client's choice comes back in the message, and the client still learns what it was."""
+    request = create_request(make_sheet())
+    request.session.config_json = '{"' + "衣" * 5000 + '": {}}'
+    error = refusal(api, "CreateSession", request)
+    assert ERROR_METADATA_KEY in dict(error.trailing_metadata())
+    assert type(from_rpc_error(error)).__name__ == "InvalidConfig"
+    assert details_of(rpc_status.from_call(error))["ErrorInfo"].reason == "INVALID_CONFIG"

@@ -1,0 +1,154 @@
+"""Streams and watchers over WebSocket: what gRPC carries, in binary and in text frames."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from ddakf_api import API_VERSION
+from ddakf_api.v1 import tracking_pb2 as pb
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from ..conftest import TIMEOUT, children, frame_of, held, make_sheet, request_of
+from .websockets_client import START, Line, line
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+def without_timings(responses) -> list[pb.TrackResponse]:
+    for response in responses:
+        if response.HasField("result"):
+            response.result.ClearField("timings")
+    return responses
+
+
+@pytest.mark.parametrize("mode", ["binary", "json"])
+def test_both_modes_answer_what_grpc_answers(service, api, sheet, mode):
+    spoilt = frame_of(sheet, 2)
+    spoilt.point_cloud.data = b"?"
+    requests = [request_of(f) for f in (frame_of(sheet, 1), spoilt, frame_of(sheet, 3, shift=(0.003, 0, 0)))]
+    requests.append(pb.TrackRequest(ping=pb.Ping(token=2**60)))
+    answers = []
+    for transport in ("grpc", mode):
+        name = api.create(sheet, "the-same-name").name
+        if transport == "grpc":
+            responses = list(api.track(name, requests))
+        else:
+            with line(service, f"{name}/stream", mode) as websocket:
+                responses = websocket.track(requests)
+                assert websocket.connection.close_code == 1000
+        pongs = [response.pong.token for response in responses if response.HasField("pong")]
+        answers.append((without_timings([r for r in responses if not r.HasField("pong")]), pongs))
+        api.delete(name)
+    assert [r.WhichOneof("message") for r in answers[0][0]] == ["started", "result", "frame_error", "result"]
+    assert answers[0] == answers[1]
+
+
+@pytest.mark.parametrize("mode", ["binary", "json"])
+def test_a_watcher_sees_the_clients_answers(service, api, session, sheet, mode):
+    list(api.track(session, [request_of(frame_of(sheet, 1))]))
+    with line(service, f"{session}/watch?api_version=1.0&every_nth=1", mode) as watcher:
+        started = watcher.receive().started
+        assert (started.name, started.last_sequence_number) == (session, 1)
+        _, *answers = api.track(session, [request_of(frame_of(sheet, i)) for i in (2, 3)])
+        assert [watcher.receive() for _ in answers] == answers
+
+
+def test_a_watcher_is_told_the_end_and_only_reads(service, api, sheet):
+    name = api.create(sheet).name
+    with line(service, f"{name}/watch?api_version=1.0") as watcher, line(service, f"{name}/watch?api_version=1.0") as other:
+        assert (watcher.receive(), other.receive()) != (None, None)
+        other.send(START)
+        assert other.ending() == (4409, "a watcher only reads")
+        api.delete(name)
+        assert watcher.ending() == (4404, f"{name} was deleted")
+    with line(service, f"{name}/watch?api_version=1.0&every_nth=often") as refused:
+        assert refused.ending()[0] == 4422
+
+
+class Wrong(NamedTuple):
+    """What a client does, and how its stream ends."""
+
+    send: object
+    code: int
+    words: str
+    query: str = ""
+    path: str = ""
+
+
+FRAME = request_of(frame_of(make_sheet(), 1)).SerializeToString()
+WRONG = {
+    "no such session": Wrong([START.SerializeToString()], 4404, "no session", path="sessions/nobody"),
+    "no start": Wrong([pb.TrackRequest(ping=pb.Ping()).SerializeToString()], 4409, "has to be start"),
+    "nothing at all": Wrong([b""], 4409, "has to be start"),
+    "no message": Wrong([b"\xff\xff\xff"], 4422, "a serialised TrackRequest, got 3 bytes"),
+    "text in binary mode": Wrong(["{}"], 4422, "mode=json"),
+    "bytes in mode json": Wrong([b"{}"], 4422, "a text frame", "mode=json"),
+    "no JSON": Wrong(["{"], 4422, "TrackRequest as JSON", "mode=json"),
+    "deep JSON": Wrong(["[" * 10_000], 4422, "TrackRequest as JSON", "mode=json"),
+    "unknown field": Wrong(['{"begin": {}}'], 4422, "begin", "mode=json"),
+    "unknown mode": Wrong([], 4422, "binary or json", "mode=xml"),
+    "another version": Wrong([pb.TrackRequest(start=pb.Start(api_version="9.0")).SerializeToString()], 4400, "speaks"),
+    "another name": Wrong(
+        [pb.TrackRequest(start=pb.Start(name="sessions/other", api_version=API_VERSION)).SerializeToString()], 4422, "start.name"
+    ),
+    "start twice": Wrong([START.SerializeToString()] * 2, 4422, "a frame or a ping, got start"),
+    # the frame, in a worker that is held, keeps the stream from its end until the message after it has come
+    "more after the end": Wrong([START.SerializeToString(), FRAME, b"", b""], 4409, "no message may follow"),
+    "a long sentence": Wrong([START.SerializeToString()], 4422, "...", query="mode=" + "é" * 60),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_stream_that_ends_with_an_error_says_why_in_its_close_code(service, session, case):
+    wrong = WRONG[case]
+    url = f"{service.http.replace('http', 'ws', 1)}/v1/{wrong.path or session}/stream?{wrong.query}"
+    with connect(url, proxy=None, open_timeout=TIMEOUT) as connection:
+        with contextlib.suppress(ConnectionClosed), held(children(service.pid)):
+            for message in wrong.send:
+                connection.send(message)
+        code, reason = Line(connection, "").ending()
+    assert code == wrong.code, reason
+    assert wrong.words in reason
+    assert len(reason.encode()) <= 123
+
+
+def test_a_stream_is_taken_over_across_transports(service, api, session, sheet):
+    with line(service, f"{session}/stream") as first:
+        first.send(START)
+        assert first.receive().started.name == session
+        with line(service, f"{session}/stream") as second:
+            second.send(START)
+            assert second.ending()[0] == 4409
+        list(api.track(session, [request_of(frame_of(sheet, 1))], takeover=True))
+        code, reason = first.ending()
+    assert (code, reason) == (4409, f"another stream took {session} over")
+
+
+def test_nothing_is_compressed(service, session):
+    with line(service, f"{session}/stream") as websocket:
+        assert websocket.connection.protocol.extensions == []
+
+
+def test_the_recipe_for_a_browsers_console(service, http):
+    """What docs/protocol.md says to type, sent by another client of WebSocket."""
+    recipe = (ROOT / "docs/protocol.md").read_text().partition("```js\n")[2].partition("```")[0]
+    ((path, body),) = re.findall(r"""fetch\("([^"]+)", {method: "POST", body: '([^']+)'}\)""", recipe)
+    assert http.post(path, content=body).status_code == 201
+    (address,) = re.findall(r'new WebSocket\("ws://127.0.0.1:7702([^"]+)"\)', recipe)
+    with connect(service.http.replace("http", "ws", 1) + address, proxy=None, open_timeout=TIMEOUT) as websocket:
+        kinds, messages = [], re.findall(r"ws\.send\('([^']+)'\)", recipe)
+        assert len(messages) == 4
+        for message in messages[:-1]:
+            websocket.send(message)
+            kinds += json.loads(websocket.recv(timeout=TIMEOUT))
+        websocket.send(messages[-1])
+        code, _ = Line(websocket, "json").ending()
+    assert (kinds, code) == (["started", "result", "pong"], 1000)
+    (path,) = re.findall(r'fetch\("([^"]+)", {method: "DELETE"}\)', recipe)
+    assert http.delete(path).status_code == 204

@@ -1,0 +1,96 @@
+"""What the pool of local processes does when things happen that no client can bring about."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+
+import pytest
+from ddakf_api.errors import SessionNotFound, Unavailable
+from ddakf_service.workers import wire
+from ddakf_service.workers.local_pool import _Home
+from ddakf_service.workers.pool import Memory
+from ddakf_service.workers.tracker_host import TrackerHost
+from ddakf_service.workers.worker import WorkerStartFailed
+
+from .test_pool import LIMITS, creation, local
+
+
+async def test_without_a_ready_worker_sessions_are_refused(sheet):
+    with pytest.raises(Unavailable) as caught:
+        await local().open("one", creation(sheet))
+    assert caught.value.retry_after > 0
+
+
+class Worker:
+    """Notes what it has and is told."""
+
+    def __init__(self):
+        self.sessions, self.told = {}, []
+        self.turns, self.placing = asyncio.Semaphore(2), asyncio.Lock()
+
+    def tell(self, kind, session_id):
+        self.told.append((kind, session_id))
+
+    def memory_with(self, more):
+        return 0
+
+
+async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(monkeypatch):
+    pool, old, new = local(), Worker(), Worker()
+    pool._workers.append(new)
+    pool._homes["one"], old.sessions["one"] = _Home(old), Memory(1, 1)
+
+    async def call(worker, kind, session_id, payload=b""):
+        return b""
+
+    monkeypatch.setattr(pool, "_call", call)
+    await pool.open("one", b"", Memory(2, 2))
+    assert (old.sessions, old.told) == ({}, [(wire.Kind.CLOSE, "one")])
+    assert (new.sessions, new.told) == ({"one": Memory(2, 2)}, [])
+
+
+async def test_a_session_that_is_lost_while_it_moves_stays_nowhere(monkeypatch):
+    """Its worker dies once it has answered the snapshot; whoever has the session had back must not find the moved one."""
+
+    pool, old, new = local(), Worker(), Worker()
+    old.sessions["one"] = Memory(1, 1)
+    home = pool._homes["one"] = _Home(old)
+
+    async def call(worker, kind, session_id, payload=b""):
+        if worker is new:
+            del pool._homes["one"]
+        return b""
+
+    monkeypatch.setattr(pool, "_call", call)
+    await pool._move("one", old, new)
+    assert home.worker is old
+    assert new.sessions == {}
+    assert new.told == [(wire.Kind.CLOSE, "one")]
+
+
+async def test_a_process_that_cannot_be_started_leaves_no_descriptor(monkeypatch):
+    def refuse(*_, **__):
+        raise OSError("no more processes")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    pool, counts = local(), []
+    for _ in range(3):
+        with pytest.raises(OSError, match="no more processes"):
+            await pool.start(lambda *_: None)
+        await asyncio.sleep(0)  # a transport closes its socket a moment later
+        counts.append(len(os.listdir("/proc/self/fd")))
+    assert counts[0] == counts[2]
+
+
+async def test_a_worker_that_is_not_ready_in_time_fails_the_start():
+    pool = local(warm_timeout=0.01)
+    with pytest.raises(WorkerStartFailed):
+        await pool.start(lambda *_: None)
+    await pool.stop()
+
+
+def test_an_unknown_session_of_a_worker_is_not_found():
+    with pytest.raises(SessionNotFound):
+        TrackerHost(LIMITS).frame("none", wire.join(b"", b"", 1))

@@ -1,0 +1,340 @@
+"""The worker pool's contract, for every implementation of it."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+
+import numpy as np
+import pytest
+import pytest_asyncio
+from ddakf_api import API_VERSION
+from ddakf_api.arrays import pack_mesh, unpack
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    InvalidConfig,
+    InvalidFrame,
+    InvalidMesh,
+    InvalidSnapshot,
+    ResourceExhausted,
+    WorkerLost,
+)
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.workers import wire
+from ddakf_service.workers.local_pool import LocalPool
+from ddakf_service.workers.pool import Limits, Memory
+from ddakf_service.workers.tracker_host import TrackerHost
+
+from ddakf import Tracker
+
+from ..conftest import children, frame_of, is_running
+
+LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
+
+
+def local(size=2, **options) -> LocalPool:
+    return LocalPool(size, LIMITS, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+
+
+NAMES = ("one", "two", "three", "copy", "bad", "greedy", "other", "modest")  # of the sessions in these tests
+IMPLEMENTATIONS = [pytest.param(local, id="local")]
+
+
+pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
+async def shared_pool(request):
+    """Two workers, whoever uses them."""
+    lost: list[str] = []
+    pool = request.param(on_lost=lost.extend)
+    pool.lost = lost
+    await pool.start(lambda *_: None)
+    try:
+        yield pool
+    finally:
+        await pool.stop()
+
+
+@pytest_asyncio.fixture(loop_scope="module")
+async def pool(shared_pool):
+    """Two ready workers without sessions."""
+    await until(lambda: shared_pool.health().ready == 2)
+    shared_pool.lost.clear()
+    shared_pool.restarts = shared_pool.health().restarts
+    yield shared_pool
+    for name in NAMES:
+        await shared_pool.close(name)
+
+
+def creation(sheet) -> bytes:
+    session = pb.Session(garment=pack_mesh(*sheet))
+    return pb.CreateSessionRequest(api_version=API_VERSION, session=session).SerializeToString()
+
+
+async def track(pool, session_id: str, frame: pb.Frame, **options) -> pb.Result:
+    options = pb.ResultOptions(**options).SerializeToString()
+    payload = await pool.submit(session_id, frame.SerializeToString(), options, max_points=LIMITS.max_points)
+    return pb.Result.FromString(payload)
+
+
+async def until(condition, seconds: float = 60.0) -> None:
+    async with asyncio.timeout(seconds):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+@pytest.mark.slow
+async def test_sessions_live_where_they_were_opened(pool, sheet):
+    assert (pool.health().ready, pool.health().wanted) == (2, 2)
+    for session_id in ("one", "two", "three"):
+        opened = pb.Session.FromString(await pool.open(session_id, creation(sheet)))
+        assert opened.garment_vertex_count == len(sheet.vertices)
+    results = await asyncio.gather(*(track(pool, i, frame_of(sheet, 1)) for i in ("one", "two", "three")))
+    assert {result.sequence_number for result in results} == {1}
+    await pool.close("two")
+    with pytest.raises(WorkerLost):
+        await track(pool, "two", frame_of(sheet, 2))
+    await pool.close("two")
+
+
+@pytest.mark.slow
+async def test_what_cannot_be_used_changes_nothing(pool, sheet):
+    await pool.open("one", creation(sheet))
+    with pytest.raises(InvalidMesh):
+        await pool.open("bad", creation(sheet._replace(faces=sheet.faces[:0])))
+    await track(pool, "one", frame_of(sheet, 1))
+    with pytest.raises(InvalidFrame, match="capture_time"):
+        await track(pool, "one", frame_of(sheet, 1))
+    with pytest.raises(InvalidFrame, match="vertex_encoding"):
+        await track(pool, "one", frame_of(sheet, 2), vertex_encoding=pb.ARRAY_ENCODING_INT32)
+    assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
+
+
+@pytest.mark.slow
+async def test_a_snapshot_goes_on_exactly(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await track(pool, "one", frame_of(sheet, 1))
+    data = await pool.snapshot("one")
+    await pool.restore("copy", pb.RestoreSessionRequest(data=data).SerializeToString())
+    following = frame_of(sheet, 2, shift=(0.003, 0, 0.002))
+    original, copy = [await track(pool, i, following, include_covariance=True) for i in ("one", "copy")]
+    assert original.vertices == copy.vertices
+    assert original.covariance == copy.covariance
+    with pytest.raises(InvalidSnapshot):
+        await pool.restore("bad", pb.RestoreSessionRequest(data=data[:50]).SerializeToString())
+    await pool.reset("one", pb.ResetSessionRequest().SerializeToString())
+    again = await track(pool, "one", frame_of(sheet, 1))
+    vertices = unpack(again.vertices, 3, field="vertices", max_items=10_000)
+    assert np.abs(vertices - sheet.vertices).max() < 0.01
+
+
+@pytest.mark.slow
+async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await pool.open("two", creation(sheet))
+    victim, survivor = pool.process_ids()
+    os.kill(victim, signal.SIGKILL)
+    await until(lambda: pool.lost)
+    assert pool.lost == ["one"]
+    with pytest.raises(WorkerLost, match="was lost"):
+        await track(pool, "one", frame_of(sheet, 1))
+    assert (await track(pool, "two", frame_of(sheet, 1))).sequence_number == 1
+    await until(lambda: pool.health().ready == 2)
+    assert pool.health().restarts == pool.restarts + 1
+    assert survivor in pool.process_ids()
+    assert victim not in pool.process_ids()
+    await pool.open("one", creation(sheet))
+    assert (await track(pool, "one", frame_of(sheet, 1))).sequence_number == 1
+
+
+@pytest.mark.slow
+async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
+    await pool.open("one", creation(sheet))
+    worker = pool._homes["one"].worker
+    worker._reader.feed_data(b"\xff" + bytes(14))
+    await until(lambda: pool.lost)
+    with pytest.raises(WorkerLost):
+        await track(pool, "one", frame_of(sheet, 1))
+    await until(lambda: pool.health()[:3] == (2, 2, pool.restarts + 1))
+    assert not is_running(worker.process.pid)
+
+
+@pytest.mark.slow
+async def test_a_call_in_progress_fails_when_its_worker_is_killed(pool, sheet):
+    await pool.open("one", creation(sheet))
+    home = pool.process_ids()[0]
+    os.kill(home, signal.SIGSTOP)
+    call = asyncio.create_task(track(pool, "one", frame_of(sheet, 1)))
+    await asyncio.sleep(0.05)
+    os.kill(home, signal.SIGKILL)
+    with pytest.raises(WorkerLost):
+        await call
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_a_hung_worker_is_replaced(implementation, sheet):
+    pool = implementation(frame_timeout=1.0)
+    await pool.start(lambda *_: None)
+    try:
+        await pool.open("one", creation(sheet))
+        os.kill(pool.process_ids()[0], signal.SIGSTOP)
+        with pytest.raises(WorkerLost):
+            await track(pool, "one", frame_of(sheet, 1))
+        await until(lambda: pool.health().restarts == 1)
+    finally:
+        await pool.stop()
+
+
+@pytest_asyncio.fixture(params=IMPLEMENTATIONS, loop_scope="module")
+async def recycling_pool(request):
+    """One worker that is replaced after three frames, and a spare."""
+    pool = request.param(1, spares=1, recycle_frames=3)
+    await pool.start(lambda *_: None)
+    try:
+        yield pool
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet):
+    """What it tracks is what an undisturbed worker tracks, to the bit."""
+    pool = recycling_pool
+    for name in ("one", "two"):
+        await pool.open(name, creation(sheet))
+    (first,) = pool.process_ids()
+    results, number = [], 0
+    async with asyncio.timeout(60):
+        while pool.health().recycled == 0 or number < 5:
+            number += 1
+            frame = frame_of(sheet, number, shift=(0.001 * number, 0, 0))
+            results.append([await track(pool, name, frame, include_covariance=True) for name in ("one", "two")])
+            await asyncio.sleep(0.02)
+    assert first not in pool.process_ids()
+    await until(lambda: not is_running(first))
+    assert pool.health().restarts == 0
+    undisturbed = TrackerHost(LIMITS)
+    undisturbed.open("one", creation(sheet))
+    options = pb.ResultOptions(include_covariance=True).SerializeToString()
+    for i, pair in enumerate(results, 1):
+        frame = frame_of(sheet, i, shift=(0.001 * i, 0, 0)).SerializeToString()
+        expected = pb.Result.FromString(undisturbed.frame("one", wire.join(options, frame, LIMITS.max_points)))
+        assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
+    await until(lambda: pool.health().spares == 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
+    lost, others = [], set(children(os.getpid()))
+    pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))
+    await pool.start(lambda *_: None)
+    try:
+        await until(lambda: pool.health().spares == 1)
+        await pool.open("one", creation(sheet))
+        os.kill(pool.process_ids()[0], signal.SIGKILL)
+        await until(lambda: lost)
+        assert lost == [(["one"], 1)], "who is told finds a worker"
+        await pool.open("one", creation(sheet))
+        started = [pid for pid in children(os.getpid()) if pid not in others and is_running(pid)]
+        assert started == pool.process_ids(), "the next spare is not begun before"
+        assert (await track(pool, "one", frame_of(sheet, 1))).sequence_number == 1
+        await until(lambda: pool.health().spares == 1)
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await track(pool, "one", frame_of(sheet, 1))
+    before = pool.snapshot("one", compressed=True)
+    plain = pool.snapshot("one")
+    after = track(pool, "one", frame_of(sheet, 2))
+    before, plain, _ = await asyncio.gather(before, plain, after)
+    assert Tracker.restore(before)._time == Tracker.restore(plain)._time == frame_of(sheet, 1).capture_time
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(implementation, sheet):
+    """So that the first sessions of a lost worker go on while the last ones still wait to be restored."""
+    pool = implementation(1)
+    await pool.start(lambda *_: None)
+    try:
+        await pool.open("first", creation(sheet))
+        opening = [asyncio.create_task(pool.open(f"s{i}", creation(sheet))) for i in range(8)]
+        await asyncio.sleep(0)
+        await track(pool, "first", frame_of(sheet, 1))
+        assert sum(task.done() for task in opening) <= 3
+        await asyncio.gather(*opening)
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
+    """Whoever has many frames to come waits for those who have one."""
+    for name in ("greedy", "other", "modest"):
+        await pool.open(name, creation(sheet))
+    assert pool._homes["greedy"].worker is pool._homes["modest"].worker
+    order = []
+
+    async def submit(name, numbers):
+        for number in numbers:
+            await track(pool, name, frame_of(sheet, number))
+            order.append(name)
+
+    await asyncio.gather(submit("greedy", range(1, 31)), submit("modest", range(1, 11)))
+    assert order.index("modest") <= 2
+    assert order[:18].count("modest") >= 8
+    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", max_points=LIMITS.max_points, turn_by=0.0)
+    with pytest.raises(DeadlineExceeded):
+        await late
+    assert (await track(pool, "modest", frame_of(sheet, 11))).sequence_number == 11
+
+
+@pytest.mark.slow
+async def test_another_configuration_goes_on_from_the_same_state(pool, sheet):
+    await pool.open("one", creation(sheet))
+    await track(pool, "one", frame_of(sheet, 1))
+    session = pb.Session(config_json='{"associate": {"wide_gate": 0.05}}', fabric="silk")
+    answer = pb.Session.FromString(await pool.configure("one", session.SerializeToString()))
+    assert json.loads(answer.config_json)["associate"]["wide_gate"] == 0.05
+    with pytest.raises(InvalidConfig, match="wide_gate"):
+        await pool.configure("one", pb.Session(config_json='{"associate": {"wide_gate": -1}}').SerializeToString())
+    with pytest.raises(InvalidFrame, match="capture_time"):
+        await track(pool, "one", frame_of(sheet, 1))
+    assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_sessions_beyond_a_worker_s_memory_are_refused(implementation, sheet):
+    pool = implementation(1, max_memory=100.0)
+    await pool.start(lambda *_: None)
+    try:
+        await pool.open("one", creation(sheet), Memory(40, 30))
+        await pool.open("two", creation(sheet), Memory(30, 20))
+        with pytest.raises(ResourceExhausted, match="memory") as caught:
+            await pool.open("three", creation(sheet), Memory(10, 0))
+        assert caught.value.retry_after > 0
+        await pool.close("two")
+        await pool.open("three", creation(sheet), Memory(10, 0))
+    finally:
+        await pool.stop()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
+async def test_stopping_leaves_no_process(implementation):
+    pool = implementation()
+    await pool.start(lambda *_: None)
+    pids = pool.process_ids()
+    assert len(pids) == 2
+    await pool.stop()
+    assert not any(is_running(pid) for pid in pids)
