@@ -14,6 +14,8 @@ import numpy as np
 
 from ddakf.kernels import proximity as kernels
 from ddakf.kernels import surface_motion as motion_kernels
+from ddakf.kernels.proximity import BodyFaces, BodyTree, Contact
+from ddakf.kernels.surface_motion import BodyMotion
 from ddakf.mesh import Mesh
 
 
@@ -37,16 +39,6 @@ class BodySurface(NamedTuple):
     vertices: np.ndarray  # (B, 3) m
     triangles: np.ndarray  # (L, 15, 8), the faces as the search reads them, eight to a leaf
     boxes: np.ndarray  # (G, 6, 8) m, lower and upper corners of the eight children of every inner node
-
-
-class Contact(NamedTuple):
-    """Closest points of N points on a body. With none within the radius: face -1, distance infinite, the rest 0."""
-
-    face: np.ndarray  # (N,) int32, in leaf order
-    barycentric: np.ndarray  # (N, 3)
-    point: np.ndarray  # (N, 3) m, on the body
-    normal: np.ndarray  # (N, 3) unit, outward: the gradient of the signed distance
-    distance: np.ndarray  # (N,) m, negative inside
 
 
 class SurfaceMotion(NamedTuple):
@@ -102,13 +94,9 @@ def closest_points(
         out = Contact(np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
     if hint is None:
         hint = np.full(n, -1, np.int32)
-    kernels.nearest_faces(
-        surface.triangles, surface.boxes, body.leaf_start, body.leaf_of, body.shift, points, radius, hint, out.face
-    )
-    kernels.contacts(
-        surface.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face,
-        points, out.face, out.barycentric, out.point, out.normal, out.distance,
-    )  # fmt: skip
+    tree = BodyTree(surface.triangles, surface.boxes, body.leaf_start, body.leaf_of, body.shift)
+    kernels.nearest_faces(tree, points, radius, hint, out.face)
+    kernels.contacts(BodyFaces(surface.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face), points, out)
     return out
 
 
@@ -142,9 +130,7 @@ def surface_motion(
     position, weight = np.empty_like(points), np.empty(len(points))
     rotation, needed = np.empty((len(last), 4)), np.empty(len(last), np.uint8)
     motion_kernels.vertex_rotations(last, now, body.faces, contact.face, needed, rotation)
-    motion_kernels.carry(
-        last, now, rotation, body.faces, contact.face, contact.barycentric, points, near, radius, position, weight
-    )
+    motion_kernels.carry(BodyMotion(last, now, rotation), body.faces, contact, points, near, radius, position, weight)
     return SurfaceMotion(position, weight)
 
 

@@ -56,6 +56,12 @@ class Camera:
         """A camera whose world is its own frame: at the origin, looking along -z, y up, x right."""
         return cls(intrinsics, np.zeros(3), np.diag([1.0, -1.0, -1.0]))
 
+    @property
+    def lens(self) -> Lens:
+        """Focal lengths and principal point, pixels."""
+        i = self.intrinsics
+        return Lens(i.fx, i.fy, i.cx, i.cy)
+
     def to_camera(self, points: np.ndarray) -> np.ndarray:
         """(N, 3) world points in camera axes, float64, contiguous."""
         return np.ascontiguousarray((np.asarray(points, np.float64) - self.eye) @ self.axes.T)
@@ -80,7 +86,7 @@ class Camera:
         face = np.full((i.height, i.width), -1, np.int32)
         for vertices, faces in meshes:
             faces = np.ascontiguousarray(faces, np.int64)
-            zbuffer.rasterize(self.to_camera(vertices), faces, i.fx, i.fy, i.cx, i.cy, label, depth, face)
+            zbuffer.rasterize(self.to_camera(vertices), faces, self.lens, label, depth, face)
             label += len(faces)
         return depth, face
 
@@ -91,7 +97,7 @@ class Camera:
         column = np.arange(i.width + 1, dtype=np.int32)
         free = np.tile(column, (i.height, 1))
         faces = np.ascontiguousarray(faces, np.int64)
-        zbuffer.cover(self.to_camera(vertices), faces, i.fx, i.fy, i.cx, i.cy, free)
+        zbuffer.cover(self.to_camera(vertices), faces, self.lens, free)
         return (free != column)[:, :-1]
 
     def unproject(self, depth: np.ndarray, keep: np.ndarray | None = None) -> np.ndarray:
@@ -109,4 +115,4 @@ class Camera:
             raise InvalidArgument("depth", f"an image of shape {(i.height, i.width)}", str(depth.shape))
         found = seen(depth) if keep is None else seen(depth) & keep
         pose = np.column_stack([self.axes.T, self.eye])
-        return unproject(depth, found, Lens(i.fx, i.fy, i.cx, i.cy), pose)
+        return unproject(depth, found, self.lens, pose)

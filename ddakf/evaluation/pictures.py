@@ -120,19 +120,17 @@ class Painter:
             surfaces.append((shot.vertices, self.faces, colours(1e3 * shot.sigma, self.scale_mm)))
         if shot.body is not None and self.body_faces is not None:
             surfaces.append((shot.body, self.body_faces, np.tile(np.array(BODY, float), (len(shot.body), 1))))
-        i = camera.intrinsics
-        lens = (i.fx, i.fy, i.cx, i.cy)
         depth, face = camera.render([(vertices, faces) for vertices, faces, _ in surfaces])
         image, label = np.tile(np.array(BACKGROUND, float), (*depth.shape, 1)), 0
         for vertices, faces, colour in surfaces:
             shade = _shade(vertices, faces, camera)
             faces = np.ascontiguousarray(faces, np.int64)
-            zbuffer.interpolate(camera.to_camera(vertices), faces, colour * shade, *lens, label, face, image)
+            zbuffer.interpolate(camera.to_camera(vertices), faces, colour * shade, camera.lens, label, face, image)
             label += len(faces)
         most = MOST_POINTS_ON_FIT if fitted else MOST_POINTS
         points = np.random.default_rng(0).permutation(shot.points)[:most]
         nearest, index = depth + POINT_BIAS, np.full(depth.shape, -1, np.int32)
-        zbuffer.splat(camera.to_camera(points), *lens, POINT_RADIUS, nearest, index)
+        zbuffer.splat(camera.to_camera(points), camera.lens, POINT_RADIUS, nearest, index)
         image[index >= 0] = POINT
         return np.clip(image, 0, 255).astype(np.uint8)
 

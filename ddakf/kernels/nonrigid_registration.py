@@ -1,6 +1,7 @@
-"""Initialisation, second half: one step of an as-rigid-as-possible graph of patches."""
+"""Nonrigid registration: local and global steps of an as-rigid-as-possible graph of clusters."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,28 +11,43 @@ from ddakf.kernels.rigidity import LANES, turn
 ROTATION_STEPS = 3  # of the iteration of kernels.rigidity.turn
 
 
+class ClusterGraph(NamedTuple):
+    """Edges between neighbouring clusters, G of them."""
+
+    ends: np.ndarray  # (G, 2) int32 the two clusters, both ways
+    rest: np.ndarray  # (G, 3) m, from the first one's centre to the second's, in the source
+    weight: float  # of an edge
+
+
+class Goals(NamedTuple):
+    """Vertices that pull their clusters, M of them."""
+
+    cluster: np.ndarray  # (M,) int32 cluster of each vertex
+    arm: np.ndarray  # (3, M) m, vertex less the centre of its cluster, in the source
+    mass: np.ndarray  # (M,) weight of each vertex; they are divided by their sum
+    position: np.ndarray  # (3, M) m, where it should be
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
-def settle(patch, arm, mass, goal, ends, rest, edge, rounds, middle, rotation):
-    """Where patches go that follow their goals and each other: ``rounds`` local and global steps (Sorkine and Alexa 2007).
+def settle(goals, graph, rounds, center, rotation):
+    """Moves clusters towards their goals, held together by the graph: local and global steps (Sorkine and Alexa 2007).
 
     Args:
-        patch: (M,) int32 patch of each vertex.
-        arm: (3, M) vertex less the middle of its patch, in the source, metres.
-        mass: (M,) weight of each vertex; they are divided by their sum.
-        goal: (3, M) where it should be, metres.
-        ends: (G, 2) int32 neighbouring patches, both ways.
-        rest: (G, 3) from the first one's middle to the second's, in the source, metres.
-        edge: weight of an edge.
-        middle: (K, 3) in and out, metres.
+        goals: :class:`Goals`.
+        graph: :class:`ClusterGraph`.
+        rounds: of a local and a global step each.
+        center: (K, 3) in and out, metres.
         rotation: (K, 3, 3) in and out.
     """
-    K, M = middle.shape[0], len(patch)
+    cluster, arm, mass, goal = goals
+    ends, rest, edge = graph
+    K, M = center.shape[0], len(cluster)
     whole = 0.0
     for m in range(M):
         whole += mass[m]
     A, weight = np.zeros((K, K)), np.zeros(K)
     for m in range(M):
-        weight[patch[m]] += mass[m] / whole
+        weight[cluster[m]] += mass[m] / whole
     slack = 1e-6 / K
     for k in range(K):
         A[k, k] = weight[k] + slack
@@ -44,9 +60,9 @@ def settle(patch, arm, mass, goal, ends, rest, edge, rounds, middle, rotation):
     for _ in range(rounds):
         for k in range(K):
             for a in range(3):
-                force[k, a] = slack * middle[k, a]
+                force[k, a] = slack * center[k, a]
         for m in range(M):
-            k, w = patch[m], mass[m] / whole
+            k, w = cluster[m], mass[m] / whole
             for a in range(3):
                 reach = rotation[k, a, 0] * arm[0, m] + rotation[k, a, 1] * arm[1, m] + rotation[k, a, 2] * arm[2, m]
                 force[k, a] += w * (goal[a, m] - reach)
@@ -56,24 +72,24 @@ def settle(patch, arm, mass, goal, ends, rest, edge, rounds, middle, rotation):
                 for b in range(3):
                     force[i, a] -= 0.5 * edge * (rotation[i, a, b] + rotation[j, a, b]) * rest[g, b]
         solve(A, force)
-        middle[:] = force
+        center[:] = force
         spread[:] = 0.0
         for g in range(ends.shape[0]):
             i, j = ends[g, 0], ends[g, 1]
             for a in range(3):
                 for b in range(3):
-                    spread[i, a, b] += edge * (middle[j, a] - middle[i, a]) * rest[g, b]
+                    spread[i, a, b] += edge * (center[j, a] - center[i, a]) * rest[g, b]
         for m in range(M):
-            k, w = patch[m], mass[m] / whole
+            k, w = cluster[m], mass[m] / whole
             for a in range(3):
                 for b in range(3):
-                    spread[k, a, b] += w * (goal[a, m] - middle[k, a]) * arm[b, m]
+                    spread[k, a, b] += w * (goal[a, m] - center[k, a]) * arm[b, m]
         rotate(spread, rotation)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def rotate(spread, rotation):
-    """rotation (K, 3, 3) in and out: towards the polar factors of ``spread`` (K, 3, 3)."""
+    """Turns rotations (K, 3, 3), in and out, towards the polar factors of ``spread`` (K, 3, 3)."""
     K = len(rotation)
     lanes = np.ones((18, LANES), np.float32)
     for first in range(0, K, LANES):
@@ -126,15 +142,22 @@ def solve(L, b):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def blend(position, nearest, share, source, middle, rotation, moved):
-    """moved (V, 3) out: ``position`` (V, 3) with patches gone from ``source`` (K, 3) to ``middle`` (K, 3), turned by ``rotation``
-    (K, 3, 3); each vertex follows its ``nearest`` (V, P) patches by their ``share`` (V, P)."""
+def blend(position, nearest, share, source, center, rotation, moved):
+    """Moves vertices with their clusters.
+
+    Args:
+        position: (V, 3) metres, in the source.
+        nearest, share: (V, N) clusters that a vertex follows, and by how much; rows of ``share`` sum to one.
+        source, center: (K, 3) centres of the clusters before and after, metres.
+        rotation: (K, 3, 3) of the clusters.
+        moved: (V, 3) out, metres.
+    """
     for i in range(len(position)):
         for a in range(3):
             total = 0.0
             for m in range(nearest.shape[1]):
                 k = nearest[i, m]
-                at = middle[k, a]
+                at = center[k, a]
                 for b in range(3):
                     at += rotation[k, a, b] * (position[i, b] - source[k, b])
                 total += share[i, m] * at

@@ -6,6 +6,7 @@ root has 1 to 8 children, in its last lanes, which makes shift = (number of them
 """
 
 from math import acos, inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -16,6 +17,36 @@ FAR = 1e30  # m: bound of an empty box, finite because the vectorised sums below
 SLACK = 1e-6  # relative, its cube in m^2: more than the rounding of any squared distance
 SURFACE = 1e-7  # m: closer than this, the direction to the closest point is rounding noise
 FEATURE = 1e-9  # barycentric coordinate below which the closest point lies on an edge or a corner
+
+
+class BodyTree(NamedTuple):
+    """The tree of boxes in the pose of one frame. L leaves, G inner nodes, F faces in leaf order."""
+
+    triangles: np.ndarray  # (L, 15, 8), the faces as the search reads them, eight to a leaf
+    boxes: np.ndarray  # (G, 6, 8) m, lower and upper corners of the eight children of every inner node
+    leaf_start: np.ndarray  # (L + 1,) int32, first face of each leaf
+    leaf_of: np.ndarray  # (F,) int32, leaf of each face
+    shift: int  # the children of node n are 8 n + shift + 0..7
+
+
+class BodyFaces(NamedTuple):
+    """The faces of a body in the pose of one frame, and their adjacency."""
+
+    vertices: np.ndarray  # (B, 3) m
+    faces: np.ndarray  # (F, 3) int32, in leaf order
+    neighbour: np.ndarray  # (F, 3) int32, the face across the edge from corner c to c + 1; -1 at a boundary
+    ring_start: np.ndarray  # (B + 1,) int32
+    ring_face: np.ndarray  # (3 F,) int32, the faces around vertex i are ring_face[ring_start[i]:ring_start[i + 1]]
+
+
+class Contact(NamedTuple):
+    """Closest points of N points on a body. With none within the radius: face -1, distance infinite, the rest 0."""
+
+    face: np.ndarray  # (N,) int32, in leaf order
+    barycentric: np.ndarray  # (N, 3)
+    point: np.ndarray  # (N, 3) m, on the body
+    normal: np.ndarray  # (N, 3) unit, outward: the gradient of the signed distance
+    distance: np.ndarray  # (N,) m, negative inside
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -30,20 +61,28 @@ def edges(vertices, faces, f):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def dot(a, b):
+    """Scalar product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def cross(a, b):
+    """Vector product of two vectors."""
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def refit(vertices, faces, leaf_start, shift, triangles, boxes):
-    """Writes what the searches need of every face, and fits the boxes, leaves first.
+    """Fits the tree to a pose: the faces as the searches read them, and the boxes, leaves first.
 
     triangles[leaf, :, lane]: corner 0, both edges from it, inverse squared lengths of the three edges, and the
     inverse Gram matrix of the two; inverses of zero are zero. Spare lanes repeat the leaf's last face.
+
+    Args:
+        vertices: (B, 3) metres.
+        faces: (F, 3) int32 in leaf order.
+        leaf_start, shift: of :class:`BodyTree`.
+        triangles, boxes: of :class:`BodyTree`, out.
     """
     n_inner = boxes.shape[0]
     for lane in range(LANES):
@@ -78,11 +117,11 @@ def refit(vertices, faces, leaf_start, shift, triangles, boxes):
             triangles[leaf, 14, spot] = bb * inverse
 
 
-# The loops of the next two functions run to a number that is not known before, not to LANES: a constant makes the compiler
-# unroll them before it would vectorise them, and the search takes 1.4 times as long.
+# The loops of the next two functions end at a number that is unknown when they are compiled. With the constant LANES the compiler
+# unrolls them before it vectorises them, and the search takes 1.4 times as long.
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def box_distances(boxes, n, x, y, z, squared):
-    """Squared distances from a point to the first n of (6, L) boxes, 0 inside."""
+    """squared (n,) out, m^2: squared distances from a point (x, y, z) to the first n of (6, L) boxes, 0 inside."""
     for s in range(n):
         dx = max(max(boxes[0, s] - x, x - boxes[3, s]), 0.0)
         dy = max(max(boxes[1, s] - y, y - boxes[4, s]), 0.0)
@@ -92,7 +131,10 @@ def box_distances(boxes, n, x, y, z, squared):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def leaf_distances(triangles, leaf, x, y, z, squared):
-    """Squared distances from a point to a leaf's faces: to the plane above the inside, else to the nearest edge."""
+    """squared (8,) out, m^2: squared distances from a point (x, y, z) to a leaf's faces.
+
+    Above the inside of a face it is the distance to its plane, elsewhere to the nearest edge.
+    """
     for s in range(triangles.shape[2]):
         ax, ay, az = x - triangles[leaf, 0, s], y - triangles[leaf, 1, s], z - triangles[leaf, 2, s]
         bx, by, bz = triangles[leaf, 3, s], triangles[leaf, 4, s], triangles[leaf, 5, s]
@@ -114,18 +156,24 @@ def leaf_distances(triangles, leaf, x, y, z, squared):
         w = triangles[leaf, 13, s] * along_b + triangles[leaf, 14, s] * along_c
         rx, ry, rz = ax - v * bx - w * cx, ay - v * by - w * cy, az - v * bz - w * cz
         plane = rx * rx + ry * ry + rz * rz
-        # all three first, then the choice: a selection of values is vectorised, a choice of what to compute is not
+        # all three are computed: the compiler vectorises a selection of values, but no branch between computations
         edge, inside = min(min(edge_b, edge_c), edge_e), min(min(v, w), 1.0 - v - w)
         squared[s] = plane if inside > 0.0 else edge
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def keep_nearer(now, leaf, squared, held):
-    """Keeps in every lane the least squared distance so far and the first leaf that has it."""
-    for s in range(now.shape[0]):
-        better = (now[s] < squared[s]) | ((now[s] == squared[s]) & (leaf < held[s]))
-        squared[s] = now[s] if better else squared[s]
-        held[s] = leaf if better else held[s]
+def keep_nearer(candidate, leaf, squared, nearest_leaf):
+    """Updates in every lane the least squared distance so far, m^2, and the first leaf that has it.
+
+    Args:
+        candidate: (8,) squared distances to the faces of ``leaf``, m^2.
+        leaf: its number.
+        squared, nearest_leaf: (8,) in and out.
+    """
+    for s in range(candidate.shape[0]):
+        better = (candidate[s] < squared[s]) | ((candidate[s] == squared[s]) & (leaf < nearest_leaf[s]))
+        squared[s] = candidate[s] if better else squared[s]
+        nearest_leaf[s] = leaf if better else nearest_leaf[s]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -153,8 +201,15 @@ def closest_on_triangle(p, b, c):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def boxes_apart(boxes, node, lower, upper, squared):
-    """Squared distances from a box to those of a node's children, 0 where they meet."""
+def distances_between_boxes(boxes, node, lower, upper, squared):
+    """squared (8,) out, m^2: squared distances from a box to those of a node's children, 0 where they meet.
+
+    Args:
+        boxes: (G, 6, 8) metres, of :class:`BodyTree`.
+        node: inner node.
+        lower, upper: (3,) corners of the box, metres.
+        squared: (8,) out.
+    """
     for s in range(boxes.shape[2]):
         dx = max(max(boxes[node, 0, s] - upper[0], lower[0] - boxes[node, 3, s]), 0.0)
         dy = max(max(boxes[node, 1, s] - upper[1], lower[1] - boxes[node, 4, s]), 0.0)
@@ -163,46 +218,63 @@ def boxes_apart(boxes, node, lower, upper, squared):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def within(best):
-    """Squared distance that must be looked at for one of ``best`` to be the least but for rounding."""
+def search_limit(best):
+    """Squared distance up to which faces are searched so that rounding does not hide one as near as ``best``, m^2."""
     return best * (1.0 + SLACK) + SLACK**3
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search_leaf(triangles, leaf_start, leaf, x, y, z, best, best_face, squared):
-    """Squared distance and face of the nearest so far, after a leaf; of equally near faces the first."""
-    leaf_distances(triangles, leaf, x, y, z, squared)
-    for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
-        if squared[s] <= best and (squared[s] < best or leaf_start[leaf] + s < best_face):
-            best, best_face = squared[s], leaf_start[leaf] + s
+def search_leaf(tree, leaf, point, best, best_face, squared):
+    """Squared distance and face of the nearest so far, after the search of a leaf; of equally near faces the first.
+
+    Args:
+        tree: :class:`BodyTree`.
+        leaf: its number.
+        point: (x, y, z) metres.
+        best, best_face: nearest face before, m^2.
+        squared: (8,) workspace.
+    """
+    leaf_distances(tree.triangles, leaf, point[0], point[1], point[2], squared)
+    for s in range(tree.leaf_start[leaf + 1] - tree.leaf_start[leaf]):
+        if squared[s] <= best and (squared[s] < best or tree.leaf_start[leaf] + s < best_face):
+            best, best_face = squared[s], tree.leaf_start[leaf] + s
     return best, best_face
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search_tree(triangles, boxes, leaf_start, shift, x, y, z, radius, start, nodes, lower, squared):
-    """The nearest face to a point, -1 where none is within the radius. A leaf to begin with, or -1, saves time."""
-    n_inner = boxes.shape[0]
+def search_tree(tree, point, radius, start, nodes, lower, squared):
+    """The nearest face to a point, -1 where none is within the radius.
+
+    Args:
+        tree: :class:`BodyTree`.
+        point: (x, y, z) metres.
+        radius: metres.
+        start: leaf that is searched first, which saves time, or -1.
+        nodes, lower: (STACK,) workspace: nodes that wait, and lower bounds of their squared distances.
+        squared: (8,) workspace.
+    """
+    n_inner = tree.boxes.shape[0]
     best, best_face = radius * radius, -1
     top = 0
     nodes[0], lower[0] = 0, 0.0
-    if start >= 0:  # a good bound first: on the stack after the root, so looked at before it
+    if start >= 0:  # a good bound first: it is on the stack above the root
         top = 1
         nodes[1], lower[1] = n_inner + start, -1.0
     while top >= 0:
         node, bound = nodes[top], lower[top]
         top -= 1
-        if bound > within(best):
+        if bound > search_limit(best):
             continue
         if node >= n_inner:
             leaf = node - n_inner
-            if leaf != start or bound < 0.0:  # else met again on the way through the tree
-                best, best_face = search_leaf(triangles, leaf_start, leaf, x, y, z, best, best_face, squared)
+            if leaf != start or bound < 0.0:  # else the first leaf again
+                best, best_face = search_leaf(tree, leaf, point, best, best_face, squared)
             continue
-        box_distances(boxes[node], boxes.shape[2], x, y, z, squared)
-        nearest = limit = within(best)
+        box_distances(tree.boxes[node], tree.boxes.shape[2], point[0], point[1], point[2], squared)
+        nearest = limit = search_limit(best)
         at = top
-        for s in range(LANES):  # written before it is known whether it stays: cheaper than an unpredictable branch
-            nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
+        for s in range(LANES):  # every child is written, which is cheaper than an unpredictable branch
+            nodes[top + 1], lower[top + 1] = LANES * node + tree.shift + s, squared[s]
             top += 1 if squared[s] < limit else 0
             nearer = squared[s] < nearest
             at, nearest = top if nearer else at, squared[s] if nearer else nearest
@@ -213,31 +285,49 @@ def search_tree(triangles, boxes, leaf_start, shift, x, y, z, radius, start, nod
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def list_leaves(boxes, shift, lower, upper, reach, nodes, squared, leaf, listed):
-    """Lists the leaves whose boxes are within a squared ``reach`` of the box from lower to upper; how many they are."""
+def list_leaves(tree, box, reach, nodes, squared, leaf, leaf_box):
+    """Lists the leaves whose boxes are near a given box. Returns their number.
+
+    Args:
+        tree: :class:`BodyTree`.
+        box: its lower and upper corner, (3,) metres each.
+        reach: squared distance between the boxes, m^2.
+        nodes, squared: (STACK,) and (8,) workspace.
+        leaf: (L + 1,) out.
+        leaf_box: (6, L + 1) out, their boxes, metres.
+    """
+    boxes = tree.boxes
     n_inner, found, top = boxes.shape[0], 0, 0
     nodes[0] = 0
     while top >= 0:
         node = nodes[top]
         top -= 1
-        boxes_apart(boxes, node, lower, upper, squared)
-        child = LANES * node + shift
+        distances_between_boxes(boxes, node, box[0], box[1], squared)
+        child = LANES * node + tree.shift
         if child + LANES - 1 < n_inner:
-            for s in range(LANES):  # here too written before it is known whether it stays
+            for s in range(LANES):  # here too every child is written
                 nodes[top + 1] = child + s
                 top += 1 if squared[s] <= reach else 0
             continue
         for s in range(LANES):
             leaf[found] = child + s - n_inner
             for a in range(6):
-                listed[a, found] = boxes[node, a, s]
+                leaf_box[a, found] = boxes[node, a, s]
             found += 1 if squared[s] <= reach else 0
     return found
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def by_leaf(leaf_of, hint, n_leaves, first, order):
-    """Sorts the points by the leaf of their hint: leaf l has order[first[l]:first[l + 1]], and those without come last."""
+def sort_by_leaf(leaf_of, hint, n_leaves, first, order):
+    """Sorts N points by the leaf of their hint; those without a hint come last.
+
+    Args:
+        leaf_of: (F,) leaf of each face.
+        hint: (N,) face of each point, or -1.
+        n_leaves: L.
+        first: (L + 2,) out: the points of leaf l are ``order[first[l]:first[l + 1]]``.
+        order: (N,) out.
+    """
     first[:] = 0
     for i in range(hint.shape[0]):
         first[(leaf_of[hint[i]] if hint[i] >= 0 else n_leaves) + 1] += 1
@@ -253,55 +343,61 @@ def by_leaf(leaf_of, hint, n_leaves, first, order):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def nearest_faces(triangles, boxes, leaf_start, leaf_of, shift, points, radius, hint, face):
+def nearest_faces(tree, points, radius, hint, face):
     """The nearest face of every point, of equally near ones the first; -1 where none is within the radius.
 
-    A hint saves time and never changes the result: everything within rounding of the best is looked at. Points whose hints
-    are in one leaf go through the tree together, once for all of them, and then through the leaves found by it one by one.
+    A hint saves time and never changes the result: everything within rounding of the best is searched. Points whose hints
+    are in one leaf share one search of the tree for near leaves; each point then searches those leaves on its own.
+
+    Args:
+        tree: :class:`BodyTree`.
+        points: (N, 3) metres.
+        radius: metres.
+        hint: (N,) int32 face that is probably near, or -1.
+        face: (N,) int32 out; may be ``hint``.
     """
+    triangles, leaf_start, leaf_of = tree.triangles, tree.leaf_start, tree.leaf_of
     n, n_leaves = points.shape[0], leaf_start.shape[0] - 1
     nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
-    squared, now = np.empty(LANES), np.empty(LANES)
+    squared, candidate = np.empty(LANES), np.empty(LANES)
     first, order = np.empty(n_leaves + 2, np.int64), np.empty(n, np.int64)
     best, least, most = np.empty(n), np.empty(3), np.empty(3)
-    leaves, listed = np.empty(n_leaves + 1, np.int64), np.empty((6, n_leaves + 1))
-    apart, held, chosen = np.empty(n_leaves), np.empty(LANES, np.int64), np.empty(n_leaves + 1, np.int64)
-    by_leaf(leaf_of, hint, n_leaves, first, order)
+    near_leaf, leaf_box = np.empty(n_leaves + 1, np.int64), np.empty((6, n_leaves + 1))
+    box_squared, nearest_leaf = np.empty(n_leaves), np.empty(LANES, np.int64)
+    chosen = np.empty(n_leaves + 1, np.int64)
+    sort_by_leaf(leaf_of, hint, n_leaves, first, order)
     for start in range(n_leaves):
         if first[start + 1] == first[start]:
             continue
         least[:], most[:], reach = inf, -inf, 0.0
         for o in range(first[start], first[start + 1]):
             i = order[o]
-            best[i], face[i] = search_leaf(
-                triangles, leaf_start, start, points[i, 0], points[i, 1], points[i, 2], radius * radius, -1, squared
-            )
+            point = points[i, 0], points[i, 1], points[i, 2]
+            best[i], face[i] = search_leaf(tree, start, point, radius * radius, -1, squared)
             reach = max(reach, best[i])
             for a in range(3):
                 least[a], most[a] = min(least[a], points[i, a]), max(most[a], points[i, a])
-        found = list_leaves(boxes, shift, least, most, within(reach), nodes, squared, leaves, listed)
+        found = list_leaves(tree, (least, most), search_limit(reach), nodes, squared, near_leaf, leaf_box)
         for o in range(first[start], first[start + 1]):
             i = order[o]
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
-            box_distances(listed, found, x, y, z, apart)
-            n_chosen, limit = 0, within(best[i])
+            box_distances(leaf_box, found, x, y, z, box_squared)
+            n_chosen, limit = 0, search_limit(best[i])
             for k in range(found):
-                chosen[n_chosen] = leaves[k]
-                n_chosen += 1 if apart[k] <= limit else 0
-            squared[:], held[:] = inf, n_leaves
+                chosen[n_chosen] = near_leaf[k]
+                n_chosen += 1 if box_squared[k] <= limit else 0
+            squared[:], nearest_leaf[:] = inf, n_leaves
             for k in range(n_chosen):
-                leaf_distances(triangles, chosen[k], x, y, z, now)
-                keep_nearer(now, chosen[k], squared, held)
+                leaf_distances(triangles, chosen[k], x, y, z, candidate)
+                keep_nearer(candidate, chosen[k], squared, nearest_leaf)
             for s in range(LANES):
-                if squared[s] < best[i] or (squared[s] == best[i] and leaf_start[held[s]] + s < face[i]):
-                    best[i], face[i] = squared[s], leaf_start[held[s]] + s
+                if squared[s] < best[i] or (squared[s] == best[i] and leaf_start[nearest_leaf[s]] + s < face[i]):
+                    best[i], face[i] = squared[s], leaf_start[nearest_leaf[s]] + s
     previous = -1  # neighbours in the garment's numbering are mostly neighbours in space
     for o in range(first[n_leaves], n):
         i = order[o]
-        face[i] = search_tree(
-            triangles, boxes, leaf_start, shift, points[i, 0], points[i, 1], points[i, 2], radius, previous,
-            nodes, lower, squared,
-        )  # fmt: skip
+        point = points[i, 0], points[i, 1], points[i, 2]
+        face[i] = search_tree(tree, point, radius, previous, nodes, lower, squared)
         previous = leaf_of[face[i]] if face[i] >= 0 else previous
 
 
@@ -325,8 +421,17 @@ def corner_angle(vertices, i, j, k):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w):
-    """Normal at a point of a face, of any length: the face's, both faces' at an edge, by angle around a corner."""
+def pseudo_normal(body, f, barycentric):
+    """Normal at a point of a face, of any length: the face's, both faces' at an edge, by angle around a corner.
+
+    Args:
+        body: :class:`BodyFaces`.
+        f: the face.
+        barycentric: (u, v, w) of the point.
+    """
+    vertices, faces, neighbour = body.vertices, body.faces, body.neighbour
+    ring_start, ring_face = body.ring_start, body.ring_face
+    u, v, w = barycentric
     on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
     x, y, z = face_normal(vertices, faces, f)
     if on_edges == 1:
@@ -347,40 +452,57 @@ def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def above(vertices, faces, f, d):
-    """Whether a vector points away from the outside of a face, along it (0), or away from the inside: 1, 0 or -1."""
+def side_of_face(vertices, faces, f, d):
+    """1 where the vector d points to the outside of a face, 0 where it lies in the face's plane, -1 to the inside."""
     _, b, c = edges(vertices, faces, f)
     along = dot(cross(b, c), d)
     return (1 if along > 0.0 else 0) - (1 if along < 0.0 else 0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def outside(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w, d):
+def outside(body, f, barycentric, d):
     """Whether the offset d from a point of a face does not point against the pseudo-normal there.
 
-    Where all faces around the point agree, so does any positive combination of their normals: roots and angles are needed for
-    creases that are seen from within their fold alone.
+    Where all faces around the point agree, so does any positive combination of their normals. Roots and angles are needed only
+    within the fold of a crease.
+
+    Args:
+        body: :class:`BodyFaces`.
+        f: the face.
+        barycentric: (u, v, w) of the point.
+        d: (dx, dy, dz) metres.
     """
+    vertices, faces, neighbour = body.vertices, body.faces, body.neighbour
+    ring_start, ring_face = body.ring_start, body.ring_face
+    u, v, w = barycentric
     on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
-    least = most = above(vertices, faces, f, d)
+    least = most = side_of_face(vertices, faces, f, d)
     if on_edges == 1:
         other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
         if other >= 0:
-            side = above(vertices, faces, other, d)
+            side = side_of_face(vertices, faces, other, d)
             least, most = min(least, side), max(most, side)
     elif on_edges == 2:
         corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
         for r in range(ring_start[corner], ring_start[corner + 1]):
-            side = above(vertices, faces, ring_face[r], d)
+            side = side_of_face(vertices, faces, ring_face[r], d)
             least, most = min(least, side), max(most, side)
     if least < 0 < most:
-        return dot(pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w), d) >= 0.0
+        return dot(pseudo_normal(body, f, barycentric), d) >= 0.0
     return least >= 0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, barycentric, point, normal, distance):
-    """Closest point on the given face of every point, and on which side of the body it lies."""
+def contacts(body, points, contact):
+    """Closest point of every point on its face, and its signed distance from the body.
+
+    Args:
+        body: :class:`BodyFaces`.
+        points: (N, 3) metres.
+        contact: :class:`Contact` of N points, its faces in, the rest out.
+    """
+    vertices, faces = body.vertices, body.faces
+    face, barycentric, point, normal, distance = contact
     for i in range(points.shape[0]):
         f = face[i]
         if f < 0:
@@ -395,13 +517,13 @@ def contacts(vertices, faces, neighbour, ring_start, ring_face, points, face, ba
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, v, w
         dx, dy, dz = ax - v * b[0] - w * c[0], ay - v * b[1] - w * c[1], az - v * b[2] - w * c[2]
         length = sqrt(dx * dx + dy * dy + dz * dz)
-        sign = 1.0 if outside(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w, (dx, dy, dz)) else -1.0
+        sign = 1.0 if outside(body, f, (u, v, w), (dx, dy, dz)) else -1.0
         point[i, 0], point[i, 1], point[i, 2] = points[i, 0] - dx, points[i, 1] - dy, points[i, 2] - dz
         distance[i] = sign * length
         if length > SURFACE:
             x, y, z, scale = dx, dy, dz, sign / length
         else:
-            x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, u, v, w)
+            x, y, z = pseudo_normal(body, f, (u, v, w))
             norm = sqrt(x * x + y * y + z * z)
             scale = 1.0 / norm if norm > 0.0 else 0.0
         normal[i, 0], normal[i, 1], normal[i, 2] = x * scale, y * scale, z * scale

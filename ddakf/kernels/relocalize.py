@@ -1,6 +1,7 @@
-"""Initialisation: normals of clouds, soft correspondences between a garment and a cloud, and how far one is from the other."""
+"""Relocalization: normals of a cloud, soft correspondences between a garment and a cloud, and their mean distance."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -9,16 +10,45 @@ from ddakf.kernels import FAST
 from ddakf.kernels.associate import across
 from ddakf.kernels.symmetric import smallest_eigenvector
 
-TINY = np.float32(1e-3)  # of a row or column of correspondences: one that has none stays without
-LEAST_NEIGHBOURS = 5  # that a normal needs
-FINITE = FAST | {"nnan"}  # the numbers of a search are checked ones, and the least of many is found eight at a time
+TINY = np.float32(1e-3)  # added to the sum of a row or column of correspondences: one without any stays so
+LEAST_NEIGHBOURS = 5  # of a normal
+FINITE = FAST | {"nnan"}  # a search has finite numbers, and without NaN the least of many is found eight at a time
 MOST_CELLS = 256  # along an axis of a view's grid
+
+
+class OrientedVertices(NamedTuple):
+    """M vertices of a garment that are paired with points."""
+
+    position: np.ndarray  # (3, M) float32 m
+    normal: np.ndarray  # (3, M) float32 unit
+    share: np.ndarray  # (M,) float32 area of each over the mean; 0: no points belong to it
+
+
+class OrientedPoints(NamedTuple):
+    """N points of a cloud that are paired with vertices."""
+
+    position: np.ndarray  # (3, N) float32 m
+    normal: np.ndarray  # (3, N) float32 unit; zero where it is unknown
+    signed: np.ndarray  # (N,) bool: the sign of the normal is known
+
+
+class Pairing(NamedTuple):
+    """Numbers of a soft correspondence."""
+
+    reach: float  # m: vertices and points farther apart are no pairs
+    rounds: int  # of the scaling towards one to one
+    outlier: float  # weight of a point's belonging to no vertex, in pairs
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def normals(points, dense, radius, normal):
-    """normal (3, N) float32 out: least axis of the ``dense`` (3, D) points within ``radius`` of ``points`` (3, N), metres;
-    zero where they are few."""
+    """Normals of points: the least axis of the points around each.
+
+    Args:
+        points, dense: (3, N), (3, D) float32 metres.
+        radius: metres; the ``dense`` points within it are those around a point.
+        normal: (3, N) float32 out, unit; zero where fewer than LEAST_NEIGHBOURS points are around.
+    """
     limit = radius * radius
     for k in range(points.shape[1]):
         n = 0
@@ -46,17 +76,18 @@ def normals(points, dense, radius, normal):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def outward(points, dense, directions, cell, depth, normal, signed):
-    """Turns normals to the outside, which is where something that is worn is seen from.
+    """Turns normals to the outside of a garment, the side from which its cloth is visible.
 
-    Along each direction the dense points are sorted into a grid that keeps the foremost. A point not behind it is seen from there
-    and votes for its normal's turn to it.
+    For each direction a grid across it holds the foremost of the dense points. A point that is not behind them is visible from
+    that direction and votes for the sign of its normal that faces it.
 
     Args:
         points, dense: (3, N), (3, D) float32 metres.
         directions: (K, 3) unit.
-        cell, depth: metres, of the grid, and how far behind the foremost a point is seen.
+        cell: of the grid, metres.
+        depth: distance behind the foremost point up to which a point is visible, metres.
         normal: (3, N) float32 in and out, unit or zero.
-        signed: (N,) bool out: seen from somewhere.
+        signed: (N,) bool out: visible from some direction.
     """
     vote = np.zeros(points.shape[1])
     axes, low, high = np.empty((2, 3)), np.empty(2), np.empty(2)
@@ -68,21 +99,21 @@ def outward(points, dense, directions, cell, depth, normal, signed):
             for b in range(2):
                 x = axes[b, 0] * dense[0, j] + axes[b, 1] * dense[1, j] + axes[b, 2] * dense[2, j]
                 low[b], high[b] = min(low[b], x), max(high[b], x)
-        wide = max(cell, (high[0] - low[0]) / MOST_CELLS, (high[1] - low[1]) / MOST_CELLS)
-        nx, ny = int((high[0] - low[0]) / wide) + 1, int((high[1] - low[1]) / wide) + 1
+        size = max(cell, (high[0] - low[0]) / MOST_CELLS, (high[1] - low[1]) / MOST_CELLS)
+        nx, ny = int((high[0] - low[0]) / size) + 1, int((high[1] - low[1]) / size) + 1
         front = np.full((nx, ny), -np.inf)
         for j in range(dense.shape[1]):
             x = axes[0, 0] * dense[0, j] + axes[0, 1] * dense[1, j] + axes[0, 2] * dense[2, j]
             y = axes[1, 0] * dense[0, j] + axes[1, 1] * dense[1, j] + axes[1, 2] * dense[2, j]
             z = view[0] * dense[0, j] + view[1] * dense[1, j] + view[2] * dense[2, j]
-            ix, iy = int((x - low[0]) / wide), int((y - low[1]) / wide)
+            ix, iy = int((x - low[0]) / size), int((y - low[1]) / size)
             front[ix, iy] = max(front[ix, iy], z)
         for k in range(points.shape[1]):
             x = axes[0, 0] * points[0, k] + axes[0, 1] * points[1, k] + axes[0, 2] * points[2, k]
             y = axes[1, 0] * points[0, k] + axes[1, 1] * points[1, k] + axes[1, 2] * points[2, k]
             z = view[0] * points[0, k] + view[1] * points[1, k] + view[2] * points[2, k]
-            ix = min(max(int((x - low[0]) / wide), 0), nx - 1)
-            iy = min(max(int((y - low[1]) / wide), 0), ny - 1)
+            ix = min(max(int((x - low[0]) / size), 0), nx - 1)
+            iy = min(max(int((y - low[1]) / size), 0), ny - 1)
             if z >= front[ix, iy] - depth:
                 vote[k] += view[0] * normal[0, k] + view[1] * normal[1, k] + view[2] * normal[2, k]
     for k in range(points.shape[1]):
@@ -93,25 +124,24 @@ def outward(points, dense, directions, cell, depth, normal, signed):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FINITE)
-def correspond(vertex, normal, share, point, point_normal, signed, reach, rounds, outlier, pair, mass, goal):
-    """Which vertex belongs to which point, softly and about one to one.
+def correspond(vertices, points, pairing, pair, mass, goal):
+    """Pairs vertices with points, softly and about one to one.
 
-    A pair counts (1 - d^2 / reach^2)^2 (n . n')^2. Rows and columns are then scaled towards sums of one in turn (Sinkhorn), so
-    that every part of the cloud finds its part of the garment and none takes the place of two (Chui and Rangarajan 2003).
-    Columns are scaled towards the share of their vertex.
+    A pair weighs (1 - d^2 / reach^2)^2 (n . n')^2; an unknown normal counts as (n . n')^2 = 1/2. Rows and columns are then
+    scaled in turn towards sums of one (Sinkhorn), so that every part of the cloud finds its part of the garment and none takes
+    the place of two (Chui and Rangarajan 2003). Columns are scaled towards the share of their vertex.
 
     Args:
-        vertex, normal: (3, M) float32 metres, unit.
-        share: (M,) float32, area of each vertex over the mean, 0 for one that has no points.
-        point, point_normal: (3, N) float32 metres, unit; zero: it counts as one that agrees by halves.
-        signed: (N,) bool: the sign of the point's normal is known.
-        reach: metres.
-        rounds: of the scaling.
-        outlier: weight of a point's belonging to nothing, in pairs.
-        pair: (N, M) float32, workspace.
+        vertices: :class:`OrientedVertices`.
+        points: :class:`OrientedPoints`.
+        pairing: :class:`Pairing`.
+        pair: (N, M) float32 workspace.
         mass: (M,) float32 out, points that belong to each vertex.
         goal: (3, M) float32 out, their mean, metres; anything where mass is 0.
     """
+    vertex, normal, share = vertices
+    point, point_normal, signed = points
+    reach, rounds, outlier = pairing
     N, M = point.shape[1], vertex.shape[1]
     inverse, zero, one, half = np.float32(1.0 / (reach * reach)), np.float32(0.0), np.float32(1.0), np.float32(0.5)
     column = np.zeros(M, np.float32)
@@ -164,18 +194,20 @@ def correspond(vertex, normal, share, point, point_normal, signed, reach, rounds
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FINITE)
-def mean_distance(start, end, asked, answers, truncation):
-    """Metres: mean distance of the ``asked`` (M,) of ``start`` (3, M) to the nearest of ``end`` (3, N) that ``answers`` (N,).
+def mean_distance(start, end, start_used, end_used, truncation):
+    """Mean distance of some points to the nearest of some others, metres; ``truncation`` where one of the sets is empty.
 
-    Both weights are float32, 0 or 1. A distance counts as ``truncation`` where it is longer, and so does the whole where nothing
-    is asked or answers.
+    Args:
+        start, end: (3, M), (3, N) float32 metres.
+        start_used, end_used: (M,), (N,) float32, 1 for the points in use, else 0.
+        truncation: metres; a longer distance counts as this one.
     """
     total, count, limit = 0.0, 0, np.float32(truncation * truncation)
     far = np.empty(end.shape[1], np.float32)
     for j in range(end.shape[1]):
-        far[j] = np.float32(1e6) * (np.float32(1.0) - answers[j])
+        far[j] = np.float32(1e6) * (np.float32(1.0) - end_used[j])
     for i in range(start.shape[1]):
-        if asked[i] == 0.0:
+        if start_used[i] == 0.0:
             continue
         px, py, pz = start[0, i], start[1, i], start[2, i]
         best = limit

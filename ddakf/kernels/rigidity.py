@@ -1,9 +1,10 @@
-"""Local rigidity: best-fitting rotations of one-rings, and the force of edges that do not follow them.
+"""Stage F, local rigidity: best-fitting rotations of one-rings, and the force of edges that do not follow them.
 
-Rows are padded to four numbers, so that the compiler makes a vector of each; matrices are stored by columns then.
+Rows are padded to four numbers and matrices are stored by columns, so that the compiler makes a vector of each.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -14,23 +15,32 @@ from ddakf.kernels.symmetric import invert3
 LANES = 32  # vertices whose rotations are fitted side by side
 
 
+class LocalRigidity(NamedTuple):
+    """One term of the MAP problem; ``rotation`` and ``shared`` are its only changing parts."""
+
+    source: np.ndarray  # (2E, 3) float32 m, edge vectors s_ij = s_j - s_i of each entry of the one-rings
+    weight: float  # 1/m^2
+    rotation: np.ndarray  # (V, 3, 3), R_i
+    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times T_i by columns padded to four, as the neighbours read it
+    follow: np.ndarray  # (V, 8) float32 of followers(), how T_i stretches with its ring; (0, 8): T_i is R_i
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def fit_rotations(position, start, neighbour, source, follow, iterations, share, rotation, shared):
-    """Rotation of each one-ring from its source edges to the present ones, in place, warm-started.
+def fit_rotations(position, start, neighbour, term, iterations):
+    """Fits the rotation of each one-ring from its source edges to the present ones.
 
     Maximises sum_j (x_j - x_i) . R_i s_ij by the iteration of Mueller, Bender, Chentanez and Macklin, "A robust method to
-    extract the rotational part of deformations" (2016), which stays defined on flat rings. In float32: 1e-7 rad.
+    extract the rotational part of deformations" (2016), which stays defined on flat rings. It starts from the rotations of the
+    term. In float32: 1e-7 rad.
 
     Args:
         position: (V, 4) metres, padded.
         start, neighbour: one-rings in compressed rows.
-        source: (2E, 3) float32 source edge vectors s_ij = s_j - s_i per row entry, metres.
-        follow: (V, 8) float32 of :func:`followers`, or (0, 8): the rings do not stretch.
+        term: :class:`LocalRigidity`; its rotations are updated, and ``shared`` is written.
         iterations: fixed number of steps.
-        share: what ``shared`` is multiplied by.
-        rotation: (V, 3, 3) in: the start; out: the fit.
-        shared: (V, 12) float32 out, share T by columns, padded: T is R, or the stretched rotation of ``follow``.
     """
+    source, rotation, shared, follow = term.source, term.rotation, term.shared, term.follow
+    half_weight = np.float32(0.5 * term.weight)
     n = position.shape[0]
     covariance = np.empty((LANES, 12), np.float32)
     lanes = np.ones((18, LANES), np.float32)
@@ -50,20 +60,23 @@ def fit_rotations(position, start, neighbour, source, follow, iterations, share,
             for b in range(3):
                 for a in range(3):
                     rotation[i, a, b] = lanes[9 + 3 * b + a, k]
-                    shared[i, 4 * b + a] = np.float32(share) * lanes[9 + 3 * b + a, k]
+                    shared[i, 4 * b + a] = half_weight * lanes[9 + 3 * b + a, k]
                 shared[i, 4 * b + 3] = 0.0
             if follow.shape[0] > 0:
-                stretched(covariance[k], follow[i], np.float32(share), shared[i])
+                stretch_rotation(covariance[k], follow[i], half_weight, shared[i])
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def stretched(covariance, follow, share, shared):
-    """share (C + m R) (S + m I)^-1 in place of share R, (12,) by columns, padded; C is the ring's covariance."""
+def stretch_rotation(covariance, follow, half_weight, shared):
+    """Replaces w / 2 R in ``shared`` (12,) by w / 2 (C + m R) (S + m I)^-1, by columns, padded.
+
+    C is the ring's ``covariance`` (12,), and ``follow`` (8,) holds the rest, see :func:`followers`.
+    """
     xx, yy, zz, xy, xz, yz, m = follow[0], follow[1], follow[2], follow[3], follow[4], follow[5], follow[6]
     for a in range(3):
-        x = share * covariance[a] + m * shared[a]
-        y = share * covariance[4 + a] + m * shared[4 + a]
-        z = share * covariance[8 + a] + m * shared[8 + a]
+        x = half_weight * covariance[a] + m * shared[a]
+        y = half_weight * covariance[4 + a] + m * shared[4 + a]
+        z = half_weight * covariance[8 + a] + m * shared[8 + a]
         shared[a] = x * xx + y * xy + z * xz
         shared[4 + a] = x * xy + y * yy + z * yz
         shared[8 + a] = x * xz + y * yz + z * zz
@@ -71,17 +84,17 @@ def stretched(covariance, follow, share, shared):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def followers(start, source, share, follow):
-    """What a ring needs to follow ``share`` in (0, 1) of its own strain in its plane.
+    """Constants with which a ring follows ``share`` in (0, 1) of its own strain in its plane.
 
     T = (C + m R) (S + m I)^-1 minimises sum_j |x_j - x_i - T s_ij|^2 + m |T - R|^2, with S = sum_j s_ij s_ij' and C the same
-    with the present edges. S of a flat even ring is tr S / 2 in its plane, where T is then share of the way from R to the
-    affine fit for m = (1 / share - 1) tr S / 2; across the plane, where S says nothing, T is R.
+    with the present edges. S of a flat even ring is tr S / 2 in its plane. For m = (1 / share - 1) tr S / 2, T lies there the
+    share of the way from R to the affine fit. Across the plane, where S is zero, T is R.
 
     Args:
         start: one-rings in compressed rows.
         source: (2E, 3) float32 s_ij, metres.
-        share: how far T follows.
-        follow: (V, 8) float32 out: (S + m I)^-1 as xx, yy, zz, xy, xz, yz in 1/m^2, m in m^2, and nothing.
+        share: of the ring's strain that T follows.
+        follow: (V, 8) float32 out: (S + m I)^-1 as xx, yy, zz, xy, xz, yz in 1/m^2, m in m^2, and a zero.
     """
     for i in range(start.shape[0] - 1):
         a = b = c = d = e = f = 0.0
@@ -101,7 +114,7 @@ def followers(start, source, share, follow):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
 def add_covariance(position, start, neighbour, source, i, out):
-    """(12,) out: sum_j (x_j - x_i) s_ij' of a ring, by columns, padded."""
+    """out (12,): sum_j (x_j - x_i) s_ij' of the ring of vertex i, by columns, padded."""
     px, py, pz, pw = position[i, 0], position[i, 1], position[i, 2], position[i, 3]
     ax = ay = az = aw = bx = by = bz = bw = cx = cy = cz = cw = np.float32(0.0)
     for e in range(start[i], start[i + 1]):
@@ -130,7 +143,7 @@ def add_covariance(position, start, neighbour, source, i, out):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def turn(lanes):
-    """One step of the iteration on LANES rings: rows of (18, LANES) are covariance and rotation by columns."""
+    """One step of the iteration on LANES rings; ``lanes`` (18, LANES) in and out: covariance and rotation, each by columns."""
     one, two, half, tiny = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(1e-20)
     for k in range(LANES):
         c00, c10, c20 = lanes[0, k], lanes[1, k], lanes[2, k]
@@ -160,7 +173,7 @@ def turn(lanes):
         bx = q00 * r01 + q01 * r11 + q02 * r21
         by = q10 * r01 + q11 * r11 + q12 * r21
         bz = q20 * r01 + q21 * r11 + q22 * r21
-        # what rounding adds up over thousands of frames is taken out here
+        # orthonormal again: rounding errors would add up over thousands of frames
         s = one / sqrt(ax * ax + ay * ay + az * az)
         ax, ay, az = ax * s, ay * s, az * s
         d = ax * bx + ay * by + az * bz
@@ -174,7 +187,7 @@ def turn(lanes):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def edge_vectors(position, start, neighbour, edge):
-    """(2E, 3) out: x_j - x_i for every row entry."""
+    """edge (2E, 3) out: x_j - x_i of each entry of the one-rings, metres."""
     for i in range(position.shape[0]):
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
@@ -183,16 +196,16 @@ def edge_vectors(position, start, neighbour, edge):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def add_force(position, start, neighbour, source, weight, shared, force):
+def add_force(position, start, neighbour, term, force):
     """Adds -gradient of 1/2 sum_edges w |x_j - x_i - (R_i + R_j) s_ij / 2|^2.
 
     Args:
         position: (V, 4) metres, padded.
-        start, neighbour, source: as for :func:`fit_rotations`.
-        weight: w.
-        shared: (V, 12) float32, w R / 2 as :func:`fit_rotations` wrote it.
-        force: (V, 4) padded, added to.
+        start, neighbour: one-rings in compressed rows.
+        term: :class:`LocalRigidity`, after :func:`fit_rotations`.
+        force: (V, 4) padded, 1/m, added to.
     """
+    source, weight, shared = term.source, term.weight, term.shared
     for i in range(position.shape[0]):
         px, py, pz, pw = position[i, 0], position[i, 1], position[i, 2], position[i, 3]
         fx = fy = fz = fw = 0.0

@@ -1,17 +1,33 @@
-"""The motion of a body's surface, and what it does to points beside it."""
+"""Stage A, motion of the body's surface between two frames, and of the points that it carries (paper, section 2.2)."""
 
 from math import sqrt
+from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 from ddakf.kernels.proximity import cross, dot, edges
 
-FACE_AREA = 1e-12  # m^2 of double area against which a degenerate face's rotation counts for nothing
+FACE_AREA = 1e-12  # m^2 of double area, weight of the identity: a degenerate face's rotation counts for nothing against it
+
+
+class BodyMotion(NamedTuple):
+    """A body in two frames."""
+
+    last: np.ndarray  # (B, 3) m, vertices before the motion
+    now: np.ndarray  # (B, 3) m, vertices after it
+    rotation: np.ndarray  # (B, 4) unit quaternions (w, x, y, z) of the surface around each vertex
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def triangle_frame(vertices, faces, f):
-    """Tangent along the first edge, normal, in-plane edges (l, 0) and (x, h), double area; zeros without area."""
+    """Tangent along the first edge, normal, in-plane edges (l, 0) and (x, h), double area; zeros without area.
+
+    Args:
+        vertices: (B, 3) metres.
+        faces: (F, 3).
+        f: the face.
+    """
     _, b, c = edges(vertices, faces, f)
     n = cross(b, c)
     length, area = sqrt(dot(b, b)), sqrt(dot(n, n))
@@ -48,8 +64,14 @@ def quaternion(t, u, n, t2, u2, n2):
 def vertex_rotations(last, now, faces, face, needed, rotation):
     """Unit quaternion of every vertex that a contact uses: its faces' rotations, by area, on one hemisphere.
 
-    needed (B,) uint8 is scratch. Half of the faces of a body are near no garment; leaving them out saves half of
-    the time.
+    Half of the faces of a body are near no garment; without them the kernel takes half of the time.
+
+    Args:
+        last, now: (B, 3) vertices before and after the motion, metres.
+        faces: (F, 3) int32.
+        face: (N,) int32 faces that contacts use, or -1.
+        needed: (B,) uint8 workspace.
+        rotation: (B, 4) out, (w, x, y, z); the identity at vertices that no contact uses.
     """
     needed[:] = 0
     for i in range(face.shape[0]):
@@ -88,7 +110,20 @@ def vertex_rotations(last, now, faces, face, needed, rotation):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def carry(last, now, rotation, faces, face, barycentric, points, near, radius, position, weight):
+def carry(motion, faces, contact, points, near, radius, position, weight):
+    """Moves points with the surface under them: all of the motion within ``near``, none of it from ``radius`` on.
+
+    Args:
+        motion: :class:`BodyMotion`.
+        faces: (F, 3) int32 of the body.
+        contact: the ``Contact`` of the points; its faces and barycentric coordinates are read.
+        points: (N, 3) metres.
+        near, radius: metres.
+        position: (N, 3) out, metres.
+        weight: (N,) out, share of the motion that was applied.
+    """
+    last, now, rotation = motion
+    face, barycentric = contact.face, contact.barycentric
     for i in range(points.shape[0]):
         for a in range(3):
             position[i, a] = points[i, a]

@@ -1,4 +1,8 @@
-"""A z-buffer: which face of a mesh every pixel of a pinhole camera sees, and how far away. Twin: tests/evaluation."""
+"""z-buffer of a pinhole camera: the nearest face and its depth at every pixel. Twins: tests/evaluation.
+
+A ``lens`` is a named tuple of focal lengths and principal point (fx, fy, cx, cy) in pixels. The centre of the pixel in row v and
+column u is at (u, v).
+"""
 
 from math import ceil, floor, inf
 
@@ -9,8 +13,9 @@ NEAR = 0.05  # m: faces with a corner nearer than this, or behind the camera, ar
 
 
 @njit(nogil=True, cache=True)
-def on_screen(vertices, fx, fy, cx, cy):
+def on_screen(vertices, lens):
     """(V, 3) column, row and 1/z of vertices in camera axes; 1/z is -1 where they are nearer than NEAR."""
+    fx, fy, cx, cy = lens
     screen = np.empty((vertices.shape[0], 3))
     for i in range(vertices.shape[0]):
         z = vertices[i, 2]
@@ -22,32 +27,36 @@ def on_screen(vertices, fx, fy, cx, cy):
 
 @njit(nogil=True, cache=True)
 def whole_between(lower, upper, n):
-    """First and last whole number of 0..n-1 between two bounds; none where the first is greater."""
+    """First and last whole number of 0..n-1 between two bounds; there is none where the first is greater."""
     return ceil(min(max(lower, 0.0), float(n))), floor(max(min(upper, n - 1.0), -1.0))
 
 
 @njit(nogil=True, cache=True)
-def weights(ua, va, ub, vb, uc, vc, area, u, v):
-    """Barycentric coordinates of a pixel in a triangle on the screen, none negative where it is inside."""
+def weights(triangle, area, u, v):
+    """Barycentric coordinates of the pixel (u, v) in a triangle on the screen; none is negative where it is inside.
+
+    ``triangle`` is (ua, va, ub, vb, uc, vc) in pixels, ``area`` its signed double area.
+    """
+    ua, va, ub, vb, uc, vc = triangle
     alpha = ((ub - u) * (vc - v) - (vb - v) * (uc - u)) / area
     beta = ((uc - u) * (va - v) - (vc - v) * (ua - u)) / area
     return alpha, beta, 1.0 - alpha - beta
 
 
 @njit(nogil=True, cache=True)
-def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
+def rasterize(vertices, faces, lens, label, depth, face):
     """Draws triangles, both sides, into a depth image.
 
     Args:
         vertices: (V, 3) float64 in camera axes, x right, y down, z forward, metres.
         faces: (F, 3) int64.
-        fx, fy, cx, cy: pixels; the centre of the pixel in row v and column u is at (u, v).
+        lens: (fx, fy, cx, cy) pixels.
         label: added to the face's index before it is stored, so that several meshes share a buffer.
         depth: (H, W) float64 z of the nearest surface so far, infinity where there is none; updated.
         face: (H, W) int32 label + index of the face at that depth; updated.
     """
     height, width = depth.shape
-    screen = on_screen(vertices, fx, fy, cx, cy)
+    screen = on_screen(vertices, lens)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         wa, wb, wc = screen[a, 2], screen[b, 2], screen[c, 2]
@@ -61,7 +70,7 @@ def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
         first_column, last_column = whole_between(min(ua, ub, uc), max(ua, ub, uc), width)
         for v in range(first_row, last_row + 1):
             for u in range(first_column, last_column + 1):
-                alpha, beta, gamma = weights(ua, va, ub, vb, uc, vc, area, u, v)
+                alpha, beta, gamma = weights((ua, va, ub, vb, uc, vc), area, u, v)
                 if alpha < 0.0 or beta < 0.0 or gamma < 0.0:
                     continue
                 z = 1.0 / (alpha * wa + beta * wb + gamma * wc)  # 1/z is linear on the screen
@@ -71,18 +80,19 @@ def rasterize(vertices, faces, fx, fy, cx, cy, label, depth, face):
 
 
 @njit(nogil=True, cache=True)
-def cover(vertices, faces, fx, fy, cx, cy, free):
-    """Draws a silhouette: the pixels that :func:`rasterize` draws, each once however many faces are over it.
+def cover(vertices, faces, lens, free):
+    """Draws a silhouette: the pixels that :func:`rasterize` draws, each once however many faces cover it.
 
-    A face costs its rows, and the pixels that it is the first to cover: a mesh torn across the picture costs little more.
+    A face costs time for its rows and for the pixels that it covers first, so that a mesh torn across the picture costs little
+    more.
 
     Args:
-        vertices, faces, fx, fy, cx, cy: as given to :func:`rasterize`.
-        free: (H, W + 1) int32, at first every pixel's own column, as it stays where nothing covers the pixel; updated. A covered
-            one has a column on the way to the next free one, or to W, the end of the row.
+        vertices, faces, lens: as given to :func:`rasterize`.
+        free: (H, W + 1) int32, updated: at first every pixel's own column, which an uncovered pixel keeps. A covered one has a
+            column on the way to the next free one, or to W, the end of the row.
     """
     height, width = free.shape[0], free.shape[1] - 1
-    screen = on_screen(vertices, fx, fy, cx, cy)
+    screen = on_screen(vertices, lens)
     for f in range(faces.shape[0]):
         a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
         if screen[a, 2] < 0 or screen[b, 2] < 0 or screen[c, 2] < 0:
@@ -106,9 +116,9 @@ def cover(vertices, faces, fx, fy, cx, cy, free):
                         lower = max(lower, crossing)
             first, last = whole_between(lower, upper, width)
             u, last = max(first_column, first - 1), min(last_column, last + 1)
-            while u <= last and min(weights(ua, va, ub, vb, uc, vc, area, u, v)) < 0.0:
+            while u <= last and min(weights((ua, va, ub, vb, uc, vc), area, u, v)) < 0.0:
                 u += 1
-            while u <= last and min(weights(ua, va, ub, vb, uc, vc, area, last, v)) < 0.0:
+            while u <= last and min(weights((ua, va, ub, vb, uc, vc), area, last, v)) < 0.0:
                 last -= 1
             u = next_free(free, v, u)
             while u <= last:
@@ -118,7 +128,7 @@ def cover(vertices, faces, fx, fy, cx, cy, free):
 
 @njit(nogil=True, cache=True)
 def next_free(free, v, u):
-    """The first column from u on that is free in a row; halves the ways that it goes."""
+    """The first free column from u on in a row v; halves the paths that it follows."""
     while free[v, u] != u:
         free[v, u] = free[v, free[v, u]]
         u = free[v, u]
@@ -126,16 +136,17 @@ def next_free(free, v, u):
 
 
 @njit(nogil=True, cache=True)
-def splat(points, fx, fy, cx, cy, radius, depth, index):
-    """Draws points as discs that face the camera, where nothing nearer is.
+def splat(points, lens, radius, depth, index):
+    """Draws points as discs that face the camera, where nothing is nearer.
 
     Args:
         points: (N, 3) float64 in camera axes, metres.
-        fx, fy, cx, cy: pixels.
+        lens: (fx, fy, cx, cy) pixels.
         radius: of a disc, pixels.
-        depth: (H, W) float64, updated.
+        depth: (H, W) float64 metres, updated.
         index: (H, W) int32, the point's index; updated.
     """
+    fx, fy, cx, cy = lens
     height, width = depth.shape
     reach = ceil(radius)
     for i in range(points.shape[0]):
@@ -154,15 +165,16 @@ def splat(points, fx, fy, cx, cy, radius, depth, index):
 
 
 @njit(nogil=True, cache=True)
-def interpolate(vertices, faces, values, fx, fy, cx, cy, label, face, image):
-    """Perspective-correct values of the vertices at the pixels where a mesh is visible; undoes :func:`rasterize`.
+def interpolate(vertices, faces, values, lens, label, face, image):
+    """Perspective-correct values of the vertices at the pixels where a mesh is visible.
 
     Args:
-        vertices, faces, fx, fy, cx, cy, label: as given to :func:`rasterize`.
+        vertices, faces, lens, label: as given to :func:`rasterize`.
         values: (V, C) float64.
         face: (H, W) int32, from :func:`rasterize`.
         image: (H, W, C) float64; written where ``face`` is one of this mesh.
     """
+    fx, fy, cx, cy = lens
     height, width = face.shape
     for v in range(height):
         for u in range(width):

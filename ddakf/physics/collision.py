@@ -67,8 +67,5 @@ def linearize(
     if out is None:
         count = len(constants.stencil)
         out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
-    kernels.linearize(
-        positions, contact.face, contact.point, contact.normal, gap, constants.weight,
-        out.residual, out.jacobian, out.weight,
-    )  # fmt: skip
+    kernels.linearize(positions, contact, gap, constants.weight, out.residual, out.jacobian, out.weight)
     return out

@@ -6,25 +6,14 @@ with s the edges of the last posterior, and to the rest shape, with s the edges 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ddakf.garment.model import Model
 from ddakf.kernels import rigidity as kernels
+from ddakf.kernels.rigidity import LocalRigidity
 
 ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
 FIRST_STEPS = 4  # in the first pass, before which the prediction and coarser versions have moved the garment
-
-
-class LocalRigidity(NamedTuple):
-    """One term; the rotations are its only changing part."""
-
-    source: np.ndarray  # (2E, 3) float32 m
-    weight: float  # 1/m^2
-    rotation: np.ndarray  # (V, 3, 3)
-    shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times T_i by columns padded to four: what neighbours read
-    follow: np.ndarray  # (V, 8) float32, how T_i stretches with its ring; (0, 8): T_i is the rotation
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0) -> LocalRigidity:
@@ -37,13 +26,14 @@ def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.
     follow = np.empty((n if share > 0 else 0, 8), np.float32)
     if share > 0:
         kernels.followers(model.start, model.rest_edge, share, follow)
-    return LocalRigidity(model.rest_edge, weight, rotation.copy(), np.empty((n, 12), np.float32), follow)
+    return LocalRigidity(model.rest_edge, float(weight), rotation.copy(), np.empty((n, 12), np.float32), follow)
 
 
 def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
     """The term that makes the change since ``position`` (V, 3) locally rigid."""
     n = len(position)
-    return LocalRigidity(edges(position, model), weight, identity(n), np.empty((n, 12), np.float32), np.empty((0, 8), np.float32))
+    shared, follow = np.empty((n, 12), np.float32), np.empty((0, 8), np.float32)
+    return LocalRigidity(edges(position, model), float(weight), identity(n), shared, follow)
 
 
 def edges(position: np.ndarray, model: Model) -> np.ndarray:
@@ -60,15 +50,13 @@ def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = R
 
 def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
     """As :func:`turn`, of (V, 4) :func:`padded` positions."""
-    kernels.fit_rotations(
-        position, model.start, model.neighbour, term.source, term.follow, steps, 0.5 * term.weight, term.rotation, term.shared
-    )
+    kernels.fit_rotations(position, model.start, model.neighbour, term, steps)
 
 
 def add_force(terms: tuple[LocalRigidity, ...], position: np.ndarray, model: Model, force: np.ndarray) -> None:
     """Adds to (V, 4) ``force`` minus the gradient of the terms at (V, 4) ``position``, their rotations fitted to it and held."""
     for term in terms:
-        kernels.add_force(position, model.start, model.neighbour, term.source, term.weight, term.shared, force)
+        kernels.add_force(position, model.start, model.neighbour, term, force)
 
 
 def padded(position: np.ndarray) -> np.ndarray:

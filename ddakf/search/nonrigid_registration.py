@@ -16,7 +16,8 @@ from ddakf.garment.model import Model
 from ddakf.kernels import nonrigid_registration as kernels
 from ddakf.kernels.associate import seen, vertex_normals
 from ddakf.kernels.cluster_alignment import centers
-from ddakf.kernels.relocalize import correspond, normals, outward
+from ddakf.kernels.nonrigid_registration import ClusterGraph, Goals
+from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, normals, outward
 from ddakf.stages.associate import OCCLUDER_CELL
 from ddakf.stages.preprocess import distinct
 
@@ -106,12 +107,12 @@ def follow(
     start, normal, patch = source[chosen], normal[chosen], model.cluster[chosen]
     nearest, share = clusters.nearest[chosen], clusters.share[chosen]
     cell = OCCLUDER_CELL * model.edge_length * np.sqrt(every)
-    point, point_normal, signed = target.thinned(thinner)
+    points = OrientedPoints(*target.thinned(thinner))
     middle, rotation = np.empty((K, 3)), np.tile(np.eye(3), (K, 1, 1))
     centers(source, model.cluster, middle)
     centre = middle.copy()
     rest, arm = centre[clusters.ends[:, 1]] - centre[clusters.ends[:, 0]], np.ascontiguousarray((start - centre[patch]).T)
-    pair = np.empty((point.shape[1], len(chosen)), np.float32)
+    pair = np.empty((len(points.signed), len(chosen)), np.float32)
     mass, goal = np.empty(len(chosen), np.float32), np.empty((3, len(chosen)), np.float32)
     area = model.vertex_share[chosen]
     estimate, visible = start.copy(), np.ones(len(chosen), bool)
@@ -121,14 +122,13 @@ def follow(
         turned = np.einsum("vab,vb->va", rotation[patch], normal)
         if target.sensors is not None:
             seen(estimate, turned, NO_BODY, NO_SURFELS, NO_ORIGIN, target.sensors, cell, HIDDEN_DEPTH, FACING, visible)
-        correspond(
-            rows(estimate), rows(turned), visible * area, point, point_normal, signed,
-            reach * (LAST_REACH / reach) ** progress, balancing, OUTLIER, pair, mass, goal,
-        )  # fmt: skip
+        vertices = OrientedVertices(rows(estimate), rows(turned), visible * area)
+        pairing = Pairing(reach * (LAST_REACH / reach) ** progress, balancing, OUTLIER)
+        correspond(vertices, points, pairing, pair, mass, goal)
         if not mass.any():
             return position
         edge = STIFF * (soft / STIFF) ** progress / K
-        kernels.settle(patch, arm, mass, goal, clusters.ends, rest, edge, ROUNDS, middle, rotation)
+        kernels.settle(Goals(patch, arm, mass, goal), ClusterGraph(clusters.ends, rest, edge), ROUNDS, middle, rotation)
         kernels.blend(start, nearest, share, centre, middle, rotation, estimate)
     moved = np.empty_like(source)
     kernels.blend(source, clusters.nearest, clusters.share, centre, middle, rotation, moved)

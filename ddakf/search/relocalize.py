@@ -12,7 +12,7 @@ from ddakf.config import Start
 from ddakf.garment.model import Model
 from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.reliability import strains
-from ddakf.kernels.relocalize import correspond, mean_distance
+from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.physics import rigidity
 from ddakf.search import nonrigid_registration
 from ddakf.search.nonrigid_registration import Target, rows
@@ -151,15 +151,13 @@ def _aligned(
     """A placement after a step on ``count`` of the points with each of the ``reaches``, metres; ``along`` the normals, or in all
     directions."""
     every = max(1, target.points.shape[1] // count)
-    point, point_normal, signed = target.thinned(every)
-    N, M = point.shape[1], len(shape.position)
+    points = OrientedPoints(*target.thinned(every))
+    N, M = len(points.signed), len(shape.position)
     pair, mass, goal = np.empty((N, M), np.float32), np.empty(M, np.float32), np.empty((3, M), np.float32)
     for reach in reaches:
         placed = shape.placed(rotation, translation)
-        correspond(
-            rows(placed.position), rows(placed.normal), placed.share * placed.facing(target), point, point_normal, signed, reach,
-            ROUNDS, OUTLIER, pair, mass, goal,
-        )  # fmt: skip
+        vertices = OrientedVertices(rows(placed.position), rows(placed.normal), placed.share * placed.facing(target))
+        correspond(vertices, points, Pairing(reach, ROUNDS, OUTLIER), pair, mass, goal)
         if not mass.any():
             break
         solve = _towards_planes if along else _towards_points

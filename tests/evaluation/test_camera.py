@@ -5,8 +5,10 @@ import pytest
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.files.depth import Intrinsics as Lens
 from ddakf.kernels import zbuffer
 
+LENS = Lens(20.0, 21.0, 11.5, 8.0)
 INTRINSICS = Intrinsics(width=24, height=18, fx=20.0, fy=21.0, cx=11.5, cy=8.0)
 
 
@@ -31,7 +33,7 @@ def test_rasteriser_agrees_with_ray_casting():
     faces = rng.permutation(24).reshape(8, 3)
     faces = np.concatenate([faces, [[0, 0, 1], [2, 2, 2]]])  # degenerate faces draw nothing
     depth, face = np.full((18, 24), np.inf), np.full((18, 24), -1, np.int32)
-    zbuffer.rasterize(vertices, faces, 20.0, 21.0, 11.5, 8.0, 0, depth, face)
+    zbuffer.rasterize(vertices, faces, LENS, 0, depth, face)
     expected_depth, expected_face = _ray_cast(vertices, faces)
     assert np.array_equal(face, expected_face)
     assert np.allclose(depth, expected_depth, rtol=1e-12)
@@ -41,7 +43,7 @@ def test_rasteriser_agrees_with_ray_casting():
 def test_faces_at_or_behind_the_camera_and_far_outside_draw_nothing():
     depth, face = np.full((18, 24), np.inf), np.full((18, 24), -1, np.int32)
     vertices = np.array([[0, 0, -1], [1, 0, 1], [0, 1, 1], [1e9, 0, 1], [2e9, 1, 1], [1e9, 3, 1]], float)
-    zbuffer.rasterize(vertices, np.array([[0, 1, 2], [3, 4, 5]]), 20.0, 21.0, 11.5, 8.0, 0, depth, face)
+    zbuffer.rasterize(vertices, np.array([[0, 1, 2], [3, 4, 5]]), LENS, 0, depth, face)
     assert (face == -1).all()
 
 
@@ -105,6 +107,6 @@ def test_axes_are_a_right_handed_frame_with_the_target_in_the_middle():
 def test_splats_are_discs_and_the_nearest_point_wins():
     depth, index = np.full((18, 24), np.inf), np.full((18, 24), -1, np.int32)
     points = np.array([[0.05, 0.05, 2.0], [0.05, 0.05, 3.0], [0, 0, -1.0], [99.0, 0, 1.0]])
-    zbuffer.splat(points, 20.0, 20.0, 11.5, 8.5, 2.0, depth, index)
+    zbuffer.splat(points, Lens(20.0, 20.0, 11.5, 8.5), 2.0, depth, index)
     assert (index == 0).sum() == 13  # lattice points within 2 of a lattice point
     assert {*np.unique(index)} == {-1, 0}

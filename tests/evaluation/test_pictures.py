@@ -11,6 +11,7 @@ from ddakf.errors import InvalidArgument, MissingDependency
 from ddakf.evaluation import pictures
 from ddakf.evaluation.pictures import Painter, Shot
 from ddakf.evaluation.sensors import Sensor
+from ddakf.files.depth import Intrinsics as Lens
 from ddakf.kernels import zbuffer
 
 
@@ -105,11 +106,11 @@ def test_colours_are_the_ends_of_viridis_and_saturate():
 
 def test_interpolation_is_perspective_correct():
     vertices = np.array([[-1, -1, 2], [2, -1, 4], [-1, 2, 3]], float)
-    faces, lens = np.array([[0, 1, 2]]), (20.0, 21.0, 11.5, 8.0)
+    faces, lens = np.array([[0, 1, 2]]), Lens(20.0, 21.0, 11.5, 8.0)
     depth, face = np.full((18, 24), np.inf), np.full((18, 24), -1, np.int32)
-    zbuffer.rasterize(vertices, faces, *lens, 5, depth, face)
+    zbuffer.rasterize(vertices, faces, lens, 5, depth, face)
     image = np.zeros((18, 24, 3))
-    zbuffer.interpolate(vertices, faces, vertices, *lens, 5, face, image)  # interpolating positions gives the position
+    zbuffer.interpolate(vertices, faces, vertices, lens, 5, face, image)  # interpolating positions gives the position
     hit = face == 5
     v, u = np.nonzero(hit)
     z = depth[hit]

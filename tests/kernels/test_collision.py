@@ -3,6 +3,7 @@
 import numpy as np
 
 from ddakf.kernels import collision
+from ddakf.kernels.proximity import Contact
 
 
 def test_agrees_with_the_formula():
@@ -12,7 +13,8 @@ def test_agrees_with_the_formula():
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     face, area = rng.integers(-1, 2, n).astype(np.int32), rng.uniform(1.0, 2.0, n)
     residual, jacobian, weight = np.full(n, np.nan), np.full((n, 1, 3), np.nan), np.full(n, np.nan)
-    collision.linearize(x, face, q, normal, gap, area, residual, jacobian, weight)
+    contact = Contact(face, np.zeros((n, 3)), q, normal, np.zeros(n))
+    collision.linearize(x, contact, gap, area, residual, jacobian, weight)
     depth = np.where(face >= 0, np.einsum("va,va->v", normal, x - q) - gap, 0.0)
     touching = depth < 0.0
     np.testing.assert_allclose(residual, np.minimum(0.0, depth), atol=1e-12)

@@ -1,4 +1,4 @@
-"""Bending: a garment in another pose follows the cloud; patches carry its vertices."""
+"""Nonrigid registration: a garment in another pose follows the cloud, its vertices follow their clusters."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from ddakf.garment import model
 from ddakf.kernels import nonrigid_registration as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.cluster_alignment import centers
-from ddakf.kernels.relocalize import correspond, mean_distance
+from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.search import nonrigid_registration
 from ddakf.search.nonrigid_registration import Target, rows
 from tests.stages.scenes import about, rms, scan, tube
@@ -58,7 +58,7 @@ def test_without_points_near_nothing_moves():
     assert nonrigid_registration.follow(TUBE.vertices, Target.of(TUBE.vertices + 5.0, None), MODEL) is TUBE.vertices
 
 
-def test_patches_that_move_as_one_move_every_vertex_so():
+def test_clusters_that_move_as_one_move_every_vertex_so():
     turn, K = about([1, 2, 3], 0.7), MODEL.n_clusters
     middle = np.random.default_rng(0).normal(size=(K, 3))
     moved = np.empty_like(TUBE.vertices)
@@ -69,16 +69,15 @@ def test_patches_that_move_as_one_move_every_vertex_so():
     np.testing.assert_allclose(moved, TUBE.vertices @ turn.T + 0.3, atol=1e-12)
 
 
-def test_patches_settle_on_a_rigid_motion_of_their_goals():
-    turn, K, patch = about([1, 2, 3], 0.4), MODEL.n_clusters, MODEL.cluster
+def test_clusters_settle_on_a_rigid_motion_of_their_goals():
+    turn, K, cluster = about([1, 2, 3], 0.4), MODEL.n_clusters, MODEL.cluster
     middle, rotation = np.empty((K, 3)), np.tile(np.eye(3), (K, 1, 1))
-    centers(TUBE.vertices, patch, middle)
+    centers(TUBE.vertices, cluster, middle)
     centre, ends = middle.copy(), MODEL.clusters.ends
     goal = np.ascontiguousarray((TUBE.vertices @ turn.T + 0.2).T)
-    kernels.settle(
-        patch, np.ascontiguousarray((TUBE.vertices - centre[patch]).T), np.ones(len(patch)), goal, ends,
-        centre[ends[:, 1]] - centre[ends[:, 0]], 0.01, 100, middle, rotation,
-    )  # fmt: skip
+    arm = np.ascontiguousarray((TUBE.vertices - centre[cluster]).T)
+    graph = kernels.ClusterGraph(ends, centre[ends[:, 1]] - centre[ends[:, 0]], 0.01)
+    kernels.settle(kernels.Goals(cluster, arm, np.ones(len(cluster)), goal), graph, 100, middle, rotation)
     np.testing.assert_allclose(middle, centre @ turn.T + 0.2, atol=1e-4)
     np.testing.assert_allclose(rotation, np.tile(turn, (K, 1, 1)), atol=1e-3)
 
@@ -114,7 +113,9 @@ def test_one_to_one_correspondences_are_the_identity_of_a_garment_in_place():
     n = len(normal)
     pair, mass, goal = np.empty((n, n), np.float32), np.empty(n, np.float32), np.empty((3, n), np.float32)
     signed = np.ones(n, bool)
-    correspond(vertices, rows(normal), np.ones(n, np.float32), vertices, rows(normal), signed, 0.02, 2, 0.01, pair, mass, goal)
+    garment = OrientedVertices(vertices, rows(normal), np.ones(n, np.float32))
+    cloud = OrientedPoints(vertices, rows(normal), signed)
+    correspond(garment, cloud, Pairing(0.02, 2, 0.01), pair, mass, goal)
     np.testing.assert_allclose(mass, 1.0, atol=0.02)
     np.testing.assert_allclose(goal, vertices, atol=2e-3)
 

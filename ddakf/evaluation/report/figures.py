@@ -161,9 +161,8 @@ def _painted(vertices: np.ndarray, faces: np.ndarray, values: np.ndarray | None,
     ray = camera.eye - vertices
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     shade = 0.6 + 0.4 * np.abs((vertex_normals(vertices, faces) * ray).sum(axis=1, keepdims=True))
-    i = camera.intrinsics
     colour = (np.full((len(vertices), 3), 184.0) if values is None else pictures.colours(values, top)) * shade
-    zbuffer.interpolate(camera.to_camera(vertices), faces, colour, i.fx, i.fy, i.cx, i.cy, 0, face, image)
+    zbuffer.interpolate(camera.to_camera(vertices), faces, colour, camera.lens, 0, face, image)
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
