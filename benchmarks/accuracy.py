@@ -16,41 +16,46 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from ddakf.evaluation import figures, machine, methods, tables, trials
-from ddakf.evaluation.baselines import BASELINES
-from ddakf.evaluation.degradations import DISTURBANCES
-from ddakf.evaluation.study.execute import execute
-from ddakf.evaluation.study.journal import Journal
-from ddakf.evaluation.trials import Trial
+from ddakf.evaluation import machine
+from ddakf.evaluation.drawing import diagrams
+from ddakf.evaluation.sensors.degradations import DISTURBANCES
+from ddakf.evaluation.studies.execution import execute
+from ddakf.evaluation.studies.row_log import RowLog
+from ddakf.evaluation.trials import accuracy_tables
+from ddakf.evaluation.trials.methods import BASELINES
+from ddakf.evaluation.trials.recordings import find_recording, recording_names
+from ddakf.evaluation.trials.runs import START_FRAMES
+from ddakf.evaluation.trials.trial import Trial
+from ddakf.evaluation.trials.variants import ablations, refinements
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, RESULT = ROOT / "out/accuracy.jsonl", ROOT / "benchmarks/results/accuracy.json"
-VARIANTS = ("default", *BASELINES, "paper", *methods.ablations(), *methods.refinements())
+VARIANTS = ("default", *BASELINES, "paper", *ablations(), *refinements())
 
 
 def main(argv: list[str] | None = None) -> int:
     """Runs what is missing; returns the exit status."""
     arguments = _parser().parse_args(argv)
     if arguments.table:
-        print(tables.report(read(arguments.out)))
+        print(accuracy_tables.report(read(arguments.out)))
         return 0
     if arguments.summary:
-        arguments.summary.write_text(lines(tables.summary(read(arguments.out)) | {"machine": machine.describe()}))
+        arguments.summary.write_text(lines(accuracy_tables.summary(read(arguments.out)) | {"machine": machine.describe()}))
         return 0
     if arguments.figure:
-        figures.reliability_diagram(arguments.figure, tables.reliability_curves(read(arguments.out)))
+        diagrams.reliability_diagram(arguments.figure, accuracy_tables.reliability_curves(read(arguments.out)))
         return 0
     wanted = starts(arguments) if arguments.starts else grid(arguments)
-    execute(wanted, Journal(arguments.out), arguments.procs, Console(stderr=True), arguments.again)
+    execute(wanted, RowLog(arguments.out), arguments.procs, Console(stderr=True), arguments.again)
     return 0
 
 
 def grid(arguments) -> list[Trial]:
     """Sequence x view x seed x variant; what makes no difference is left out."""
     wanted = []
-    for name, view, seed in itertools.product(arguments.sequences or trials.names(), arguments.views, arguments.seeds):
+    for name, view, seed in itertools.product(arguments.sequences or recording_names(), arguments.views, arguments.seeds):
         view, _, body = view.partition("+")
-        if (body or arguments.unsegmented) and not trials.recording(name).has_body:
+        if (body or arguments.unsegmented) and not find_recording(name).has_body:
             continue
         for variant in arguments.variants:
             if variant in BASELINES and variant != "clothfit" if body else variant == "no-carrying":
@@ -62,22 +67,22 @@ def grid(arguments) -> list[Trial]:
 
 def starts(arguments) -> list[Trial]:
     """Random starts, over the sequences by turns, in random frames; the first view and the first seed count."""
-    chosen, wanted = arguments.sequences or trials.names(), []
+    chosen, wanted = arguments.sequences or recording_names(), []
     view, _, body = arguments.views[0].partition("+")
     for number in range(arguments.starts):
         name = chosen[number % len(chosen)]
-        last = len(trials.recording(name)) - 1 - trials.START_FRAMES
+        last = len(find_recording(name)) - 1 - START_FRAMES
         first = 0 if arguments.first_frame else int(np.random.default_rng([number, 1]).integers(last + 1))
-        told = bool(body) and trials.recording(name).has_body
+        told = bool(body) and find_recording(name).has_body
         for variant in arguments.variants:
             trial = _trial(arguments, name, view, told, arguments.seeds[0], variant)
-            wanted.append(replace(trial, start=number, first=first, frames=trials.START_FRAMES))
+            wanted.append(replace(trial, start=number, first=first, frames=START_FRAMES))
     return wanted
 
 
 def read(path: Path) -> list[dict]:
     """The rows of a file; none where there is no file yet."""
-    return Journal(path).rows()
+    return RowLog(path).rows()
 
 
 def lines(report: dict) -> str:

@@ -23,18 +23,21 @@ from scipy.stats import chi2
 
 from ddakf import data
 from ddakf.config import Uncertainty
-from ddakf.evaluation import figures, machine, tables, trials
-from ddakf.evaluation.records import NOMINAL
-from ddakf.evaluation.study.execute import execute
-from ddakf.evaluation.study.journal import Journal
-from ddakf.evaluation.trials import Trial
+from ddakf.evaluation import machine
+from ddakf.evaluation.drawing import diagrams
+from ddakf.evaluation.metrics.calibration import NOMINAL_PROBABILITIES
+from ddakf.evaluation.studies.execution import execute
+from ddakf.evaluation.studies.row_log import RowLog
+from ddakf.evaluation.trials import accuracy_tables
+from ddakf.evaluation.trials.recordings import find_recording, recording_names
+from ddakf.evaluation.trials.trial import Trial
 
 ROOT = Path(__file__).resolve().parents[1]
 OUT, DIAGRAM = ROOT / "out/calibration.jsonl", ROOT / "out/calibration.png"
 RESULT, PICTURE = ROOT / "benchmarks/results/calibration.json", ROOT / "docs/calibration.png"
 VIEWS = ("full", "full+body", "ring4", "front", "front+body")
 WANTED = 0.9  # share of the vertices in the ellipsoid of that probability
-OBSERVED, *HIDDEN = tables.GROUPS
+OBSERVED, *HIDDEN = accuracy_tables.GROUPS
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -43,8 +46,8 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.fit:
         arguments.out.unlink(missing_ok=True)  # rows of another tracker
     shipped = (path.stem for path in data.TRAINING.glob("*.npz"))
-    wanted = grid(arguments, sorted(arguments.sequences or {*trials.names(), *shipped}))
-    journal = Journal(arguments.out)
+    wanted = grid(arguments, sorted(arguments.sequences or {*recording_names(), *shipped}))
+    journal = RowLog(arguments.out)
     execute(wanted, journal, arguments.procs, Console(stderr=True))
     rows = journal.rows(wanted)
     factors = fitted(rows) if arguments.fit else {}
@@ -52,10 +55,10 @@ def main(argv: list[str] | None = None) -> int:
         "observed_scale": Uncertainty.observed_scale * factors.get(OBSERVED, 1.0),
         "unseen_scale": Uncertainty.unseen_scale * factors.get(HIDDEN[0], 1.0),
     }
-    print(tables.calibration(rows, scale=factors))
+    print(accuracy_tables.calibration(rows, scale=factors))
     print(", ".join(f"{name} {value:.3f}" for name, value in constants.items()))
-    curves = tables.reliability_curves(rows, scale=factors)
-    figures.reliability_diagram(arguments.diagram or (PICTURE if arguments.fit else DIAGRAM), curves)
+    curves = accuracy_tables.reliability_curves(rows, scale=factors)
+    diagrams.reliability_diagram(arguments.diagram or (PICTURE if arguments.fit else DIAGRAM), curves)
     if arguments.fit:
         arguments.json.write_text(accuracy.lines(report(rows, factors, constants)))
     return 0
@@ -68,7 +71,7 @@ def grid(arguments, names: list[str]) -> list[Trial]:
         Trial(name, view, bool(body), seed, "default", arguments.frames)
         for name in names
         for view, _, body in views
-        if not body or trials.recording(name).has_body
+        if not body or find_recording(name).has_body
         for seed in arguments.seeds
     ]
 
@@ -80,10 +83,10 @@ def fitted(rows: list[dict]) -> dict[str, float]:
     Hidden vertices have one factor, which suits those on a body that is given: without it they may be claimed to be less certain
     than they are, but never more.
     """
-    half, _ = tables.half_of(rows)
+    half, _ = accuracy_tables.half_of(rows)
     inside = defaultdict(list)
     for name in half:
-        for group, pool in tables.pooled(row for row in rows if row["sequence"] == name and "failed" not in row).items():
+        for group, pool in accuracy_tables.pooled(row for row in rows if row["sequence"] == name and "failed" not in row).items():
             inside[group].append(pool["inside"])
     factor = {group: ellipsoid_scale(np.mean(shares, axis=0)) for group, shares in inside.items()}
     hidden = next(factor[group] for group in HIDDEN if group in factor)
@@ -96,16 +99,16 @@ def ellipsoid_scale(inside: npt.ArrayLike) -> float:
     Args:
         inside: shares of the vertices in the ellipsoids of the probabilities NOMINAL.
     """
-    probability = np.interp(WANTED, inside, NOMINAL)
+    probability = np.interp(WANTED, inside, NOMINAL_PROBABILITIES)
     return float(np.sqrt(chi2.ppf(probability, 3) / chi2.ppf(WANTED, 3)))
 
 
 def report(rows: list[dict], factors: dict[str, float], constants: dict[str, float]) -> dict:
     """What ``benchmarks/results`` keeps."""
-    half, other = tables.half_of(rows)
+    half, other = accuracy_tables.half_of(rows)
     parts = [
         {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in part.items()}
-        for part in tables.calibrated(rows, scale=factors)
+        for part in accuracy_tables.calibrated(rows, scale=factors)
     ]
     return {
         "machine": machine.describe(),

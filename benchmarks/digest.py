@@ -22,8 +22,8 @@ import numpy as np
 
 import ddakf
 from ddakf.evaluation.sensors import Sensor
-from ddakf.evaluation.source import SequenceSource
-from ddakf.evaluation.trials import names, recording
+from ddakf.evaluation.tracking.sources import SequenceSource
+from ddakf.evaluation.trials.recordings import find_recording, recording_names
 from ddakf.files.sequence import load_sequence
 
 RECORDINGS = ("sample", "tank_squat", "dress_dance", "pergamo_005", "samba_dress", "sim_tank_move")
@@ -54,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def _cases(arguments):
     for name in arguments.recordings:
-        if name not in names() and not (TRAINING / f"{name}.npz").exists():
+        if name not in recording_names() and not (TRAINING / f"{name}.npz").exists():
             print(f"{name}: absent, set DDAKF_DATA", file=sys.stderr)
             continue
         body = _sequence(name).has_body
@@ -96,7 +96,7 @@ def digest(case: tuple[str, str, str, int]) -> str:
 
 def _sequence(name: str):
     path = TRAINING / f"{name}.npz"
-    return load_sequence(path) if path.exists() else recording(name)
+    return load_sequence(path) if path.exists() else find_recording(name)
 
 
 def _compare(before: dict[str, str], now: dict[str, str]) -> int:

@@ -19,7 +19,7 @@ import numpy as np
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import load_faust
 from ddakf.evaluation.datasets.faust import FPS, HELD, MOVING, NEUTRAL, Faust
-from ddakf.evaluation.interpolation import Interpolation
+from ddakf.evaluation.datasets.pose_interpolation import Interpolation
 from ddakf.mesh import Mesh
 
 SHARES = (0.25, 0.5, 0.75)

@@ -16,7 +16,7 @@ import numpy as np
 
 from ddakf import Config, data
 from ddakf.evaluation import metrics
-from ddakf.evaluation.methods import ablations
+from ddakf.evaluation.trials.variants import ablations
 
 CHANGES = ("without planes", "one association per frame", "without visibility", "without correlated noise",
            "without the body's motion")  # fmt: skip

@@ -14,10 +14,9 @@ import ddakf
 from ddakf import Mesh, data
 from ddakf.config import KnnFilter
 from ddakf.errors import MissingDependency
-from ddakf.evaluation.methods import named
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
-from ddakf.evaluation.sensors import OUTLIER_MARGIN
-from ddakf.evaluation.source import Frame
+from ddakf.evaluation.sensors import OUTLIER_MARGIN, CapturedFrame
+from ddakf.evaluation.trials.methods import method_factory
 from ddakf.files.open3d_bridge import import_open3d
 from ddakf.garment.model import build as build_model
 from ddakf.stages.preprocess import preprocess
@@ -67,7 +66,7 @@ def against_icp(settings) -> list[dict]:
     sequence = inputs.resampled(inputs.shortened(data.sample(), settings.icp_frames), vertices)
     run = inputs.run_of(sequence, settings.icp_frames, "full", points)
     garment = Mesh(sequence.template, sequence.garment_faces)
-    methods = {name: named(name)(garment, sequence.garment_vertices[0], None) for name in ("default", "nicp", "nicp-12")}
+    methods = {name: method_factory(name)(garment, sequence.garment_vertices[0], None) for name in ("default", "nicp", "nicp-12")}
     times, errors = defaultdict(list), defaultdict(list)
 
     def timed(name: str, number: int, call):
@@ -83,7 +82,7 @@ def against_icp(settings) -> list[dict]:
         o3d = None
     for number, cloud, how in run.frames():
         truth = sequence.garment_vertices[number]
-        frame = Frame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, truth)
+        frame = CapturedFrame(number, how["timestamp"], cloud.points, cloud.sensor_origin, None, truth)
         for name, step in methods.items():
             estimate = timed(name, number, partial(step, frame))
             errors[name].append(rmse_mm(estimate.vertices, truth))

@@ -3,7 +3,8 @@
     python benchmarks/recovery.py [starts] [losses] [--cases 100] [--json benchmarks/results/recovery.json]
 
 **Starts.** The template in its rest shape, laid on the garment of the first frame, moved by 10 cm and turned by 20 degrees
-about the vertical (ddakf.evaluation.trials.astray). Converged: within 15 frames the normal RMSE is at most 1.2 x that of the
+about the vertical (ddakf.evaluation.trials.runs.displaced_template).
+Converged: within 15 frames the normal RMSE is at most 1.2 x that of the
 run that was started at the truth on the same clouds, and stays there; where the garment has sleeves or legs, the vertex
 RMSE as well.
 
@@ -34,9 +35,11 @@ from scipy.spatial.transform import Rotation
 
 import ddakf
 from ddakf.commands import warmup
-from ddakf.evaluation import machine, trials
+from ddakf.evaluation import machine
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.trials.runs import START_FRAMES, run_trial
+from ddakf.evaluation.trials.trial import Trial
 from ddakf.files.sequence import Sequence
 from ddakf.search.relocalize import SETTLING
 
@@ -107,8 +110,8 @@ class Track:
 
 def start_case(sequence: Sequence, view: str, seed: int) -> dict:
     """One wrong start, in the first frame."""
-    trial = trials.Trial(sequence.name, view, seed=seed, start=seed, frames=trials.START_FRAMES)
-    row = trials.run(trial)
+    trial = Trial(sequence.name, view, seed=seed, start=seed, frames=START_FRAMES)
+    row = run_trial(trial)
     taken = {what: row[f"frames_until_{name}"] for what, name in (("normal", "normal_rmse_mm"), ("vertex", "rmse_mm"))}
     return {
         "sequence": sequence.name, "view": view, "seed": seed, "frames": taken,

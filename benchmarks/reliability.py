@@ -1,5 +1,5 @@
 """How well the reliability of frames and vertices ranks the error, on the fixed list of degraded runs
-(ddakf.evaluation.degradations).
+(ddakf.evaluation.sensors.degradations).
 
     python benchmarks/reliability.py [--procs 2] [--json benchmarks/results/reliability.json]
     python benchmarks/reliability.py --fit        # the two laws of ddakf/reliability.py, fitted on all recordings
@@ -25,9 +25,9 @@ from scipy.stats import rankdata
 
 import ddakf
 from ddakf.evaluation import machine, metrics
-from ddakf.evaluation.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.sensors import Sensor
-from ddakf.evaluation.source import SequenceSource
+from ddakf.evaluation.sensors.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
+from ddakf.evaluation.tracking.sources import SequenceSource
 from ddakf.stages import reliability
 from ddakf.stages.reliability import Evidence, Law, VertexEvidence
 

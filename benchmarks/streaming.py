@@ -20,7 +20,7 @@ from library import WARM, percentiles
 import ddakf
 from ddakf import data
 from ddakf.evaluation import metrics
-from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.sensors import Camera, Intrinsics
 from ddakf.files import depth as depths
 
 IMAGE = (256, 192, 200.0)  # pixels, pixels, and the focal length in them: the depth sensor of a phone

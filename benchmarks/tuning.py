@@ -25,21 +25,22 @@ from threadpoolctl import threadpool_limits
 from ddakf import data
 from ddakf.commands import warmup
 from ddakf.errors import NotApplicable
-from ddakf.evaluation import machine, metrics, trials
-from ddakf.evaluation.baselines import Baseline
+from ddakf.evaluation import machine, metrics
+from ddakf.evaluation.baselines.baseline import Baseline
 from ddakf.evaluation.baselines.clothfit import library, weights
 from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
-from ddakf.evaluation.baselines.clothfit.training import Settings as Training
-from ddakf.evaluation.baselines.embedded import EmbeddedDeformation, EmbeddedSettings
+from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings as Training
+from ddakf.evaluation.baselines.embedded_deformation import EmbeddedDeformation, EmbeddedSettings
 from ddakf.evaluation.baselines.icp import IcpSettings, NonRigidPointToPlane, RigidPointToPlane, RigidSettings
-from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
+from ddakf.evaluation.baselines.kalman_filter import KalmanFilter, KalmanSettings
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
-from ddakf.evaluation.baselines.particle import ParticleFilter, ParticleSettings
-from ddakf.evaluation.methods import Maker, named, started
-from ddakf.evaluation.protocols import Scored, scored
-from ddakf.evaluation.sensors import Sensor
-from ddakf.evaluation.source import Frame
+from ddakf.evaluation.baselines.particle_filter import ParticleFilter, ParticleSettings
+from ddakf.evaluation.sensors import CapturedFrame, Sensor
+from ddakf.evaluation.splits import RecordingLabels, labels_of
+from ddakf.evaluation.trials.estimates import MethodFactory
+from ddakf.evaluation.trials.methods import method_factory, start_baseline
+from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.mesh import Mesh
 
 RESULT = Path(__file__).parent / "results/tuning.json"
@@ -53,11 +54,11 @@ class Clip(NamedTuple):
     """The first frames of a recording, seen by a sensor."""
 
     name: str
-    scored: Scored
+    labels: RecordingLabels
     garment: Mesh
     start: np.ndarray  # (V, 3) m
     body: Mesh | None
-    frames: list[Frame]  # with their truth
+    frames: list[CapturedFrame]  # with their truth
 
 
 def clips(frames: int) -> Iterator[Clip]:
@@ -76,18 +77,18 @@ class Search(NamedTuple):
     """What is tried of a baseline: its settings, made into a method for what will be scored; per axis the values, the first one
     to begin with; and on what."""
 
-    make: Callable[[Any, Scored], Baseline]
+    make: Callable[[Any, RecordingLabels], Baseline]
     settings: type
     axes: dict[str, tuple]
     clips: Callable[[int], Iterator[Clip]] = clips
 
 
-def of(method: type) -> Callable[[Any, Scored], Baseline]:
+def of(method: type) -> Callable[[Any, RecordingLabels], Baseline]:
     """Of a method that does not care what will be scored."""
     return lambda settings, scored: method(settings)
 
 
-def clothfit(settings: AnswerSettings, scored: Scored) -> ClothFit:
+def clothfit(settings: AnswerSettings, scored: RecordingLabels) -> ClothFit:
     """Learned from what ships for learning alone, without the clip, its garment and its motion; from nothing that the study
     scores, neither the sample nor what DDAKF_DATA names."""
     among = [source for source in library.sources() if not source.at_hand and source.what != data.SAMPLE]
@@ -119,7 +120,10 @@ SEARCHES = {
         "gate": (1.0, 0.0), "caution": (2.0, 0.0, 0.5, 1.0, 4.0, 8.0), "smoothing": (2, 0, 4),
     }, learned_clips),
 }  # fmt: skip
-UNTUNED = {"ddakf": (lambda clip: named("default"), clips), "carried": (lambda clip: named("carried"), learned_clips)}
+UNTUNED = {
+    "ddakf": (lambda clip: method_factory("default"), clips),
+    "carried": (lambda clip: method_factory("carried"), learned_clips),
+}
 NAMES = *UNTUNED, *SEARCHES
 
 
@@ -154,7 +158,8 @@ def search(name: str, frames: int) -> dict:
     chosen, tries = {axis: values[0] for axis, values in axes.items()}, []
 
     def tried(values: dict) -> dict:
-        row = {"settings": values} | score(lambda clip: partial(started, make(settings(**values), clip.scored)), shown(frames))
+        loss = score(lambda clip: partial(start_baseline, make(settings(**values), clip.labels)), shown(frames))
+        row = {"settings": values} | loss
         tries.append(row)
         print(f"{name} {values}: RMSE {row['rmse_mm']} mm, normal {row['normal_rmse_mm']}", file=sys.stderr, flush=True)
         return row
@@ -175,7 +180,7 @@ def untuned(name: str, frames: int) -> dict:
     return {"score": score(make, shown(frames))}
 
 
-def score(make: Callable[[Clip], Maker], shown: Iterable[Clip]) -> dict:
+def score(make: Callable[[Clip], MethodFactory], shown: Iterable[Clip]) -> dict:
     """A method on clips: geometric means of the errors, and the median time per frame; all of them per clip too."""
     rows = {}
     for clip in shown:
@@ -198,21 +203,23 @@ def geometric_mean(values: list[float]) -> float:
 
 @lru_cache(maxsize=len(CLIPS))
 def _clip(name: str, view: str, frames: int) -> Clip:
-    sequence = trials.recording(name)
+    sequence = find_recording(name)
     sensor = Sensor(view, SENSOR.points, SENSOR.noise)
     seen = []
     for k in range(1, min(frames, len(sequence) - 1) + 1):
         cloud = sensor.capture(sequence, k, np.random.default_rng([SEED, k]))
-        seen.append(Frame(k, sequence.timestamp(k), *cloud, truth=sequence.garment_vertices[k]))
+        seen.append(CapturedFrame(k, sequence.timestamp(k), *cloud, truth=sequence.garment_vertices[k]))
     garment, start = Mesh(sequence.template, sequence.garment_faces), sequence.garment_vertices[0].astype(np.float64)
-    return Clip(f"{name} {view}", scored(sequence), garment, start, None, seen)
+    return Clip(f"{name} {view}", labels_of(sequence), garment, start, None, seen)
 
 
 def _learned_clip(name: str, frames: int) -> Clip:
-    s, nothing = trials.recording(name), np.zeros((0, 3), np.float32)
-    seen = [Frame(k, s.timestamp(k), nothing, None, s.body_vertices[k], s.garment_vertices[k]) for k in range(1, frames + 1)]
+    s, nothing = find_recording(name), np.zeros((0, 3), np.float32)
+    seen = [
+        CapturedFrame(k, s.timestamp(k), nothing, None, s.body_vertices[k], s.garment_vertices[k]) for k in range(1, frames + 1)
+    ]
     garment, body = Mesh(s.template, s.garment_faces), Mesh(s.body_vertices[0], s.body_faces)
-    return Clip(name, scored(s), garment, s.garment_vertices[0].astype(np.float64), body, seen)
+    return Clip(name, labels_of(s), garment, s.garment_vertices[0].astype(np.float64), body, seen)
 
 
 def meta(frames: int) -> dict:

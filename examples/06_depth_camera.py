@@ -14,7 +14,7 @@ from ddakf_client import Frame, connect
 from ddakf_service.commands.service_process import ServiceProcess
 
 from ddakf import data
-from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.sensors import Camera, Intrinsics
 
 FRAMES = 14
 DELAY = 2  # frames from the capture of an image to its display

@@ -13,11 +13,8 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 
 import ddakf
-from ddakf.commands import doctor, track
+from ddakf.commands import doctor, evaluate, report, simulate, track
 from ddakf.errors import DdakfError
-from ddakf.evaluation.report import command as report
-from ddakf.evaluation.simulation import command as simulate
-from ddakf.evaluation.study import command as study
 
 GROUP = "ddakf.commands"
 FAILURE, INTERRUPTED = 2, 130
@@ -59,7 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"ddakf {ddakf.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     track.register(commands)
-    study.register(commands)
+    evaluate.register(commands)
     report.register(commands)
     doctor.register(commands)
     simulate.register(commands)

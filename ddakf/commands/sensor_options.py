@@ -56,7 +56,7 @@ def add(parser: argparse.ArgumentParser, *, several_views: bool = False) -> argp
 
 
 def sensor(arguments: argparse.Namespace, virtual: bool = True, view: str | None = None):
-    """The :class:`ddakf.evaluation.sensors.Sensor` of parsed options.
+    """The :class:`ddakf.evaluation.sensors.virtual_sensor.Sensor` of parsed options.
 
     Args:
         arguments: with those of :func:`add`.

@@ -57,7 +57,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Tracks, reports, and writes what was asked for."""
-    from ddakf.evaluation.scoreboard import Scoreboard
+    from ddakf.evaluation.tracking.scoreboard import Scoreboard
 
     _check_outputs(arguments)
     console = Console(stderr=True)
@@ -81,7 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def table(title: str, summary: dict) -> Table:
-    """The summary of a :class:`~ddakf.evaluation.scoreboard.Scoreboard` for people."""
+    """The summary of a :class:`~ddakf.evaluation.tracking.scoreboard.Scoreboard` for people."""
     rows = Table(title=title, show_header=False, title_justify="left")
     rows.add_row("frames", str(summary["frames"]))
     rows.add_row("states", ", ".join(f"{state} {share:.1%}" for state, share in summary["states"].items()))
@@ -104,12 +104,12 @@ class _Album:
     """Keeps what the pictures need, of at most as many frames as an animation shows."""
 
     def __init__(self, frames: int):
-        from ddakf.evaluation.pictures import MOST_FRAMES
+        from ddakf.evaluation.drawing.pictures import MOST_FRAMES
 
         self._stride, self._seen, self._shots, self._origin = math.ceil(frames / MOST_FRAMES), 0, [], None
 
     def add(self, frame, result) -> None:
-        from ddakf.evaluation.pictures import Shot
+        from ddakf.evaluation.drawing.pictures import Shot
 
         if self._seen % self._stride == 0:
             caption = f"frame {frame.number}   {result.state}   reliability {result.reliability:.2f}"
@@ -120,7 +120,7 @@ class _Album:
             self._origin = frame.sensor_origin
 
     def save(self, source, picture: str | None, animation: str | None) -> None:
-        from ddakf.evaluation import pictures
+        from ddakf.evaluation.drawing import pictures
 
         painter = pictures.Painter(
             self._shots,
@@ -150,7 +150,7 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
 
 def _source(arguments: argparse.Namespace):
     from ddakf.evaluation.datasets import open_dataset
-    from ddakf.evaluation.source import source_of
+    from ddakf.evaluation.tracking.sources import source_of
     from ddakf.files.sequence import Sequence
 
     recording = open_dataset(arguments.path, fps=arguments.fps)
@@ -168,7 +168,7 @@ def _source(arguments: argparse.Namespace):
 def _replay(arguments: argparse.Namespace, source, console: Console):
     import ddakf
     from ddakf.commands.doctor import warm
-    from ddakf.evaluation import replay
+    from ddakf.evaluation.tracking import replay
 
     config = ddakf.Config.paper() if arguments.paper else None
     if arguments.server:

@@ -16,11 +16,10 @@ from scipy.io import savemat
 import ddakf
 from ddakf.commands import cli
 from ddakf.data import SAMPLE, sample
-from ddakf.evaluation import replay
-from ddakf.evaluation.camera import Camera
 from ddakf.evaluation.datasets import KINECT
-from ddakf.evaluation.sensors import Sensor
-from ddakf.evaluation.source import open_source
+from ddakf.evaluation.sensors import Camera, Sensor
+from ddakf.evaluation.tracking import replay
+from ddakf.evaluation.tracking.sources import open_source
 from ddakf.files import io
 
 SHORT = ["--frames", "0:5", "--points", "3000"]

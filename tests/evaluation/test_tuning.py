@@ -57,15 +57,15 @@ def test_the_learned_method_is_tuned_on_nothing_that_is_scored(tuning, monkeypat
     names = [clip.name for clip in shown]
     assert names == REPORT["meta"]["learned_clips"] == list(REPORT["methods"]["clothfit"]["score"]["clips"])
     for clip in shown:
-        tuning.clothfit(tuning.AnswerSettings(), clip.scored).start(clip.garment, clip.start, clip.body)
+        tuning.clothfit(tuning.AnswerSettings(), clip.labels).start(clip.garment, clip.start, clip.body)
     assert [scored.name for scored, _, _ in asked] == names
     for _, _, among in asked:
-        assert {source.scored.name for source in among} >= set(names)
+        assert {source.labels.name for source in among} >= set(names)
         assert not any(source.at_hand or source.what == tuning.data.SAMPLE for source in among)
 
 
 def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):
-    from ddakf.evaluation.baselines.kalman import KalmanFilter, KalmanSettings
+    from ddakf.evaluation.baselines.kalman_filter import KalmanFilter, KalmanSettings
 
     def score(make, shown):
         settings = make(next(shown)).args[0].settings
@@ -89,7 +89,7 @@ def test_the_score_is_the_error_of_a_method_that_stands_still(tuning):
 
     if not _recordings():
         pytest.skip("DDAKF_DATA names no recordings")
-    row = tuning.score(lambda clip: partial(tuning.started, Still()), tuning.clips(2))
+    row = tuning.score(lambda clip: partial(tuning.start_baseline, Still()), tuning.clips(2))
     clip = next(tuning.clips(2))
     moved = [tuning.metrics.rmse_mm(clip.start, frame.truth) for frame in clip.frames]
     assert row["clips"]["sample full"]["rmse_mm"] == pytest.approx(sum(moved) / 2, abs=0.006)
@@ -97,6 +97,6 @@ def test_the_score_is_the_error_of_a_method_that_stands_still(tuning):
 
 
 def _recordings() -> bool:
-    from ddakf.evaluation import trials
+    from ddakf.evaluation.trials import recordings
 
-    return {"pergamo_005", "sim_tshirt_jump"} <= set(trials.names())
+    return {"pergamo_005", "sim_tshirt_jump"} <= set(recordings.recording_names())

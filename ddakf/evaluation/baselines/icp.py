@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 
-from ddakf.evaluation.baselines.linear import conjugate_gradients, factorised, graph_laplacian
+from ddakf.evaluation.baselines.linear_algebra import conjugate_gradients, factorised, graph_laplacian
 from ddakf.evaluation.baselines.matching import Matches, MatchSettings, Scan, rigid_motion
-from ddakf.evaluation.baselines.optional import package
+from ddakf.evaluation.baselines.optional_packages import package
 from ddakf.evaluation.baselines.registration import Registration
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
-
-if TYPE_CHECKING:
-    from ddakf.evaluation.source import Frame
 
 DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
@@ -57,7 +54,7 @@ class NonRigidPointToPlane(Registration):
         self._smoothness = self.settings.stiffness * graph_laplacian(garment)
         self._factor = factorised(self._smoothness + (TYPICAL_WEIGHT + DAMPING) * sparse.eye_array(garment.n_vertices))
 
-    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+    def _registered(self, x: np.ndarray, frame: CapturedFrame) -> np.ndarray:
         scan = Scan(frame, self.settings)
         for _ in range(self.settings.iterations):
             x = x + self._move(x, scan.match(x, self._normals(x)))
@@ -112,7 +109,7 @@ class RigidPointToPlane(Registration):
         self.settings = settings
         self._open3d = package("open3d", "'ddakf[evaluation]'")
 
-    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+    def _registered(self, x: np.ndarray, frame: CapturedFrame) -> np.ndarray:
         motion = self._motion(x, np.array(frame.points, np.float64))
         return x @ motion[:3, :3].T + motion[:3, 3]
 

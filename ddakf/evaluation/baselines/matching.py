@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
-
-if TYPE_CHECKING:
-    from ddakf.evaluation.source import Frame
 
 LEAST_POINTS = 20  # a smaller cloud is a frame without measurements
 TINY = 1e-30  # m^2
@@ -68,7 +66,7 @@ class Scan:
         settings: see :class:`MatchSettings`.
     """
 
-    def __init__(self, frame: Frame, settings: MatchSettings):
+    def __init__(self, frame: CapturedFrame, settings: MatchSettings):
         # a tree of many boxes is quick to build, and to leave when nothing is near
         self._tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
         self._origin, self._settings = frame.sensor_origin, settings

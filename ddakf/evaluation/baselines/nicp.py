@@ -14,19 +14,16 @@ serves a whole recording.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from ddakf.evaluation.baselines.linear import graph_laplacian
+from ddakf.evaluation.baselines.linear_algebra import best_rotations, graph_laplacian
 from ddakf.evaluation.baselines.matching import facing
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh, vertex_normals
-
-if TYPE_CHECKING:
-    from ddakf.evaluation.source import Frame
 
 LEAST_POINTS = 8  # a frame with fewer moves on as predicted
 ROTATION_STEPS = 2  # per iteration; they start where the last one ended
@@ -63,7 +60,7 @@ class NonRigidIcp:
         self.settings = settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         n, (first, second) = garment.n_vertices, garment.edges.T
         i, j = np.concatenate([first, second]), np.concatenate([second, first])
         self._factor = splu((self.settings.stiffness * graph_laplacian(garment) + sparse.eye_array(n)).tocsc())
@@ -78,8 +75,8 @@ class NonRigidIcp:
         self._position = np.array(vertices, np.float64)
         self._last = self._position.copy()
 
-    def step(self, frame: Frame) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+    def step(self, frame: CapturedFrame) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         x = self._position + self.settings.momentum * (self._position - self._last)
         self._last = self._position
         if len(frame.points) >= max(LEAST_POINTS, self.settings.neighbours):
@@ -107,13 +104,6 @@ class NonRigidIcp:
     def _edge_products(self, x: np.ndarray) -> np.ndarray:
         """(V, 3, 3) sum_j (x_i - x_j) (r_i - r_j)' over the one-rings, whose closest rotations are those of x (V, 3)."""
         return -(self._lever @ x).reshape(-1, 3, 3).transpose(0, 2, 1)
-
-
-def best_rotations(matrices: np.ndarray) -> np.ndarray:
-    """(n, 3, 3) rotations R that maximise trace(R' M) for matrices M (n, 3, 3), by singular values (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
-    return u @ vt
 
 
 def turned(rotation: np.ndarray, matrices: np.ndarray, steps: int) -> np.ndarray:

@@ -3,31 +3,28 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ddakf.evaluation.baselines.matching import LEAST_POINTS, VertexNormals
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
-
-if TYPE_CHECKING:
-    from ddakf.evaluation.source import Frame
 
 
 class Registration(ABC):
     """Lays the garment from where it was onto every cloud; one of too few points leaves it there. Knows no body and no time."""
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         self._garment, self._position = garment, np.array(vertices, np.float64)
         self._normals = VertexNormals(garment)
 
-    def step(self, frame: Frame) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`."""
+    def step(self, frame: CapturedFrame) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         if len(frame.points) >= LEAST_POINTS:
             self._position = self._registered(self._position, frame)
         return self._position.copy()
 
     @abstractmethod
-    def _registered(self, x: np.ndarray, frame: Frame) -> np.ndarray:
+    def _registered(self, x: np.ndarray, frame: CapturedFrame) -> np.ndarray:
         """(V, 3) the garment, so far at x (V, 3), laid onto the frame's points."""

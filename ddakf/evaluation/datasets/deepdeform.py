@@ -18,10 +18,10 @@ from scipy.sparse.csgraph import connected_components
 
 from ddakf.body import proximity
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.camera import Camera
-from ddakf.evaluation.datasets.rgbd import load_camera, read_grey
-from ddakf.evaluation.depth_template import JUMP, template_from_depth
-from ddakf.evaluation.sensors import Cloud
+from ddakf.evaluation.datasets.depth_files import load_camera, read_grey
+from ddakf.evaluation.datasets.depth_template import JUMP, template_from_depth
+from ddakf.evaluation.sensors.camera import Camera
+from ddakf.evaluation.sensors.captured_frame import Cloud
 from ddakf.files.depth import without_fliers
 from ddakf.mesh import Mesh
 

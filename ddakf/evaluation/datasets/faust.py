@@ -3,7 +3,7 @@
 Published layout: ``MPI-FAUST/training/registrations/tr_reg_037.ply`` is pose 7 of subject 3, metres, y up, vertex i the same
 place in all of them; ``MPI-FAUST/training/scans/tr_scan_037.ply`` is what was scanned. Or all registrations in one ``.npz``:
 ``V (10 S, V, 3)``, pose p of subject s at 10 s + p, and ``F (F, 3)``. FAUST is static: a clip leads from a subject's neutral pose
-to another one by :class:`ddakf.evaluation.interpolation.Interpolation`, in a second, and holds it.
+to another one by :class:`ddakf.evaluation.datasets.pose_interpolation.Interpolation`, in a second, and holds it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidArgument, InvalidFile, InvalidMesh
-from ddakf.evaluation.interpolation import Interpolation, minimum_jerk
+from ddakf.evaluation.datasets.pose_interpolation import Interpolation, minimum_jerk
 from ddakf.files.io import read_mesh, read_points
 from ddakf.files.sequence import UNREADABLE, Sequence, why
 from ddakf.mesh import Mesh

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.camera import Camera
-from ddakf.evaluation.depth_template import JUMP, smoothed, template_from_depth
-from ddakf.evaluation.sensors import Cloud
+from ddakf.evaluation.datasets.depth_template import JUMP, smoothed, template_from_depth
+from ddakf.evaluation.sensors.camera import Camera
+from ddakf.evaluation.sensors.captured_frame import Cloud
 from ddakf.files.depth import without_fliers
 from ddakf.mesh import Mesh
 
@@ -85,3 +87,8 @@ def positive_rate(fps: float) -> float:
     if not 1e-6 < fps < 1e6:
         raise InvalidArgument("fps", "a positive number of frames per second", str(fps))
     return float(fps)
+
+
+def by_number(path: Path) -> list[int]:
+    """Orders frames by the numbers in their names."""
+    return [int(digits) for digits in re.findall(r"\d+", path.name)] or [0]

@@ -9,26 +9,18 @@ without ``T_world_sensor`` the points are in the frame of the sensor, y up, look
 
 from __future__ import annotations
 
-import json
-import struct
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ddakf.errors import InvalidFile, MissingDependency
-from ddakf.evaluation.camera import Camera, Intrinsics
-from ddakf.evaluation.datasets.folder import by_number
-from ddakf.evaluation.datasets.recording import DepthRecording, positive_rate
+from ddakf.errors import InvalidFile
+from ddakf.evaluation.datasets.depth_files import LARGEST, is_number, load_camera, read_grey, read_numbers
+from ddakf.evaluation.datasets.recording import DepthRecording, by_number, positive_rate
 
-MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
-LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-GREY = ("1", "L", "I", "I;16", "I;16B")  # Pillow's names
 MILLIMETRES = 1000.0  # per metre
 LEAST_SCALE = 1e-3  # units per metre
-LARGEST = 1e12  # number in a text file, of whatever unit
 SHORTEST = 1e-6  # s between two frames
 
 
@@ -86,7 +78,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     shape = read_grey(paths[0]).shape
     camera, said = load_camera(path, shape)
     scale = said.get("depth_scale", MILLIMETRES)
-    if not _is_number(scale) or scale < LEAST_SCALE:
+    if not is_number(scale) or scale < LEAST_SCALE:
         raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
     images = DepthImages(paths, _masks(path, paths), float(scale), shape)
     times = _timestamps(path / "timestamps.txt", len(paths))
@@ -94,62 +86,9 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         fps = (len(times) - 1) / (times[-1] - times[0])
     else:
         fps = said.get("fps", fps)
-    if not _is_number(fps):
+    if not is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
     return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
-
-
-def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
-    """The camera of a folder with ``camera.json`` or ``intrinsics.txt`` and images (H, W), and what else the former says.
-
-    Raises:
-        InvalidFile: neither is there, or it does not hold what it should.
-    """
-    height, width = shape
-    if (path / "camera.json").is_file():
-        said = _json(path / "camera.json")
-        lens = _lens(said)
-        camera = _placed(Intrinsics(width, height, *lens), said.get("T_world_sensor"))
-        return camera, said
-    if not (path / "intrinsics.txt").is_file():
-        raise InvalidFile(str(path), "camera.json or intrinsics.txt", "neither")
-    matrix = _numbers(path / "intrinsics.txt")
-    if matrix.shape not in ((3, 3), (4, 4)):
-        raise InvalidFile("intrinsics.txt", "a 3 x 3 or 4 x 4 matrix", f"shape {matrix.shape}")
-    lens = _checked_lens("intrinsics.txt", matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
-    return Camera.at_origin(Intrinsics(width, height, *lens)), {}
-
-
-def read_grey(path: Path) -> np.ndarray:
-    """(H, W) values of a grey PNG image, uint8, uint16 or int32.
-
-    Raises:
-        InvalidFile: no such file, not a grey PNG, more than :data:`MOST_PIXELS`, damaged.
-        MissingDependency: Pillow is not installed.
-    """
-    try:
-        from PIL import Image
-    except ImportError as error:
-        raise MissingDependency("depth images need Pillow: pip install 'ddakf[evaluation]'") from error
-    if not path.is_file():
-        raise InvalidFile(str(path), "a PNG image", "nothing there")
-    with path.open("rb") as file:
-        header = file.read(24)
-        if len(header) < 24 or not header.startswith(PNG_SIGNATURE):
-            raise InvalidFile(path.name, "a PNG image", repr(header[:8]))
-        width, height = struct.unpack(">II", header[16:24])
-        if not 0 < width * height <= MOST_PIXELS:
-            raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", f"{width} x {height}")
-        file.seek(0)
-        try:
-            with Image.open(file, formats=["PNG"]) as image:
-                if image.mode not in GREY:
-                    raise InvalidFile(path.name, "a grey image", f"mode {image.mode}")
-                return np.array(image)
-        except (OSError, SyntaxError, ValueError, struct.error) as error:
-            if isinstance(error, InvalidFile):
-                raise
-            raise InvalidFile(path.name, "a PNG image", f"{type(error).__name__}: {error}") from error
 
 
 def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
@@ -166,7 +105,7 @@ def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
 def _timestamps(path: Path, count: int) -> np.ndarray | None:
     if not path.is_file():
         return None
-    times = _numbers(path).ravel()
+    times = read_numbers(path).ravel()
     if len(times) != count:
         raise InvalidFile(path.name, f"{count} numbers, one per image", f"{len(times)}")
     early = np.flatnonzero(np.diff(times) < SHORTEST) + 1
@@ -176,66 +115,3 @@ def _timestamps(path: Path, count: int) -> np.ndarray | None:
     return times
 
 
-def _text(path: Path) -> str:
-    if path.stat().st_size > LARGEST_TEXT:
-        raise InvalidFile(path.name, f"at most {LARGEST_TEXT} bytes", str(path.stat().st_size))
-    return path.read_text(encoding="latin-1")
-
-
-def _numbers(path: Path) -> np.ndarray:
-    """(rows, columns) finite numbers of a text file."""
-    rows = [line.replace(",", " ").split() for line in _text(path).splitlines() if line.strip()]
-    try:
-        values = np.array(rows, np.float64)
-    except ValueError:
-        raise InvalidFile(path.name, "rows of numbers, equally long", str(rows[0])[:40]) from None
-    if values.ndim != 2:
-        raise InvalidFile(path.name, "rows of numbers", "none")
-    if not (np.abs(values) <= LARGEST).all():
-        raise InvalidFile(path.name, f"finite numbers up to {LARGEST:g}", str(values[~(np.abs(values) <= LARGEST)][0]))
-    return values
-
-
-def _json(path: Path) -> dict:
-    try:
-        said = json.loads(_text(path))
-    except (ValueError, RecursionError) as error:
-        raise InvalidFile(path.name, "JSON", str(error)[:80]) from error
-    if not isinstance(said, dict):
-        raise InvalidFile(path.name, "a JSON object", type(said).__name__)
-    return said
-
-
-def _lens(said: dict) -> list[float]:
-    """fx, fy, cx, cy; Open3D writes the matrix column by column."""
-    matrix = said.get("intrinsic_matrix")
-    if isinstance(matrix, list) and len(matrix) == 9:
-        return _checked_lens("camera.json: intrinsic_matrix", [matrix[k] for k in (0, 4, 6, 7)])
-    return _checked_lens("camera.json", [said.get(name) for name in ("fx", "fy", "cx", "cy")])
-
-
-def _checked_lens(where: str, values: list) -> list[float]:
-    if not all(map(_is_number, values)) or min(values[:2]) <= 0:
-        raise InvalidFile(where, "fx, fy, cx, cy in pixels, the first two positive", str(values)[:80])
-    return [float(value) for value in values]
-
-
-def _is_number(value) -> bool:
-    """A finite one; JSON has whole numbers beyond all floats, and true is none."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
-
-
-def _placed(intrinsics: Intrinsics, pose) -> Camera:
-    if pose is None:
-        return Camera.at_origin(intrinsics)
-    try:
-        matrix = np.array(pose, np.float64)
-    except (TypeError, ValueError):
-        matrix = np.zeros(0)
-    if matrix.shape != (4, 4) or not (np.abs(matrix) <= LARGEST).all():
-        raise InvalidFile("camera.json: T_world_sensor", "4 rows of 4 finite numbers", str(pose)[:80])
-    turn = matrix[:3, :3]
-    orthogonal = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
-    if not orthogonal or not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-6):
-        raise InvalidFile("camera.json: T_world_sensor", "a rotation, a shift and the row 0, 0, 0, 1", str(pose)[:80])
-    return Camera(intrinsics, matrix[:3, 3], matrix[:3, :3].T)

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidFile
-from ddakf.evaluation.camera import Camera, Intrinsics
 from ddakf.evaluation.datasets.matlab import read_arrays
 from ddakf.evaluation.datasets.recording import DepthRecording, positive_rate
+from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 
 # The Kinect for Windows delivers mirrored images: people's left hands appear on the left. They are mirrored back, and
 # with them the principal point (160, 120) that fits the recordings.

@@ -3,7 +3,6 @@
 One file per idea; ``docs/metrics.md`` lists every metric with its formula and unit.
 """
 
-from ddakf.evaluation.metrics.body import Depth, Penetration, violating_mm
 from ddakf.evaluation.metrics.calibration import (
     CHI2_3_90,
     best_constant_nll,
@@ -13,15 +12,16 @@ from ddakf.evaluation.metrics.calibration import (
     nominal_probability,
     squared_mahalanobis,
 )
-from ddakf.evaluation.metrics.error import MM, normal_rmse_mm, rmse_mm, second_moment, tangential_rmse_mm
-from ddakf.evaluation.metrics.flow import EndPointError, end_point_error
 from ddakf.evaluation.metrics.hausdorff import Hausdorff
-from ddakf.evaluation.metrics.memory import ResidentPeak
-from ddakf.evaluation.metrics.ranks import roc_auc, spearman
+from ddakf.evaluation.metrics.penetration import Depth, Penetration, violating_mm
+from ddakf.evaluation.metrics.rank_correlation import roc_auc, spearman
+from ddakf.evaluation.metrics.resident_memory import ResidentPeak
+from ddakf.evaluation.metrics.scene_flow import EndPointError, end_point_error
 from ddakf.evaluation.metrics.shape import ShapeDifference, crossings
 from ddakf.evaluation.metrics.silhouette import silhouette_cameras, silhouette_iou
-from ddakf.evaluation.metrics.surface import Residual, SurfaceDistance
+from ddakf.evaluation.metrics.surface_distance import Residual, SurfaceDistance
 from ddakf.evaluation.metrics.temporal import acceleration_variance_mm2, flicker_mm, frames_until_within, own_flicker_mm
+from ddakf.evaluation.metrics.vertex_error import MM, normal_rmse_mm, rmse_mm, second_moment, tangential_rmse_mm
 
 __all__ = [
     "CHI2_3_90",

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.body import proximity
-from ddakf.evaluation.metrics.error import MM
+from ddakf.evaluation.metrics.vertex_error import MM
 from ddakf.mesh import Mesh
 
 TOLERANCE = 1e-5  # m: what is returned is at most this much less than the supremum

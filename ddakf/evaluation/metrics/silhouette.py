@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 
 CAMERAS = 4  # at equal angles about the vertical, the first one on the side of +z
 DISTANCE = 2.0  # m, horizontally from the truth's centroid

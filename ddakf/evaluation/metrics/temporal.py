@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.evaluation.metrics.error import MM
+from ddakf.evaluation.metrics.vertex_error import MM
 
 SMOOTHING = np.array([1, 4, 6, 4, 1]) / 16  # binomial weights of five frames: standard deviation one frame
 

@@ -21,7 +21,8 @@ from rich.table import Table
 import ddakf
 from ddakf import data
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation import metrics, pictures
+from ddakf.evaluation import metrics
+from ddakf.evaluation.drawing import pictures
 from ddakf.evaluation.sensors import Cloud, Sensor
 from ddakf.files.sequence import Sequence
 

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ddakf.body import proximity
+from ddakf.commands import simulate
 from ddakf.data.body import load_body
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.simulation import command, garments
+from ddakf.evaluation.simulation import garments
 from ddakf.mesh import Mesh, vertex_normals
 
 HEMS = {"tshirt": 4, "tank": 4, "skirt": 2, "dress": 4}
@@ -48,7 +49,7 @@ def hem_loops(faces):
 
 
 def test_the_command_offers_every_garment():
-    assert set(command.GARMENTS) == set(garments.GARMENTS)
+    assert set(simulate.GARMENTS) == set(garments.GARMENTS)
 
 
 def test_garments_are_manifold_and_consistently_wound(garment):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from ddakf.body import proximity
+from ddakf.commands import simulate
 from ddakf.data.body import load_body
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.simulation import command, motions
+from ddakf.evaluation.simulation import motions
 from ddakf.mesh import Mesh
 
 FPS = 30.0
@@ -25,7 +26,7 @@ def joints(request, body):
 
 
 def test_the_command_offers_every_motion():
-    assert set(command.MOTIONS) == set(motions.MOTIONS)
+    assert set(simulate.MOTIONS) == set(motions.MOTIONS)
 
 
 def test_motions_start_in_the_rest_pose_and_at_rest(joints, body):

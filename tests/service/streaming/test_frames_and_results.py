@@ -16,7 +16,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, FrameError, Limits
 
 import ddakf
-from ddakf.evaluation.camera import Camera, Intrinsics
+from ddakf.evaluation.sensors import Camera, Intrinsics
 from ddakf.files import depth as depths
 
 from ..conftest import children, frame_of, make_sheet, request_of

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import sparse
 from scipy.spatial import cKDTree
 
-from ddakf.evaluation.baselines.nicp import best_rotations
+from ddakf.evaluation.baselines.linear_algebra import best_rotations
 
 
 def spread(points: np.ndarray, count: int) -> np.ndarray:

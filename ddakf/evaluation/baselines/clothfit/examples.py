@@ -2,41 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import NamedTuple
-
 import numpy as np
 
-from ddakf.evaluation.baselines.clothfit.features import LENGTH, Features
+from ddakf.evaluation.baselines.clothfit.features import Features
+from ddakf.evaluation.baselines.clothfit.inputs import LENGTH, Examples
+from ddakf.evaluation.baselines.clothfit.settings import Stretches
 from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
-
-
-@dataclass(frozen=True)
-class Stretches:
-    """How a recording is cut.
-
-    Attributes:
-        count: of stretches, which begin at even distances and overlap.
-        frames: of each, at most.
-        every: one frame in so many is learned from; the motion is followed through all.
-        vertices: of each, chosen at random.
-        shortest: frames; a recording needs one more.
-    """
-
-    count: int = 8
-    frames: int = 75
-    every: int = 3
-    vertices: int = 400
-    shortest: int = 30
-
-
-class Examples(NamedTuple):
-    """N vertices of some frames, float16: half of a thousandth is more than a simulation knows."""
-
-    vectors: np.ndarray  # (N, K, 3) as in :class:`.features.Inputs`
-    scalars: np.ndarray  # (N, S) likewise
-    offsets: np.ndarray  # (N, 3) of the truth from the carried place, in the frame, LENGTH
 
 
 def examples(sequence: Sequence, cut: Stretches, seed: int) -> Examples:

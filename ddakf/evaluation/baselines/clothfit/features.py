@@ -8,42 +8,22 @@ which way the body looks, or on left and right. Metres, seconds, y up.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ddakf.evaluation.baselines.clothfit.binding import Skinning, gaussian_weights, spread
-from ddakf.evaluation.baselines.clothfit.motion import SWINGS, Motion
+from ddakf.evaluation.baselines.clothfit.inputs import ACCELERATION, CLOTH, CLOTH_REACHES, LENGTH, Inputs
+from ddakf.evaluation.baselines.clothfit.motion import Motion
 from ddakf.mesh import Mesh, vertex_normals
 
 DOWN = np.array([0.0, -1.0, 0.0])
 BODY_SAMPLES, GARMENT_SAMPLES = 1500, 500  # spread over the surfaces
 BINDING, REACH, REACH_GROWTH = 16, 0.03, 0.4  # samples of the body that carry a vertex; m and 1: see gaussian_weights
 NEARBY, NEARBY_REACH = 96, 0.12  # samples of the body whose motion against its frame a vertex sees; m
-CLOTH, CLOTH_REACHES = 32, (0.05, 0.12)  # samples of the garment, likewise; m
-LENGTH, ACCELERATION = 0.05, 10.0  # m, m/s^2: units of the vectors
 LONGEST = 2.0  # units: vectors of change are bent back to be shorter than this
 TALL, LONG, HEM, DEEP = 1.6, 0.3, 0.1, 0.02  # m: units of the scalars
 FAR = 3.0  # units: scalars beyond are all alike
 FADE = 0.5  # s: how long the start is remembered
-
-STILL = ("skin's normal", "offset", "cloth's normal", "down", "nearest skin's normal")
-CHANGE = (
-    "down since the start", "acceleration", "mean acceleration", *(f"swing of {frequency:g} Hz" for frequency, _ in SWINGS),
-    *(f"cloth within {100 * reach:g} cm" for reach in CLOTH_REACHES), "body nearby",
-)  # fmt: skip
-VECTORS = STILL + CHANGE
-SCALARS = ("distance", "height on the body", "height in the garment", "hem", "time", "depth")
-
-
-class Inputs(NamedTuple):
-    """One frame of the vertices that are asked for."""
-
-    carried: np.ndarray  # (Q, 3) m, in the world
-    rotation: np.ndarray  # (Q, 3, 3) from the frame's axes to the world's
-    vectors: np.ndarray  # (Q, len(VECTORS), 3) in the frame, in their units
-    scalars: np.ndarray  # (Q, len(SCALARS)) in their units
 
 
 class Features:

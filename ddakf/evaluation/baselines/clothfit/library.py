@@ -13,13 +13,13 @@ import numpy as np
 
 from ddakf import data
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part, parts
-from ddakf.evaluation.protocols import Scored
+from ddakf.evaluation.splits import RecordingLabels, labels_of, labels_of_file
 
 
 class Source(NamedTuple):
     """A recording, not yet read, or not yet made."""
 
-    scored: Scored  # its name, garment and motion
+    labels: RecordingLabels  # its name, garment and motion
     what: Path | Part
     at_hand: bool = False  # and not the project's own (CC0)
 
@@ -33,19 +33,17 @@ class Source(NamedTuple):
 def sources() -> list[Source]:
     """Everything there is to learn from: rehearsals, the bundled sample, those that ship for learning, and the
     recordings with a body in the folder ``sequences`` of DDAKF_DATA."""
-    from ddakf.evaluation.protocols import scored, scored_file  # which imports the baselines
-
-    rehearsed = [Source(scored(part.name)._replace(name=f"rehearsed {part.name}"), part) for part in parts()]
+    rehearsed = [Source(labels_of(part.name)._replace(name=f"rehearsed {part.name}"), part) for part in parts()]
     shipped = [data.SAMPLE, *sorted(data.TRAINING.glob("*.npz"))]
     root = os.environ.get("DDAKF_DATA")
     at_hand = sorted(Path(root, "sequences").glob("*.npz")) if root else []
-    read = [Source(scored_file(path), path, path in at_hand) for path in [*shipped, *at_hand] if _has_body(path)]
+    read = [Source(labels_of_file(path), path, path in at_hand) for path in [*shipped, *at_hand] if _has_body(path)]
     return [*rehearsed, *read]
 
 
-def allowed(scored: Scored, among: Iterable[Source]) -> list[Source]:
+def allowed(scored: RecordingLabels, among: Iterable[Source]) -> list[Source]:
     """The sources without the scored sequence, its garment and its motion."""
-    return [source for source in among if not any(a and a == b for a, b in zip(scored, source.scored, strict=True))]
+    return [source for source in among if not any(a and a == b for a, b in zip(scored, source.labels, strict=True))]
 
 
 def _has_body(path: Path) -> bool:

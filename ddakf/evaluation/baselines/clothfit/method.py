@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import sparse
@@ -12,10 +11,8 @@ from ddakf.errors import NotApplicable
 from ddakf.evaluation.baselines.clothfit.features import Features
 from ddakf.evaluation.baselines.clothfit.network import Committee
 from ddakf.evaluation.baselines.clothfit.settings import TUNED, AnswerSettings
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
-
-if TYPE_CHECKING:
-    from ddakf.evaluation.source import Frame
 
 NO_BODY = "clothfit moves the garment by the body alone, and no body is given"
 
@@ -32,7 +29,7 @@ class ClothFit:
         self._ask, self.settings = committee, settings
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """See :class:`ddakf.evaluation.baselines.Baseline`.
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`.
 
         Raises:
             NotApplicable: no body, or no networks.
@@ -42,8 +39,8 @@ class ClothFit:
         self._committee = self._ask()
         self._features, self._average = Features(garment, vertices, body), _average(garment)
 
-    def step(self, frame: Frame) -> np.ndarray:
-        """See :class:`ddakf.evaluation.baselines.Baseline`.
+    def step(self, frame: CapturedFrame) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`.
 
         Raises:
             NotApplicable: no body in this frame.

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ddakf.evaluation.baselines.clothfit.features import LENGTH, SCALARS, STILL, VECTORS, Inputs
+from ddakf.evaluation.baselines.clothfit.inputs import LENGTH, SCALARS, STILL, VECTORS, Inputs
 from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 
 TINY = 1e-12

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -21,3 +21,56 @@ class AnswerSettings:
 
 
 TUNED = AnswerSettings()
+
+
+@dataclass(frozen=True)
+class Stretches:
+    """How a recording is cut.
+
+    Attributes:
+        count: of stretches, which begin at even distances and overlap.
+        frames: of each, at most.
+        every: one frame in so many is learned from; the motion is followed through all.
+        vertices: of each, chosen at random.
+        shortest: frames; a recording needs one more.
+    """
+
+    count: int = 8
+    frames: int = 75
+    every: int = 3
+    vertices: int = 400
+    shortest: int = 30
+
+
+@dataclass(frozen=True)
+class TrainingSettings:
+    """Numbers of the training.
+
+    Attributes:
+        cut: of every recording.
+        rehearsed: of every rehearsal.
+        members: of the committee; each learns from all recordings but every so manyth.
+        hidden: width of the two hidden layers.
+        steps: of each, on the project's own recordings.
+        tuning_steps: after them, on those and the recordings at hand, half of each batch from either.
+        batch: examples of a step, as many from each recording.
+        rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
+        decay: of the weights (AdamW).
+        robust: LENGTH; larger errors count linearly.
+        gate: of :class:`.settings.AnswerSettings`.
+        seed: of everything.
+    """
+
+    cut: Stretches = field(default_factory=Stretches)
+    rehearsed: Stretches = field(default_factory=lambda: Stretches(count=3, frames=70, vertices=250))
+    members: int = 4
+    hidden: int = 96
+    steps: int = 1000
+    tuning_steps: int = 300
+    batch: int = 2048
+    rate: float = 3e-3
+    tuning_rate: float = 5e-4
+    decay: float = 1e-2
+    robust: float = 0.2
+    gate: float = AnswerSettings.gate
+    seed: int = 0

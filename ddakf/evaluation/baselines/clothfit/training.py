@@ -3,53 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from ddakf.errors import NotApplicable
-from ddakf.evaluation.baselines.clothfit.examples import Examples, Stretches
+from ddakf.evaluation.baselines.clothfit.inputs import Examples
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network, basis, invariants
-from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
+from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings
 
 SAMPLED = 8  # one example in so many says how the inputs are spread
 SMALLEST_SD = np.float32(1e-3)  # of an input
 Progress = Callable[[int, int, str], None]  # done, of how many, what
-
-
-@dataclass(frozen=True)
-class Settings:
-    """Numbers of the training.
-
-    Attributes:
-        cut: of every recording.
-        rehearsed: of every rehearsal.
-        members: of the committee; each learns from all recordings but every so manyth.
-        hidden: width of the two hidden layers.
-        steps: of each, on the project's own recordings.
-        tuning_steps: after them, on those and the recordings at hand, half of each batch from either.
-        batch: examples of a step, as many from each recording.
-        rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
-        decay: of the weights (AdamW).
-        robust: LENGTH; larger errors count linearly.
-        gate: of :class:`.settings.AnswerSettings`.
-        seed: of everything.
-    """
-
-    cut: Stretches = field(default_factory=Stretches)
-    rehearsed: Stretches = field(default_factory=lambda: Stretches(count=3, frames=70, vertices=250))
-    members: int = 4
-    hidden: int = 96
-    steps: int = 1000
-    tuning_steps: int = 300
-    batch: int = 2048
-    rate: float = 3e-3
-    tuning_rate: float = 5e-4
-    decay: float = 1e-2
-    robust: float = 0.2
-    gate: float = AnswerSettings.gate
-    seed: int = 0
 
 
 def torch():
@@ -67,7 +32,7 @@ def torch():
     return torch
 
 
-def committee(own: list[Examples], at_hand: list[Examples], settings: Settings, progress: Progress) -> Committee:
+def committee(own: list[Examples], at_hand: list[Examples], settings: TrainingSettings, progress: Progress) -> Committee:
     """Trains :attr:`Settings.members` networks, each without its share of the recordings; see :func:`fit`."""
     count, whole, members = settings.members, settings.members * (settings.steps + settings.tuning_steps), []
     for member in range(count):
@@ -82,7 +47,7 @@ def committee(own: list[Examples], at_hand: list[Examples], settings: Settings, 
 
 
 def fit(
-    own: list[Examples], at_hand: list[Examples], settings: Settings, seed: int, progress: Callable[[int, str], None]
+    own: list[Examples], at_hand: list[Examples], settings: TrainingSettings, seed: int, progress: Callable[[int, str], None]
 ) -> tuple[Network, list[float]]:
     """Trains a network, and then tunes it.
 

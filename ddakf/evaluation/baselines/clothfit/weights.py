@@ -18,17 +18,19 @@ from ddakf.data import body
 from ddakf.errors import InvalidFile, NotApplicable
 from ddakf.evaluation.baselines.clothfit import binding, features, library, motion, network, rehearsal, training
 from ddakf.evaluation.baselines.clothfit import examples as example_module
-from ddakf.evaluation.baselines.clothfit.examples import Examples, examples
+from ddakf.evaluation.baselines.clothfit.examples import examples
+from ddakf.evaluation.baselines.clothfit.inputs import Examples
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee
 from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
-from ddakf.evaluation.baselines.clothfit.training import Progress, Settings, torch
-from ddakf.evaluation.protocols import Scored
+from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings
+from ddakf.evaluation.baselines.clothfit.training import Progress, torch
 from ddakf.evaluation.simulation import garments, motions, remesh
+from ddakf.evaluation.splits import RecordingLabels
 from ddakf.files.cache import drop_unused, used
 from ddakf.files.sequence import Sequence, load_sequence
 
-DEFAULT = Settings()
+DEFAULT = TrainingSettings()
 TOGETHER = 7  # rehearsals simulated at once
 # what examples, and beyond them weights, are made by
 EXAMPLES = binding, example_module, features, motion, rehearsal, body, garments, motions, remesh
@@ -42,13 +44,13 @@ def folder() -> Path:
     return Path(chosen) if chosen else Path(home, "ddakf")
 
 
-def key(chosen: list[Source], settings: Settings) -> str:
+def key(chosen: list[Source], settings: TrainingSettings) -> str:
     """Of the code, the settings and the data that weights are made from; what is left out is not among these."""
-    data = [[source.scored.name, source.digest] for source in chosen]
+    data = [[source.labels.name, source.digest] for source in chosen]
     return _hash([_code((*EXAMPLES, *LEARNING)), asdict(settings), data])
 
 
-def committee(scored: Scored, settings: Settings = DEFAULT, among: Iterable[Source] | None = None) -> Committee:
+def committee(scored: RecordingLabels, settings: TrainingSettings = DEFAULT, among: Iterable[Source] | None = None) -> Committee:
     """The networks for what is about to be scored: from the cache, or trained, which takes minutes and shows its progress on
     stderr.
 
@@ -93,14 +95,14 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Committee:
     return trained
 
 
-def train(chosen: list[Source], settings: Settings, progress: Progress) -> Committee:
+def train(chosen: list[Source], settings: TrainingSettings, progress: Progress) -> Committee:
     """Networks trained on recordings."""
     found = _examples(chosen, settings, progress)
-    own, at_hand = ([found[source.scored.name] for source in chosen if source.at_hand == kind] for kind in (False, True))
+    own, at_hand = ([found[source.labels.name] for source in chosen if source.at_hand == kind] for kind in (False, True))
     return training.committee(own, at_hand, settings, progress)
 
 
-def _examples(chosen: list[Source], settings: Settings, progress: Progress) -> dict[str, Examples]:
+def _examples(chosen: list[Source], settings: TrainingSettings, progress: Progress) -> dict[str, Examples]:
     """By name. They are kept, 2 MB of a rehearsal and 9 MB of a recording at most: networks that leave out something else need
     most of them again."""
     paths = {source: _place(source, settings) for source in chosen}
@@ -110,13 +112,13 @@ def _examples(chosen: list[Source], settings: Settings, progress: Progress) -> d
         cut = settings.rehearsed if isinstance(source.what, Part) else settings.cut
         found[source] = examples(sequence, cut, settings.seed)
         _save(paths[source], found[source]._asdict())
-    return {source.scored.name: found[source] for source in chosen}
+    return {source.labels.name: found[source] for source in chosen}
 
 
 def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Source, Sequence]]:
     """What is read, one by one, and what is rehearsed, some together."""
     for done, source in enumerate(read := [source for source in missing if isinstance(source.what, Path)]):
-        progress(done, len(read), f"following {source.scored.name}")
+        progress(done, len(read), f"following {source.labels.name}")
         yield source, load_sequence(source.what)
     rehearsed = [source for source in missing if isinstance(source.what, Part)]
     for first in range(0, len(rehearsed), TOGETHER):
@@ -128,7 +130,7 @@ def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Sour
         yield from zip(some, rehearse([source.what for source in some], frames), strict=True)
 
 
-def _place(source: Source, settings: Settings) -> Path:
+def _place(source: Source, settings: TrainingSettings) -> Path:
     made_from = [_code(EXAMPLES), asdict(settings.cut), asdict(settings.rehearsed), settings.seed, source.digest]
     return folder() / f"clothfit-examples-{_hash(made_from)}.npz"
 
@@ -174,11 +176,11 @@ def _alone() -> Iterator[None]:
         yield
 
 
-def _named(scored: Scored) -> str:
+def _named(scored: RecordingLabels) -> str:
     return ", ".join(filter(None, scored)) or "nothing"
 
 
-def _shown(chosen: list[Source], settings: Settings, without: str) -> Committee:
+def _shown(chosen: list[Source], settings: TrainingSettings, without: str) -> Committee:
     """Trains with a progress bar."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

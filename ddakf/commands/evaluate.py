@@ -1,0 +1,166 @@
+"""``ddakf evaluate``: the systems of the paper on sequences with truth, with statistics, into one JSON file."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from ddakf.commands import sensor_options
+from ddakf.errors import InvalidArgument
+
+EPILOG = """
+Every system gets the same clouds. What has been run is kept in OUT.rows.jsonl, so that the same command goes on after an
+interruption, and a larger one (more runs, systems, views, sequences) runs what is new alone. A method that cannot be used, or
+that fails, costs the others nothing: its row says why.
+"""
+
+
+WIDE = 140  # characters of the table at least: a narrow terminal wraps lines, but cuts no number
+SHOWN = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "penetration_mm", "flicker", "residual_mm", "own_flicker",
+         "end_point_error_mm", "ms_per_frame")  # fmt: skip
+
+
+def register(commands: argparse._SubParsersAction) -> None:
+    """Adds the command to the parser."""
+    parser = commands.add_parser("evaluate", help="compare the systems of the paper on sequences with truth", epilog=EPILOG)
+    what = "sample, a name under DDAKF_DATA, or a path: .npz, MPI-FAUST#s3_p7, a folder of frames, ... (docs/datasets.md)"
+    parser.add_argument("sequences", nargs="*", metavar="SEQ", help=what)
+    parser.add_argument(
+        "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all that there are"
+    )
+    parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
+    parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
+    parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
+    what = "default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study"
+    parser.add_argument("--methods", default="", metavar="A,B", help=what)
+    parser.add_argument("--runs", type=int, metavar="N", help="with seeds 1 to N (default 5, with --quick 2)")
+    parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A, where the garment is known, to B - 1")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+    parser.add_argument(
+        "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for calm times)"
+    )
+    what = "run these systems again, or all, where their runs are of another commit or did not apply"
+    parser.add_argument("--again", default="", metavar="A,B", help=what)
+    parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
+    sensor_options.add(parser, several_views=True)
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Checks, runs what is missing, writes the result and prints a table."""
+    from rich.console import Console
+
+    from ddakf.evaluation.paper_scope import RUNS, SYSTEMS
+    from ddakf.evaluation.studies.execution import run_study
+    from ddakf.evaluation.studies.study_plan import StudyPlan
+    from ddakf.evaluation.trials.trial import Trial
+
+    for name in ("procs", "runs"):
+        if (number := getattr(arguments, name)) is not None and number < 1:
+            raise InvalidArgument(name, "at least 1", str(number))
+    if arguments.paper:
+        _refuse_beside_paper(arguments)
+        return _paper(arguments, Console(stderr=True))
+    if arguments.json is None:
+        raise InvalidArgument("json", "OUT.json for the result, or --paper", "neither")
+    if arguments.json.suffix != ".json" or not arguments.json.parent.is_dir():
+        raise InvalidArgument("json", "OUT.json in a folder that exists", str(arguments.json))
+    sensor = asdict(sensor_options.sensor(arguments, view="ring4"))  # the plan sets the view, and checks the sensor with it
+    settings = Trial("", **sensor, surfaces=True)
+    methods = tuple(_names(arguments.methods)) or SYSTEMS
+    sequences, views = tuple(arguments.sequences), tuple(_names(arguments.view))
+    plan = StudyPlan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
+    plan.check()
+    console, again = Console(stderr=True), _again(arguments, plan.systems)
+    result = run_study(plan, arguments.json, arguments.procs, console, again)
+    shown = Console()
+    shown.width = max(shown.width, WIDE)
+    shown.print(table(result))
+    for reason in reasons(result):
+        shown.print(reason, markup=False, soft_wrap=True)
+    console.print(str(arguments.json))
+    return 1 if all("failed" in cell for cell in result["results"]) else 0
+
+
+def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
+    """The studies of the paper have sensors and files of their own."""
+    beside = argparse.ArgumentParser()
+    sensor_options.add(beside, several_views=True)
+    default = vars(beside.parse_args([])) | {"json": None}
+    if changed := [name for name, value in default.items() if getattr(arguments, name) != value]:
+        raise InvalidArgument(changed[0], "nothing beside --paper", str(getattr(arguments, changed[0])))
+
+
+def _paper(arguments: argparse.Namespace, console) -> int:
+    """All studies of the report, one after the other."""
+    from ddakf.evaluation.studies import paper_studies
+    from ddakf.evaluation.studies.execution import run_study
+
+    size = paper_studies.QUICK if arguments.quick else paper_studies.FULL
+    if arguments.runs:
+        size = replace(size, runs=arguments.runs, swept_runs=arguments.runs)
+    if arguments.frames != ":":
+        size = replace(size, frames=arguments.frames, swept=arguments.frames)
+    plans = paper_studies.studies(size, arguments.sequences or None)
+    chosen = _names(arguments.only) or list(plans)
+    if unknown := [name for name in chosen if name not in plans]:
+        raise InvalidArgument("only", f"some of {', '.join(plans)}", unknown[0])
+    plans = {name: plan for name, plan in plans.items() if name in chosen}
+    if methods := _names(arguments.methods):
+        known = dict.fromkeys(system for plan in plans.values() for system in plan.systems)
+        if unknown := [method for method in methods if method not in known]:
+            raise InvalidArgument("methods", f"some of {', '.join(known)}", unknown[0])
+        of_each = {name: tuple(system for system in plan.systems if system in methods) for name, plan in plans.items()}
+        plans = {name: replace(plans[name], systems=systems) for name, systems in of_each.items() if systems}
+    for plan in plans.values():
+        plan.check()
+    again = _again(arguments, {system for plan in plans.values() for system in plan.systems})
+    arguments.results.mkdir(parents=True, exist_ok=True)
+    for number, (name, plan) in enumerate(plans.items(), 1):
+        console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
+        run_study(plan, arguments.results / f"{name}.json", arguments.procs, console, again)
+    if not arguments.only:
+        paper_studies.save_error_maps(size, arguments.results, console, again=bool(again))
+    console.print(f"ddakf report --results {arguments.results} renders them")
+    return 0
+
+
+def _again(arguments: argparse.Namespace, systems) -> list[str]:
+    """The systems to be run again."""
+    from ddakf.evaluation.studies.execution import ALL
+
+    names = _names(arguments.again)
+    if unknown := [name for name in names if name not in {ALL, *systems}]:
+        raise InvalidArgument("again", f"{ALL}, or some of {', '.join(sorted(systems))}", unknown[0])
+    return names
+
+
+def table(result: dict):
+    """The means for people."""
+    from rich.table import Table
+
+    columns = [name for name in SHOWN if any(cell["mean"] and cell["mean"][name] is not None for cell in result["results"])]
+    rows = Table("sequence", "view", "method", *columns, box=None, header_style="bold")
+    for cell in result["results"]:
+        place = Path(cell["sequence"]).name, cell["view"], cell["method"]
+        if cell["mean"] is None:
+            rows.add_row(*place, *("–" for _ in columns))
+            continue
+        values = ("" if cell["mean"][name] is None else f"{cell['mean'][name]:.3g}" for name in columns)
+        rows.add_row(*place, *values)
+    return rows
+
+
+def reasons(result: dict) -> list[str]:
+    """Why some have no means, or not of all runs."""
+    found = {}
+    for cell in result["results"]:
+        if sentence := cell.get("failed") or cell.get("not_applicable"):
+            found.setdefault((cell["method"], sentence), []).append(f"{Path(cell['sequence']).name} {cell['view']}")
+    return [f"{method}: {sentence} ({', '.join(places)})" for (method, sentence), places in found.items()]
+
+
+def _names(text: str) -> list[str]:
+    return [part for part in text.split(",") if part]

@@ -1,0 +1,241 @@
+"""A particle filter in a reduced space: a rigid motion and smooth deformations.
+
+A particle is a turn R, a shift t and amplitudes q of manifold harmonics phi_k (Vallet and Levy 2008, "Spectral geometry
+processing with manifold harmonics"), the smoothest functions on the garment, one in each of the three directions:
+
+    x_i = R (s_i + sum_k phi_k(i) q_k) + t
+
+with s the vertices of the start around their centroid. It is a bootstrap filter (Gordon, Salmond and Smith 1993): every particle
+moves on as the estimate did between the last two frames, plus noise, and its weight is multiplied by exp(-E / (2 sd^2)). E is
+the mean over the visible vertices of the squared distance to the nearest point, cut off at a gate, and elasticity
+sum_k lambda_k |q_k|^2, with the eigenvalues lambda: the squared difference of the displacements of neighbouring vertices, per
+vertex. Where the effective sample size 1 / sum w^2 is below half of the particles, they are drawn anew by systematic resampling
+(Kitagawa 1996). Passes per frame, each with less noise and a sharper likelihood than the one before, make it an annealed one
+(Deutscher, Blake and Reid 2000). The estimate is the weighted mean of all particles, vertex by vertex.
+
+Distances are looked up: the box around the garment is cut into voxels, and each knows the nearest voxel with points, and their
+mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+from scipy.ndimage import distance_transform_edt
+from scipy.sparse.linalg import eigsh
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from ddakf.evaluation.baselines.linear_algebra import graph_laplacian
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, VertexNormals, facing
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.mesh import Mesh
+
+CONSTANT = 1e-9  # an eigenvalue below is that of a constant function
+SHIFT = -1e-3  # of the spectrum: the smallest eigenvalues of a matrix that has none below 0
+
+
+@dataclass(frozen=True)
+class ParticleSettings:
+    """Numbers of the method; the defaults are the best of ``benchmarks/results/tuning.json``, particles aside.
+
+    Attributes:
+        particles: their number.
+        harmonics: smooth functions, each with three amplitudes.
+        shift_sd: of the noise in the first pass, per axis, metres.
+        turn_sd: radians.
+        amplitude_sd: metres, RMS over the garment, of the smoothest harmonic; less for others, as 1 / sqrt of the eigenvalue.
+        likelihood_sd: sd of the last pass, metres.
+        elasticity: see the module.
+        passes: of annealing per frame.
+        cooling: factor of noise and sd from pass to pass.
+        momentum: share of the last frame's motion with which the next one begins.
+        gate: metres.
+        vertices: whose distances count, at most.
+        voxel: metres.
+        seed: of the random numbers.
+    """
+
+    particles: int = 500
+    harmonics: int = 3
+    shift_sd: float = 0.005
+    turn_sd: float = 0.015
+    amplitude_sd: float = 0.001
+    likelihood_sd: float = 0.00025
+    elasticity: float = 30.0
+    passes: int = 3
+    cooling: float = 0.5
+    momentum: float = 0.8
+    gate: float = 0.08
+    vertices: int = 400
+    voxel: float = 0.015
+    seed: int = 0
+
+
+TUNED = ParticleSettings()
+
+
+class ParticleFilter:
+    """See the module. Knows no body and no time."""
+
+    def __init__(self, settings: ParticleSettings = TUNED):
+        self.settings = settings
+
+    def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
+        settings, vertices = self.settings, np.array(vertices, np.float64)
+        self._normals, self._rng = VertexNormals(garment), np.random.default_rng(settings.seed)
+        self._harmonics, self._eigenvalues = harmonics(garment, settings.harmonics)
+        self._amplitude_sd = settings.amplitude_sd * np.sqrt(self._eigenvalues[:1] / self._eigenvalues)[:, None]
+        self._shape = vertices - vertices.mean(axis=0)
+        count = min(settings.vertices, len(vertices))
+        self._chosen = self._rng.choice(len(vertices), count, replace=False)
+        n = settings.particles
+        self._turn = Rotation.identity(n)
+        self._shift = np.tile(vertices.mean(axis=0), (n, 1))
+        self._amplitude = np.zeros((n, self._harmonics.shape[1], 3))
+        self._weight = np.full(n, 1 / n)
+        self._last = self._mean_state()
+        self._drift = Rotation.identity(), np.zeros(3), np.zeros_like(self._amplitude[0])
+
+    def step(self, frame: CapturedFrame) -> np.ndarray:
+        """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
+        self._move_on()
+        if len(frame.points) >= LEAST_POINTS:
+            self._look(np.asarray(frame.points, np.float64), frame.sensor_origin)
+        turn, shift, amplitude = state = self._mean_state()
+        last, self._last = self._last, state
+        momentum = self.settings.momentum
+        by = Rotation.from_rotvec(momentum * (turn * last[0].inv()).as_rotvec())
+        self._drift = by, momentum * (shift - last[1]), momentum * (amplitude - last[2])
+        return self._mean_vertices()
+
+    @property
+    def effective_sample_size(self) -> float:
+        """1 / sum w^2 of the weights now (Kong, Liu and Wong 1994): those of the last pass of the last frame with points."""
+        return float(1 / np.square(self._weight).sum())
+
+    def _move_on(self) -> None:
+        """Every particle as the estimate did before."""
+        turn, shift, amplitude = self._drift
+        self._turn, self._shift, self._amplitude = turn * self._turn, self._shift + shift, self._amplitude + amplitude
+
+    def _look(self, points: np.ndarray, sensor_origin: np.ndarray | None) -> None:
+        settings, expected = self.settings, self._mean_vertices()
+        nearby = NearestPoints(points, expected.min(axis=0) - settings.gate, expected.max(axis=0) + settings.gate, settings.voxel)
+        if nearby.empty:
+            return
+        visible = self._visible(expected, points, sensor_origin)
+        for number in range(settings.passes):
+            if self.effective_sample_size < 0.5 * len(self._weight):
+                self._resample()
+            self._diffuse(settings.cooling**number)
+            sd = settings.likelihood_sd * settings.cooling ** (number + 1 - settings.passes)
+            logarithm = np.log(self._weight) - 0.5 * self._energy(nearby, visible) / sd**2
+            weight = np.exp(logarithm - logarithm.max())
+            self._weight = np.maximum(weight / weight.sum(), np.finfo(float).tiny)  # it has a logarithm
+
+    def _energy(self, nearby: NearestPoints, visible: np.ndarray) -> np.ndarray:
+        """(particles,) E, square metres."""
+        elastic = self.settings.elasticity * np.einsum("k,nka->n", self._eigenvalues, np.square(self._amplitude))
+        if len(visible) == 0:
+            return elastic
+        squared = nearby.squared_distances(self._vertices_of_all(visible))
+        return elastic + np.minimum(squared, self.settings.gate**2).mean(axis=1)
+
+    def _visible(self, vertices: np.ndarray, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
+        """Which of the chosen vertices face the sensor: of the nearest point, where there are several."""
+        nearest = np.zeros(len(self._chosen), int)
+        if sensor_origin is not None and np.ndim(sensor_origin) == 2:
+            nearest = cKDTree(points).query(vertices[self._chosen])[1]
+        normals = self._normals(vertices)[self._chosen]
+        return self._chosen[facing(vertices[self._chosen], normals, sensor_origin, nearest)]
+
+    def _resample(self) -> None:
+        drawn = systematic(self._weight, self._rng)
+        self._turn, self._shift, self._amplitude = self._turn[drawn], self._shift[drawn], self._amplitude[drawn]
+        self._weight = np.full(len(drawn), 1 / len(drawn))
+
+    def _diffuse(self, share: float) -> None:
+        settings, rng, n = self.settings, self._rng, len(self._weight)
+        self._turn = Rotation.from_rotvec(share * settings.turn_sd * rng.normal(size=(n, 3))) * self._turn
+        self._shift = self._shift + share * settings.shift_sd * rng.normal(size=(n, 3))
+        self._amplitude = self._amplitude + share * self._amplitude_sd * rng.normal(size=self._amplitude.shape)
+
+    def _vertices_of_all(self, chosen: np.ndarray) -> np.ndarray:
+        """(particles, len(chosen), 3) these vertices of every particle."""
+        shape = self._shape[chosen] + self._harmonics[chosen] @ self._amplitude
+        return shape @ self._turn.as_matrix().transpose(0, 2, 1) + self._shift[:, None]
+
+    def _mean_vertices(self) -> np.ndarray:
+        """(V, 3) weighted mean."""
+        turned = self._weight[:, None, None] * self._turn.as_matrix().transpose(0, 2, 1)
+        deformation = self._harmonics @ (self._amplitude @ turned).sum(axis=0)
+        return self._shape @ turned.sum(axis=0) + deformation + self._weight @ self._shift
+
+    def _mean_state(self) -> tuple[Rotation, np.ndarray, np.ndarray]:
+        amplitude = np.einsum("n,nka->ka", self._weight, self._amplitude)
+        return self._turn.mean(self._weight), self._weight @ self._shift, amplitude
+
+
+class NearestPoints:
+    """Squared distances to a cloud, looked up in voxels; what is outside of the box belongs to the voxels at its border.
+
+    Attributes:
+        empty: no point is in the box.
+
+    Args:
+        points: (N, 3) metres.
+        low, high: (3,) corners of the box, metres.
+        voxel: side of a voxel, metres.
+    """
+
+    def __init__(self, points: np.ndarray, low: np.ndarray, high: np.ndarray, voxel: float):
+        self._low, self._voxel = low, voxel
+        self._shape = np.maximum(np.ceil((high - low) / voxel).astype(int), 1)
+        inside = points[((points >= low) & (points < low + voxel * self._shape)).all(axis=1)]
+        cell, count = np.ravel_multi_index(self._cells(inside).T, self._shape), int(self._shape.prod())
+        number = np.bincount(cell, minlength=count)
+        total = np.stack([np.bincount(cell, inside[:, axis], count) for axis in range(3)], axis=1)
+        self._means = total / np.maximum(number, 1)[:, None]
+        self.empty = len(inside) == 0
+        if not self.empty:
+            vacant = (number == 0).reshape(self._shape)
+            nearest = distance_transform_edt(vacant, return_distances=False, return_indices=True)
+            self._nearest = np.ravel_multi_index(nearest.reshape(3, -1), self._shape)
+
+    def squared_distances(self, x: np.ndarray) -> np.ndarray:
+        """(...) of the places x (..., 3), square metres; there must be a point in the box."""
+        flat = x.reshape(-1, 3)
+        cell = np.ravel_multi_index(self._cells(flat).T, self._shape)
+        return np.square(flat - self._means[self._nearest[cell]]).sum(axis=1).reshape(x.shape[:-1])
+
+    def _cells(self, x: np.ndarray) -> np.ndarray:
+        return np.clip(((x - self._low) / self._voxel).astype(int), 0, self._shape - 1)
+
+
+def systematic(weight: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(n,) numbers of particles, drawn in proportion to their weights (n,) with one random number: each is taken n w times,
+    rounded up or down."""
+    n = len(weight)
+    return np.minimum(np.searchsorted(np.cumsum(weight), (rng.random() + np.arange(n)) / n, side="right"), n - 1)
+
+
+def harmonics(garment: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """The smoothest functions on a garment but the constant ones: eigenvectors of its graph Laplacian, and their eigenvalues.
+
+    Args:
+        garment: may have several parts; a part's own constant function counts as one of the smoothest of the others.
+        count: of functions; fewer where there are not so many vertices.
+
+    Returns:
+        (V, count) with a root mean square of 1, and (count,) positive.
+    """
+    laplacian = graph_laplacian(garment)
+    count = min(count, garment.n_vertices - 2)
+    value, vector = eigsh(sparse.csc_array(laplacian), count + 1, sigma=SHIFT, v0=np.ones(garment.n_vertices))
+    order = np.argsort(value)[1:]
+    value = value[order]
+    return np.sqrt(garment.n_vertices) * vector[:, order], np.maximum(value, value[value > CONSTANT].min())

@@ -1,0 +1,1 @@
+"""Drawing: pictures and animations of a tracked garment, and diagrams."""

@@ -1,0 +1,134 @@
+"""The results of the studies in a folder, and means over what is in them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+from ddakf.evaluation import statistics
+
+
+class Pooled(NamedTuple):
+    """A number of the report: mean and SD over the runs of the mean over sequences and views."""
+
+    mean: float
+    sd: float | None  # None with one run
+    runs: int  # seeds that all of them have; 0: none, the mean is that over the cells
+    cells: int  # sequences x views that it is the mean of
+    of: int  # that there are
+
+
+@dataclass(frozen=True)
+class Result:
+    """A study's result.
+
+    Attributes:
+        name: of the file, without its ending.
+        meta: command, versions, seeds, machine.
+        cells: by sequence, view and method.
+        p_values: see :func:`ddakf.evaluation.studies.study_summary.tests`.
+    """
+
+    name: str
+    meta: dict
+    cells: list[dict]
+    p_values: dict
+
+    @property
+    def methods(self) -> list[str]:
+        return list(dict.fromkeys(cell["method"] for cell in self.cells))
+
+    @property
+    def sequences(self) -> list[str]:
+        return list(dict.fromkeys(cell["sequence"] for cell in self.cells))
+
+    @property
+    def views(self) -> list[str]:
+        return list(dict.fromkeys(cell["view"] for cell in self.cells))
+
+    def of(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> list[dict]:
+        """The cells of a method."""
+        return [cell for cell in self.cells if cell["method"] == method and chosen(cell)]
+
+    def pooled(self, method: str, value: str, chosen: Callable[[dict], bool] = lambda cell: True) -> Pooled | None:
+        """A value's mean over the cells of a method; None where it never applies."""
+        cells = self.of(method, chosen)
+        by_seed: dict[int, list[float]] = {}
+        used = 0
+        for cell in cells:
+            values = {run["seed"]: run[value] for run in cell["runs"] if run.get(value) is not None}
+            used += bool(values)
+            for seed, number in values.items():
+                by_seed.setdefault(seed, []).append(number)
+        if not used:
+            return None
+        means = [np.mean(numbers) for numbers in by_seed.values() if len(numbers) == used]
+        if not means:  # no seed has a value everywhere
+            return Pooled(float(np.mean([cell["mean"][value] for cell in cells if _has(cell, value)])), None, 0, used, len(cells))
+        sd = float(np.std(means, ddof=1)) if len(means) > 1 else None
+        return Pooled(float(np.mean(means)), sd, len(means), used, len(cells))
+
+    def reason(self, method: str) -> str:
+        """Why a method has no numbers, or not everywhere."""
+        sentences = [cell.get("failed") or cell.get("not_applicable") for cell in self.of(method)]
+        return "; ".join(dict.fromkeys(filter(None, sentences)))
+
+    def lost(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> int:
+        """Cells in which some run of the method no longer followed the garment."""
+        return sum(any(_lost(cell)) for cell in self.of(method, chosen))
+
+    def gone(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> bool:
+        """Whether the method lost the garment in more than half of its runs."""
+        runs = [lost for cell in self.of(method, chosen) for lost in _lost(cell)]
+        return 2 * sum(runs) > len(runs)
+
+    @property
+    def mixed(self) -> str | None:
+        """Which runs are of which commit, and of how many processes at once, in a sentence; None where all are alike."""
+        commits: dict[str, dict[str, None]] = {commit: {} for commit in self.meta["commits"]}
+        processes = set()
+        for cell in self.cells:
+            for run in cell["runs"]:
+                processes.add(run.get("processes"))
+                if "commit" in run:
+                    commits.setdefault(run["commit"], {})[cell["method"]] = None
+        parts = []
+        if len(commits) > 1:
+            named = (f"{commit} ({', '.join(methods)})" if methods else commit for commit, methods in commits.items())
+            parts.append(f"runs of several commits: {', '.join(named)}")
+        if len(processes - {None}) > 1:
+            parts.append(f"times with {' and '.join(map(str, sorted(processes - {None})))} processes at once")
+        return f"{self.name}.json has {'; '.join(parts)}." if parts else None
+
+
+def _lost(cell: dict) -> list[bool]:
+    """Of the runs with a truth, which no longer followed the garment."""
+    return statistics.lost(run["rmse_mm"] for run in cell["runs"] if run["rmse_mm"] is not None)
+
+
+def _has(cell: dict, value: str) -> bool:
+    return cell["mean"] is not None and cell["mean"].get(value) is not None
+
+
+def read(folder: Path) -> dict[str, Result]:
+    """All results in a folder, by name.
+
+    Raises:
+        InvalidFile: none there, or a file that is no result.
+    """
+    found = {}
+    for path in sorted(Path(folder).glob("*.json")):
+        try:
+            content = json.loads(path.read_text())
+            found[path.stem] = Result(path.stem, content["meta"], content["results"], content["p_values"])
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise InvalidFile(str(path), "the result of a study", f"{type(error).__name__}: {error}") from error
+    if not found:
+        raise InvalidFile(str(folder), "results of studies (*.json): ddakf evaluate --paper makes them", "none")
+    return found

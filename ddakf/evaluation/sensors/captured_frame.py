@@ -1,0 +1,38 @@
+"""Captured frames: the cloud of one instant, its sensor, and what is known of the truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Cloud(NamedTuple):
+    """One frame of a sensor."""
+
+    points: np.ndarray  # (N, 3) float32, m
+    sensor_origin: np.ndarray | None  # (3,), or (N, 3) for several cameras, m; None when it has none
+
+
+@dataclass(frozen=True, eq=False)
+class CapturedFrame:
+    """One frame for a tracker, with what is known about the truth.
+
+    Attributes:
+        number: in the recording.
+        timestamp: seconds.
+        points: (N, 3) float32, metres.
+        sensor_origin: (3,), (N, 3) or None, metres.
+        body_vertices: (B, 3) for the tracker, or None.
+        truth: (V, 3) true garment, or None.
+        body: (B, 3) true body whether or not the tracker is told, or None.
+    """
+
+    number: int
+    timestamp: float
+    points: np.ndarray
+    sensor_origin: np.ndarray | None = None
+    body_vertices: np.ndarray | None = None
+    truth: np.ndarray | None = None
+    body: np.ndarray | None = None

@@ -1,0 +1,227 @@
+"""Virtual sensors: what a scanner or depth cameras see of a garment, with occlusion by garment and body."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.sensors import depth_errors
+from ddakf.evaluation.sensors.camera import Camera, Intrinsics
+from ddakf.evaluation.sensors.captured_frame import Cloud
+from ddakf.files.depth import without_fliers
+from ddakf.files.sequence import Sequence
+
+View = Literal["full", "front", "ring4"]
+
+DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, horizontally
+FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
+INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
+FLIER_JUMP = 0.03  # m: see ddakf.files.depth.without_fliers
+BACKGROUND = 1.0  # m: behind the garment's first centroid is what edge fliers mix with
+OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
+OF_A_CAMERA = ("depth_noise", "depth_step", "fliers")  # fields of a sensor
+COVERED = 0.06  # m: skin this near to cloth counts as covered
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A virtual sensor.
+
+    Attributes:
+        view: ``full``: uniform samples of the whole surface, no origin; ``front``: a depth camera (320 x 240, f = 285
+            px) 2 m in front of the garment's first centroid and 0.2 m above; ``ring4``: four around it, 0.4 m above.
+        points: at most this many, chosen at random.
+        noise: standard deviation of the isotropic Gaussian noise, metres.
+        drop: share of the points that is lost at random.
+        outliers: share of the points that is replaced by uniform ones in the enlarged bounding box.
+        segmented: only the garment's points (a perfect mask); otherwise the whole person's.
+        depth_noise: of a camera: standard deviation along its axis at 1 m, growing with the square of the depth; metres.
+        depth_step: of a camera: distance of its depth steps at 1 m, growing with the square of the depth; metres; 0 for none.
+        fliers: of a camera: share of the pixels at depth edges that is a mixture of both sides.
+        occlude: frames (first, last + 1) in which a side of the garment is hidden, see :func:`occluded_side`; None for none.
+        occluded: share of the garment's vertices on that side.
+        every: frames are taken so many apart, see :meth:`frames`.
+    """
+
+    view: View = "front"
+    points: int = 10_000
+    noise: float = 0.003
+    drop: float = 0.0
+    outliers: float = 0.0
+    segmented: bool = True
+    depth_noise: float = 0.0
+    depth_step: float = 0.0
+    fliers: float = 0.0
+    occlude: tuple[int, int] | None = None
+    occluded: float = 0.4
+    every: int = 1
+
+    def __post_init__(self) -> None:
+        if self.view not in get_args(View):
+            raise InvalidArgument("view", f"one of {', '.join(get_args(View))}", repr(self.view))
+        for name in ("points", "every"):
+            if getattr(self, name) < 1:
+                raise InvalidArgument(name, "at least 1", str(getattr(self, name)))
+        for name in ("noise", "depth_noise", "depth_step"):
+            if not 0 <= getattr(self, name) < 1:
+                raise InvalidArgument(name, "metres in [0, 1)", str(getattr(self, name)))
+        for name in ("drop", "outliers", "fliers", "occluded"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidArgument(name, "a share in [0, 1]", str(getattr(self, name)))
+        for name in OF_A_CAMERA:
+            if self.view == "full" and getattr(self, name):
+                raise InvalidArgument(name, "0 where there is no camera, as in the view full", str(getattr(self, name)))
+        if self.occlude is not None and not 0 <= self.occlude[0] < self.occlude[1]:
+            raise InvalidArgument("occlude", "frames FROM:TO with 0 <= FROM < TO", "{}:{}".format(*self.occlude))
+
+    def require_no_camera(self) -> None:
+        """Refuses errors of a depth camera, where the frames are those of a real one.
+
+        Raises:
+            InvalidArgument: there are some.
+        """
+        for name in OF_A_CAMERA:
+            if value := getattr(self, name):
+                raise InvalidArgument(name, "0 for a recording, whose camera has errors of its own", str(value))
+
+    def frames(self, frames: range) -> range:
+        """Of a range of frames those that this sensor takes; what it takes last is the last one that is due."""
+        return frames[:: self.every]
+
+    def occludes(self, frame: int) -> bool:
+        """Whether a side of the garment is hidden in the frame of this number."""
+        return self.occlude is not None and self.occlude[0] <= frame < self.occlude[1]
+
+    def capture(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> Cloud:
+        """What this sensor sees of one frame; the same generator state gives the same cloud."""
+        if self.view == "full":
+            cloud = Cloud(_scan(sequence, frame, self.points, self.segmented, rng), None)
+        else:
+            cloud = Cloud(*self._look(sequence, frame, rng))
+        if self.occludes(frame):
+            hidden = occluded_side(sequence, self.occluded)
+            cloud = _kept(cloud, ~hidden[cKDTree(sequence.garment_vertices[frame]).query(cloud.points)[1]])
+        return self.degrade(cloud, rng)
+
+    def degrade(self, cloud: Cloud, rng: np.random.Generator, frame: int | None = None) -> Cloud:
+        """Limit, loss, noise and outliers of this sensor applied to a cloud; the points stay in their order.
+
+        Args:
+            cloud: as it was captured.
+            rng: random numbers.
+            frame: its number where the cloud is recorded, and the occlusion is still to be done: of the points, as there are no
+                vertices, the share with the largest x is hidden.
+        """
+        if frame is not None and self.occludes(frame) and len(cloud.points):
+            cloud = _kept(cloud, cloud.points[:, 0] <= np.quantile(cloud.points[:, 0], 1 - self.occluded))
+        chosen = np.arange(len(cloud.points))
+        if len(chosen) > self.points:
+            chosen = np.sort(rng.permutation(len(chosen))[: self.points])
+        chosen = chosen[rng.random(len(chosen)) >= self.drop]
+        points, origin = _kept(cloud, chosen)
+        points = points + self.noise * rng.normal(size=(len(chosen), 3))
+        return Cloud(_with_outliers(points, self.outliers, rng).astype(np.float32), origin)
+
+    def _look(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+        cameras = [front_camera(sequence)]
+        if self.view == "ring4":
+            # the order in which a stream groups points by sensor, so that sending a cloud does not reorder it
+            cameras = sorted(ring_cameras(sequence, 4), key=lambda camera: tuple(camera.eye))
+        seen = [self._depth_points(sequence, frame, camera, rng) for camera in cameras]
+        if self.view == "front":
+            return seen[0], cameras[0].eye
+        origin = np.repeat([camera.eye for camera in cameras], [len(points) for points in seen], axis=0)
+        return np.concatenate(seen), origin
+
+    def _depth_points(self, sequence: Sequence, frame: int, camera: Camera, rng: np.random.Generator) -> np.ndarray:
+        """World points (N, 3) of the pixels of one camera: of the garment, or of everything."""
+        meshes = [(sequence.garment_vertices[frame], sequence.garment_faces)]
+        if sequence.has_body:
+            meshes.append((sequence.body_vertices[frame], sequence.body_faces))
+        depth, face = camera.render(meshes)
+        keep = without_fliers(depth, FLIER_JUMP)
+        if self.segmented:
+            keep &= face < len(sequence.garment_faces)
+        return camera.unproject(self._disturbed(depth, rng), keep)
+
+    def _disturbed(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """The depth image with the errors of this sensor."""
+        if self.fliers:
+            depth = depth_errors.mixed_at_edges(depth, self.fliers, FLIER_JUMP, DISTANCE + BACKGROUND, rng)
+        if self.depth_noise:
+            depth = depth_errors.with_axial_noise(depth, self.depth_noise, rng)
+        return depth_errors.quantised(depth, self.depth_step) if self.depth_step else depth
+
+
+def occluded_side(sequence: Sequence, share: float) -> np.ndarray:
+    """(V,) bool: the side of the garment that an occlusion hides, the share of its vertices with the largest x in the rest shape.
+
+    Of a person who faces +z it is their left, with sleeve and under-arm; it stays the same part of the cloth while that moves.
+    """
+    order = np.argsort(-sequence.template[:, 0], kind="stable")
+    hidden = np.zeros(len(order), bool)
+    hidden[order[: round(share * len(order))]] = True
+    return hidden
+
+
+def front_camera(sequence: Sequence, intrinsics: Intrinsics = INTRINSICS) -> Camera:
+    """The camera of the view ``front``: on the side of +z, looking at the garment's centroid in the first frame."""
+    centre = sequence.garment_vertices[0].astype(np.float64).mean(axis=0)
+    return Camera.looking_at(intrinsics, centre + np.array([0.0, FRONT_RISE, DISTANCE]), centre)
+
+
+def ring_cameras(sequence: Sequence, count: int, intrinsics: Intrinsics = INTRINSICS) -> list[Camera]:
+    """Cameras at equal angles around the garment's centroid in the first frame, the first one on the side of +z."""
+    centre = sequence.garment_vertices[0].astype(np.float64).mean(axis=0)
+    angles = np.arange(count) * 2 * np.pi / count
+    eyes = centre + np.column_stack([DISTANCE * np.sin(angles), np.full(count, RING_RISE), DISTANCE * np.cos(angles)])
+    return [Camera.looking_at(intrinsics, eye, centre) for eye in eyes]
+
+
+def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
+    """(count, 3) points, uniform over the area of a mesh (V, 3), (F, 3); Turk's square-root barycentric coordinates."""
+    a, b, c = _corners(vertices, faces)
+    area = _areas(vertices, faces)
+    face = rng.choice(len(faces), count, p=area / area.sum())
+    r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
+    return (1 - r) * a[face] + r * (1 - s) * b[face] + r * s * c[face]
+
+
+def _corners(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
+    return [vertices[faces[:, corner]].astype(np.float64) for corner in range(3)]
+
+
+def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    a, b, c = _corners(vertices, faces)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def _scan(sequence: Sequence, frame: int, count: int, segmented: bool, rng: np.random.Generator) -> np.ndarray:
+    """Samples of the garment, or of garment and bare skin at the same density."""
+    cloth, cloth_faces = sequence.garment_vertices[frame], sequence.garment_faces
+    garment = sample_surface(cloth, cloth_faces, count, rng)
+    if segmented or not sequence.has_body:
+        return garment
+    skin, skin_faces = sequence.body_vertices[frame], sequence.body_faces
+    ratio = _areas(skin, skin_faces).sum() / _areas(cloth, cloth_faces).sum()
+    body = sample_surface(skin, skin_faces, round(count * ratio), rng)
+    bare = np.isinf(cKDTree(garment).query(body, distance_upper_bound=COVERED)[0])
+    return np.concatenate([garment, body[bare]])
+
+
+def _kept(cloud: Cloud, keep: np.ndarray) -> Cloud:
+    """The points of (N,) bool or of indices, and their sensors."""
+    points, origin = cloud
+    return Cloud(points[keep], origin[keep] if origin is not None and origin.ndim == 2 else origin)
+
+
+def _with_outliers(points: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:
+    bad = rng.random(len(points)) < share
+    if not bad.any():
+        return points
+    low, high = points.min(axis=0) - OUTLIER_MARGIN, points.max(axis=0) + OUTLIER_MARGIN
+    return np.where(bad[:, None], rng.uniform(low, high, points.shape), points)

@@ -1,0 +1,52 @@
+"""What the systems say about one frame, for figures that show surfaces."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+
+
+@dataclass(frozen=True, eq=False)
+class FrameEstimates:
+    """One frame.
+
+    Attributes:
+        meta: the trial's fields without the system, the frame's number, commit, date, machine.
+        truth: (V, 3) metres.
+        faces: (F, 3).
+        estimates: by system, (V, 3) metres.
+        eye: (3,) metres, from where the figure looks.
+    """
+
+    meta: dict
+    truth: np.ndarray
+    faces: np.ndarray
+    estimates: dict[str, np.ndarray]
+    eye: np.ndarray
+
+    def save(self, path: Path) -> None:
+        """Writes an .npz file."""
+        estimates = {f"estimate {name}": vertices.astype(np.float32) for name, vertices in self.estimates.items()}
+        meta = np.array(json.dumps(self.meta))
+        np.savez_compressed(path, meta=meta, truth=self.truth, faces=self.faces, eye=self.eye, **estimates)
+
+
+def load_frame_estimates(path: Path) -> FrameEstimates:
+    """Reads a file of :meth:`Still.save`.
+
+    Raises:
+        InvalidFile: something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            estimates = {key.removeprefix("estimate "): file[key] for key in file.files if key.startswith("estimate ")}
+            return FrameEstimates(json.loads(str(file["meta"])), file["truth"], file["faces"], estimates, file["eye"])
+    except (OSError, ValueError, KeyError) as error:
+        raise InvalidFile(str(path), "a still of a study (.npz)", f"{type(error).__name__}: {error}") from error
+
+

@@ -1,0 +1,100 @@
+"""Runs a tracker over a source, in this process or on a server; yields every frame with its result and its time."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import ddakf
+from ddakf.errors import DdakfError, MissingDependency
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.evaluation.tracking.sources import Source
+
+KEY_VARIABLE = "DDAKF_API_KEY"  # the key that a server asks for
+WAIT = 0.1  # s between looks at whether the stream has ended
+
+
+def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[CapturedFrame, object, float]]:
+    """Tracks in this process.
+
+    Yields:
+        Frame, :class:`ddakf.types.FrameResult`, and the seconds that the step took.
+    """
+    tracker = ddakf.Tracker(source.garment, body=source.body, config=config or ddakf.Config())
+    if source.start is not None:
+        tracker.reset(vertices=source.start)
+    for frame in source:
+        begun = time.perf_counter()
+        result = tracker.step(
+            frame.points,
+            timestamp=frame.timestamp,
+            sensor_origin=frame.sensor_origin,
+            body_vertices=frame.body_vertices,
+        )
+        yield frame, result, time.perf_counter() - begun
+
+
+def remote(
+    source: Source, target: str, config: ddakf.Config | None = None, codec: str | None = None
+) -> Iterator[tuple[CapturedFrame, object, float]]:
+    """Tracks on a server: every frame in order, the next one sent when the last one has been answered.
+
+    Args:
+        source: the frames.
+        target: "host:port" of gRPC.
+        config: of the tracker; default the server's.
+        codec: of the clouds; default the client's.
+
+    Yields:
+        Frame, the client's result, and the seconds from handing the frame over to having the result.
+
+    Raises:
+        MissingDependency: the client is not installed.
+        DdakfError: the server refused or ended the stream; the message is its sentence.
+    """
+    client = _client()
+    options = {} if codec is None else {"codec": codec}
+    sent: list[CapturedFrame] = []
+    try:
+        with (
+            client.connect(target, api_key=os.environ.get(KEY_VARIABLE)) as connection,
+            connection.create_session(source.garment, body=source.body, config=config, flow="lossless", **options) as session,
+        ):
+            if source.start is not None:
+                session.reset(source.start)
+            with _paced(source, sent) as (frames, permit):
+                for number, result in enumerate(session.track(frames, covariance=True)):
+                    yield sent[number], result, result.latency
+                    permit.release()
+    except client.ServiceError as error:
+        raise DdakfError(str(error)) from error
+
+
+@contextmanager
+def _paced(source: Source, sent: list[CapturedFrame]):
+    """Frames that wait for a permit each, as the client pulls them in a thread of its own; ends with the context."""
+    permit, ended = threading.Semaphore(1), threading.Event()
+
+    def frames() -> Iterator[CapturedFrame]:
+        for frame in source:
+            while not permit.acquire(timeout=WAIT):
+                if ended.is_set():
+                    return
+            sent.append(frame)
+            yield frame
+
+    try:
+        yield frames(), permit
+    finally:
+        ended.set()
+
+
+def _client():
+    try:
+        import ddakf_client
+    except ModuleNotFoundError as error:
+        raise MissingDependency("--server needs the client, which is not installed: pip install ddakf-client") from error
+    return ddakf_client

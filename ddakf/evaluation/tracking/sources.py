@@ -1,0 +1,254 @@
+"""What a tracker is run on: the frames of a sequence seen by a virtual sensor, or those of a real recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.datasets import Pair, Recording, open_dataset
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.evaluation.sensors.virtual_sensor import Sensor
+from ddakf.files.io import read_mesh
+from ddakf.files.sequence import Sequence
+from ddakf.mesh import Mesh
+
+Start = Literal["truth", "rest", "search"]
+ASTRAY_TURN, ASTRAY_SHIFT = np.pi / 2, 1.0  # rad, m: at most, for a start by search
+DESCRIPTION = {"full": "scanned all around", "front": "one depth camera", "ring4": "four depth cameras"}
+
+
+class Source(Protocol):
+    """Frames, and how to start a tracker on them.
+
+    Attributes:
+        title: for a person to read.
+        garment: template.
+        start: (V, 3) vertices where the garment is, or None when all that is known is the template.
+        body: for the tracker, in the pose of the start, or None.
+        body_faces: to draw the body, or None.
+        fps: frames per second.
+        closed: the garment goes around the person, so that it has a back to look at.
+    """
+
+    title: str
+    garment: Mesh
+    start: np.ndarray | None
+    body: Mesh | None
+    body_faces: np.ndarray | None
+    fps: float
+    closed: bool
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[CapturedFrame]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class SequenceSource:
+    """Frames of a sequence with ground truth, seen by a virtual sensor.
+
+    Started at the truth, the first frame is given away and tracking begins with the second; otherwise with the first.
+    Every frame has random numbers of its own, so that a range of frames sees what the whole sequence sees.
+
+    Args:
+        sequence: the truth. sensor: what sees it. frames: range of frames. start_at: ``truth``: the first frame's
+        vertices; ``rest``: the template as it lies; ``search``: the template turned
+            and moved away at random, for the tracker to find the garment.
+        give_body: the tracker gets the body of every frame.
+        seed: of the sensor's random numbers.
+    """
+
+    sequence: Sequence
+    sensor: Sensor
+    frames: range
+    start_at: Start = "truth"
+    give_body: bool = False
+    seed: int = 1
+    closed: bool = field(default=True, init=False)
+
+    def __post_init__(self) -> None:
+        if self.give_body and not self.sequence.has_body:
+            raise InvalidArgument("body", "a sequence with body_V and body_F", f"{self.sequence.name} without")
+
+    @property
+    def title(self) -> str:
+        return f"{self.sequence.name}, {DESCRIPTION[self.sensor.view]}"
+
+    @property
+    def fps(self) -> float:
+        return self.sequence.fps / self.sensor.every
+
+    @cached_property
+    def garment(self) -> Mesh:
+        rest = self._first if self.sequence.garment_rest is None else self.sequence.garment_rest
+        if self.start_at == "search":
+            rest = _astray(rest, np.random.default_rng(self.seed))
+        return Mesh(rest, self.sequence.garment_faces)
+
+    @property
+    def start(self) -> np.ndarray | None:
+        return self._first if self.start_at == "truth" else None
+
+    @property
+    def body(self) -> Mesh | None:
+        return Mesh(self.sequence.body_vertices[self.frames[0]], self.sequence.body_faces) if self.give_body else None
+
+    @property
+    def body_faces(self) -> np.ndarray | None:
+        return self.sequence.body_faces
+
+    @property
+    def _first(self) -> np.ndarray:
+        return self.sequence.garment_vertices[self.frames[0]]
+
+    @property
+    def _tracked(self) -> range:
+        taken = self.sensor.frames(self.frames)
+        return taken[1:] if self.start_at == "truth" else taken
+
+    def __len__(self) -> int:
+        return len(self._tracked)
+
+    def __iter__(self) -> Iterator[CapturedFrame]:
+        s = self.sequence
+        for k in self._tracked:
+            cloud = self.sensor.capture(s, k, np.random.default_rng([self.seed, k]))
+            body = s.body_vertices[k] if s.has_body else None
+            given = body if self.give_body else None
+            yield CapturedFrame(k, s.timestamp(k), *cloud, body_vertices=given, truth=s.garment_vertices[k], body=body)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSource:
+    """Frames of a real sensor. Without a template, the first frame gives one and is not tracked; with one, the tracker
+    searches for it in the first frame.
+
+    Args:
+        recording: the frames.
+        sensor: whose limit, loss, noise, outliers, occlusion and frame rate are added; the view is the recording's.
+        frames: range of frames.
+        garment: template, or None to make it from the recording's first frame.
+        seed: of the random numbers.
+    """
+
+    recording: Recording
+    sensor: Sensor
+    frames: range
+    template: Mesh | None = None
+    seed: int = 1
+    garment: Mesh = field(init=False)
+    body: None = field(default=None, init=False)
+    body_faces: None = field(default=None, init=False)
+
+    def __post_init__(self) -> None:
+        self.sensor.require_no_camera()
+        garment = self.recording.template(self.frames[0]) if self.template is None else self.template
+        object.__setattr__(self, "garment", garment)
+
+    @property
+    def title(self) -> str:
+        return f"{self.recording.name}, recorded"
+
+    @property
+    def start(self) -> np.ndarray | None:
+        return self.garment.vertices if self.template is None else None
+
+    @property
+    def fps(self) -> float:
+        return self.recording.fps / self.sensor.every
+
+    @property
+    def closed(self) -> bool:
+        return self.template is not None
+
+    @property
+    def _tracked(self) -> range:
+        taken = self.sensor.frames(self.frames)
+        return taken[1:] if self.template is None else taken
+
+    def __len__(self) -> int:
+        return len(self._tracked)
+
+    def __iter__(self) -> Iterator[CapturedFrame]:
+        for k in self._tracked:
+            cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]), k)
+            yield CapturedFrame(k, self.recording.timestamp(k), *cloud)
+
+
+def open_source(path, sensor: Sensor | None = None, *, fps: float = 30.0, **options) -> Source:
+    """What :func:`source_of` makes of the sequence or recording at a path.
+
+    Args:
+        path: see :func:`ddakf.evaluation.datasets.open_dataset`.
+        fps: frames per second of a recording that does not say.
+        sensor, options: see :func:`source_of`.
+
+    Raises:
+        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+    """
+    return source_of(open_dataset(path, fps=fps), sensor, **options)
+
+
+def source_of(
+    recording: Sequence | Recording | Pair,
+    sensor: Sensor | None = None,
+    *,
+    frames: str = ":",
+    start: Start = "truth",
+    give_body: bool = False,
+    template=None,
+    seed: int = 1,
+) -> Source:
+    """What ``ddakf track`` tracks.
+
+    Args:
+        recording: a sequence or a recording.
+        sensor: default: for sequences one depth camera with 3 mm noise, for recordings nothing is added.
+        frames: ``A:B``, from frame A up to B, which is not part of it; either may be left out.
+        start: as ``start_at``, give_body, seed: see :class:`SequenceSource`.
+        template: mesh file to track in a recording, instead of its first frame.
+
+    Raises:
+        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+    """
+    if isinstance(recording, Pair):
+        raise InvalidArgument("path", "a sequence or a recording", "a pair of frames")
+    chosen = chosen_frames(frames, len(recording))
+    if isinstance(recording, Sequence):
+        if template is not None:
+            raise InvalidArgument("template", "none for a sequence, which has its own", str(template))
+        return SequenceSource(recording, sensor or Sensor(), chosen, start, give_body, seed)
+    if give_body:
+        raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
+    mesh = None if template is None else Mesh.cleaned(*read_mesh(template))[0]
+    plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
+    return RecordingSource(recording, plain, chosen, mesh, seed)
+
+
+def _astray(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(V, 3) vertices turned about the vertical through their middle and moved horizontally, at random."""
+    turn = Rotation.from_rotvec([0.0, rng.uniform(-ASTRAY_TURN, ASTRAY_TURN), 0.0])
+    middle = vertices.mean(axis=0)
+    return turn.apply(vertices - middle) + middle + rng.uniform(-ASTRAY_SHIFT, ASTRAY_SHIFT, 3) * [1, 0, 1]
+
+
+def chosen_frames(text: str, count: int) -> range:
+    """The frames of ``A:B`` among ``count``; Python's rules for slices.
+
+    Raises:
+        InvalidArgument: not of that form, or fewer than two frames.
+    """
+    first, colon, last = text.partition(":")
+    try:
+        chosen = range(count)[int(first) if first else None : int(last) if last else None]
+    except ValueError:
+        chosen = range(0)
+    if not colon or len(chosen) < 2:
+        raise InvalidArgument("frames", f"A:B with at least two of the {count} frames", repr(text))
+    return chosen

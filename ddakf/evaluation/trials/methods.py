@@ -1,0 +1,133 @@
+"""The methods that trials compare: variants of the tracker's configuration, and the baselines, all behind one call per frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from ddakf.config import Config
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.baselines.baseline import Baseline
+from ddakf.evaluation.baselines.embedded_deformation import EmbeddedDeformation
+from ddakf.evaluation.baselines.icp import NonRigidPointToPlane, RigidPointToPlane
+from ddakf.evaluation.baselines.kalman_filter import KalmanFilter
+from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
+from ddakf.evaluation.baselines.particle_filter import ParticleFilter
+from ddakf.evaluation.baselines.third_party import Open3dArap, ProbregCpd, TrimeshNricp
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.evaluation.splits import NO_LABELS, RecordingLabels
+from ddakf.evaluation.trials.estimates import FrameEstimate, Method, MethodFactory
+from ddakf.evaluation.trials.variants import ablations, refinements
+from ddakf.mesh import Mesh
+from ddakf.tracker import Tracker
+
+
+def configuration(variant: str) -> Config:
+    """The configuration of a variant: ``ddakf`` or ``default``, ``paper``, one of :func:`ablations` or :func:`refinements`, or
+    ``NAME={...}``, JSON of :meth:`ddakf.Config.from_dict` with a name for the tables.
+
+    Raises:
+        InvalidArgument: none of these.
+    """
+    name, _, values = variant.partition("=")
+    if values:
+        try:
+            return Config.from_dict(json.loads(values))
+        except json.JSONDecodeError as error:
+            raise InvalidArgument("variant", "NAME={JSON}", f"{values!r} ({error})") from error
+    known = {"ddakf": Config(), "default": Config(), "paper": Config.paper()} | ablations() | refinements()
+    if name not in known:
+        raise InvalidArgument("variant", f"one of {', '.join([*known, *BASELINES])}, or NAME={{JSON}}", repr(variant))
+    return known[name]
+
+
+def _carried(scored: RecordingLabels) -> Baseline:
+    from ddakf.evaluation.baselines.clothfit.method import ClothFit
+    from ddakf.evaluation.baselines.clothfit.network import Committee, Network
+
+    return ClothFit(lambda: Committee((Network.zero(),)))
+
+
+def _clothfit(scored: RecordingLabels) -> Baseline:
+    from ddakf.evaluation.baselines.clothfit.method import ClothFit
+    from ddakf.evaluation.baselines.clothfit.weights import committee
+
+    return ClothFit(lambda: committee(scored))
+
+
+BASELINES: dict[str, Callable[[RecordingLabels], Baseline]] = {
+    "clothfit": _clothfit,
+    "carried": _carried,
+    "kf": lambda scored: KalmanFilter(),
+    "icp": lambda scored: NonRigidPointToPlane(),
+    "icp-rigid": lambda scored: RigidPointToPlane(),
+    "pf": lambda scored: ParticleFilter(),
+    "opt-ed": lambda scored: EmbeddedDeformation(),
+    "nicp": lambda scored: NonRigidIcp(),
+    "nicp-12": lambda scored: NonRigidIcp(TWELVE_ITERATIONS),
+    "open3d-arap": lambda scored: Open3dArap(),
+    "trimesh-nricp": lambda scored: TrimeshNricp(),
+    "probreg-cpd": lambda scored: ProbregCpd(),
+}
+
+
+def make_baseline(name: str, scored: RecordingLabels = NO_LABELS) -> Baseline:
+    """A baseline by its name.
+
+    Args:
+        name: one of :data:`BASELINES`.
+        scored: what it will be scored on.
+
+    Raises:
+        InvalidArgument: none of that name.
+        NotApplicable: it cannot be used here, for want of a package for instance.
+    """
+    if name not in BASELINES:
+        raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}", repr(name))
+    return BASELINES[name](scored)
+
+
+def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    tracker = Tracker(garment, body=body, config=config)
+    tracker.reset(vertices=start)
+
+    def step(frame: CapturedFrame) -> FrameEstimate:
+        r = tracker.step(
+            frame.points,
+            timestamp=frame.timestamp,
+            sensor_origin=frame.sensor_origin,
+            body_vertices=frame.body_vertices,
+        )
+        return FrameEstimate(r.vertices, r.covariance, r.observed, r.reliability, r.paper_score, r.coverage, r.state)
+
+    return step
+
+
+def _baseline(name: str, scored: RecordingLabels, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    return start_baseline(make_baseline(name, scored), garment, start, body)
+
+
+def start_baseline(method: Baseline, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    """A baseline at work, started from garment, start (V, 3) in metres and body."""
+    method.start(garment, start, body)
+
+    def step(frame: CapturedFrame) -> FrameEstimate:
+        return FrameEstimate(method.step(frame), effective_sample_size=getattr(method, "effective_sample_size", None))
+
+    return step
+
+
+def method_factory(variant: str, scored: RecordingLabels = NO_LABELS) -> MethodFactory:
+    """What makes a method from garment, start (V, 3) in metres and body: a baseline, or a tracker of a :func:`configuration`.
+
+    Args:
+        variant: name of either.
+        scored: what a baseline will be scored on.
+
+    Raises:
+        InvalidArgument: no such variant. What is made may raise NotApplicable.
+    """
+    return partial(_baseline, variant, scored) if variant in BASELINES else partial(_tracker, configuration(variant))

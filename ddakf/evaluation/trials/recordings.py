@@ -1,0 +1,85 @@
+"""Recordings by name: the sample, those that ship, those under ``DDAKF_DATA``, and the frames that a trial tracks."""
+
+from __future__ import annotations
+
+import os
+from functools import lru_cache
+from pathlib import Path
+
+from ddakf import data
+from ddakf.errors import InvalidArgument
+from ddakf.evaluation.datasets import Pair, Recording, load_faust, open_dataset
+from ddakf.evaluation.trials.trial import PAIR_STEPS, Trial
+from ddakf.files.sequence import Sequence, load_sequence
+
+FAUST = "faust_"  # before the name of a clip
+SAMPLE = "sample"  # the name of the recording that ships with the project
+
+def recording_names() -> list[str]:
+    """The bundled sample, and the recordings under DDAKF_DATA."""
+    folder = _folder()
+    return [SAMPLE, *(sorted(path.stem for path in folder.glob("*.npz")) if folder else [])]
+
+
+@lru_cache(maxsize=8)
+def find_recording(name: str) -> Sequence | Recording | Pair:
+    """A recording by its name, or what is at a path, see :func:`ddakf.evaluation.datasets.open_dataset`.
+
+    Raises:
+        InvalidArgument: neither a name that is known nor a path.
+        InvalidFile: nothing that can be read is at the path.
+    """
+    if name == SAMPLE:
+        return data.sample()
+    if name.startswith(FAUST) and (archive := _faust()):
+        return load_faust(archive).clip(name.removeprefix(FAUST))
+    for place in (name, *_under_data(name)):
+        if Path(place.partition("#")[0]).exists():
+            return open_dataset(place)
+    if name in {path.stem for path in data.TRAINING.glob("*.npz")}:
+        return load_sequence(data.TRAINING / f"{name}.npz")
+    folder = _folder()
+    if folder is None or not (folder / f"{name}.npz").is_file():
+        known = [*recording_names(), *sorted(path.stem for path in data.TRAINING.glob("*.npz"))]
+        raise InvalidArgument("sequence", f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)", repr(name))
+    return load_sequence(folder / f"{name}.npz")
+
+
+def faust_names() -> list[str]:
+    """The clips of FAUST under DDAKF_DATA, as :func:`recording` knows them."""
+    archive = _faust()
+    return [FAUST + clip for clip in load_faust(archive).clips] if archive else []
+
+
+def depth_recording_names() -> tuple[list[str], list[str]]:
+    """Depth recordings without truth, and pairs with scene flow: paths relative to DDAKF_DATA, the same on every machine."""
+    root = Path(os.environ.get("DDAKF_DATA") or os.devnull)
+    depth = sorted(root.glob("depth/utd-mhad/*_depth.mat"))
+    pairs = sorted(path for path in root.glob("depth/deepdeform/*") if path.is_dir())
+    return [path.relative_to(root).as_posix() for path in depth], [path.relative_to(root).as_posix() for path in pairs]
+
+
+def tracked_frames(trial: Trial) -> range:
+    """The frames that a trial tracks, by their number in the recording."""
+    known = find_recording(trial.sequence)
+    if isinstance(known, Pair):
+        return range(1, PAIR_STEPS + 1)
+    last = len(known) - 1
+    if trial.frames is not None:
+        last = min(trial.first + trial.frames * trial.every, last)
+    return range(trial.first + trial.every, last + 1, trial.every)
+
+
+def _under_data(name: str) -> list[str]:
+    root = os.environ.get("DDAKF_DATA")
+    return [str(Path(root, name))] if root else []
+
+
+def _faust() -> Path | None:
+    root = os.environ.get("DDAKF_DATA")
+    return next(iter(sorted(Path(root, "faust").glob("*.npz"))), None) if root else None
+
+
+def _folder() -> Path | None:
+    root = os.environ.get("DDAKF_DATA")
+    return Path(root, "sequences") if root else None

@@ -1,0 +1,40 @@
+"""Variants of the tracker's configuration: the default, the paper's, and the default without one of its parts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from ddakf.config import Config
+
+
+def ablations() -> dict[str, Config]:
+    """The default without each of its five changes to the paper's method, one at a time."""
+    default = Config()
+    association = default.associate
+    blind = replace(association, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
+    once = replace(association, iterations=1, least_iterations=1)
+    alone = replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
+    return {
+        "no-planes": replace(default, associate=replace(association, tangential_sd=default.adapt.initial_sd)),
+        "one-association": replace(without_levels(), associate=once),
+        "no-visibility": replace(default, associate=blind),
+        "no-correlation": replace(default, physics=alone),
+        "no-carrying": replace(default, predict=replace(default.predict, carry_reach=0.0)),
+    }
+
+
+def refinements() -> dict[str, Config]:
+    """The default without each of what was added beyond the five changes, one at a time."""
+    default = Config()
+    return {
+        "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
+        "no-levels": without_levels(),
+        "no-hems": replace(default, associate=replace(default.associate, hem_reach=0.0)),
+        "no-holding": replace(default, predict=replace(default.predict, worn_memory=0.0)),
+    }
+
+
+def without_levels() -> Config:
+    """The default with passes over all vertices only: neither rigid clusters nor coarser versions of the garment before."""
+    default = Config()
+    return replace(default, coarse=replace(default.coarse, iterations=0), pyramid=replace(default.pyramid, iterations=0))

@@ -1,0 +1,57 @@
+"""What is scored is not learned from: neither it, nor its garment, nor its motion."""
+
+import numpy as np
+
+from ddakf import data
+from ddakf.evaluation.baselines.clothfit.library import Source, allowed, sources
+from ddakf.evaluation.baselines.clothfit.rehearsal import Part
+from ddakf.evaluation.splits import NO_LABELS, RecordingLabels
+
+LABELS = (("a", "skirt", "jump"), ("b", "skirt", "dance"), ("c", "tank top", "jump"), ("d", "tank top", "walk"))
+SOURCES = [Source(RecordingLabels(*labels), data.SAMPLE) for labels in LABELS]
+
+
+def names(kept):
+    return [source.labels.name for source in kept]
+
+
+def test_name_garment_and_motion_are_left_out():
+    assert names(allowed(RecordingLabels("a", "skirt", "jump"), SOURCES)) == ["d"]
+    assert names(allowed(RecordingLabels("other", "", "jump"), SOURCES)) == ["b", "d"]
+    assert names(allowed(RecordingLabels("d"), SOURCES)) == ["a", "b", "c"]
+
+
+def test_nothing_said_leaves_nothing_out():
+    assert names(allowed(NO_LABELS, [*SOURCES, Source(RecordingLabels("", "", ""), data.SAMPLE)])) == ["a", "b", "c", "d", ""]
+
+
+def test_recordings_at_hand_join_what_ships_if_they_have_a_body(tmp_path, monkeypatch):
+    folder = tmp_path / "sequences"
+    folder.mkdir()
+    mesh = {"garment_V": np.zeros((2, 3, 3)), "garment_F": np.array([[0, 1, 2]]), "fps": 30.0}
+    np.savez(folder / "sim_skirt_hop.npz", **mesh, body_V=np.zeros((2, 3, 3)), body_F=np.array([[0, 1, 2]]))
+    np.savez(folder / "bare_dress.npz", **mesh)
+    monkeypatch.setenv("DDAKF_DATA", str(tmp_path))
+    found = {source.labels.name: source for source in sources()}
+    assert found["sim_skirt_hop"].at_hand
+    assert (found["sim_skirt_hop"].labels.garment, found["sim_skirt_hop"].labels.motion) == ("skirt", "hop")
+    assert not found["sample"].at_hand
+    assert "bare_dress" not in found
+    monkeypatch.delenv("DDAKF_DATA")
+    assert not any(source.at_hand for source in sources())
+
+
+def test_rehearsals_are_left_out_by_garment_and_motion(monkeypatch):
+    monkeypatch.delenv("DDAKF_DATA", raising=False)
+    left = allowed(RecordingLabels("mine", "T-shirt", "jump"), sources())
+    rehearsed = {source.what[:2] for source in left if isinstance(source.what, Part)}
+    assert len(rehearsed) == 3 * 6
+    assert not {pair for pair in rehearsed if pair[0] == "tshirt" or pair[1] == "jump"}
+    assert data.SAMPLE not in {source.what for source in left}
+
+
+def test_digests_tell_files_and_rehearsals_apart(tmp_path):
+    (tmp_path / "a").write_bytes(b"a")
+    (tmp_path / "b").write_bytes(b"b")
+    made_from = tmp_path / "a", tmp_path / "b", Part("skirt", "walk", 1, 2), Part("skirt", "walk", 1, 3)
+    assert len({Source(RecordingLabels(), what).digest for what in made_from}) == 4

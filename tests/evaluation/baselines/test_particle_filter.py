@@ -1,0 +1,87 @@
+"""The particle filter's parts: resampling, reduced space, looked-up distances."""
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from ddakf.evaluation.baselines.linear_algebra import graph_laplacian
+from ddakf.evaluation.baselines.particle_filter import NearestPoints, ParticleFilter, ParticleSettings, harmonics, systematic
+from ddakf.evaluation.metrics import normal_rmse_mm
+from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.evaluation.sensors.virtual_sensor import sample_surface
+from ddakf.mesh import Mesh
+from tests.evaluation.baselines.shapes import tube, widened
+
+
+@pytest.fixture(scope="module")
+def garment():
+    return tube()
+
+
+def test_systematic_resampling_takes_each_as_often_as_its_weight_says():
+    rng = np.random.default_rng(0)
+    weight = rng.random(200) ** 4
+    weight /= weight.sum()
+    for _ in range(20):
+        taken = np.bincount(systematic(weight, rng), minlength=200)
+        assert taken.sum() == 200
+        assert (np.abs(taken - 200 * weight) < 1 + 1e-9).all()
+    assert np.mean([np.bincount(systematic(weight, rng), minlength=200) for _ in range(2000)], axis=0) == pytest.approx(
+        200 * weight, abs=0.1
+    )
+
+
+def test_harmonics_are_orthonormal_smooth_and_without_the_constant(garment):
+    phi, value = harmonics(garment, 6)
+    n = garment.n_vertices
+    assert phi.T @ phi / n == pytest.approx(np.eye(6), abs=1e-8)
+    assert phi.mean(axis=0) == pytest.approx(0, abs=1e-8)
+    assert np.diag(phi.T @ (graph_laplacian(garment) @ phi)) / n == pytest.approx(value)
+    rough = np.linalg.eigvalsh(graph_laplacian(garment).toarray())
+    assert value == pytest.approx(rough[1:7])
+
+
+def test_harmonics_of_two_parts_have_no_eigenvalue_zero():
+    one = tube(8, 4)
+    both = Mesh(np.concatenate([one.vertices, one.vertices + 2]), np.concatenate([one.faces, one.faces + one.n_vertices]))
+    assert (harmonics(both, 4)[1] > 1e-6).all()
+
+
+def test_looked_up_distances_are_near_the_true_ones():
+    rng, voxel = np.random.default_rng(0), 0.02
+    points, places = rng.random((300, 3)), rng.uniform(-0.2, 1.2, (500, 3))
+    nearby = NearestPoints(points, np.zeros(3) - 0.1, np.ones(3) + 0.1, voxel)
+    looked_up = np.sqrt(nearby.squared_distances(places.reshape(5, 100, 3))).ravel()
+    assert np.abs(looked_up - cKDTree(points).query(places)[0])[(np.abs(places - 0.5) < 0.6).all(axis=1)].max() < 4 * voxel
+    assert NearestPoints(points + 5, np.zeros(3), np.ones(3), voxel).empty
+
+
+def test_the_mean_is_that_of_all_particles(garment):
+    method = ParticleFilter(ParticleSettings(particles=30))
+    method.start(garment, garment.vertices, None)
+    method.step(CapturedFrame(0, 0.1, garment.vertices + 0.01))
+    everything = method._vertices_of_all(np.arange(garment.n_vertices))
+    assert method._mean_vertices() == pytest.approx(np.einsum("n,nva->va", method._weight, everything))
+
+
+def test_the_effective_sample_size_is_that_of_the_last_frame_with_points(garment):
+    method = ParticleFilter(ParticleSettings(particles=50))
+    method.start(garment, garment.vertices, None)
+    assert method.effective_sample_size == pytest.approx(50)
+    method.step(CapturedFrame(0, 0.1, garment.vertices))
+    size = method.effective_sample_size
+    assert size == pytest.approx(1 / sum(weight**2 for weight in method._weight))
+    assert 1 <= size < 49
+    method.step(CapturedFrame(1, 0.2, np.zeros((0, 3))))
+    assert method.effective_sample_size == size
+    method.start(garment, garment.vertices, None)
+    assert method.effective_sample_size == pytest.approx(50)
+
+
+def test_soft_enough_it_follows_a_smooth_deformation(garment):
+    rng, method = np.random.default_rng(0), ParticleFilter(ParticleSettings(harmonics=5, elasticity=1.0, amplitude_sd=0.004))
+    method.start(garment, garment.vertices, None)
+    for k in range(1, 9):
+        truth = widened(garment.vertices, 0.02 * k)
+        estimate = method.step(CapturedFrame(0, k / 30, sample_surface(truth, garment.faces, 4000, rng)))
+    assert normal_rmse_mm(estimate, truth, garment.faces) < 0.6 * normal_rmse_mm(garment.vertices, truth, garment.faces)
