@@ -6,13 +6,14 @@ DDAKF_DATA ?= ../shared/data
 export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
-.PHONY: help install demo test test-all test-without-recordings coverage warm lint serve bench load soak chaos kill fuzz evaluate report report-quick clean
+.PHONY: help install demo test test-all test-without-recordings coverage mutants warm lint serve bench load soak chaos kill fuzz evaluate report report-quick clean
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
 	@echo "make test    lint and the tests that matter most, in at most five minutes on two cores (ARGS='tests/stages -x')"
 	@echo "make test-all  lint and all tests, with line coverage, in at most twelve minutes on two cores"
 	@echo "make test-without-recordings  the tests that depend on the recordings of DDAKF_DATA, without them"
+	@echo "make mutants   200 changes of the stages, one at a time: how many do the tests notice? (ARGS='--mutants 50 ...')"
 	@echo "make serve   the service in the foreground"
 	@echo "make bench   speed and accuracy, as ratios inside one run"
 	@echo "make load    four clients at 30 frames per second: what the service sustains (ARGS='--clients 8 --codec raw ...')"
@@ -77,6 +78,9 @@ coverage: $(DEV)
 	@for package in ddakf ddakf_service ddakf_client ddakf_api; do \
 		printf '%-14s %s %%\n' $$package $$($(BIN)/coverage report --format total --include "*/$$package/*"); \
 	done
+
+mutants: warm
+	@$(BIN)/python benchmarks/mutants.py $(ARGS)
 
 bench: $(DEV)
 	@$(BIN)/python benchmarks/bench.py
