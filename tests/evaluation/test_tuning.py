@@ -50,6 +50,7 @@ def test_the_document_shows_the_tables_of_the_record(tuning):
     assert tuning.learned_tries(REPORT) in text
 
 
+@pytest.mark.recordings
 def test_the_learned_method_is_tuned_on_nothing_that_is_scored(tuning, monkeypatch):
     asked = []
     monkeypatch.setattr(tuning.weights, "committee", lambda *of: asked.append(of))
@@ -79,6 +80,7 @@ def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):
     assert len(found["tries"]) == 5
 
 
+@pytest.mark.recordings
 def test_the_score_is_the_error_of_a_method_that_stands_still(tuning):
     class Still:
         def start(self, garment, vertices, body):

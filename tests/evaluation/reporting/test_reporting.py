@@ -281,6 +281,7 @@ def test_with_so_few_clips_no_difference_is_called_insignificant(folder):
     assert [row[6].text for row in table.rows] == ["n too small"]
 
 
+@pytest.mark.recordings
 def test_the_studies_of_the_paper_have_its_levels(monkeypatch):
     monkeypatch.delenv("DDAKF_DATA", raising=False)
     whole, quick = paper_studies.studies(paper_studies.FULL), paper_studies.studies(paper_studies.QUICK)

@@ -45,5 +45,6 @@ def test_the_readme_lists_them_with_their_figures():
     assert sorted(rows) == expected
 
 
+@pytest.mark.recordings
 def test_clothfit_may_learn_from_all_of_them():
     assert set(PATHS) <= {source.what for source in library.sources() if not source.at_hand}

@@ -75,6 +75,7 @@ def test_a_plan_has_every_system_on_every_sequence_view_and_seed_once():
     assert all((t.first, t.frames) == (0, 4) for t in whole)
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize(
     ("how", "field"),
     [
@@ -109,6 +110,7 @@ def test_an_occlusion_that_some_frames_have_is_none_too_late():
     replace(plan(), settings=replace(SMALL, occlude=(4, 9))).check()
 
 
+@pytest.mark.recordings
 def test_what_a_real_camera_recorded_has_a_template_and_no_errors_of_a_virtual_one(tmp_path):
     for k in range(5):
         io.write_points(tmp_path / f"{k}.xyz", np.eye(3))
@@ -130,6 +132,7 @@ def test_no_run_is_refused_and_not_taken_for_the_default(tmp_path, capsys):
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.recordings
 def test_what_is_over_before_its_occlusion_ends_has_none(tmp_path, monkeypatch):
     monkeypatch.delenv("DDAKF_DATA", raising=False)
     sample, short = recordings.find_recording("sample"), str(tmp_path / "short.npz")
@@ -138,6 +141,7 @@ def test_what_is_over_before_its_occlusion_ends_has_none(tmp_path, monkeypatch):
     assert "occlusion" not in paper_studies.studies(paper_studies.QUICK, [short])
 
 
+@pytest.mark.recordings
 def test_a_file_that_is_no_sequence_is_refused_before_any_work(tmp_path, capsys):
     (tmp_path / "bad.npz").write_bytes(b"PK but no more")
     out = tmp_path / "out.json"
@@ -170,6 +174,7 @@ def test_what_does_not_apply_is_null_and_not_zero(systems, tmp_path):
     assert cell["mean"]["penetration_mm"] is not None
 
 
+@pytest.mark.recordings
 def test_a_view_with_a_body_does_not_apply_to_a_sequence_without(tmp_path, systems):
     sample = recordings.find_recording("sample")
     path = tmp_path / "bare.npz"
@@ -258,6 +263,7 @@ def test_a_system_to_be_run_again_is_one_of_the_study(tmp_path, capsys):
     assert "again" in capsys.readouterr().err
 
 
+@pytest.mark.recordings
 @pytest.mark.parametrize(
     ("options", "field"),
     [("--methods ddakf,magic", "methods"), ("--view front", "view"), ("--noise-mm 5", "noise_mm"), ("--json out.json", "json")],
@@ -268,6 +274,7 @@ def test_what_the_studies_of_the_paper_do_not_heed_is_refused(tmp_path, capsys, 
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.recordings
 def test_the_studies_of_the_paper_can_be_of_some_systems(tmp_path):
     """Ablations alone have no DD-AKF of that name, and are left out."""
     command = ["evaluate", "sample", "--paper", "--quick", "--only", "main,ablation", "--methods", "icp-rigid", "--runs", "1"]

@@ -111,12 +111,14 @@ def test_the_end_point_error_of_a_pair_is_of_the_last_of_its_steps():
     assert (still["end_point_error_mm"], still["within_5cm"]) == (pytest.approx(500), 0)
 
 
+@pytest.mark.recordings
 def test_the_frames_of_a_study_are_those_of_recordings_too(monkeypatch):
     monkeypatch.setattr(paper_studies, "depth_recording_names", lambda: (["a.mat", "b.mat"], []))
     plan = paper_studies.studies(replace(paper_studies.FULL, frames="0:12", faust=0))["depth"]
     assert (plan.sequences, plan.frames) == (("a.mat", "b.mat"), "0:12")
 
 
+@pytest.mark.recordings
 def test_recordings_under_the_data_folder_are_named_without_it(monkeypatch, tmp_path):
     """Results name the same recording alike on every machine."""
     monkeypatch.setenv("DDAKF_DATA", str(tmp_path))

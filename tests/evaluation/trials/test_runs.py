@@ -86,6 +86,7 @@ def test_variants_by_name_and_by_json():
             methods.configuration(wrong)
 
 
+@pytest.mark.recordings
 def test_what_there_is_not_is_named_and_no_row():
     for name in ("sequence", "view", "variant"):
         with pytest.raises(InvalidArgument, match="nowhere"):

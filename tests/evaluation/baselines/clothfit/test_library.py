@@ -1,6 +1,7 @@
 """What is scored is not learned from: neither it, nor its garment, nor its motion."""
 
 import numpy as np
+import pytest
 
 from ddakf import data
 from ddakf.evaluation.baselines.clothfit.library import Source, allowed, sources
@@ -25,6 +26,7 @@ def test_nothing_said_leaves_nothing_out():
     assert names(allowed(NO_LABELS, [*SOURCES, Source(RecordingLabels("", "", ""), data.SAMPLE)])) == ["a", "b", "c", "d", ""]
 
 
+@pytest.mark.recordings
 def test_recordings_at_hand_join_what_ships_if_they_have_a_body(tmp_path, monkeypatch):
     folder = tmp_path / "sequences"
     folder.mkdir()
@@ -41,6 +43,7 @@ def test_recordings_at_hand_join_what_ships_if_they_have_a_body(tmp_path, monkey
     assert not any(source.at_hand for source in sources())
 
 
+@pytest.mark.recordings
 def test_rehearsals_are_left_out_by_garment_and_motion(monkeypatch):
     monkeypatch.delenv("DDAKF_DATA", raising=False)
     left = allowed(RecordingLabels("mine", "T-shirt", "jump"), sources())
