@@ -20,7 +20,7 @@ from ddakf.commands.cli import _parser
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "protos/README.md",
-             ROOT / "clients/python/README.md"]  # fmt: skip
+             ROOT / "clients/python/README.md", ROOT / "results/README.md"]  # fmt: skip
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 CODE = re.compile(r"```(\w*)\n(.*?)```", re.S)
 

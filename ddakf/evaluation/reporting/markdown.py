@@ -2,28 +2,30 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.reporting.paper_tables import Cell, Table
 
 BEGIN, END = "<!-- ddakf report: begin -->", "<!-- ddakf report: end -->"
+MARK = re.compile(r"<!-- ddakf report: begin((?: [\w+-]+)*) -->")  # with the names of the tables that a document wants
 
 
 def rewritten(path: Path, tables: list[Table]) -> str:
-    """The document with these tables between its marks.
+    """The document with these tables between its marks, or with those alone that its first mark names.
 
     Raises:
         InvalidFile: no document with both marks.
     """
     text = path.read_text() if path.is_file() else ""
-    before, begin, rest = text.partition(BEGIN)
-    _, end, after = rest.partition(END)
-    if not (begin and end):
+    begin = MARK.search(text)
+    _, end, after = text[begin.end() :].partition(END) if begin else ("", "", "")
+    if not end:
         raise InvalidFile(str(path), f"a document with {BEGIN} and {END}", "none")
-    said: set[str] = set()
-    sections = [_section(table, said) for table in tables]
-    return before + BEGIN + "\n\n" + "\n\n".join(sections) + "\n\n" + END + after
+    names, said = begin[1].split(), set()
+    sections = [_section(table, said) for table in tables if not names or table.name in names]
+    return text[: begin.end()] + "\n\n" + "\n\n".join(sections) + "\n\n" + END + after
 
 
 def _section(table: Table, said: set[str]) -> str:
@@ -39,8 +41,5 @@ def _section(table: Table, said: set[str]) -> str:
 
 
 def _text(cell: Cell) -> str:
-    """A cell's text; the paper's numbers without their deviations, which the page has."""
     text = cell.text.replace("|", "\\|")
-    if cell.kind == "paper" and text != "–":
-        return f"_{text.partition(' ±')[0]}_"
-    return f"**{text}**" if cell.kind == "best" else text
+    return f"**{text}**" if cell.kind == "best" else f"_{text}_" if cell.kind == "paper" and text != "–" else text
