@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 from pathlib import Path
 
 from rich.console import Console
@@ -203,7 +204,8 @@ def readme_table(report: dict) -> str:
     place = f"{machine['cpu']}, {machine['cores']} cores, one thread used, Python {machine['python']}"
     if machine["load_average"] > BUSY:
         place += f" (other work ran beside it: load average {machine['load_average']})"
-    return "\n".join([*lines, "", f"Measured by `make bench` on {place}; `benchmarks/results/bench.json` has the rest."])
+    source = textwrap.fill(f"Measured by `make bench` on {place}; `benchmarks/results/bench.json` has the rest.", 100)
+    return "\n".join([*lines, "", source])
 
 
 def changes_table(report: dict) -> str:
