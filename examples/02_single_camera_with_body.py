@@ -1,4 +1,4 @@
-"""One depth camera sees half the garment; the body underneath says how the other half moves.
+"""Track from one depth camera: the body predicts the half of the garment that the camera does not see.
 
 python examples/02_single_camera_with_body.py
 """
@@ -21,7 +21,7 @@ body = ddakf.Mesh(sequence.body_vertices[FIRST], sequence.body_faces)  # in its 
 
 
 def track(with_body: bool) -> tuple[float, float]:
-    """RMSE in mm over the vertices that the camera measured, and over the others."""
+    """RMSE in mm of the measured vertices and of the others."""
     tracker = ddakf.Tracker(garment, body=body if with_body else None)
     tracker.reset(vertices=sequence.garment_vertices[FIRST])
     seen, hidden = [], []

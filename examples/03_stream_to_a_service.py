@@ -1,7 +1,7 @@
 """Stream clouds to a service over gRPC and read results as they come.
 
-python examples/03_stream_to_a_service.py                    starts a service of its own
-python examples/03_stream_to_a_service.py 127.0.0.1:7701     uses one that runs (ddakf serve)
+python examples/03_stream_to_a_service.py                    starts its own service
+python examples/03_stream_to_a_service.py 127.0.0.1:7701     uses a running service (ddakf serve)
 """
 
 import contextlib
@@ -36,7 +36,7 @@ def service(address: str | None):
 
 
 def frames(sequence):
-    """What a depth camera sees; the client pulls these in a thread of its own."""
+    """Frames of a depth camera; the client pulls them in its own thread."""
     camera, rng = Sensor("front"), np.random.default_rng(1)
     for number in range(1, FRAMES):
         cloud = camera.capture(sequence, number, rng)
@@ -51,7 +51,7 @@ def main() -> None:
         with client.create_session(
             sequence.template,
             sequence.garment_faces,
-            flow="lossless",  # every frame; "realtime" drops what comes too fast and counts it
+            flow="lossless",  # every frame; "realtime" drops and counts frames that come too fast
             codec="morton-zstd",
             fabric="cotton",
         ) as session:

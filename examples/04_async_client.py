@@ -1,4 +1,4 @@
-"""Two garments at once from one asyncio program.
+"""Track two garments at once from one asyncio program.
 
 python examples/04_async_client.py [HOST:PORT]
 """
@@ -21,7 +21,7 @@ FRAMES = 8
 
 @contextlib.contextmanager
 def service(address: str | None):
-    """The address of a service: the given one, or one of our own."""
+    """The address of a service."""
     if address:
         yield address
         return
@@ -35,7 +35,7 @@ def service(address: str | None):
 
 
 async def camera(sequence, view: str):
-    """Frames as they are taken; here 30 per second."""
+    """Frames at the camera's rate, 30 per second."""
     sensor, rng = Sensor(view), np.random.default_rng(1)
     for number in range(1, FRAMES):
         cloud = sensor.capture(sequence, number, rng)

@@ -1,8 +1,8 @@
-"""Bring a garment of your own: read it, repair it, and carry results back to the vertices of the file.
+"""Track your own garment: read it, repair it, map the results back to the file's vertices.
 
 python examples/05_your_own_mesh.py [GARMENT.obj|.ply]
 
-Without a file it writes one with the defects that exported garments have, from the bundled sample.
+Without a file it exports the bundled sample with typical defects.
 """
 
 import sys
@@ -18,7 +18,7 @@ from ddakf.files.io import read_mesh
 
 
 def write_export(path: Path) -> None:
-    """An .obj as a modelling program might leave it: unused vertices, a face twice, a face without an area."""
+    """Writes an .obj with typical defects: unused vertices, a duplicate face, a face without area."""
     sequence = data.sample()
     vertices = np.concatenate([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], sequence.template])
     faces = sequence.garment_faces + 2

@@ -1,7 +1,7 @@
-"""Send a depth camera's images as they are, and get the garment as it will be when it is shown.
+"""Send depth images and receive the garment at the time of display.
 
-python examples/06_depth_camera.py                    starts a service of its own
-python examples/06_depth_camera.py 127.0.0.1:7701     uses one that runs (ddakf serve)
+python examples/06_depth_camera.py                    starts its own service
+python examples/06_depth_camera.py 127.0.0.1:7701     uses a running service (ddakf serve)
 """
 
 import contextlib
@@ -37,7 +37,7 @@ def service(address: str | None):
 
 
 def images(sequence, camera: Camera):
-    """Millimetres as a phone's depth sensor has them, with 3 mm of noise, and which pixels are of the garment."""
+    """Frames with depth in millimetres, 3 mm of noise, and a mask of the garment's pixels."""
     rng = np.random.default_rng(1)
     for number in range(1, FRAMES):
         meshes = [
