@@ -257,7 +257,7 @@ def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
     assert "## What is not reproduced, and why\n\n| what | why |\n| --- | --- |\n" in text
     document.write_text(f"{markdown.BEGIN.replace('begin', 'begin by-sequence missing')}\n{markdown.END}\n")
     assert cli.main(arguments) == 0
-    assert re.findall("^## (.*)$", document.read_text(), re.M) == ["RMSE in mm by sequence", missing.TITLE]
+    assert re.findall("^## (.*)$", document.read_text(), re.M) == ["RMSE in mm by sequence", not_reproduced.TITLE]
     document.write_text("no marks")
     with pytest.raises(InvalidFile, match="a document with"):
         markdown.rewritten(document, [])
