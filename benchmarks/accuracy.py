@@ -21,7 +21,7 @@ from ddakf.evaluation.drawing import diagrams
 from ddakf.evaluation.sensors.degradations import DISTURBANCES
 from ddakf.evaluation.studies.execution import execute
 from ddakf.evaluation.studies.row_log import RowLog
-from ddakf.evaluation.trials import accuracy_tables
+from ddakf.evaluation.trials import accuracy_tables, calibration_pools
 from ddakf.evaluation.trials.methods import BASELINES
 from ddakf.evaluation.trials.recordings import find_recording, recording_names
 from ddakf.evaluation.trials.runs import START_FRAMES
@@ -43,7 +43,7 @@ def main(argv: list[str] | None = None) -> int:
         arguments.summary.write_text(lines(accuracy_tables.summary(read(arguments.out)) | {"machine": machine.describe()}))
         return 0
     if arguments.figure:
-        diagrams.reliability_diagram(arguments.figure, accuracy_tables.reliability_curves(read(arguments.out)))
+        diagrams.reliability_diagram(arguments.figure, calibration_pools.reliability_curves(read(arguments.out)))
         return 0
     wanted = starts(arguments) if arguments.starts else grid(arguments)
     execute(wanted, RowLog(arguments.out), arguments.procs, Console(stderr=True), arguments.again)

@@ -28,7 +28,7 @@ from ddakf.evaluation.drawing import diagrams
 from ddakf.evaluation.metrics.calibration import NOMINAL_PROBABILITIES
 from ddakf.evaluation.studies.execution import execute
 from ddakf.evaluation.studies.row_log import RowLog
-from ddakf.evaluation.trials import accuracy_tables
+from ddakf.evaluation.trials import accuracy_tables, calibration_pools
 from ddakf.evaluation.trials.recordings import find_recording, recording_names
 from ddakf.evaluation.trials.trial import Trial
 
@@ -37,7 +37,7 @@ OUT, DIAGRAM = ROOT / "out/calibration.jsonl", ROOT / "out/calibration.png"
 RESULT, PICTURE = ROOT / "benchmarks/results/calibration.json", ROOT / "docs/calibration.png"
 VIEWS = ("full", "full+body", "ring4", "front", "front+body")
 WANTED = 0.9  # share of the vertices in the ellipsoid of that probability
-OBSERVED, *HIDDEN = accuracy_tables.GROUPS
+OBSERVED, *HIDDEN = calibration_pools.GROUPS
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -57,7 +57,7 @@ def main(argv: list[str] | None = None) -> int:
     }
     print(accuracy_tables.calibration(rows, scale=factors))
     print(", ".join(f"{name} {value:.3f}" for name, value in constants.items()))
-    curves = accuracy_tables.reliability_curves(rows, scale=factors)
+    curves = calibration_pools.reliability_curves(rows, scale=factors)
     diagrams.reliability_diagram(arguments.diagram or (PICTURE if arguments.fit else DIAGRAM), curves)
     if arguments.fit:
         arguments.json.write_text(accuracy.lines(report(rows, factors, constants)))
@@ -83,10 +83,11 @@ def fitted(rows: list[dict]) -> dict[str, float]:
     Hidden vertices have one factor, which suits those on a body that is given: without it they may be claimed to be less certain
     than they are, but never more.
     """
-    half, _ = accuracy_tables.half_of(rows)
+    half, _ = calibration_pools.half_of(rows)
     inside = defaultdict(list)
     for name in half:
-        for group, pool in accuracy_tables.pooled(row for row in rows if row["sequence"] == name and "failed" not in row).items():
+        own = [row for row in rows if row["sequence"] == name and "failed" not in row]
+        for group, pool in calibration_pools.pooled(own).items():
             inside[group].append(pool["inside"])
     factor = {group: ellipsoid_scale(np.mean(shares, axis=0)) for group, shares in inside.items()}
     hidden = next(factor[group] for group in HIDDEN if group in factor)
@@ -105,10 +106,10 @@ def ellipsoid_scale(inside: npt.ArrayLike) -> float:
 
 def report(rows: list[dict], factors: dict[str, float], constants: dict[str, float]) -> dict:
     """What ``benchmarks/results`` keeps."""
-    half, other = accuracy_tables.half_of(rows)
+    half, other = calibration_pools.half_of(rows)
     parts = [
         {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in part.items()}
-        for part in accuracy_tables.calibrated(rows, scale=factors)
+        for part in calibration_pools.calibrated(rows, scale=factors)
     ]
     return {
         "machine": machine.describe(),

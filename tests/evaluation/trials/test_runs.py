@@ -15,7 +15,7 @@ from ddakf.evaluation import metrics
 from ddakf.evaluation.baselines.nicp import NonRigidIcp
 from ddakf.evaluation.metrics import calibration
 from ddakf.evaluation.sensors.degradations import DISTURBANCES
-from ddakf.evaluation.trials import accuracy_tables, methods, recordings, run_score, runs
+from ddakf.evaluation.trials import accuracy_tables, calibration_pools, methods, recordings, run_score, runs
 from ddakf.evaluation.trials.methods import BASELINES
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.evaluation.trials.variants import ablations, refinements
@@ -169,7 +169,7 @@ def test_pooling_two_runs_is_as_if_they_were_one():
         for target in (whole, part):
             target.add(error, 0 * error, m, nll)
     rows = [{"body": False, "observed": part.summary(), "hidden": None} for part in parts]
-    pool = accuracy_tables.pooled(rows)["observed"]
+    pool = calibration_pools.pooled(rows)["observed"]
     expected = whole.summary()
     assert pool["n"] == 40
     for name in ("coverage90", "nees3", "nll", "inside", "nll_constant"):
@@ -184,18 +184,18 @@ def test_a_rescaled_pool_is_that_of_other_claims(scale):
         m = (error**2).sum(axis=1) / sd**2
         claims.append(run_score.CalibrationSums())
         claims[-1].add(error, 0 * error, m, 0.5 * m + 3 * np.log(sd))
-    pool, expected = (accuracy_tables.pooled([{"body": True, "observed": None, "hidden": part.summary()}]) for part in claims)
-    got, expected = accuracy_tables.rescaled(pool["hidden, body given"], scale), expected["hidden, body given"]
+    pool, expected = (calibration_pools.pooled([{"body": True, "observed": None, "hidden": part.summary()}]) for part in claims)
+    got, expected = calibration_pools.rescaled(pool["hidden, body given"], scale), expected["hidden, body given"]
     for name, tolerance in (("n", 0), ("nees3", 1e-9), ("nll", 1e-9), ("coverage90", 0.01), ("inside", 0.01)):
         assert got[name] == pytest.approx(expected[name], abs=tolerance, rel=tolerance)
 
 
 def test_calibration_is_of_halves_of_the_recordings_and_a_scale_is_one_of_its_group(rows):
     other = [row | {"sequence": "another"} for row in rows]
-    parts = accuracy_tables.calibrated([*rows, *other])
+    parts = calibration_pools.calibrated([*rows, *other])
     assert {part["runs"] for part in parts} >= {"all", "another", "sample", "full"}
-    assert accuracy_tables.half_of([*rows, *other]) == (["another"], ["sample"])
-    wide = accuracy_tables.calibrated([*rows, *other], scale={"observed": 2.0})
+    assert calibration_pools.half_of([*rows, *other]) == (["another"], ["sample"])
+    wide = calibration_pools.calibrated([*rows, *other], scale={"observed": 2.0})
     for part, wider in zip(parts, wide, strict=True):
         factor = 4.0 if part["group"] == "observed" else 1.0
         assert wider["nees3"] == pytest.approx(part["nees3"] / factor)
@@ -220,7 +220,7 @@ def test_the_reliability_diagram_is_a_picture(rows, tmp_path):
     pytest.importorskip("matplotlib")
     from ddakf.evaluation.drawing.diagrams import reliability_diagram
 
-    curves = accuracy_tables.reliability_curves(rows)
+    curves = calibration_pools.reliability_curves(rows)
     assert "observed" in curves
     reliability_diagram(tmp_path / "new/reliability.png", curves)
     assert (tmp_path / "new/reliability.png").read_bytes().startswith(b"\x89PNG")
