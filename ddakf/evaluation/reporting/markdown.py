@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
+from textwrap import fill
 
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.reporting.paper_tables import Cell, Table
 
 BEGIN, END = "<!-- ddakf report: begin -->", "<!-- ddakf report: end -->"
 MARK = re.compile(r"<!-- ddakf report: begin((?: [\w+-]+)*) -->")  # with the names of the tables that a document wants
+
+LINES = partial(fill, width=100, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
 
 
 def rewritten(path: Path, tables: list[Table]) -> str:
@@ -35,9 +39,9 @@ def _section(table: Table, said: set[str]) -> str:
     body = "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
     new = [note for note in table.notes if note not in said]
     said.update(new)
-    notes = "\n" * bool(new) + "".join(f"\n- {note}" for note in new)
+    notes = "\n" * bool(new) + "".join("\n" + LINES(f"- {note}") for note in new)
     files = ", ".join(f"[{source.name}.json](../results/{source.name}.json)" for source in table.sources)
-    return f"## {table.title}\n\n{body}{notes}" + (f"\n\nFrom {files}." if files else "")
+    return f"## {table.title}\n\n{body}{notes}" + ("\n\n" + LINES(f"From {files}.") if files else "")
 
 
 def _text(cell: Cell) -> str:
