@@ -1,19 +1,24 @@
-"""Writes the tables of the documents that repeat what the code says; ``--check`` only compares.
+"""Reference tables of the documents, written from the code: ``python benchmarks/reference.py``; ``--check`` only compares.
 
 A table stands between ``<!-- NAME: begin -->`` and ``<!-- NAME: end -->``. Values, units and meanings come from the code
-and its comments; the reason for a value is written here, and a field without one fails the check.
+and its comments. The reason for a default is in the field's comment, after "; tuned", "; chosen" or "; fitted", or in REASONS.
+``--constants`` prints the numbers of the core that are module constants, with their comments.
 """
 
 from __future__ import annotations
 
 import argparse
+import ast
 import dataclasses
 import inspect
+import io
 import math
 import re
 import sys
+import textwrap
+import tokenize
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ddakf_api.errors import ERRORS
@@ -25,7 +30,8 @@ from ddakf import Config
 from ddakf.physics.fabric import PRESETS, Fabric
 from ddakf.stages.robust import gate_threshold
 
-DOCS = Path(__file__).parent
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+CORE = DOCS.parent / "ddakf"
 
 STAGE_OF = {
     "start": "start",
@@ -42,105 +48,92 @@ STAGE_OF = {
     "uncertainty": "F",
 }
 
-# "tuned": by measurement on the bundled sample and the recordings; "chosen": by judgement, without a fit.
+# Reason for a default. "tuned": by measurement on the sample and the recordings; "chosen": by judgement, without a fit.
+# A field of the same name in another variant of the stage shares its reason.
 REASONS = {
-    "Start.sd": "chosen: how exactly a caller places the template; not in the paper",
+    "Start.sd": "chosen: accuracy of a caller's placement; not in the paper",
     "Start.speed_sd": "chosen; not in the paper",
-    "Start.search": "a template that lies elsewhere is looked for; the paper starts at the truth",
+    "Start.search": "the paper starts at the truth",
     "Start.least_points": "chosen: fewer points fix no heading",
-    "ConstantVelocity.damping": "0 is the paper's constant velocity; damping keeps unseen vertices from running on; tuned",
-    "ConstantVelocity.acceleration": "the paper leaves Q open; tuned",
-    "ConstantVelocity.carry_reach": "chosen: loose cloth near the body moves with it; 0 in the paper, which has no body",
-    "ConstantVelocity.longest_step": "chosen: after a longer gap nothing is known about the motion",
+    "ConstantVelocity.damping": "tuned: unseen vertices do not run on; the paper has 0",
+    "ConstantVelocity.acceleration": "tuned; the paper leaves Q open",
+    "ConstantVelocity.carry_reach": "chosen: loose cloth moves with the body; the paper has no body",
+    "ConstantVelocity.longest_step": "chosen: after a longer gap the motion is unknown",
     "ConstantVelocity.worn_memory": "tuned: ten frames; a third of it gives the same",
-    "ConstantVelocity.worn_sd": "chosen: of the order of what loose cloth swings; a first guess that counts for little",
-    "ConstantAcceleration.damping": "as in ConstantVelocity",
-    "ConstantAcceleration.acceleration": "as in ConstantVelocity",
-    "ConstantAcceleration.carry_reach": "as in ConstantVelocity",
-    "ConstantAcceleration.longest_step": "as in ConstantVelocity",
-    "ConstantAcceleration.worn_memory": "as in ConstantVelocity",
-    "ConstantAcceleration.worn_sd": "as in ConstantVelocity",
-    "ConstantAcceleration.share": "tuned: all of it overshoots, as every estimate of it comes late",
+    "ConstantVelocity.worn_sd": "chosen: amplitude of swinging cloth; a weak first guess",
+    "ConstantAcceleration.share": "tuned: 1 overshoots, because every estimate is late",
     "ConstantAcceleration.memory": "tuned: three frames",
-    "GridFilter.points_per_cell": "tuned: large enough for a plane, small enough to be local",
-    "GridFilter.neighbours": "as KnnFilter",
-    "GridFilter.ratio": "as KnnFilter",
+    "GridFilter.points_per_cell": "tuned: enough for a plane, small enough to be local",
     "GridFilter.suspect_share": "tuned against k-NN statistics (16, 2): `make bench`, part outliers",
-    "GridFilter.sample": "enough for the mean of the dense part; the spread comes from the suspects",
-    "GridFilter.plane_radius": "all points that the 27 cells are sure to hold",
-    "GridFilter.planes_per_vertex": "tuned on what ships: far from its middle a plane misses the curvature; bounds the time",
-    "KnnFilter.neighbours": "the paper says k-NN and leaves k open",
-    "KnnFilter.ratio": "the paper leaves it open; with 16 neighbours the pair (16, 2) that Open3D's users know",
-    "KnnFilter.plane_radius": "as in GridFilter",
-    "PlaneAssociation.iterations": "the limit for fast frames; calm ones stop earlier; tuned",
-    "PlaneAssociation.least_iterations": "one pass alone cannot say whether the frame is calm",
-    "PlaneAssociation.tolerance": "chosen: a quarter of 3 mm of sensor noise",
-    "PlaneAssociation.wide_gate": "chosen: well above the motion between two frames",
-    "PlaneAssociation.narrow_gate": "tuned: keeps a sleeve from taking the torso's points",
-    "PlaneAssociation.narrowing": "tuned",
-    "PlaneAssociation.still": "saves searches that would find the same plane",
-    "PlaneAssociation.hidden_depth": "chosen: more than noise and the thickness of cloth on a body, less than an arm",
-    "PlaneAssociation.normal_cosine": "chosen, 60 degrees: front and back never match",
-    "PlaneAssociation.facing_cosine": "tuned, 78 degrees: planes of surface seen edge-on are poor, and pull it along itself",
+    "GridFilter.sample": "enough for the mean of the dense part; suspects give the spread",
+    "GridFilter.plane_radius": "the 27 cells contain all these points",
+    "GridFilter.planes_per_vertex": "tuned on the shipped recordings; bounds the time; a wide plane misses curvature",
+    "KnnFilter.neighbours": "the paper leaves k open",
+    "KnnFilter.ratio": "the paper leaves it open; (16, 2) is Open3D's usual pair",
     "Coarse.iterations": "tuned: the second still gains, a third does not",
     "Coarse.tolerance": "tuned",
-    "Coarse.least_innovation": "tuned: above what noise and calm motion leave, about 3 mm",
-    "Coarse.prior_sd": "tuned: how far predictions are off when motion is fast",
-    "Pyramid.iterations": "tuned: more of them gain nothing",
-    "Pyramid.tolerance": "chosen: what the passes that follow find anyway",
-    "Pyramid.strain": "tuned: what edges of 3 to 6 cm span may shrink and stretch by its wrinkles",
-    "Pyramid.rest": "tuned: holds the shape where strain holds it less",
-    "Pyramid.motion": "tuned: chords change their length when the cloth between their ends bends, but little in a frame",
-    "PlaneAssociation.turned": "tuned: of the order of an edge",
-    "PlaneAssociation.beside": "tuned: planes go on for about the distance between them, and beyond no surface is known",
+    "Coarse.least_innovation": "tuned: noise and calm motion leave about 3 mm",
+    "Coarse.prior_sd": "tuned: prediction error of fast motion",
+    "Pyramid.iterations": "tuned: more gain nothing",
+    "Pyramid.tolerance": "chosen: later passes correct that much",
+    "Pyramid.strain": "tuned: edges of 3 to 6 cm span wrinkles, and shrink and stretch by them",
+    "Pyramid.rest": "tuned: replaces part of the strain's stiffness",
+    "Pyramid.motion": "tuned: between two frames an edge's length changes little",
+    "PlaneAssociation.iterations": "tuned: limit for fast frames; calm ones stop earlier",
+    "PlaneAssociation.least_iterations": "one pass cannot tell whether the frame is calm",
+    "PlaneAssociation.tolerance": "chosen: a quarter of 3 mm of sensor noise",
+    "PlaneAssociation.wide_gate": "chosen: well above the motion between two frames",
+    "PlaneAssociation.narrow_gate": "tuned: a sleeve does not take the torso's points",
+    "PlaneAssociation.narrowing": "tuned",
+    "PlaneAssociation.still": "a new search would find the same plane",
+    "PlaneAssociation.beside": "tuned: a plane reaches about one spacing beyond its points",
+    "PlaneAssociation.normal_cosine": "chosen, 60 degrees: front and back never match",
+    "PlaneAssociation.turned": "tuned: about an edge",
+    "PlaneAssociation.facing_cosine": "tuned, 78 degrees: planes seen edge-on are poor and pull the surface along itself",
+    "PlaneAssociation.hidden_depth": "chosen: above noise and cloth thickness, below an arm",
     "PlaneAssociation.hem_reach": "tuned: farther than cloth slips, nearer than the next hem",
-    "PlaneAssociation.hem_sd": "tuned: half the distance between the points of a depth camera at 2 m",
-    "PlaneAssociation.tangential_sd": "tuned: of the order of an edge, as a plane says next to nothing along itself",
-    "NearestPoint.gate": "the paper has none; as wide as the default's first",
-    "Tukey.cutoff": "95 % efficiency under Gaussian noise (Holland and Welsch 1977); the paper leaves it open",
-    "Tukey.gate_probability": "the paper's tau as a quantile, so that it fits the innovation's dimension",
+    "PlaneAssociation.hem_sd": "tuned: half the point spacing of a depth camera at 2 m",
+    "PlaneAssociation.tangential_sd": "tuned: about an edge",
+    "NearestPoint.gate": "the paper has none; equals wide_gate",
+    "Tukey.cutoff": "95 % Gaussian efficiency (Holland and Welsch 1977); the paper leaves it open",
+    "Tukey.gate_probability": "the paper's tau as a quantile, valid for any dimension",
     "InnovationNoise.alpha": "the paper leaves it open; a memory of ten frames",
-    "InnovationNoise.epsilon": "the paper leaves it open; 1 mm squared",
-    "InnovationNoise.lowest_sd": "the paper names the bounds, not their values; chosen below a depth camera's noise",
-    "InnovationNoise.highest_sd": "the paper names the bounds, not their values; chosen",
+    "InnovationNoise.epsilon": "the paper leaves it open; 1 mm²",
+    "InnovationNoise.lowest_sd": "chosen: below a depth camera's noise; the paper gives no value",
+    "InnovationNoise.highest_sd": "chosen; the paper gives no value",
     "InnovationNoise.initial_sd": "chosen: near a depth camera's noise",
-    "ResidualNoise.alpha": "as in the paper's preset",
-    "ResidualNoise.epsilon": "as in the paper's preset",
-    "ResidualNoise.lowest_sd": "chosen: neighbouring planes share their error, however many points they average",
-    "ResidualNoise.highest_sd": "as in the paper's preset",
-    "ResidualNoise.initial_sd": "as in the paper's preset",
-    "Physics.stretch": "the paper leaves all weights open; tuned: soft enough for reconstructions that themselves stretch",
+    "ResidualNoise.lowest_sd": "chosen: neighbouring planes share their error",
+    "Physics.stretch": "tuned: soft enough for reconstructions that stretch; the paper leaves all weights open",
     "Physics.shear": "tuned: cloth shears more easily than it stretches",
-    "Physics.strain_scale": "tuned: a template is a guess, and a quadratic energy would give all its force to where it is wrong",
-    "Physics.strain_sd": "tuned: above what estimates of simulated garments show, below those of a dress that stretches",
+    "Physics.strain_scale": "tuned: bounds the force where the template is wrong",
+    "Physics.strain_sd": "tuned: above simulated garments' strain, below that of a dress that stretches",
     "Physics.strain_memory": "tuned: two or three frames; a median over thousands of faces needs little smoothing",
     "Physics.bend": "tuned: keeps folds",
-    "Physics.collision": "tuned: penetration below 0.1 mm in the mean; ten times stiffer makes tight garments stick",
+    "Physics.collision": "tuned: mean penetration below 0.1 mm; ten times stiffer makes tight garments stick",
     "Physics.thickness": "chosen",
-    "Physics.self_collision": "off: it helps where the estimate is good and holds on to crossings where it is not",
-    "Physics.gap_time": "chosen: some fifteen frames, so that no single one decides",
+    "Physics.self_collision": "off: it preserves crossings where the estimate is wrong",
+    "Physics.gap_time": "chosen: about fifteen frames, so that no single one decides",
     "Physics.motion_rigidity": "tuned",
-    "Physics.rest_rigidity": "tuned: more of it holds a loose skirt together, but a hidden half off its body",
-    "Physics.uneven_rigidity": "tuned: what keeps soft cloth from crumpling",
-    "Physics.strain_followed": "tuned: nearly all; a little is left so that an even strain does not wander",
+    "Physics.rest_rigidity": "tuned: more supports a loose skirt, but lifts a hidden half off its body",
+    "Physics.uneven_rigidity": "tuned: prevents crumpling of soft cloth",
+    "Physics.strain_followed": "tuned: the rest stops an even strain from wandering",
     "Physics.fabric": "the paper's single normalised setting (section 2.4)",
-    "MapUpdate.solver_iterations": "what is left over is corrected by the next pass; tuned for time",
-    "MapUpdate.solver_tolerance": "share of the force's norm, later twice that; the next pass corrects what is left over",
-    "MapUpdate.prior_sd": "tuned: vertices share the error of their prediction, so that alone each is known no better",
-    "DecoupledUpdate.longest_correction": "not in the paper, which says nothing of crumpled cloth; chosen",
+    "MapUpdate.solver_iterations": "tuned for time: the next pass corrects the remainder",
+    "MapUpdate.solver_tolerance": "share of the force's norm, later twice that; the next pass corrects the remainder",
+    "MapUpdate.prior_sd": "tuned: neighbours share the prediction's error",
+    "DecoupledUpdate.longest_correction": "chosen: the paper does not treat crumpled cloth",
     "Reliability.half_error": "chosen",
     "Reliability.recovery_below": "chosen",
     "Reliability.recovery_above": "chosen, above recovery_below: hysteresis",
-    "Reliability.recovery_lambda": "the paper raises lambda; measured, it drives a garment that stretched off its template",
-    "Reliability.doubt_below": "chosen: a predicted error of more than 10 cm",
-    "Reliability.lost_coverage": "chosen: so few measured vertices hold nothing in place",
+    "Reliability.recovery_lambda": "the paper raises lambda; measured, that drives a stretched garment off its template",
+    "Reliability.doubt_below": "chosen: a predicted error above 10 cm",
+    "Reliability.lost_coverage": "chosen: so few measurements fix nothing",
     "Reliability.lost_after": "chosen: 15 frames at 30 per second",
-    "Reliability.lost_after_empty": "chosen: no points say nothing about the fit for a while",
-    "PaperReliability.half_error": "as in Reliability",
+    "Reliability.lost_after_empty": "chosen: without points the fit is unknown, not bad",
     "PaperReliability.threshold": "below exp(-1), see stage G; the paper leaves tau open",
     "PaperReliability.recovery_lambda": "the paper leaves it open",
     "Uncertainty.observed_scale": "fitted on half of the recordings: python benchmarks/calibration.py --fit",
-    "Uncertainty.unseen_scale": "the other fitted one",
+    "Uncertainty.unseen_scale": "fitted likewise",
     "Uncertainty.strain_reach": "chosen: slid cloth is strained by about its error over that length",
     "Uncertainty.floor_sd": "chosen",
     "Uncertainty.ceiling_sd": "chosen: the bound of section 2.7",
@@ -149,17 +142,31 @@ REASONS = {
 
 
 def fields_table() -> str:
-    """Every field of every stage's configuration."""
-    lines = ["| field | default | unit, meaning | why this value |", "|---|---|---|---|"]
+    """Every field of every stage's configuration; of a variant that extends another one, its own fields."""
+    lines = ["| field | default | unit, meaning | reason |", "|---|---|---|---|"]
     for stage, variants in _variants().items():
         for variant in variants:
-            lines.append(f"| **{variant.__name__}** ({_stage_name(stage)}) | | {_first_sentence(variant)} | |")
+            base = next((other for other in variants if other in variant.__mro__[1:]), None)
+            meaning = _first_sentence(variant) + (f" All fields of {base.__name__}, and:" if base else "")
+            lines.append(f"| **{variant.__name__}** ({_stage_name(stage)}) | | {meaning} | |")
+            inherited = {field.name for field in dataclasses.fields(base)} if base else set()
             comments = _comments(variant)
-            for field in dataclasses.fields(variant):
+            for field in (field for field in dataclasses.fields(variant) if field.name not in inherited):
                 value = _shown(getattr(variant(), field.name))
-                why = REASONS.get(f"{variant.__name__}.{field.name}", "")
-                lines.append(f"| `{variant.__name__}.{field.name}` | {value} | {comments.get(field.name, '')} | {why} |")
+                comment, *reason = re.split(r"; (?=(?:tuned|chosen|fitted)\b)", comments.get(field.name, ""), maxsplit=1)
+                why = reason[0] if reason else _reason(variant, field.name, variants)
+                lines.append(f"| `{variant.__name__}.{field.name}` | {value} | {comment} | {why} |")
     return "\n".join(lines)
+
+
+def _reason(variant: type, name: str, variants: tuple[type, ...]) -> str:
+    """Reason for a default, its own or that of the stage's other variant; empty where none is given."""
+    sharing = [variant, *(other for other in variants if hasattr(other, name))]
+    found = (other.__name__ for other in sharing if f"{other.__name__}.{name}" in REASONS)
+    first = next(found, None)
+    if first is None or first == variant.__name__:
+        return REASONS.get(f"{first}.{name}", "")
+    return f"as {first}"
 
 
 def open_constants_table() -> str:
@@ -338,11 +345,11 @@ def errors_table() -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
-    "fields": ("algorithm.md", fields_table),
-    "open constants": ("algorithm.md", open_constants_table),
-    "derived": ("algorithm.md", derived_table),
-    "presets": ("algorithm.md", presets_table),
-    "fabrics": ("algorithm.md", fabrics_table),
+    "fields": ("configuration.md", fields_table),
+    "open constants": ("configuration.md", open_constants_table),
+    "derived": ("configuration.md", derived_table),
+    "presets": ("configuration.md", presets_table),
+    "fabrics": ("configuration.md", fabrics_table),
     "settings": ("operations.md", settings_table),
     "metrics": ("operations.md", metrics_table),
     "errors": ("operations.md", errors_table),
@@ -364,34 +371,77 @@ def fresh(document: str) -> str:
 
 
 def problems() -> list[str]:
-    """What a document says otherwise than the code, one sentence each."""
-    known = {f"{variant.__name__}.{f.name}" for variants in _variants().values() for v in variants for variant, f in _fields(v)}
-    found = [f"{name} has no reason: add it to REASONS in docs/constants.py" for name in sorted(known - set(REASONS))]
-    found += [f"{name} in docs/constants.py is no field any more" for name in sorted(set(REASONS) - known)]
+    """Differences between documents and code, one sentence each."""
+    classes = [variant for variants in _variants().values() for variant in variants]
+    known = {f"{variant.__name__}.{field.name}" for variant in classes for field in dataclasses.fields(variant)}
+    found = [f"{name} in benchmarks/reference.py is no field of the configuration" for name in sorted(set(REASONS) - known)]
     for document in sorted({where for where, _ in TABLES.values()}):
         if fresh(document) != (DOCS / document).read_text():
-            found.append(f"docs/{document} is not what the code says: run python docs/constants.py")
+            found.append(f"docs/{document} differs from the code: run python benchmarks/reference.py")
     return found
 
 
-def _fields(variant: type) -> list[tuple[type, dataclasses.Field]]:
-    return [(variant, field) for field in dataclasses.fields(variant)]
+def constants() -> list[tuple[str, str, str, str]]:
+    """Module constants of the core that hold numbers: module, name, value, comment."""
+    found = []
+    for path in sorted(CORE.rglob("*.py")):
+        module = str(path.relative_to(CORE.parent))
+        if module.startswith(("ddakf/evaluation", "ddakf/data", "ddakf/commands")):
+            continue
+        source = path.read_text()
+        beside, above = _line_comments(source)
+        for name, value, first, last in _assignments(ast.parse(source)):
+            if name.isupper() and any(isinstance(n, ast.Constant) and type(n.value) in (int, float) for n in ast.walk(value)):
+                found.append((module, name, ast.unparse(value), beside.get(last) or above.get(first, "")))
+    return found
 
 
 def _variants() -> dict[str, tuple[type, ...]]:
-    """The configuration classes of each stage, the default first."""
+    """The configuration classes of each stage, the default first, each followed by the classes of its fields."""
     hints = typing.get_type_hints(Config)
-    return {name: typing.get_args(hint) or (hint,) for name, hint in hints.items()}
+    variants = {name: typing.get_args(hint) or (hint,) for name, hint in hints.items()}
+    return {name: tuple(c for variant in classes for c in (variant, *_nested(variant))) for name, classes in variants.items()}
+
+
+def _nested(variant: type) -> list[type]:
+    values = (getattr(variant(), field.name) for field in dataclasses.fields(variant))
+    return [type(value) for value in values if dataclasses.is_dataclass(value) and not isinstance(value, Fabric)]
 
 
 def _comments(variant: type) -> dict[str, str]:
-    inherited = "".join(inspect.getsource(base) for base in variant.__mro__[::-1] if dataclasses.is_dataclass(base))
-    found = re.findall(r"^    (\w+): .*?\)\s+# (.*)$|^    (\w+): \w+ = \S+\s+# (.*)$", inherited, re.M)
-    return {a or b: x or y for a, x, b, y in found}
+    """Comments of the fields, beside or above them."""
+    found = {}
+    for base in (base for base in variant.__mro__[::-1] if dataclasses.is_dataclass(base)):
+        source = textwrap.dedent(inspect.getsource(base))
+        beside, above = _line_comments(source)
+        for name, _, first, last in _assignments(ast.parse(source).body[0]):
+            found[name] = beside.get(last) or above.get(first, "")
+    return found
+
+
+def _assignments(scope: ast.Module | ast.ClassDef) -> Iterator[tuple[str, ast.expr, int, int]]:
+    """Names assigned in a scope: name, value, first and last line."""
+    for node in scope.body:
+        targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+        for target in (target for target in targets if isinstance(target, ast.Name) and node.value is not None):
+            yield target.id, node.value, node.lineno, node.end_lineno
+
+
+def _line_comments(source: str) -> tuple[dict[int, str], dict[int, str]]:
+    """Comments beside code by their line, and comments of their own lines by the line below."""
+    beside, above = {}, {}
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            line, text = token.start[0], token.string.lstrip("# ")
+            if token.line[: token.start[1]].strip():
+                beside[line] = text
+            else:
+                above[line + 1] = f"{above.pop(line, '')} {text}".strip()
+    return beside, above
 
 
 def _stage_name(stage: str) -> str:
-    name = STAGE_OF[stage]
+    name = STAGE_OF.get(stage, stage)
     return f"stage {name}" if len(name) == 1 else name
 
 
@@ -402,6 +452,8 @@ def _first_sentence(cls: type) -> str:
 def _shown(value) -> str:
     if isinstance(value, Fabric):
         return next(name for name, preset in PRESETS.items() if preset == value)
+    if dataclasses.is_dataclass(value):
+        return type(value).__name__
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
@@ -411,10 +463,15 @@ def _code(names: str) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--check", action="store_true", help="change nothing; fail where a document is out of date")
-    if parser.parse_args().check:
+    parser.add_argument("--check", action="store_true", help="change nothing, fail where a document is out of date")
+    parser.add_argument("--constants", action="store_true", help="print the module constants of the core and change nothing")
+    arguments = parser.parse_args()
+    if arguments.constants:
+        print("\n".join(" | ".join(row) for row in constants()))
+        return 0
+    if arguments.check:
         found = problems()
-        print("\n".join(found) or "the documents' tables are what the code says")
+        print("\n".join(found) or "the documents' tables agree with the code")
         return bool(found)
     for document in sorted({where for where, _ in TABLES.values()}):
         (DOCS / document).write_text(fresh(document))
