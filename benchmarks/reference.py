@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import csv
 import dataclasses
 import inspect
 import io
@@ -37,7 +38,7 @@ STAGE_OF = {
     "start": "start",
     "predict": "A",
     "preprocess": "preprocessing",
-    "coarse": "coarse level",
+    "coarse": "cluster alignment",
     "pyramid": "pyramid",
     "associate": "B",
     "robust": "C",
@@ -141,22 +142,23 @@ REASONS = {
 }
 
 
-def fields_table() -> str:
-    """Every field of every stage's configuration; of a variant that extends another one, its own fields."""
-    lines = ["| field | default | unit, meaning | reason |", "|---|---|---|---|"]
+def fields() -> str:
+    """Every field of every stage's configuration as comma-separated values; of a variant that extends another, its own fields."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(("stage", "field", "default", "least", "most", "unit, meaning", "reason"))
     for stage, variants in _variants().items():
         for variant in variants:
             base = next((other for other in variants if other in variant.__mro__[1:]), None)
-            meaning = _first_sentence(variant) + (f" All fields of {base.__name__}, and:" if base else "")
-            lines.append(f"| **{variant.__name__}** ({_stage_name(stage)}) | | {meaning} | |")
             inherited = {field.name for field in dataclasses.fields(base)} if base else set()
             comments = _comments(variant)
             for field in (field for field in dataclasses.fields(variant) if field.name not in inherited):
-                value = _shown(getattr(variant(), field.name))
-                comment, *reason = re.split(r"; (?=(?:tuned|chosen|fitted)\b)", comments.get(field.name, ""), maxsplit=1)
-                why = reason[0] if reason else _reason(variant, field.name, variants)
-                lines.append(f"| `{variant.__name__}.{field.name}` | {value} | {comment} | {why} |")
-    return "\n".join(lines)
+                name, value = f"{variant.__name__}.{field.name}", _shown(getattr(variant(), field.name))
+                bounds = (_shown(bound) for bound in field.metadata.get("range", ("", "")))
+                meaning, *given = re.split(r"; (?=(?:tuned|chosen|fitted)\b)", comments.get(field.name, ""), maxsplit=1)
+                reason = given[0] if given else _reason(variant, field.name, variants)
+                rows.writerow((_stage_name(stage), name, value, *bounds, meaning, reason))
+    return out.getvalue()
 
 
 def _reason(variant: type, name: str, variants: tuple[type, ...]) -> str:
@@ -221,8 +223,8 @@ def open_constants_table() -> str:
         (
             "R_phys (2.4)",
             "covariance of the pseudo-measurement",
-            "none: each constraint has its own variance 1/(lambda k w)",
-            "H_phys, so that the gain is (P_pp⁻¹ + H)⁻¹",
+            "1/(lambda k w) of each constraint",
+            "H_phys: gain (P_pp⁻¹ + H)⁻¹",
             "no field",
         ),
         (
@@ -250,9 +252,8 @@ def derived_table() -> str:
     config, paper = Config(), Config.paper()
     limits = config.uncertainty
     rows = [
-        ("trace(P_pp), at most", f"{3 * limits.ceiling_sd**2:g} m²", "3 ceiling_sd²"),
+        ("trace(P_pp) and trace(covariance), at most", f"{3 * limits.ceiling_sd**2:g} m²", "3 ceiling_sd²"),
         ("trace(P_uu), at most", f"{3 * limits.ceiling_speed_sd**2:g} m²/s²", "3 ceiling_speed_sd²"),
-        ("trace of the reported covariance, at most", f"{3 * limits.ceiling_sd**2:g} m²", "3 ceiling_sd²"),
         ("sigma, at most", f"{limits.ceiling_sd:g} m", "ceiling_sd"),
         (
             "R along the normal, default",
@@ -266,7 +267,7 @@ def derived_table() -> str:
         ),
         ("s_k in the steady state", f"{math.exp(-1):.3f}", "exp(-1)"),
         (
-            "s_k, at least, where all measurements pass the gate and R is not clamped",
+            "s_k, at least, without gating and clamping of R",
             f"{math.exp(-1 / (1 - paper.adapt.alpha)):.2g}",
             "exp(-1 / (1 - alpha))",
         ),
@@ -293,7 +294,7 @@ def presets_table() -> str:
             shown = (", ".join(f"`{name}={_shown(getattr(v, name))}`" for name in differing) for v in (a, b))
         else:
             shown = (f"`{type(v).__name__}`" for v in (a, b))
-        lines.append(f"| {field.name} ({_stage_name(field.name)}) | {' | '.join(shown)} |")
+        lines.append(f"| `{field.name}` | {' | '.join(shown)} |")
     return "\n".join(lines)
 
 
@@ -345,7 +346,6 @@ def errors_table() -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
-    "fields": ("configuration.md", fields_table),
     "open constants": ("configuration.md", open_constants_table),
     "derived": ("configuration.md", derived_table),
     "presets": ("configuration.md", presets_table),
@@ -354,6 +354,11 @@ TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "metrics": ("operations.md", metrics_table),
     "errors": ("operations.md", errors_table),
 }
+
+
+def documents() -> dict[str, str]:
+    """Text of every document with tables, and of the list of fields, as the code has them now."""
+    return {document: fresh(document) for document in sorted({where for where, _ in TABLES.values()})} | {"fields.csv": fields()}
 
 
 def fresh(document: str) -> str:
@@ -375,8 +380,8 @@ def problems() -> list[str]:
     classes = [variant for variants in _variants().values() for variant in variants]
     known = {f"{variant.__name__}.{field.name}" for variant in classes for field in dataclasses.fields(variant)}
     found = [f"{name} in benchmarks/reference.py is no field of the configuration" for name in sorted(set(REASONS) - known)]
-    for document in sorted({where for where, _ in TABLES.values()}):
-        if fresh(document) != (DOCS / document).read_text():
+    for document, text in documents().items():
+        if not (DOCS / document).is_file() or text != (DOCS / document).read_text():
             found.append(f"docs/{document} differs from the code: run python benchmarks/reference.py")
     return found
 
@@ -473,8 +478,8 @@ def main() -> int:
         found = problems()
         print("\n".join(found) or "the documents' tables agree with the code")
         return bool(found)
-    for document in sorted({where for where, _ in TABLES.values()}):
-        (DOCS / document).write_text(fresh(document))
+    for document, text in documents().items():
+        (DOCS / document).write_text(text)
     found = problems()
     print("\n".join(found))
     return bool(found)
