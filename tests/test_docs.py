@@ -14,10 +14,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from ddakf import Config, Mesh, Tracker, data, tracker
+from ddakf import Config, Tracker, tracker
 from ddakf import config as configuration
 from ddakf.commands.cli import _parser
-from ddakf.files.sequence import Sequence
+from tests.tracker_runs import SAMPLE, SHIRT, WEARER
 
 ROOT = Path(__file__).parents[1]
 DOCUMENTS = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "protos/README.md",
@@ -59,20 +59,18 @@ def headings(document: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
-def steps(config: Config, sequence: Sequence) -> None:
-    """Four steps: tracking, a jump, and a search after it."""
-    garment = Mesh(sequence.template, sequence.garment_faces)
-    body = Mesh(sequence.body_vertices[0], sequence.body_faces)
-    started = Tracker(garment, body=body, config=config)
+def steps(config: Config) -> None:
+    """Four steps of the sample: tracking, a jump, and a search after it."""
+    started = Tracker(SHIRT, body=WEARER, config=config)
     for k, shift in enumerate((0.0, 0.0, 0.02, 0.5)):
-        points = sequence.garment_vertices[k] + np.float32([shift, 0, 0])
-        bodies = sequence.body_vertices[k] if k < 3 else None
+        points = SAMPLE.garment_vertices[k] + np.float32([shift, 0, 0])
+        bodies = SAMPLE.body_vertices[k] if k < 3 else None
         started.step(points, timestamp=k / 3, sensor_origin=(0.0, 1.0, 3.0), body_vertices=bodies)
 
 
 def visited_modules() -> set[str]:
     """Modules of the core, kernels excepted, that a new tracker and its steps run."""
-    sequence, found = data.sample(), set()
+    found = set()
 
     def visit(frame, event, _argument):
         name = frame.f_globals.get("__name__", "")
@@ -80,10 +78,10 @@ def visited_modules() -> set[str]:
             found.add(name.removeprefix("ddakf.").replace(".", "/"))
 
     for config in (Config(), Config.paper()):
-        steps(config, sequence)  # compiles the kernels, which a profile would slow down
+        steps(config)  # compiles the kernels, which a profile would slow down
         sys.setprofile(visit)
         try:
-            steps(config, sequence)
+            steps(config)
         finally:
             sys.setprofile(None)
     return found
