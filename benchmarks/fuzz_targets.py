@@ -16,7 +16,7 @@ from ddakf_api.arrays import pack, pack_mesh, unpack
 from ddakf_api.errors import ServiceError
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.store import checkpoints
-from ddakf_service.streaming.frame_bounds import require_payload_within
+from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
 from ddakf_service.workers import decode
 from ddakf_service.workers.pool import Limits
 from ddakf_service.workers.tracker_host import TrackerHost
@@ -149,7 +149,7 @@ def _depth_images() -> list[pb.DepthImage]:
 def _depth_image() -> Target:
     def run(data: bytes) -> None:
         frame = pb.Frame(depth_image=pb.DepthImage.FromString(data))
-        require_payload_within(frame, LIMITS.max_points, LIMITS.max_image_pixels)
+        require_frame_within_bounds(frame, LIMITS.max_points, LIMITS.max_image_pixels)
         arguments = decode.step_arguments(frame, LIMITS, None)
         assert len(arguments["points"]) <= LIMITS.max_image_pixels
 
@@ -169,7 +169,7 @@ def _frame() -> Target:
 
     def run(data: bytes) -> None:
         request = pb.TrackRequest.FromString(data)
-        require_payload_within(request.frame, LIMITS.max_points, LIMITS.max_image_pixels)
+        require_frame_within_bounds(request.frame, LIMITS.max_points, LIMITS.max_image_pixels)
         compute.reset("fuzz", b"")  # or one frame far in the future would have all that follow refused
         given = request.start.result_options if request.HasField("start") else options
         payload = join(given.SerializeToString(), request.frame.SerializeToString(), LIMITS.max_points)
@@ -221,7 +221,7 @@ def _tracker() -> ddakf.Tracker:
 
 
 def _restored(data: bytes) -> None:
-    tracker = decode.restored(data, LIMITS)
+    tracker = decode.tracker_from_snapshot(data, LIMITS)
     later = tracker.step(_sheet()[0], timestamp=(tracker._time or 0.0) + 1.0)
     assert np.isfinite(later.vertices).all()
 

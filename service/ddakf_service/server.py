@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from .auth.guard import Guard
-from .auth.key_database import StoredKeys
+from .auth.key_database import DatabaseKeyStore
 from .auth.keys import KeyRing
 from .auth.tls import Tls
 from .build import build
@@ -33,7 +33,7 @@ from .workers.pool import Limits, Progress
 log = logging.getLogger(__name__)
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_LAST_WORDS = 0.5  # seconds that ended streams have to deliver their status
+_STATUS_GRACE = 0.5  # seconds that ended streams have to deliver their status
 
 
 class Addresses(NamedTuple):
@@ -81,7 +81,7 @@ class Server:
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)
-        self._keys = KeyRing(StoredKeys(self._store.database), on_revoked=self._sessions.shut_out)
+        self._keys = KeyRing(DatabaseKeyStore(self._store.database), on_revoked=self._sessions.shut_out)
         guard = Guard(self._keys, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
         self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
@@ -91,7 +91,7 @@ class Server:
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()
-        self._telling: asyncio.Future | None = None
+        self._health_update: asyncio.Future | None = None
 
     async def run(self, progress: Progress, ready: Callable[[Addresses], None]) -> None:
         """Serves until SIGTERM or SIGINT; a second one ends the process at once.
@@ -108,7 +108,7 @@ class Server:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.add_signal_handler(number, self._on_signal)
         try:
-            await self._open_doors()
+            await self._load_keys()
             await self._sessions.load()
             addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
             warming = asyncio.create_task(self._start_pool(progress))
@@ -129,7 +129,7 @@ class Server:
         """Begins an orderly shutdown."""
         self._stopping.set()
 
-    async def _open_doors(self) -> None:
+    async def _load_keys(self) -> None:
         """Loads the keys, and says who gets in without one."""
         await self._keys.start()
         if not _anonymous(self._settings):
@@ -152,16 +152,16 @@ class Server:
         await self._sessions.drain(self._settings.drain_grace)
 
     async def _shut_down(self) -> None:
-        async with contextlib.AsyncExitStack() as parts:  # each of them ends, from the last on, whatever becomes of another
+        async with contextlib.AsyncExitStack() as shutdown:  # each of them ends, from the last on, whatever becomes of another
             for last, *of in (
                 (asyncio.to_thread, self._tracer.close),
                 (asyncio.to_thread, self._store.close),
                 (self._pool.stop,),
                 (self._keys.stop,),
                 (self._http.stop,),
-                (self._grpc.stop, _LAST_WORDS),
+                (self._grpc.stop, _STATUS_GRACE),
             ):
-                parts.push_async_callback(last, *of)
+                shutdown.push_async_callback(last, *of)
         log.info("stopped")
 
     def _on_signal(self) -> None:
@@ -185,9 +185,9 @@ class Server:
         self._recycled_seen = health.recycled
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
-        self._telling = asyncio.ensure_future(self._tell_health())
+        self._health_update = asyncio.ensure_future(self._publish_health())
 
-    async def _tell_health(self) -> None:
+    async def _publish_health(self) -> None:
         await self._grpc.serving(not self._not_ready())  # of this moment, should there have been another change meanwhile
 
 

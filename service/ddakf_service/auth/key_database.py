@@ -12,7 +12,7 @@ from .keys import PREFIX, Key
 from .principal import Scope
 
 
-class StoredKeys:
+class DatabaseKeyStore:
     """A :class:`~.keys.KeyStore` in a database that is open; raises ``Unavailable`` while that cannot be reached."""
 
     def __init__(self, database: Database):

@@ -69,17 +69,17 @@ class Tls(NamedTuple):
                 raise InvalidConfig("tls_client_ca", "PEM certificates", got) from None
         return context
 
-    def stamp(self) -> tuple[int, ...]:
+    def modification_times(self) -> tuple[int, ...]:
         """Changes when a file does."""
         return tuple(path.stat().st_mtime_ns for path in self if path is not None)
 
     def grpc_credentials(self) -> grpc.ServerCredentials:
         """That look at the files at every handshake."""
-        seen = [self.stamp()]
+        seen = [self.modification_times()]
 
         def fetch() -> grpc.ServerCertificateConfiguration | None:
             try:
-                now = self.stamp()
+                now = self.modification_times()
                 if now == seen[0]:
                     return None
                 self.context()  # a half-written pair is not taken
@@ -96,12 +96,12 @@ class Tls(NamedTuple):
 
         A context only ever gains authorities, so that another one takes its place at each handshake.
         """
-        current, seen, told = [context], self.stamp(), ""
+        current, seen, told = [context], self.modification_times(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
             await asyncio.sleep(_INTERVAL)
             try:
-                now = await asyncio.to_thread(self.stamp)
+                now = await asyncio.to_thread(self.modification_times)
                 if now == seen:
                     told = ""
                     continue

@@ -16,7 +16,7 @@ from rich.table import Table
 
 from ddakf.errors import InvalidArgument, InvalidConfig
 
-from ..auth.key_database import StoredKeys
+from ..auth.key_database import DatabaseKeyStore
 from ..auth.keys import PREFIX, Key, generate
 from ..auth.principal import Scope
 from ..observability.metrics import Metrics
@@ -41,13 +41,13 @@ def run(args: argparse.Namespace) -> int:
     database.open()
     with closing(database):
         try:
-            return _ACTIONS[args.action](StoredKeys(database), args)
+            return _ACTIONS[args.action](DatabaseKeyStore(database), args)
         except ServiceError as error:
             print(f"ddakf keys: {error}", file=sys.stderr)
             return 1
 
 
-def _create(keys: StoredKeys, args: argparse.Namespace) -> int:
+def _create(keys: DatabaseKeyStore, args: argparse.Namespace) -> int:
     if not 0 < len(args.name) <= _LONGEST_NAME:
         raise InvalidArgument("name", f"1 to {_LONGEST_NAME} characters", str(len(args.name)))
     if args.max_sessions < 0:
@@ -59,7 +59,7 @@ def _create(keys: StoredKeys, args: argparse.Namespace) -> int:
     return 0
 
 
-def _list(keys: StoredKeys, args: argparse.Namespace) -> int:
+def _list(keys: DatabaseKeyStore, args: argparse.Namespace) -> int:
     rows = [_row(key) for key in keys.all()]
     if args.json:
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
@@ -71,7 +71,7 @@ def _list(keys: StoredKeys, args: argparse.Namespace) -> int:
     return 0
 
 
-def _revoke(keys: StoredKeys, args: argparse.Namespace) -> int:
+def _revoke(keys: DatabaseKeyStore, args: argparse.Namespace) -> int:
     key_id = args.id.removeprefix(f"{PREFIX}_").partition("_")[0]
     if not keys.revoke(key_id, time.time()):
         raise InvalidArgument("id", "that of a key in force, as `ddakf keys list` shows it", repr(key_id[:40]))

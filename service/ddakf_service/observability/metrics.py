@@ -7,9 +7,7 @@ import functools
 from ddakf_api.v1 import tracking_pb2 as pb
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
-_REMEMBERED = 512  # labels that are looked up once: stages by codec and flow; clients may send any number as a codec
-
-
+_CACHED_LABELS = 512  # labels that are looked up once: stages by codec and flow; clients may send any number as a codec
 _LATENCY_BUCKETS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.033, 0.05, 0.066, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _STAGE_BUCKETS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.033, 0.066, 0.1, 0.5, 1.0)
 
@@ -55,8 +53,8 @@ class Metrics:
             self.frames.labels(outcome)
         # What every frame asks for, a dozen times.
         self._applied = self.frames.labels("applied")
-        self._whole = functools.lru_cache(_REMEMBERED)(self.frame_seconds.labels)
-        self._stage = functools.lru_cache(_REMEMBERED)(self.stage_seconds.labels)
+        self._whole = functools.lru_cache(_CACHED_LABELS)(self.frame_seconds.labels)
+        self._stage = functools.lru_cache(_CACHED_LABELS)(self.stage_seconds.labels)
 
     def observe(self, result: pb.Result, codec: str, flow: str) -> None:
         """Counts an applied frame; see :func:`codec_of` and :func:`flow_of`."""
@@ -84,7 +82,7 @@ def flow_of(mode: pb.FlowMode) -> str:
     return _label(pb.FlowMode, mode, pb.FLOW_MODE_REALTIME, "FLOW_MODE_")
 
 
-@functools.lru_cache(_REMEMBERED)
+@functools.lru_cache(_CACHED_LABELS)
 def _label(enum, value: int, default: int, prefix: str) -> str:
     value = value or default
     return enum.Name(value).removeprefix(prefix).lower() if value in enum.values() else "unknown"

@@ -98,7 +98,7 @@ class OtlpTracer:
         }
         span = self._tracer.start_span("frame", kind=self._kind, start_time=begin, attributes=attributes)
         inside = self._context_of(span)
-        for name, start, stop in parts(result.timings, begin):
+        for name, start, stop in frame_spans(result.timings, begin):
             self._tracer.start_span(name, context=inside, start_time=start).end(stop)
         span.end(end)
 
@@ -135,7 +135,7 @@ def tracer_for(sample: float, server_id: str) -> Tracer:
     return OtlpTracer(sample, server_id)
 
 
-def parts(timings: Mapping[str, float], begin: int) -> Iterable[tuple[str, int, int]]:
+def frame_spans(timings: Mapping[str, float], begin: int) -> Iterable[tuple[str, int, int]]:
     """Name, start and end (nanoseconds) of what a frame went through, one after the other from ``begin`` on.
 
     A stage that runs in several passes is one part, as long as all its passes.

@@ -1,1 +1,1 @@
-"""Sessions: their life from creation to end, and what survives a worker or the process."""
+"""Sessions: creation, catalog, end, and recovery from the loss of a worker or of the process."""

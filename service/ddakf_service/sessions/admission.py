@@ -1,4 +1,4 @@
-"""What a session may be that somebody asks for: its id, labels, limits and flow, and whether there is room for it."""
+"""Admission: checks of a new session's id, labels and limits, and quotas of sessions and streams."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _MAX_TEXT = 256  # characters of a label, its value or a request id
 _MAX_LABELS = 64  # of a session
 _SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
 _RETRY_WHEN_FULL = 5.0  # seconds
-_RESTORED = 8  # bytes that a restored tracker takes per byte of its snapshot, at most
+_RESTORED_BYTES_PER_SNAPSHOT_BYTE = 8  # upper bound of a restored tracker's memory
 _REAL_LIMITS = {
     "max_frame_rate": "frames per second",
     "idle_timeout": "seconds",
@@ -28,10 +28,10 @@ _REAL_LIMITS = {
 
 
 class Admission:
-    """The server's bounds on what is asked for. What makes no sense is an ``InvalidArgument`` that names its field.
+    """The server's bounds on requested sessions and streams. An invalid value raises ``InvalidArgument`` with its field.
 
     Attributes:
-        draining: the server is about to stop, and takes nothing new.
+        draining: the server is about to stop and accepts no sessions or streams.
     """
 
     def __init__(self, settings: Settings):
@@ -39,18 +39,25 @@ class Admission:
         self.draining = False
 
     def require_running(self, what: str) -> None:
-        """Refuses what is new, such as "streams", while the server drains: the last checkpoint would not know of it."""
-        if self.draining:
-            raise Draining(f"the server is about to stop and takes no new {what}")
-
-    def require_room(self, principal: Principal, owners: Sequence[str | None]) -> None:
-        """Refuses a session beyond the server's number, or beyond its key's.
+        """Rejects new work while the server drains, because the last checkpoints would miss it.
 
         Args:
-            owners: of the sessions that there are, one each.
+            what: plural noun for the message, such as "streams".
 
         Raises:
-            ResourceExhausted: naming whose bound it is.
+            Draining
+        """
+        if self.draining:
+            raise Draining(f"the server is about to stop and accepts no new {what}")
+
+    def require_room(self, principal: Principal, owners: Sequence[str | None]) -> None:
+        """Rejects a session beyond the quota of the server or of its key.
+
+        Args:
+            owners: the key of each live session.
+
+        Raises:
+            ResourceExhausted: the message names the server or the key.
         """
         s = self._settings
         for whose, count, most in (
@@ -63,10 +70,10 @@ class Admission:
                 )
 
     def require_stream_room(self, principal: Principal, key_ids: Sequence[str]) -> None:
-        """Refuses a stream or a watcher beyond the number of its key; who needs no key is bound by the sessions' own numbers.
+        """Rejects a stream or a watcher beyond the quota of its key. Callers without a key are bounded per session only.
 
         Args:
-            key_ids: of the streams and watchers that there are, one each.
+            key_ids: the key of each stream and watcher.
 
         Raises:
             ResourceExhausted
@@ -79,7 +86,7 @@ class Admission:
             )
 
     def limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
-        """What the client asked for, lowered to what the server allows."""
+        """The requested limits, lowered to those of the server."""
         s = self._settings
         for name, unit in _REAL_LIMITS.items():
             if not 0 <= getattr(asked, name) < math.inf:
@@ -89,25 +96,25 @@ class Admission:
         idle = min(asked.idle_timeout or s.idle_timeout, s.idle_timeout)
         return pb.SessionLimits(
             max_points=min(asked.max_points or s.max_points, s.max_points),
-            max_frame_rate=_lower(asked.max_frame_rate, s.max_frame_rate),
+            max_frame_rate=_smaller_bound(asked.max_frame_rate, s.max_frame_rate),
             idle_timeout=idle,
-            max_lifetime=_lower(asked.max_lifetime, s.max_lifetime),
+            max_lifetime=_smaller_bound(asked.max_lifetime, s.max_lifetime),
             max_frames_in_flight=min(asked.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
             departure_timeout=min(asked.departure_timeout or s.departure_timeout, idle),
         )
 
-    def mode(self, asked: pb.FlowMode) -> pb.FlowMode:
-        """The flow of a stream."""
+    def flow_mode(self, asked: pb.FlowMode) -> pb.FlowMode:
+        """The flow mode of a stream: the requested one, else the server's default."""
         if asked not in pb.FlowMode.values():
             raise InvalidArgument(field="flow_mode", expected="realtime or lossless", got=f"unknown value {asked}")
         if asked != pb.FLOW_MODE_UNSPECIFIED:
             return asked
         return pb.FLOW_MODE_LOSSLESS if self._settings.default_flow == "lossless" else pb.FLOW_MODE_REALTIME
 
-    def memory(self, request: pb.CreateSessionRequest | pb.RestoreSessionRequest) -> Memory:
-        """Estimate for a session whose meshes or snapshot nobody has read yet."""
+    def memory_estimate(self, request: pb.CreateSessionRequest | pb.RestoreSessionRequest) -> Memory:
+        """Estimated memory of a session before its meshes or its snapshot are decoded."""
         if isinstance(request, pb.RestoreSessionRequest):
-            return Memory(_RESTORED * len(request.data), 0)
+            return Memory(_RESTORED_BYTES_PER_SNAPSHOT_BYTE * len(request.data), 0)
         counts = []
         for mesh in (request.session.garment, request.session.body):
             double = mesh.vertices.encoding == pb.ARRAY_ENCODING_FLOAT64
@@ -116,12 +123,12 @@ class Admission:
 
 
 def is_session_id(text: str) -> bool:
-    """Whether a session may have, or have had, this id."""
+    """Whether the text has the form of a session id."""
     return _SESSION_ID.fullmatch(text) is not None
 
 
 def session_id(wanted: str) -> str:
-    """The id that was asked for, or one that nobody guesses."""
+    """The requested id, or a random one."""
     if not wanted:
         return "s-" + secrets.token_hex(8)
     if not is_session_id(wanted):
@@ -130,7 +137,7 @@ def session_id(wanted: str) -> str:
 
 
 def labels(session: pb.Session) -> dict[str, str]:
-    """The labels that were asked for."""
+    """The requested labels."""
     found = dict(session.labels)
     if len(found) > _MAX_LABELS:
         raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(found)))
@@ -141,13 +148,13 @@ def labels(session: pb.Session) -> dict[str, str]:
 
 
 def require_request_id(request_id: str) -> None:
-    """Refuses a request id that is none, or that PostgreSQL would not take, which has no NUL in a text."""
+    """Rejects an invalid request id. PostgreSQL stores no NUL in a text."""
     if len(request_id) > _MAX_TEXT:
         raise InvalidArgument(field="request_id", expected=f"at most {_MAX_TEXT} characters", got=str(len(request_id)))
     if "\0" in request_id:
         raise InvalidArgument(field="request_id", expected="text without NUL", got=repr(request_id[:80]))
 
 
-def _lower(asked: float, most: float) -> float:
-    """The smaller one of two bounds, where 0 is none."""
+def _smaller_bound(asked: float, most: float) -> float:
+    """The smaller of two bounds; 0 means not bounded."""
     return min(asked or most, most or asked)

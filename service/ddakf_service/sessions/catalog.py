@@ -1,4 +1,4 @@
-"""Which sessions there are and were, and who may know of them."""
+"""Catalog: live and ended sessions by id, and the caller's access to them."""
 
 from __future__ import annotations
 
@@ -12,32 +12,32 @@ from ..auth.principal import current_principal
 from ..store.session_record import SessionRecord
 from .session import Session
 
-REMEMBERED = 1024  # ended sessions whose reasons are known without the database
-LOAD_PAUSE = 3.0  # seconds between attempts to read the earlier sessions
+MAX_ENDED = 1024  # ended sessions whose reasons are in memory
+LOAD_RETRY_INTERVAL = 3.0  # seconds between attempts to read the earlier sessions
 _PAGE_SIZE, _MAX_PAGE_SIZE = 50, 1000
 
 
 class SessionCatalog:
-    """The live sessions by id, and why those that have ended did. What belongs to another key is answered as what is not there.
+    """Live sessions by id, and the reasons of ended ones. A session of another key is reported as not found.
 
     Args:
-        registered: reads the last session of an id from the registry; None: none is registered. Raises ``Unavailable``.
+        newest_record: reads the newest session of an id from the registry; None: no such session. Raises ``Unavailable``.
 
     Attributes:
-        complete: the sessions of before the start are among them.
+        loaded: the sessions from before the start of the process are included.
     """
 
-    def __init__(self, registered: Callable[[str], Awaitable[SessionRecord | None]]):
-        self._registered = registered
+    def __init__(self, newest_record: Callable[[str], Awaitable[SessionRecord | None]]):
+        self._newest_record = newest_record
         self._live: dict[str, Session] = {}
-        # Owner and reason, serialised, by id: an exception would keep what it was raised through, and a message has ten times
-        # its size in an arena on the heap, which could not shrink past it.
+        # Owner and serialised reason by id. An exception would keep its Python frames; a message would hold ten times its
+        # size in an arena, and the heap could not shrink below it.
         self._ended: OrderedDict[str, tuple[str | None, bytes]] = OrderedDict()
         self._shut_out: Set[str] = frozenset()
-        self.complete = False
+        self.loaded = False
 
     def __iter__(self) -> Iterator[Session]:
-        """The live ones, as of now: they may come and go meanwhile."""
+        """The live sessions at this moment; a copy."""
         return iter(list(self._live.values()))
 
     def __len__(self) -> int:
@@ -51,26 +51,27 @@ class SessionCatalog:
         self._ended.pop(session.id, None)
 
     def remove(self, session: Session, reason: ServiceError) -> None:
-        """Whoever may ask for it is told the reason from now on."""
+        """Removes a session; calls of its owner raise the reason from now on."""
         self._live.pop(session.id, None)
         self._ended[session.id] = session.owner, to_detail(reason).SerializeToString()
-        while len(self._ended) > REMEMBERED:
+        while len(self._ended) > MAX_ENDED:
             self._ended.popitem(last=False)
 
     def shut_out(self, key_ids: Set[str]) -> None:
-        """Keys that find nothing any more, though the guard may have let a call of theirs pass."""
+        """Sets the revoked keys. The guard may have admitted a call of theirs before."""
         self._shut_out = key_ids
 
-    def some(self, session_ids: Iterable[str]) -> list[Session]:
-        """Those of these ids that are there."""
+    def live(self, session_ids: Iterable[str]) -> list[Session]:
+        """The live sessions of these ids."""
         return [self._live[i] for i in session_ids if i in self._live]
 
     def readable(self, name: str) -> Session:
-        """A session that the key of this call may read.
+        """A live session that the caller's key may read.
 
         Raises:
-            SessionNotFound, or why it ended: there is none that the key may know of. Unauthenticated: the key was revoked.
-            Unavailable: the database has to be read first.
+            SessionNotFound: no live session that the key may read; if it has ended, the reason instead.
+            Unauthenticated: the key was revoked.
+            Unavailable: the earlier sessions are not loaded yet.
         """
         caller, session_id = current_principal.get(), name.removeprefix("sessions/")
         if caller.id in self._shut_out:
@@ -81,62 +82,62 @@ class SessionCatalog:
         owner, reason = self._ended.get(session_id, (None, None))
         if session is None and reason is not None and caller.may_read(owner):
             raise from_detail(pb.ErrorDetail.FromString(reason))
-        if session is None and not self.complete:
+        if session is None and not self.loaded:
             raise Unavailable(
-                f"whether there is a session {name[:80]!r} is not known before the database can be read; try again later",
-                retry_after=LOAD_PAUSE,
+                f"session {name[:80]!r} is not known before the database can be read; try again later",
+                retry_after=LOAD_RETRY_INTERVAL,
             )
         raise not_found(name)
 
-    def mine(self, name: str) -> Session:
-        """A session that the key of this call may use and change; raises as :meth:`readable`.
+    def changeable(self, name: str) -> Session:
+        """A live session that the caller's key may use and change; raises as :meth:`readable`.
 
         Raises:
-            PermissionDenied: the key may read it alone.
+            PermissionDenied: the key may only read it.
         """
         session = self.readable(name)
         if not current_principal.get().may_change(session.owner):
             raise PermissionDenied(f"{session.name} belongs to another key")
         return session
 
-    async def known(self, name: str) -> Session:
-        """As :meth:`readable`, but knows why a session ended even if that was before the start."""
+    async def lookup(self, name: str) -> Session:
+        """As :meth:`readable`, with the reasons of sessions that ended before the start of the process."""
         try:
             return self.readable(name)
         except SessionNotFound:
             session_id = name.removeprefix("sessions/")
-            remembered = session_id in self._ended or session_id in self._live
-            past = None if remembered else await self._past(session_id)
+            in_memory = session_id in self._ended or session_id in self._live
+            past = None if in_memory else await self._past(session_id)
             if past is not None and current_principal.get().may_read(past.owner):
                 raise from_detail(past.reason) from None
             raise
 
     async def _past(self, session_id: str) -> SessionRecord | None:
-        """The last session of this id, if it has ended; None: nothing is remembered of one, or not now."""
+        """The newest session of this id, if it has ended; None: no such session, or the database cannot be read."""
         try:
-            record = await self._registered(session_id)
+            record = await self._newest_record(session_id)
         except Unavailable:
             return None
         return record if record and record.reason else None
 
-    async def last(self, name: str) -> Session | SessionRecord:
-        """The live session of a name, or else the last past one; raises as :meth:`readable`."""
+    async def newest(self, name: str) -> Session | SessionRecord:
+        """The live session of a name, else the newest past one; raises as :meth:`readable`."""
         session_id = name.removeprefix("sessions/")
         if session_id in self._live:
             return self.readable(name)
-        record = await self._registered(session_id)
+        record = await self._newest_record(session_id)
         if record is None or not current_principal.get().may_read(record.owner):
             raise not_found(name)
         return record
 
     def page(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
-        """Oldest first, one page; the token is the id of the last session of the page before."""
+        """One page of sessions, oldest first; the token identifies the last session of the previous page."""
         size, caller = min(request.page_size or _PAGE_SIZE, _MAX_PAGE_SIZE), current_principal.get()
-        wanted = sorted((s for s in self if caller.may_read(s.owner) and _matches(s, request)), key=_token)
+        wanted = sorted((s for s in self if caller.may_read(s.owner) and _matches(s, request)), key=_page_token)
         if request.page_token:
-            wanted = [session for session in wanted if _token(session) > request.page_token]
+            wanted = [session for session in wanted if _page_token(session) > request.page_token]
         page = wanted[:size]
-        more = _token(page[-1]) if len(wanted) > size else ""
+        more = _page_token(page[-1]) if len(wanted) > size else ""
         return pb.ListSessionsResponse(sessions=[session.message() for session in page], next_page_token=more)
 
 
@@ -154,5 +155,5 @@ def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:
     )
 
 
-def _token(session: Session) -> str:
+def _page_token(session: Session) -> str:
     return f"{int(session.created * 1e6):020d}-{session.id}"

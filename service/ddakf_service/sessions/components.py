@@ -1,4 +1,4 @@
-"""Components that the operations on sessions and the streams share."""
+"""Components shared by the operations on sessions and the streams."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .tracker_access import TrackerAccess
 
 
 class SessionComponents(NamedTuple):
-    """One of each per server; :class:`.service.Sessions` makes them."""
+    """One of each per server, created by :class:`.service.Sessions`."""
 
     pool: WorkerPool
     settings: Settings

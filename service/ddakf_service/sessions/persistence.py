@@ -1,4 +1,4 @@
-"""What of the sessions outlives the process, and how they are had back from it."""
+"""Persistence: the sessions of this server in the registry, the history and the checkpoints."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from .session import Session
 
 log = logging.getLogger(__name__)
 
-_WRITE_PATIENCE = 1.0  # seconds that a creation waits to be registered
-_RETRY_AFTER = 5.0  # seconds, told to who asks for a session whose checkpoint cannot be read
-# Of a registered session: what is made anew from what else is known whenever it is shown.
-_SHOWN = ("name", "labels", "state", "create_time", "limits", "statistics", "etag", "expire_time", "checkpoint_time")
+_REGISTRATION_TIMEOUT = 1.0  # seconds that a creation waits for the database
+_RETRY_AFTER = 5.0  # seconds, for callers of a session whose checkpoint cannot be read
+# Fields of a registered session that :meth:`Session.message` computes from others.
+_DERIVED_FIELDS = ("name", "labels", "state", "create_time", "limits", "statistics", "etag", "expire_time", "checkpoint_time")
 
 
 class Persistence:
-    """The sessions of this server in its store. Nothing here waits but what is a coroutine."""
+    """The sessions of this server in its store. Only coroutines wait."""
 
     def __init__(
         self,
@@ -37,21 +37,20 @@ class Persistence:
     ):
         self._registry, self._history, self._checkpoints = registry, history, checkpoints
         self._server_id, self._require_name = server_id, require_name
-        self._saved: dict[int, tuple] = {}  # of each session, by uid: what its record says of it
+        self._saved: dict[int, tuple] = {}  # state as registered, by uid
 
-    def create(self, session: Session) -> None:
-        """A new session, and what it begins with, until there is a checkpoint of it."""
+    def register(self, session: Session) -> None:
+        """Registers a new session and its creation request, for a restart before the first checkpoint."""
         self.save(session)
-        self._registry.save_request(session.uid, session.beginning().SerializeToString())
+        self._registry.save_request(session.uid, session.creation_request().SerializeToString())
 
-    async def written(self, session: Session) -> None:
-        """Returns when a restart would know of the session, or when that takes too long: nobody waits for a database that
-        does not work."""
-        if not await self._registry.written(session.uid, _WRITE_PATIENCE):
+    async def wait_registered(self, session: Session) -> None:
+        """Returns when the session is in the database, or after a timeout: no creation waits for a failed database."""
+        if not await self._registry.written(session.uid, _REGISTRATION_TIMEOUT):
             log.warning("the session is not registered yet", extra={"session": session.id})
 
     def save(self, session: Session) -> None:
-        """What has changed of a session that lives, if anything has."""
+        """Registers the changes of a live session, if any."""
         if session.closed:
             return
         now = session.state, session.revision, session.checkpoint_number, session.statistics.SerializeToString()
@@ -65,7 +64,7 @@ class Persistence:
             self._checkpoints.save(session.uid, snapshot)
 
     def end(self, session: Session, reason: ServiceError) -> None:
-        """The session is no more; its history stays."""
+        """Registers the end of a session; its history remains."""
         self._saved.pop(session.uid, None)
         state = pb.SESSION_STATE_EXPIRED if isinstance(reason, SessionExpired) else pb.SESSION_STATE_CLOSED
         self._registry.end(self._record(session), to_detail(reason))
@@ -73,27 +72,32 @@ class Persistence:
         if self._checkpoints is not None:
             self._checkpoints.delete(session.uid)
 
-    async def last(self, session_id: str) -> SessionRecord | None:
-        """The last session of this id, live or past; None: nothing is remembered of one.
+    async def newest_record(self, session_id: str) -> SessionRecord | None:
+        """The newest session of this id, live or past; None: no such session.
 
         Raises:
             Unavailable: the database cannot be reached.
         """
         return await self._registry.newest(session_id) if is_session_id(session_id) else None
 
-    async def alive(self) -> list[Session]:
-        """The sessions that this server had when its process ended; their trackers are in no worker. Their clients may come
-        back from now on, for as long as they might have after leaving a stream.
+    async def live_sessions(self) -> list[Session]:
+        """The sessions of this server from before the start of the process, without a worker.
+
+        Their departure timeout starts now, as if their clients had just left.
 
         Raises:
-            Unavailable: the database cannot be reached, or another server may have them.
+            Unavailable: the database cannot be reached, or another server may have the sessions.
         """
         self._require_name()
         records = await self._registry.alive(self._server_id)
-        return [_session(record) for record in records]
+        return [_session_of(record) for record in records]
 
-    async def clean(self, sessions: Callable[[], Iterable[Session]]) -> None:
-        """Has checkpoints deleted that belong to none of these, as there are by then."""
+    async def delete_stale_checkpoints(self, sessions: Callable[[], Iterable[Session]]) -> None:
+        """Deletes the checkpoints of all other sessions.
+
+        Args:
+            sessions: called when the stored checkpoints are known, because sessions may be created meanwhile.
+        """
         if self._checkpoints is not None:
             try:
                 await self._checkpoints.keep_only(lambda: [session.uid for session in sessions()])
@@ -101,10 +105,10 @@ class Persistence:
                 log.warning("old checkpoints could not be deleted: %s", error)
 
     async def newest(self, session: Session) -> pb.SessionSnapshot | pb.CreateSessionRequest | None:
-        """What a session is had back from: its newest checkpoint, else its beginning; None: neither is there.
+        """The newest checkpoint of a session, else its creation request; None: neither is stored.
 
         Raises:
-            Unavailable: it cannot be read now.
+            Unavailable: the store cannot be read now.
         """
         try:
             snapshot = await self._checkpoints.newest(session.uid) if self._checkpoints is not None else None
@@ -119,11 +123,11 @@ class Persistence:
         return SessionRecord(self._server_id, session.message(), session.request_id, session.uid, owner=session.owner)
 
 
-def _session(record: SessionRecord) -> Session:
+def _session_of(record: SessionRecord) -> Session:
     message = record.session
     opened = pb.Session()
     opened.CopyFrom(message)
-    for field in _SHOWN:
+    for field in _DERIVED_FIELDS:
         opened.ClearField(field)
     return Session(
         record.id,
@@ -137,7 +141,7 @@ def _session(record: SessionRecord) -> Session:
         request_id=record.request_id,
         owner=record.owner,
         uid=record.uid,
-        seated=False,
-        asleep=True,
-        departed=monotonic(),
+        has_worker=False,
+        stored_only=True,
+        departure_time=monotonic(),
     )

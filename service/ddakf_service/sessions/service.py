@@ -1,4 +1,4 @@
-"""What can be done with the sessions of a server, from creation to end. Every transport speaks to this class alone."""
+"""Session service: the operations on sessions that all transports share, from creation to end."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from .tracker_access import TrackerAccess
 
 log = logging.getLogger(__name__)
 
-_EXPIRY_INTERVAL = 1.0  # seconds between looks for idle sessions
-_LAST_CHECKPOINTS = 10.0  # seconds that the last checkpoints may take
+_EXPIRY_INTERVAL = 1.0  # seconds between checks for expired sessions
+_LAST_CHECKPOINTS_TIMEOUT = 10.0  # seconds that the last checkpoints may take
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
 
 
 class Sessions:
-    """All sessions of this server; lives in the event loop and never computes.
+    """All sessions of this server; runs in the event loop and never computes.
 
     Args:
-        pool: where they are computed. Its ``on_lost`` should be :meth:`lose`.
-        store: what outlives this object, opened.
+        pool: the workers. Its ``on_lost`` should be :meth:`lose`.
+        store: durable state, opened.
 
     Attributes:
         components: shared with the streams.
@@ -47,7 +47,7 @@ class Sessions:
         self._pool, self._settings, self._store = pool, settings, store
         self._admission = Admission(settings)
         self._persistence = Persistence(store.registry, store.history, store.checkpoints, store.server_id, store.require_name)
-        self._catalog = catalog = SessionCatalog(self._persistence.last)
+        self._catalog = catalog = SessionCatalog(self._persistence.newest_record)
         self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up)
         self._tracker_access = TrackerAccess(catalog, self._durability)
         self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability)
@@ -60,14 +60,14 @@ class Sessions:
 
     @property
     def draining(self) -> bool:
-        """The server is about to stop, and takes nothing new."""
+        """Whether the server is about to stop and accepts no sessions or streams."""
         return self._admission.draining
 
     def _give_up(self, session: Session, reason: ServiceError) -> None:
         self._lifecycle.end(session, reason)
 
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
-        """Creates a session, or answers the one that the same request id created. It belongs to the key of the call."""
+        """Creates a session, or returns the one that the same request id created. The caller's key owns it."""
         require_compatible(request.api_version, peer="client")
         return await self._lifecycle.create(request, self._pool.open)
 
@@ -77,30 +77,29 @@ class Sessions:
         return await self._lifecycle.create(request, self._pool.restore)
 
     async def load(self) -> None:
-        """Takes the sessions back that this server had before its process ended; tries again, in the background, for as long
-        as the database cannot be reached."""
+        """Reloads the sessions from before the start of the process. Retries in the background until the database works."""
         await self._lifecycle.load()
 
     async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
-        session = await self._catalog.known(name)
-        if view == pb.SESSION_VIEW_FULL and session.asleep:
-            async with self._tracker_access.of(session):
+        session = await self._catalog.lookup(name)
+        if view == pb.SESSION_VIEW_FULL and session.stored_only:
+            async with self._tracker_access.exclusive(session):
                 pass
         return session.message(view)
 
     def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
-        """Those that the caller may read, oldest first, one page."""
+        """One page of the sessions that the caller may read, oldest first."""
         return self._catalog.page(request)
 
     async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
-        """Changes labels, limits, configuration and fabric, all of them or, when one cannot be used, none."""
-        change, session = request.session, self._catalog.mine(request.session.name)
+        """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid."""
+        change, session = request.session, self._catalog.changeable(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
             raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
         labels = admission.labels(change) if "labels" in paths else None
         limits = self._admission.limits(change.limits) if "limits" in paths else None
-        async with self._tracker_access.of(session):
+        async with self._tracker_access.exclusive(session):
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
                     f"{session.name} has been changed meanwhile: its etag is {session.revision}, not {change.etag[:80]}",
@@ -108,7 +107,7 @@ class Sessions:
                 )
             if paths & {"config_json", "fabric"}:
                 await self._configure(session, change, paths)
-            # What is not named stays as it is now: another call may have changed it while this one waited.
+            # A field that is not named keeps its present value: another call may have changed it meanwhile.
             session.labels = session.labels if labels is None else labels
             session.limits = session.limits if limits is None else limits
             session.revision += 1
@@ -116,88 +115,88 @@ class Sessions:
         return session.message()
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
-        """The configuration in force, or another one, and the fabric over it, or another one, as at creation."""
-        opened = session.opened
+        """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
+        opened = session.description
         wanted = pb.Session(
             config_json=change.config_json if "config_json" in paths else opened.config_json,
             fabric=change.fabric if "fabric" in paths else opened.fabric,
         )
         answer = pb.Session.FromString(await self._pool.configure(session.id, wanted.SerializeToString()))
-        await self._durability.secure(session)
+        await self._durability.checkpoint_now(session)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
-        """Starts the tracker again."""
-        session = self._catalog.mine(request.name)
-        payload = request.SerializeToString()
-        async with self._tracker_access.of(session):
-            await self._pool.reset(session.id, payload)
-            session.restarted(payload)
-            await self._durability.secure(session)
+        """Resets the tracker."""
+        session = self._catalog.changeable(request.name)
+        reset_request = request.SerializeToString()
+        async with self._tracker_access.exclusive(session):
+            await self._pool.reset(session.id, reset_request)
+            session.record_reset(reset_request)
+            await self._durability.checkpoint_now(session)
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
-        session = self._catalog.mine(name)
-        async with self._tracker_access.of(session):
+        session = self._catalog.changeable(name)
+        async with self._tracker_access.exclusive(session):
             data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
 
     async def delete(self, name: str) -> None:
-        session = self._catalog.mine(name)
+        session = self._catalog.changeable(name)
         self._lifecycle.end(session, SessionNotFound(f"{session.name} was deleted"))
-        await self._lifecycle.ended(session)
+        await self._lifecycle.wait_closed(session)
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
-        """What happened in a session over time, a live one or the last past one of the name.
+        """History of a live session, else of the newest past session of the name.
 
         Raises:
-            SessionNotFound: none is remembered. InvalidArgument: a time or number that makes no sense.
+            SessionNotFound: no such session. InvalidArgument: an invalid time or number.
             Unavailable: the database cannot be reached.
         """
-        found = await self._catalog.last(request.name)
+        found = await self._catalog.newest(request.name)
         if isinstance(found, Session):
             return await self._store.history.query(request, found.uid, found.created)
         return await self._store.history.query(request, found.uid, found.create_time, found.end_time)
 
     def shut_out(self, key_ids: Set[str]) -> None:
-        """Ends the streams and watchers of keys that were revoked; their sessions end as those that were left do."""
+        """Ends the streams and watchers of revoked keys. Their sessions expire after the departure timeout."""
         self._catalog.shut_out(key_ids)
         for session in self._catalog if key_ids else ():
             session.shut_out(key_ids, revoked())
 
     def lose(self, session_ids: Sequence[str]) -> None:
-        """Has the sessions whose worker is gone go on in another one, those with a stream first."""
-        lost = sorted(self._catalog.some(session_ids), key=lambda session: session.stream is None)
+        """Restores the sessions of a lost worker in another one, those with a stream first."""
+        lost = sorted(self._catalog.live(session_ids), key=lambda session: session.stream is None)
         for session in lost:
-            session.seated = False
+            session.has_worker = False
         for session in lost:
             self._durability.revive(session)
 
     async def expire_idle(self) -> None:
-        """Ends sessions whose time is over, and registers what has changed of the others; runs until it is cancelled."""
+        """Ends expired sessions and registers the changes of the others; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             for session in self._catalog:
                 try:
                     self._expire(session)
                     self._persistence.save(session)
-                except Exception:  # one session's trouble shall not keep the others for ever
-                    log.exception("a session could not be ended as it should", extra={"session": session.id})
+                except Exception:  # a failure of one session must not keep the others alive
+                    log.exception("a session could not be ended", extra={"session": session.id})
 
     def _expire(self, session: Session) -> None:
-        """Ends a session if its time is over."""
+        """Ends a session if it has expired."""
         moment, reason = session.expiry()
         if monotonic() > moment:
             log.info("the session expired", extra={"session": session.id})
             self._lifecycle.end(session, reason)
 
     async def drain(self, grace: float) -> None:
-        """Takes no more sessions, tells the streams, and returns when all have ended or after ``grace`` seconds, and the last
-        checkpoints are taken."""
+        """Accepts no more sessions, notifies the streams, waits up to ``grace`` seconds for their end, and takes the last
+        checkpoints."""
         self._admission.draining = True
-        message = f"the server stops in {grace:g} s; connect again later or elsewhere"
+        message = f"the server stops in {grace:g} s; reconnect later or elsewhere"
         for session in self._catalog:
-            session.tell(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
+            session.notify(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
         deadline = monotonic() + grace
         while any(s.stream for s in self._catalog) and monotonic() < deadline:
             await asyncio.sleep(0.02)
@@ -207,10 +206,10 @@ class Sessions:
                 session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
         for session in self._catalog:
             self._durability.background(self._last_checkpoint(session))
-        await self._durability.settle(_LAST_CHECKPOINTS)
+        await self._durability.settle(_LAST_CHECKPOINTS_TIMEOUT)
         for session in self._catalog:
             self._persistence.save(session)
-            self._lifecycle.forsake(session, Draining("the server has stopped; connect again later or elsewhere"))
+            self._lifecycle.release(session, Draining("the server has stopped; connect again later or elsewhere"))
 
     def _reconnect(self) -> pb.Notice:
         where = self._settings.successor
@@ -218,7 +217,7 @@ class Sessions:
         return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message=message, target=where)
 
     async def _last_checkpoint(self, session: Session) -> None:
-        """Of what was tracked since the one before; a frame that is in the worker is waited for."""
+        """Takes a checkpoint if frames were applied since the last one; waits for the frame in the worker."""
         async with session.lock:
-            if session.seated and session.placed != session.statistics.frames_applied:
+            if session.has_worker and session.checkpointed_frames != session.statistics.frames_applied:
                 self._durability.checkpoint(session)

@@ -1,4 +1,4 @@
-"""One session as the server knows it: who it is, what happened to its frames, and which stream it has."""
+"""Session: identity, limits, counters, stream and checkpoint of one session, outside its tracker."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ..store.session_record import new_uid
 from ..workers.pool import Memory
 from .watchers import Watchers
 
-_RATE_WINDOW = 3.0  # seconds over which the frame rate is counted
+_FRAME_RATE_WINDOW = 3.0  # seconds over which the frame rate is counted
 _IDLE_AFTER = 2.0  # seconds without a frame after which a session counts as idle
-_LAST_TIME = 253_402_300_799  # seconds since 1970 that a Timestamp holds: the end of the year 9999
+_MAX_TIMESTAMP = 253_402_300_799  # seconds since 1970 that a Timestamp holds: the end of the year 9999
 
 
 class ClientStream(Protocol):
@@ -44,29 +44,29 @@ class Session:
 
     Attributes:
         id: as in ``sessions/{id}``.
-        opened: what the worker answered when the session was created: configuration, counts, vertex map.
-        meshes: garment and body, apart because only the full view shows them.
-        labels, limits: as the client set them, within the server's bounds.
-        lock: held by whoever has a call of this session in the worker.
-        watchers: who reads the answers beside the session's client.
-        owner: the key that it was created with; None: none was needed.
-        request_id: of its creation, if there was one.
-        uid: a number that no other session has, or ever had.
-        seated: its tracker is in a worker.
-        asleep: it is known from the store alone, not even its meshes are here.
-        checkpoint: the newest snapshot, from which it goes on when its worker is lost.
-        checkpoint_time: when that was taken, seconds since 1970.
-        checkpoint_number: of that one; later ones have larger numbers.
-        placed: frames that were applied when a checkpoint was last asked for.
-        resumed: frames that were applied when it last went on from a checkpoint: those before are not forgotten twice.
-        last_reset: the serialised request of the last reset, where a session without a checkpoint begins again.
-        blames: when a worker was lost while it tracked a frame of this session (monotonic clock, seconds).
-        closed: it is no more.
-        departed: when its last stream ended (monotonic clock, seconds); None: it has one, or never had.
+        description: the worker's answer to the creation: configuration, counts, vertex map.
+        meshes: garment and body; separate, because only the full view contains them.
+        labels, limits: as requested by the client, within the server's bounds.
+        lock: held during a call of this session in the worker.
+        watchers: readers of the responses beside the session's client.
+        owner: id of the key that created the session; None: no key was needed.
+        request_id: of the creation, if any.
+        uid: number that no other session has or had.
+        has_worker: the tracker is in a worker.
+        stored_only: the session was loaded from the store without its meshes.
+        checkpoint: the newest snapshot, for a restore after the loss of the worker.
+        checkpoint_time: of that snapshot, seconds since 1970.
+        checkpoint_number: of that snapshot; increases with each one.
+        checkpointed_frames: applied frames when the last checkpoint was requested.
+        resumed_frames: applied frames at the last restore; frames before it are not counted as lost again.
+        last_reset: serialised request of the last reset, for a restore without a checkpoint.
+        worker_losses: times at which a worker was lost over a frame of this session (monotonic clock, seconds).
+        closed: the session has ended.
+        departure_time: end of the last stream (monotonic clock, seconds); None: a stream is open, or none ever was.
     """
 
     id: str
-    opened: pb.Session
+    description: pb.Session
     meshes: pb.Session
     limits: pb.SessionLimits
     labels: dict[str, str] = field(default_factory=dict)
@@ -80,17 +80,17 @@ class Session:
     owner: str | None = None
     request_id: str = ""
     uid: int = field(default_factory=new_uid)
-    seated: bool = True
-    asleep: bool = False
+    has_worker: bool = True
+    stored_only: bool = False
     checkpoint: pb.SessionSnapshot | None = None
     checkpoint_time: float | None = None
     checkpoint_number: int = 0
-    placed: int = 0
-    resumed: int = 0
+    checkpointed_frames: int = 0
+    resumed_frames: int = 0
     last_reset: bytes = b""
-    blames: deque[float] = field(default_factory=lambda: deque(maxlen=8))
+    worker_losses: deque[float] = field(default_factory=lambda: deque(maxlen=8))
     closed: bool = False
-    departed: float | None = None
+    departure_time: float | None = None
     _state: pb.SessionState = pb.SESSION_STATE_INITIALIZING
     _applied: deque[float] = field(default_factory=deque)
 
@@ -100,13 +100,13 @@ class Session:
 
     @property
     def memory(self) -> Memory:
-        """Estimate for its worker."""
-        count, body = self.opened.garment_vertex_count, self.opened.body_vertex_count
-        # A closed surface has twice as many faces as vertices; of the body's nobody has counted them.
-        return Memory.of(count, self.opened.garment_face_count, body, 2 * body, self.limits.max_points)
+        """Estimated memory in the worker."""
+        count, body = self.description.garment_vertex_count, self.description.body_vertex_count
+        # The body's faces are not counted; a closed surface has twice as many faces as vertices.
+        return Memory.of(count, self.description.garment_face_count, body, 2 * body, self.limits.max_points)
 
     def touch(self) -> None:
-        """The session is in use: its idle time starts again."""
+        """Restarts the idle time."""
         self.last_active = monotonic()
 
     @property
@@ -115,14 +115,14 @@ class Session:
         return monotonic() - self.last_active
 
     def expiry(self) -> tuple[float, SessionExpired]:
-        """When it expires if nothing more comes (monotonic clock, seconds), and what is said then."""
+        """Time of expiry without further frames (monotonic clock, seconds), and the error after it."""
         lifetime, idle, departure = self.limits.max_lifetime, self.limits.idle_timeout, self.limits.departure_timeout
         ends = [(self.last_active + idle, f"had no frame for {idle:g} s")]
-        if self.departed is not None:
-            away = max(self.departed, self.last_active) + departure
-            ends = [(away, f"was left by its client, which did not come back within {departure:g} s")]
+        if self.departure_time is not None:
+            away = max(self.departure_time, self.last_active) + departure
+            ends = [(away, f"was left by its client, which did not return within {departure:g} s")]
         if lifetime > 0:
-            ends.append((monotonic() + self.created + lifetime - time.time(), f"has lived for {lifetime:g} s, its longest"))
+            ends.append((monotonic() + self.created + lifetime - time.time(), f"reached its lifetime of {lifetime:g} s"))
         moment, why = min(ends)
         return moment, SessionExpired(f"{self.name} {why} and has expired")
 
@@ -135,7 +135,7 @@ class Session:
         now = monotonic()
         self.last_active = now
         self._applied.append(now)
-        self._forget_before(now - _RATE_WINDOW)
+        self._forget_before(now - _FRAME_RATE_WINDOW)
         self._state = pb.SessionState.ValueType(result.state)
         s = self.statistics
         s.frames_applied += 1
@@ -146,20 +146,20 @@ class Session:
         result.frames_applied, result.frames_dropped = s.frames_applied, s.frames_dropped
         result.frames_rejected, result.frames_late = s.frames_rejected, s.frames_late
 
-    def forget_since(self, checkpoint: pb.SessionStatistics) -> int:
-        """The tracker went back to a checkpoint; returns how many applied frames were forgotten by that."""
+    def record_recovery(self, checkpoint: pb.SessionStatistics) -> int:
+        """Records that the tracker was restored from a checkpoint. Returns the number of applied frames that were lost."""
         s = self.statistics
-        forgotten = max(s.frames_applied - max(checkpoint.frames_applied, self.resumed), 0)
-        self.resumed = s.frames_applied
+        lost = max(s.frames_applied - max(checkpoint.frames_applied, self.resumed_frames), 0)
+        self.resumed_frames = s.frames_applied
         s.recoveries += 1
-        s.frames_lost += forgotten
+        s.frames_lost += lost
         s.last_sequence_number, s.last_capture_time = checkpoint.last_sequence_number, checkpoint.last_capture_time
-        return forgotten
+        return lost
 
     def frame_rate(self) -> float:
-        """Frames applied per second over the last few seconds."""
+        """Applied frames per second over the last three seconds."""
         now = monotonic()
-        self._forget_before(now - _RATE_WINDOW)
+        self._forget_before(now - _FRAME_RATE_WINDOW)
         if len(self._applied) < 2:
             return 0.0
         return (len(self._applied) - 1) / max(now - self._applied[0], 1e-6)
@@ -168,15 +168,15 @@ class Session:
         while self._applied and self._applied[0] < then:
             self._applied.popleft()
 
-    def tell(self, notice: pb.Notice) -> None:
-        """Tells whoever reads the session's answers something in between."""
+    def notify(self, notice: pb.Notice) -> None:
+        """Sends a notice to the stream and the watchers."""
         if self.stream is not None:
             self.stream.notify(notice)
         else:
             self.watchers.publish(pb.TrackResponse(notice=notice))
 
-    def restarted(self, request: bytes) -> None:
-        """The tracker starts again, as a serialised request said."""
+    def record_reset(self, request: bytes) -> None:
+        """Records a reset of the tracker by a serialised request."""
         self._state, self.last_reset = pb.SESSION_STATE_INITIALIZING, request
         self.touch()
 
@@ -186,16 +186,16 @@ class Session:
             self.stream.end(error)
         self.watchers.shut_out(key_ids, error)
 
-    def beginning(self) -> pb.CreateSessionRequest:
-        """The request that opens the session again as it was opened."""
-        start = pb.Session(config_json=self.opened.config_json)
+    def creation_request(self) -> pb.CreateSessionRequest:
+        """The request that creates the session again."""
+        start = pb.Session(config_json=self.description.config_json)
         start.MergeFrom(self.meshes)
         return pb.CreateSessionRequest(session=start)
 
     def message(self, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
-        """The resource, with its meshes only in the full view."""
+        """The session as a message of the contract; with its meshes in the full view."""
         session = pb.Session()
-        session.CopyFrom(self.opened)
+        session.CopyFrom(self.description)
         if view == pb.SESSION_VIEW_FULL:
             session.MergeFrom(self.meshes)
         session.name, session.state, session.etag = self.name, self.state, str(self.revision)
@@ -206,15 +206,15 @@ class Session:
         session.statistics.frame_rate = self.frame_rate()
         session.statistics.memory_bytes = sum(self.memory)
         moment, _ = self.expiry()
-        if (expires := time.time() + moment - monotonic()) < _LAST_TIME:
+        if (expires := time.time() + moment - monotonic()) < _MAX_TIMESTAMP:
             session.expire_time.FromNanoseconds(int(expires * 1e9))
         if self.checkpoint_time is not None:
             session.checkpoint_time.FromNanoseconds(int(self.checkpoint_time * 1e9))
         return session
 
 
-def taken_meshes(opened: pb.Session) -> pb.Session:
-    """Garment and body of a worker's answer, which loses them."""
+def take_meshes(opened: pb.Session) -> pb.Session:
+    """Moves garment and body out of a worker's answer."""
     meshes = pb.Session(garment=opened.garment)
     if opened.HasField("body"):
         meshes.body.CopyFrom(opened.body)

@@ -1,4 +1,4 @@
-"""A turn of a session in its worker, which it is given back before where it has lost it."""
+"""Tracker access: exclusive access of a call to a session's tracker, after a restore where its worker was lost."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from .catalog import SessionCatalog, not_found
 from .durability import Durability
 from .session import Session
 
-_WORKER_PATIENCE = 5.0  # seconds that a call waits for its session to have a worker: less than clients wait for an answer
+_WORKER_TIMEOUT = 5.0  # seconds that a call waits for a restore: less than the timeout of clients
 
 
 class TrackerAccess:
-    """Where sessions have their turns. Their streams' frames wait longer, see :class:`.stream.Stream`."""
+    """Exclusive access for calls. Frames of a stream wait longer; see :class:`~ddakf_service.streaming.stream.Stream`."""
 
     def __init__(self, catalog: SessionCatalog, durability: Durability):
         self._catalog, self._durability = catalog, durability
 
     @contextlib.asynccontextmanager
-    async def of(self, session: Session) -> AsyncIterator[None]:
-        """The turn of a call: the session has a worker, and is locked.
+    async def exclusive(self, session: Session) -> AsyncIterator[None]:
+        """Context in which the session has a worker and is locked.
 
         Raises:
-            SessionNotFound: it has ended meanwhile. Unavailable: it has had no worker for too long.
+            SessionNotFound: the session has ended meanwhile. Unavailable: the restore took too long.
         """
         while True:
-            if not session.seated:
-                await self._seated_in_time(session)
+            if not session.has_worker:
+                await self._wait_for_worker(session)
             async with session.lock:
-                if self._catalog.readable(session.name) is not session:  # it ended meanwhile, and another has its name
+                if self._catalog.readable(session.name) is not session:  # it ended; another session has its name
                     raise not_found(session.name)
-                if session.seated:  # still
+                if session.has_worker:  # still
                     session.touch()
                     yield
                     return
 
-    async def _seated_in_time(self, session: Session) -> None:
-        """Has the session restored, which goes on even where this gives up, so that its caller has an answer.
+    async def _wait_for_worker(self, session: Session) -> None:
+        """Waits for the session's restore, which continues after a timeout.
 
         Raises:
-            Unavailable: it takes longer.
+            Unavailable: the restore takes longer.
         """
-        reviving = self._durability.revive(session)
-        await asyncio.wait({reviving}, timeout=_WORKER_PATIENCE)
-        if not reviving.done():
-            raise Unavailable(f"{session.name} waits for a worker; try again later", retry_after=_WORKER_PATIENCE)
-        reason = reviving.result()
-        if reason and not session.closed:  # of one that has ended the catalog knows why
+        restore = self._durability.revive(session)
+        await asyncio.wait({restore}, timeout=_WORKER_TIMEOUT)
+        if not restore.done():
+            raise Unavailable(f"{session.name} waits for a worker; try again later", retry_after=_WORKER_TIMEOUT)
+        reason = restore.result()
+        if reason and not session.closed:  # the catalog has the reason of an ended session
             raise reason

@@ -1,7 +1,7 @@
-"""Watchers: who reads a session's answers beside its client, and cannot slow it.
+"""Watchers: read-only readers of a session's responses beside its client.
 
-A session has one hub, :class:`Watchers`. It hands every answer, the same object to all, to the queue of each watcher;
-a full queue loses its oldest result. Nothing here waits, so neither the tracker nor another watcher is ever held up.
+A session has one hub, :class:`Watchers`. It appends every response, one shared object, to the queue of each watcher. A full
+queue drops its oldest result. Nothing here waits, so a slow watcher delays neither the tracker nor another watcher.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from collections.abc import AsyncIterator, Set
 from ddakf_api.errors import ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 
-# Answers that wait for one watcher. They are shared between the watchers, so this bounds what a session's answers take.
+# Queued responses per watcher. Watchers share the objects, so this bounds the memory of a session's responses.
 _CAPACITY = 4
 _RETRY_WHEN_FULL = 5.0  # seconds
 _ARRAY = pb.PackedArray.DESCRIPTOR
 
 
 class Watcher:
-    """One reader. A transport sends what :meth:`responses` yields, and calls :meth:`leave` at the end.
+    """One reader. A transport sends the responses that :meth:`responses` yields, and calls :meth:`leave` at the end.
 
     Args:
         hub: of the session.
@@ -42,10 +42,10 @@ class Watcher:
         self._error: Exception | None = None
         self.skipped = 0
 
-    def put(self, response: pb.TrackResponse, numbers: pb.TrackResponse) -> None:
-        """Leaves an answer, of which ``numbers`` is the one without arrays; the oldest result goes when there are too many."""
+    def put(self, response: pb.TrackResponse, small: pb.TrackResponse) -> None:
+        """Queues a response, or ``small``, the same without arrays. A full queue drops its oldest result."""
         whole = not response.HasField("result") or response.result.frames_applied % self._every_nth == 0
-        self._waiting.append(response if whole else numbers)
+        self._waiting.append(response if whole else small)
         if len(self._waiting) > _CAPACITY:
             oldest = next((r for r in self._waiting if r.HasField("result")), self._waiting[0])
             self._waiting.remove(oldest)
@@ -53,18 +53,18 @@ class Watcher:
         self._changed.set()
 
     def close(self, error: Exception | None) -> None:
-        """No more answers; those that wait are still read, and then ``error`` is raised, if any."""
+        """Closes the queue. Queued responses are still read; then ``error`` is raised, if any."""
         if not self._closed:
             self._closed, self._error = True, error
             self._changed.set()
 
     def leave(self) -> None:
-        """Nothing more is left for it. The frames of its error hold this."""
+        """Removes the watcher and drops its error, whose traceback refers to the watcher."""
         self._error = None
         self._hub.discard(self)
 
     async def responses(self) -> AsyncIterator[pb.TrackResponse]:
-        """Everything to send, beginning with Started; raises why the session ended."""
+        """All responses, Started first. Raises the reason of the session's end."""
         while True:
             while self._waiting:
                 yield self._waiting.popleft()
@@ -77,11 +77,11 @@ class Watcher:
             if error:
                 raise error
         finally:
-            del error  # which this frame, being one of its, would keep
+            del error  # the error's traceback refers to this Python frame: a reference cycle
 
 
 class Watchers:
-    """The hub of a session."""
+    """All watchers of one session."""
 
     def __init__(self):
         self._watchers: set[Watcher] = set()
@@ -90,14 +90,14 @@ class Watchers:
         return len(self._watchers)
 
     def key_ids(self) -> list[str]:
-        """The key of each watcher; empty: none."""
+        """The key id of each watcher; empty: no key."""
         return [watcher.key_id for watcher in self._watchers]
 
     def add(self, name: str, statistics: pb.SessionStatistics, every_nth: int, most: int, key_id: str) -> Watcher:
-        """A new watcher of the session of this name.
+        """Adds a watcher of the session of this name.
 
         Raises:
-            ResourceExhausted: there are ``most`` already.
+            ResourceExhausted: the session has ``most`` watchers.
         """
         if len(self) >= most:
             raise ResourceExhausted(f"{name} has its {most} watchers already; try again later", retry_after=_RETRY_WHEN_FULL)
@@ -111,31 +111,31 @@ class Watchers:
         return watcher
 
     def discard(self, watcher: Watcher) -> None:
-        """The watcher has left."""
+        """Removes a watcher."""
         self._watchers.discard(watcher)
 
     def publish(self, response: pb.TrackResponse) -> None:
-        """Hands an answer of the stream to every watcher; pongs are the client's alone."""
+        """Queues a response of the stream for every watcher, except pongs."""
         if not self._watchers or response.HasField("pong"):
             return
-        numbers = without_arrays(response)
+        small = without_arrays(response)
         for watcher in self._watchers:
-            watcher.put(response, numbers)
+            watcher.put(response, small)
 
     def shut_out(self, key_ids: Set[str], error: Exception) -> None:
-        """Those who read with one of these keys are told why they may no more."""
+        """Closes the watchers of these keys with an error."""
         for watcher in self._watchers:
             if watcher.key_id in key_ids:
                 watcher.close(error)
 
     def close(self, error: Exception | None) -> None:
-        """The session is gone; every watcher is told why."""
+        """Closes every watcher, with the reason of the session's end."""
         for watcher in self._watchers:
             watcher.close(error)
 
 
 def without_arrays(response: pb.TrackResponse) -> pb.TrackResponse:
-    """The answer with the numbers of its result alone; another kind of answer as it is."""
+    """A copy of a result without its arrays; any other response unchanged."""
     if not response.HasField("result"):
         return response
     numbers = pb.TrackResponse()

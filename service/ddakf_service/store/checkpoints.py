@@ -1,6 +1,6 @@
 """Checkpoints of sessions: one file or object per session and generation, through fsspec.
 
-The format: magic, version, SHA-256 and length of what follows, a serialised SessionSnapshot.
+Format: magic, version, SHA-256 and length of the rest, serialised SessionSnapshot.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ _HEADER = struct.Struct("<8sI32sQ")
 _MAGIC, _VERSION = b"DDAKFCKP", 1
 _SUFFIX, _UNFINISHED = ".checkpoint", ".unfinished"
 _FOLDER_NAME = re.compile("[0-9a-f]{16}")
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while nothing can be written
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while writes fail
 _READERS = 4  # threads
 
 
 class DamagedCheckpoint(ValueError):
-    """Bytes that are no whole checkpoint of a known version."""
+    """The bytes are not a complete checkpoint of a known version."""
 
 
 def pack(snapshot: pb.SessionSnapshot) -> bytes:
-    """A checkpoint's bytes."""
+    """Serialises a checkpoint."""
     body = snapshot.SerializeToString()
     return _HEADER.pack(_MAGIC, _VERSION, hashlib.sha256(body).digest(), len(body)) + body
 
@@ -52,42 +52,42 @@ def unpack(data: bytes) -> pb.SessionSnapshot:
     """The inverse of :func:`pack`.
 
     Raises:
-        DamagedCheckpoint: the bytes are not what was written, or of another version.
+        DamagedCheckpoint: the bytes are damaged or of another version.
     """
     if len(data) < _HEADER.size:
-        raise DamagedCheckpoint(f"{len(data)} bytes are no checkpoint")
+        raise DamagedCheckpoint(f"{len(data)} bytes are too few for a checkpoint")
     magic, version, digest, length = _HEADER.unpack_from(data)
     body = memoryview(data)[_HEADER.size :]
     if magic != _MAGIC:
-        raise DamagedCheckpoint("it does not begin like a checkpoint")
+        raise DamagedCheckpoint("the magic bytes are wrong")
     if version != _VERSION:
-        raise DamagedCheckpoint(f"its version is {version}, this program reads {_VERSION}")
+        raise DamagedCheckpoint(f"the version is {version}; this program reads {_VERSION}")
     if len(body) != length:
-        raise DamagedCheckpoint(f"it should have {length} bytes and has {len(body)}")
+        raise DamagedCheckpoint(f"{length} bytes expected, got {len(body)}")
     if hashlib.sha256(body).digest() != digest:
-        raise DamagedCheckpoint("its checksum is another")
+        raise DamagedCheckpoint("the checksum is wrong")
     try:
         return pb.SessionSnapshot.FromString(bytes(body))
     except DecodeError:
-        raise DamagedCheckpoint("it holds no snapshot") from None
+        raise DamagedCheckpoint("the content is not a snapshot") from None
 
 
 class Checkpoints:
     """The checkpoints of one server's sessions, written by one thread.
 
-    Only the newest snapshot of a session waits to be written, and one that cannot be written stays in memory until a newer
-    one comes or writing works again, so that a lost worker costs no more than usual on a full disk.
+    Only the newest snapshot of a session is queued. After a failed write it stays in memory until a newer one replaces it or
+    a write succeeds, so that a session survives a lost worker even on a full disk.
 
     Args:
-        url: of fsspec: ``file:///folder``, ``s3://bucket/prefix``, ``memory://...``.
-        server_id: a folder below the URL, so that servers may share one.
+        url: for fsspec: ``file:///folder``, ``s3://bucket/prefix``, ``memory://...``.
+        server_id: folder below the URL, so that servers may share the URL.
         keep: generations per session.
 
     Attributes:
-        folder: where they are, if in files of this machine.
+        folder: of the checkpoints, if on this machine's disk; else None.
 
     Raises:
-        InvalidConfig: naming ``checkpoint_url``: of a kind that fsspec does not know or whose driver is missing.
+        InvalidConfig: names ``checkpoint_url``: fsspec does not know its scheme, or the driver is missing.
     """
 
     def __init__(self, url: str, server_id: str, keep: int, metrics: Metrics):
@@ -106,18 +106,18 @@ class Checkpoints:
         self._deleted: set[int] = set()
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="checkpoints", daemon=True)
-        # Of its own, for who waits for objects that do not come shall not keep others from a thread.
+        # A pool of its own: readers of an unreachable store must not occupy the shared threads.
         self._readers = ThreadPoolExecutor(_READERS, "checkpoint-reader")
 
     def open(self) -> None:
-        """Begins to write."""
+        """Starts the writing thread."""
         self._thread.start()
 
     def save(self, uid: int, snapshot: pb.SessionSnapshot) -> None:
-        """Leaves a snapshot to be written, in place of one of the same session that still waits; never blocks.
+        """Queues a snapshot, in place of a queued one of the same session; never blocks.
 
-        The session in it should have its name, labels, limits, statistics and creation time: all that is not in the
-        tracker's own state.
+        The snapshot's session should have its name, labels, limits, statistics and creation time: everything that is not in
+        the tracker's state.
         """
         with self._changed:
             if uid not in self._deleted:
@@ -125,7 +125,7 @@ class Checkpoints:
                 self._changed.notify_all()
 
     async def newest(self, uid: int) -> pb.SessionSnapshot | None:
-        """The newest whole checkpoint of a session, written or not; None where there is none.
+        """The newest complete checkpoint of a session, written or queued; None without one.
 
         Raises:
             OSError: the checkpoints cannot be reached.
@@ -138,17 +138,17 @@ class Checkpoints:
         return await asyncio.get_running_loop().run_in_executor(self._readers, self._read_newest, uid)
 
     def delete(self, uid: int) -> None:
-        """Has all checkpoints of a session deleted; it has ended."""
+        """Queues the deletion of all checkpoints of an ended session."""
         with self._changed:
             self._waiting.pop(uid, None)
             self._deleted.add(uid)
             self._changed.notify_all()
 
     async def keep_only(self, uids: Callable[[], Iterable[int]]) -> None:
-        """Deletes the checkpoints of all sessions but these; for the start, where some may be left of ended ones.
+        """Deletes the checkpoints of all other sessions. At the start of a server, some may be left from ended sessions.
 
         Args:
-            uids: asked once it is known what there is: another session may begin before.
+            uids: called after the folders are listed, because sessions may be created meanwhile.
 
         Raises:
             OSError: the checkpoints cannot be reached.
@@ -160,12 +160,12 @@ class Checkpoints:
                 self.delete(int(name, 16))
 
     def flush(self, timeout: float) -> bool:
-        """Waits until everything left so far is written; False where it was not within ``timeout`` seconds."""
+        """Waits until the queue is empty; False after ``timeout`` seconds."""
         with self._changed:
             return self._changed.wait_for(lambda: not (self._waiting or self._writing or self._deleted), timeout)
 
     def close(self, timeout: float = 10.0) -> None:
-        """Writes what waits, once, and ends the thread; blocks at most ``timeout`` seconds."""
+        """Tries once to write the queue and ends the thread; blocks at most ``timeout`` seconds."""
         self._closing.set()
         with self._changed:
             self._changed.notify_all()
@@ -183,7 +183,7 @@ class Checkpoints:
             last = self._closing.is_set()
             try:
                 try:
-                    self._delete_ended()  # first, for what may be a full disk
+                    self._delete_ended()  # first, to free a full disk
                 finally:
                     self._write_waiting()
             except Exception as error:
@@ -216,7 +216,7 @@ class Checkpoints:
                     self._changed.notify_all()
 
     def _write(self, uid: int, snapshot: pb.SessionSnapshot) -> None:
-        """A new generation, whole or not at all; then the oldest ones go."""
+        """Writes a new generation atomically, then deletes the oldest ones."""
         started = monotonic()
         data = pack(snapshot)
         folder = self._folder(uid)
@@ -227,7 +227,7 @@ class Checkpoints:
             self._files.makedirs(folder, exist_ok=True)
             _write_atomically(path, data)
         else:
-            self._files.pipe_file(path, data)  # object stores show an object when it is whole
+            self._files.pipe_file(path, data)  # an object store shows an object only when it is complete
         self._metrics.checkpoint_seconds.observe(monotonic() - started)
         self._metrics.checkpoint_bytes.inc(len(data))
         for old in [*before, path][: -self._keep]:
@@ -238,7 +238,7 @@ class Checkpoints:
             try:
                 return unpack(self._files.cat_file(path))
             except DamagedCheckpoint as error:
-                log.error("a checkpoint is damaged and passed over: %s", error, extra={"file": path})
+                log.error("a damaged checkpoint is skipped: %s", error, extra={"file": path})
         return None
 
     def _generations(self, uid: int) -> list[str]:
@@ -276,10 +276,10 @@ def _number_of(path: str) -> int:
 
 
 def _write_atomically(path: str, data: bytes) -> None:
-    """Under another name first, which a start after a crash does not take for a checkpoint.
+    """Writes a file under a temporary name, which a later start does not read as a checkpoint, and renames it.
 
-    It has its own name before the disk has its bytes, so that a killed process has left it: after a power cut the checksum
-    tells, and the older ones are still there.
+    The rename comes before fsync, so that the checkpoint of a killed process is complete. After a power cut the checksum
+    reveals missing bytes, and older generations remain.
     """
     unfinished = path + _UNFINISHED
     try:

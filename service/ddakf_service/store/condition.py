@@ -1,4 +1,4 @@
-"""Whether a part of the store works: told to metrics at every failure, to the log once per change."""
+"""Condition of a part of the store: a metric at every failure, a log line at every change."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from sqlalchemy.exc import DBAPIError
 
 log = logging.getLogger(__name__)
 
-_LONGEST = 300  # characters of an error that are shown
+_LONGEST = 300  # characters of an error in a message
 
 
 class Condition:
-    """The condition of one part ("database", "checkpoints"). May be told from any thread.
+    """The condition of one part ("database", "checkpoints"). Any thread may call.
+
+    Args:
+        up, errors: metrics with a label for the part.
 
     Attributes:
-        problem: one sentence while the part does not work; empty while it does.
+        problem: one sentence while the part fails; empty while it works.
     """
 
     def __init__(self, part: str, up: Gauge, errors: Counter):
@@ -36,10 +39,10 @@ class Condition:
         before, self.problem = self.problem, f"the {self.part} cannot be reached or written: {sentence_of(error)}"
         self._up.set(0)
         if not before:
-            log.error("%s; tracking goes on, and this is tried again", self.problem, extra={"part": self.part})
+            log.error("%s; tracking continues, and the server tries again", self.problem, extra={"part": self.part})
 
 
 def sentence_of(error: Exception) -> str:
-    """What is wrong: its first line, without SQL and without values."""
+    """First line of an error's message, without SQL and values."""
     cause = error.orig if isinstance(error, DBAPIError) and error.orig else error
     return (str(cause).strip().partition("\n")[0] or type(cause).__name__)[:_LONGEST]

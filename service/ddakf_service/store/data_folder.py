@@ -1,4 +1,4 @@
-"""The folder of a server, and the locks that keep a second server out of what belongs to one."""
+"""Data folder of a server, and locks that exclude a second server from its files."""
 
 from __future__ import annotations
 
@@ -12,34 +12,35 @@ _LOCK = "lock"
 
 
 class Lock:
-    """A file that is one server's own from construction to :meth:`release`, or to the end of the process.
+    """A lock file, held from construction to :meth:`release` or to the end of the process.
 
     Args:
-        path: of the file, which is made.
-        setting: names what it stands for, as ``what`` does in words.
+        path: of the lock file, which is created.
+        setting: name of the setting that the lock protects.
+        place: the protected file or folder, for the message.
 
     Raises:
-        InvalidConfig: naming the setting: another server has it. OSError: it cannot be written.
+        InvalidConfig: names the setting: another server holds the lock. OSError: the file cannot be written.
     """
 
-    def __init__(self, path: Path, setting: str, what: str):
+    def __init__(self, path: Path, setting: str, place: str):
         self._file: IO[bytes] = path.open("ab")
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
             self._file.close()
-            raise InvalidConfig(setting, "a place that no other server uses", what) from None
+            raise InvalidConfig(setting, "a place that no other server uses", place) from None
 
     def release(self) -> None:
-        """Lets another server have it."""
+        """Releases the lock."""
         self._file.close()
 
 
 class DataFolder:
-    """A folder that is one server's own, as with a :class:`Lock`.
+    """A folder with a :class:`Lock`.
 
     Raises:
-        InvalidConfig: naming ``data_dir``: another server has it, or it cannot be written.
+        InvalidConfig: names ``data_dir``: another server holds the lock, or the folder cannot be written.
     """
 
     def __init__(self, path: Path):
@@ -51,15 +52,15 @@ class DataFolder:
             raise _unusable(path, error) from None
 
     def release(self) -> None:
-        """Lets another server in."""
+        """Releases the lock."""
         self._lock.release()
 
 
 def make_folder(path: Path) -> None:
-    """Makes it, for its owner's eyes only, unless it is there.
+    """Creates a folder that only its owner can read, unless it exists.
 
     Raises:
-        InvalidConfig: naming ``data_dir``.
+        InvalidConfig: names ``data_dir``.
     """
     try:
         path.mkdir(parents=True, exist_ok=True, mode=0o700)

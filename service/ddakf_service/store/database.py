@@ -1,7 +1,7 @@
-"""The database: an engine, migrations, one thread that writes, and queues of rows in front of it.
+"""Database: engine, migrations, and one writing thread behind queues of rows.
 
-Nobody waits for the database but who reads from it: writers leave rows in a :class:`RowQueue`. While the database cannot be
-reached the rows wait there, up to the queue's capacity, and are written when it comes back.
+Only readers wait for the database. Writers append rows to a :class:`RowQueue`. While the database cannot be reached, the rows
+stay there, up to the queue's capacity, and are written later.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ T = TypeVar("T")
 
 IN_MEMORY = "sqlite://"
 
-_GATHER = 0.25  # seconds for which rows are gathered before they are written together
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database does not work
-_CHORE_INTERVAL = 3600.0  # seconds between runs of the chores, such as retention
+_GATHER = 0.25  # seconds of rows per write
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.5, 15.0  # seconds between attempts while the database fails
+_PERIODIC_INTERVAL = 3600.0  # seconds between runs of the periodic tasks, such as retention
 _READERS = 4  # threads
-_READ_PATIENCE = 5.0  # seconds that a reader waits for a connection, and a connection attempt may take
-_RETRY_AFTER = 5.0  # seconds, told to who wanted to read
-_WAL_PAUSE = 0.02  # seconds between attempts to have an SQLite keep a write-ahead log
-_MIGRATION_LOCK = 0x6464616B66  # of PostgreSQL's advisory locks; "ddakf"
-# With these PostgreSQL notices within half a minute that the host of a connection is gone, and lets go of its locks.
+_READ_PATIENCE = 5.0  # seconds that a reader waits for a connection; also the timeout of a connection attempt
+_RETRY_AFTER = 5.0  # seconds, for callers that could not read
+_WAL_PAUSE = 0.02  # seconds between attempts to enable SQLite's write-ahead log
+_MIGRATION_LOCK = 0x6464616B66  # PostgreSQL advisory lock; "ddakf"
+# With these PostgreSQL detects a vanished client host within half a minute and releases its locks.
 _KEEPALIVES = " -c tcp_keepalives_idle=10 -c tcp_keepalives_interval=5 -c tcp_keepalives_count=3"
 
 _INSERTS = {"sqlite": sqlite.insert, "postgresql": postgresql.insert}
 _POSTGRES_ARGUMENTS = {
     "connect_timeout": int(_READ_PATIENCE),
-    "tcp_user_timeout": 10_000,  # ms; a vanished host is noticed after this long rather than after a quarter of an hour
+    "tcp_user_timeout": 10_000,  # ms; by default a vanished host is detected after a quarter of an hour
     "options": "-c statement_timeout=20000 -c lock_timeout=10000",
 }
 
@@ -61,14 +61,14 @@ class Database:
     """SQLite (write-ahead log) or PostgreSQL behind one writing thread.
 
     Args:
-        url: of SQLAlchemy, ``sqlite:///FILE``, ``postgresql+psycopg://...`` or :data:`IN_MEMORY`.
-        metrics: where failures and dropped rows are counted.
+        url: for SQLAlchemy: ``sqlite:///FILE``, ``postgresql+psycopg://...`` or :data:`IN_MEMORY`.
+        metrics: counts failures and dropped rows.
 
     Attributes:
-        file: of an SQLite; None: it is in memory, or a PostgreSQL.
+        file: of a SQLite database; None: in memory, or PostgreSQL.
 
     Raises:
-        InvalidConfig: naming ``database_url``: no URL, another kind of database, or its driver is missing.
+        InvalidConfig: names ``database_url``: invalid, another kind of database, or the driver is missing.
     """
 
     def __init__(self, url: str, metrics: Metrics):
@@ -78,19 +78,19 @@ class Database:
         self.condition = Condition("database", metrics.store_up, metrics.store_errors)
         self._dropped = metrics.store_dropped
         self._queues: list[RowQueue] = []
-        self._chores: list[Callable[[sa.Connection], None]] = []
+        self._periodic_tasks: list[Callable[[sa.Connection], None]] = []
         self._changed = threading.Condition()
-        self._hurry, self._closing = threading.Event(), threading.Event()
-        self._hurrying = 0
+        self._immediate, self._closing = threading.Event(), threading.Event()
+        self._immediate_users = 0
         self._migrated = False
-        self._chores_due = 0.0
+        self._periodic_due = 0.0
         self._thread = threading.Thread(target=self._run, name="database", daemon=True)
-        # Of its own, for who waits for an unreachable database shall not keep others from a thread.
+        # A pool of its own: readers of an unreachable database must not occupy the shared threads.
         self._readers = ThreadPoolExecutor(_READERS, "database-reader")
 
     def lasting_connections(self) -> sa.Engine | None:
-        """An engine for connections that are held, statement by statement, and let go of soon after their host has gone; None
-        where there is no server that would notice."""
+        """An engine of lasting autocommit connections, whose locks PostgreSQL releases soon after their host vanishes. None
+        for SQLite."""
         if self._engine.dialect.name != "postgresql":
             return None
         arguments = {**_POSTGRES_ARGUMENTS, "options": _POSTGRES_ARGUMENTS["options"] + _KEEPALIVES}
@@ -99,33 +99,33 @@ class Database:
         )
 
     def queue(self, capacity: int, write: Callable[[sa.Connection, list], None]) -> RowQueue:
-        """A queue whose rows ``write`` brings into the database.
+        """Creates a queue whose rows ``write`` writes to the database.
 
-        Queues are emptied in the order in which they were made. ``write`` runs in the writing thread and may be called
-        again with rows that it has written already, so it has to be an :meth:`upsert`.
+        Queues are emptied in the order of their creation. ``write`` runs in the writing thread and may get rows again that
+        it has already written, so it must use :meth:`upsert`.
 
         Args:
-            capacity: rows; the oldest is dropped, and counted, when one more comes.
+            capacity: rows; beyond it the oldest row is dropped and counted.
         """
         queue = RowQueue(self._changed, capacity, write, self._dropped.inc, self.condition.works)
         self._queues.append(queue)
         return queue
 
-    def chore(self, run: Callable[[sa.Connection], None]) -> None:
-        """Something to do in the writing thread at the start and every hour, each in a transaction of its own."""
-        self._chores.append(run)
+    def periodic_task(self, run: Callable[[sa.Connection], None]) -> None:
+        """Registers a task of the writing thread, at the start and every hour, in a transaction of its own."""
+        self._periodic_tasks.append(run)
 
     def upsert(self, table: sa.Table) -> sa.Insert:
-        """An INSERT that replaces the row of the same primary key."""
+        """An INSERT that replaces a row with the same primary key."""
         insert = _INSERTS[self._engine.dialect.name](table)
         others = {column.name: insert.excluded[column.name] for column in table.columns if not column.primary_key}
         return insert.on_conflict_do_update(index_elements=list(table.primary_key.columns), set_=others)
 
     def open(self) -> None:
-        """Migrates the tables and begins to write; blocks. A database that cannot be reached now is tried later.
+        """Migrates the tables and starts the writing thread; blocks. An unreachable database is tried again later.
 
         Raises:
-            InvalidConfig: the tables are of a newer version of this program.
+            InvalidConfig: a newer version of this program created the tables.
         """
         try:
             self._migrate()
@@ -138,7 +138,7 @@ class Database:
         self._thread.start()
 
     async def read(self, query: Callable[[sa.Connection], T]) -> T:
-        """What ``query`` makes of a connection, in another thread.
+        """Runs ``query`` on a connection in another thread and returns its result.
 
         Raises:
             Unavailable: the database cannot be reached.
@@ -153,38 +153,38 @@ class Database:
             with self._engine.begin() as connection:
                 return query(connection)
         except (DataError, IntegrityError, ProgrammingError):
-            raise  # a defect of the query
+            raise  # the query itself is wrong
         except (DBAPIError, PoolTimeout, OSError) as error:
             self.condition.fails(error)
             self._wake()
             raise Unavailable(f"{self.condition.problem}; try again later", retry_after=_RETRY_AFTER) from None
 
     def flush(self, timeout: float) -> bool:
-        """Waits until everything left so far is written; False where it was not within ``timeout`` seconds."""
-        with self.hurried(), self._changed:
+        """Waits until all queued rows are written; False after ``timeout`` seconds."""
+        with self.immediate_writes(), self._changed:
             self._changed.notify_all()
             return self._changed.wait_for(lambda: not self.waiting(), timeout)
 
     @contextlib.contextmanager
-    def hurried(self) -> Iterator[None]:
-        """Inside, rows are written as they come rather than gathered."""
+    def immediate_writes(self) -> Iterator[None]:
+        """Context in which rows are written at once instead of gathered."""
         with self._changed:
-            self._hurrying += 1
-            self._hurry.set()
+            self._immediate_users += 1
+            self._immediate.set()
         try:
             yield
         finally:
             with self._changed:
-                self._hurrying -= 1
-                if not self._hurrying:
-                    self._hurry.clear()
+                self._immediate_users -= 1
+                if not self._immediate_users:
+                    self._immediate.clear()
 
     def waiting(self) -> int:
-        """Rows that are not known to be written."""
+        """Number of rows that may not be in the database yet."""
         return sum(len(queue) for queue in self._queues)
 
     def close(self, timeout: float = 10.0) -> None:
-        """Writes what waits, once, and ends the thread; blocks at most ``timeout`` seconds."""
+        """Tries once to write all queued rows and ends the thread; blocks at most ``timeout`` seconds."""
         self._closing.set()
         self._wake()
         if self._thread.ident is not None:
@@ -221,30 +221,30 @@ class Database:
         if not self._migrated:
             self._migrate()
         elif self.condition.problem:
-            with self._engine.begin() as connection:  # without a row to write, a reader's failure is looked into
+            with self._engine.begin() as connection:  # after a reader's failure, without a row to write
                 connection.execute(sa.select(1))
         for queue in self._queues:
             queue._flush(self._engine)
-        if monotonic() >= self._chores_due:
-            for run in self._chores:
+        if monotonic() >= self._periodic_due:
+            for run in self._periodic_tasks:
                 with self._engine.begin() as connection:
                     run(connection)
-            self._chores_due = monotonic() + _CHORE_INTERVAL
+            self._periodic_due = monotonic() + _PERIODIC_INTERVAL
 
     def _wait_for_rows(self) -> None:
         with self._changed:
             self._changed.wait_for(
                 lambda: self.waiting() or self._closing.is_set() or self.condition.problem,
-                max(self._chores_due - monotonic(), 0),
+                max(self._periodic_due - monotonic(), 0),
             )
         if not self._closing.is_set():
-            self._hurry.wait(_GATHER)
+            self._immediate.wait(_GATHER)
 
     def _migrate(self) -> None:
         config = alembic.config.Config()
         config.set_main_option("script_location", str(Path(__file__).parent / "migrations"))
         with self._engine.connect().execution_options(ddakf_begin="IMMEDIATE") as connection, connection.begin():
-            if connection.dialect.name == "postgresql":  # SQLite's transaction is exclusive already
+            if connection.dialect.name == "postgresql":  # SQLite's transaction is exclusive
                 connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_MIGRATION_LOCK)))
             config.attributes["connection"] = connection
             alembic.command.upgrade(config, "head")
@@ -256,7 +256,7 @@ def _engine(url: str) -> sa.Engine:
     try:
         parsed = sa.make_url(url)
     except ArgumentError:
-        raise InvalidConfig("database_url", expected, "text that is no URL") from None  # it may hold a password
+        raise InvalidConfig("database_url", expected, "text that is no URL") from None  # without the text: it may hold a password
     shown = parsed.render_as_string(hide_password=True)
     if parsed.get_backend_name() not in _INSERTS:
         raise InvalidConfig("database_url", expected, shown)
@@ -265,7 +265,7 @@ def _engine(url: str) -> sa.Engine:
             return sa.create_engine(
                 parsed, hide_parameters=True, pool_pre_ping=True, pool_timeout=_READ_PATIENCE, connect_args=_POSTGRES_ARGUMENTS
             )
-        # One connection in memory, which all share in turn; of a file as many as wanted: readers never wait in WAL.
+        # In memory: one connection, shared in turn. A file: any number, because WAL readers never wait.
         pool = {"poolclass": sa.QueuePool, "pool_size": 1, "max_overflow": 0} if _file(parsed) is None else {}
         engine = sa.create_engine(
             parsed,
@@ -282,24 +282,24 @@ def _engine(url: str) -> sa.Engine:
 
 
 def _file(url: sa.URL) -> Path | None:
-    """Of an SQLite that is not in memory."""
+    """The file of a SQLite URL; None for memory or another database."""
     if url.get_backend_name() != "sqlite" or url.database in (None, "", ":memory:"):
         return None
     return Path(url.database.removeprefix("file:")).absolute()
 
 
 def _prepare_sqlite(connection, _) -> None:
-    connection.isolation_level = None  # transactions begin where SQLAlchemy says so, DDL included
+    connection.isolation_level = None  # SQLAlchemy begins transactions, also around DDL
     deadline = monotonic() + _READ_PATIENCE
     while True:
         try:
             connection.execute("PRAGMA journal_mode = WAL")
             break
-        except sqlite3.OperationalError:  # two that make the file at a time: SQLite itself does not wait here
+        except sqlite3.OperationalError:  # another connection creates the file: SQLite does not wait here
             if monotonic() > deadline:
                 raise
             sleep(_WAL_PAUSE)
-    connection.execute("PRAGMA synchronous = NORMAL")  # with WAL: no damage, at most the last commits at a loss of power
+    connection.execute("PRAGMA synchronous = NORMAL")  # with WAL a power cut loses at most the last commits and damages nothing
 
 
 def _begin_sqlite(connection: sa.Connection) -> None:

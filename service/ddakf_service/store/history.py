@@ -1,4 +1,4 @@
-"""What happened in a session over time: one row per second with frames, and the changes of its state."""
+"""History of sessions: one row of sums per second with frames, and the changes of state."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from .database import Database
 from .tables import history, state_changes
 
-_CAPACITY = 50_000  # rows that wait for a database that cannot be reached; about half a kilobyte each
+_CAPACITY = 50_000  # queued rows while the database cannot be reached; about half a kilobyte each
 _MAX_CHANGES = 10_000  # changes of state in one answer
 _SAMPLES, _MAX_SAMPLES = 500, 10_000
 
 
 @dataclass(slots=True)
 class Aggregate:
-    """A session's frames of some seconds, from ``second`` on. Sums are over the applied frames."""
+    """Sums of a session's frames over some seconds from ``second`` on. Sums are over the applied frames."""
 
     uid: int
     second: int
@@ -39,7 +39,7 @@ class Aggregate:
     greatest_latency: float = 0.0
 
     def add(self, other: Aggregate) -> None:
-        """Makes the frames of another one part of this one."""
+        """Adds the frames of another aggregate."""
         for name in _SUMMED:
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.least_reliability = min(self.least_reliability, other.least_reliability)
@@ -75,8 +75,8 @@ class Change(NamedTuple):
     state: int
 
 
-class _Live:
-    """What is in memory of a session: the second that is not over yet, and its state."""
+class _SessionBuffer:
+    """A session's history in memory: the present second and the state."""
 
     def __init__(self, uid: int):
         self.uid = uid
@@ -86,23 +86,23 @@ class _Live:
 
 
 class History:
-    """Frames and states of all sessions. Recording costs some microseconds and never waits.
+    """Frames and states of all sessions. Recording takes some microseconds and never waits.
 
     Args:
-        keep: seconds for which rows are kept.
-        clock: seconds since 1970.
+        keep: retention of rows, seconds.
+        clock: returns seconds since 1970.
     """
 
     def __init__(self, database: Database, keep: float, clock=time.time):
         self._database, self._keep, self._clock = database, keep, clock
         self._rows = database.queue(_CAPACITY, self._write_rows)
         self._changes = database.queue(_CAPACITY, self._write_changes)
-        self._live: dict[int, _Live] = {}
+        self._buffers: dict[int, _SessionBuffer] = {}
         self._lock = threading.Lock()
-        database.chore(self._forget_old)
+        database.periodic_task(self._forget_old)
 
     def applied(self, uid: int, result: pb.Result, latency: float) -> None:
-        """A frame was tracked; ``latency`` is the time from its arrival to its result, seconds."""
+        """Records a tracked frame; ``latency`` is the time from its arrival to its result, seconds."""
         with self._lock:
             if (row := self._second(uid)) is None:
                 return
@@ -115,36 +115,36 @@ class History:
             row.greatest_latency = max(row.greatest_latency, latency)
 
     def count(self, uid: int, outcome: str, frames: int = 1) -> None:
-        """Frames that were not tracked; ``outcome`` is "dropped", "late" or "rejected"."""
+        """Records frames that were not tracked; ``outcome`` is "dropped", "late" or "rejected"."""
         with self._lock:
             if (row := self._second(uid)) is not None:
                 setattr(row, outcome, getattr(row, outcome) + frames)
 
     def state(self, uid: int, state: pb.SessionState) -> None:
-        """The state of a session as of now; the same as before is not recorded again.
+        """Records a session's state, if it has changed.
 
-        A session's first state begins its history in this process: frames of others are not recorded."""
+        The first state of a session starts its history in this process; without it no frame is recorded."""
         with self._lock:
-            live = self._live.setdefault(uid, _Live(uid))
-            if state != live.state:
-                live.state, live.changed = state, max(self._clock(), live.changed + 1e-6)
-                change = Change(uid, live.changed, state)
-                self._changes.put((uid, live.changed), change)
+            buffer = self._buffers.setdefault(uid, _SessionBuffer(uid))
+            if state != buffer.state:
+                buffer.state, buffer.changed = state, max(self._clock(), buffer.changed + 1e-6)
+                change = Change(uid, buffer.changed, state)
+                self._changes.put((uid, buffer.changed), change)
 
     def close(self, uid: int, state: pb.SessionState) -> None:
-        """The last state of a session (expired or closed): nothing more will be recorded of it."""
+        """Records the last state of a session, expired or closed, and ends its history."""
         self.state(uid, state)
         with self._lock:
-            live = self._live.pop(uid)
-            if live.second is not None:
-                self._put(live.second)
+            buffer = self._buffers.pop(uid)
+            if buffer.second is not None:
+                self._put(buffer.second)
 
     def close_all(self) -> None:
-        """Leaves what is in memory to the database: the server stops, the sessions live on."""
+        """Queues the present second of every session; for a stop of the server, which the sessions survive."""
         with self._lock:
-            for live in self._live.values():
-                if live.second is not None:
-                    self._put(live.second)
+            for buffer in self._buffers.values():
+                if buffer.second is not None:
+                    self._put(buffer.second)
 
     async def query(
         self, request: pb.GetSessionHistoryRequest, uid: int, create_time: float, end_time: float | None = None
@@ -152,11 +152,11 @@ class History:
         """The history of a session, up to the last frame.
 
         Args:
-            request: which span, in what detail; without a start from ``create_time``, without an end up to now.
-            create_time, end_time: seconds since 1970; no end: it lives.
+            request: span and resolution; the span defaults to ``create_time`` until now.
+            create_time, end_time: of the session, seconds since 1970; end_time None: the session is live.
 
         Raises:
-            InvalidArgument: a time or number that makes no sense.
+            InvalidArgument: an invalid time or number.
             Unavailable: the database cannot be reached.
         """
         now = self._clock()
@@ -173,32 +173,32 @@ class History:
         return answer
 
     def _second(self, uid: int) -> Aggregate | None:
-        """The row of the present second; the one before is left to the database. None: the session has none."""
-        live = self._live.get(uid)
-        if live is None:
+        """The row of the present second; queues the previous one. None: the session has no history here."""
+        buffer = self._buffers.get(uid)
+        if buffer is None:
             return None
         second = int(self._clock())
-        if live.second is None or second > live.second.second:  # a clock that is set back makes a longer second
-            if live.second is not None:
-                self._put(live.second)
-            live.second = Aggregate(uid, second)
-        return live.second
+        if buffer.second is None or second > buffer.second.second:  # a clock that is set back extends the second
+            if buffer.second is not None:
+                self._put(buffer.second)
+            buffer.second = Aggregate(uid, second)
+        return buffer.second
 
     def _put(self, row: Aggregate) -> None:
         self._rows.put((row.uid, row.second), replace(row))
 
     def _in_memory(self, uid: int) -> tuple[list[Aggregate], list[Change]]:
-        """What is perhaps not in the database yet, in order of time."""
+        """Rows and changes that may not be in the database yet, in order of time."""
         with self._lock:
             rows = {row.second: row for (owner, _), row in self._rows.pending().items() if owner == uid}
-            live = self._live.get(uid)
-            if live is not None and live.second is not None:
-                rows[live.second.second] = replace(live.second)
+            buffer = self._buffers.get(uid)
+            if buffer is not None and buffer.second is not None:
+                rows[buffer.second.second] = replace(buffer.second)
             changes = [change for (owner, _), change in self._changes.pending().items() if owner == uid]
         return sorted(rows.values(), key=lambda row: row.second), changes
 
     async def _samples(self, uid: int, start: int, end: float, step: int, rows: list[Aggregate]) -> list[pb.HistorySample]:
-        """The stored seconds before the first one in memory, added up in the database, and those in memory."""
+        """Samples of the stored seconds, summed in the database, and of the later seconds in memory."""
         stored_until = min(end, rows[0].second) if rows else end
         bucket = (history.c.second // step * step).label("second")
         sums = [sa.func.sum(history.c[name]).label(name) for name in _SUMMED]
@@ -220,7 +220,7 @@ class History:
         return [buckets[second].sample() for second in sorted(buckets)]
 
     async def _state_changes(self, uid: int, start: float, end: float, waiting: list[Change]) -> Iterable[Change]:
-        """The newest ones; before them the one that was in force at ``start``."""
+        """The newest changes in the span, preceded by the state at ``start``."""
         columns = state_changes.c
         query = sa.select(state_changes).where(columns.uid == uid, columns.time < end)
         query = query.order_by(columns.time.desc()).limit(_MAX_CHANGES)
@@ -256,12 +256,12 @@ def _seconds(request: pb.GetSessionHistoryRequest, field: str, default: float) -
 
 
 def _resolution(request: pb.GetSessionHistoryRequest, start: float, end: float) -> int:
-    """Whole seconds per sample: as asked for, or more where more than ``max_samples`` would come of it."""
+    """Whole seconds per sample: the requested resolution, or a coarser one for at most ``max_samples`` samples."""
     if not 0 <= request.resolution < 1 << 32:
         raise InvalidArgument(field="resolution", expected="a positive number of seconds", got=f"{request.resolution:g}")
     most = min(request.max_samples or _SAMPLES, _MAX_SAMPLES)
     step = max(int(request.resolution), 1)
     first, last = int(start), max(int(end), int(start))
-    while last // step - first // step >= most:  # samples begin at multiples of the step, which may cost one more
+    while last // step - first // step >= most:  # samples start at multiples of the step, which may add one
         step = max(step + 1, -(-(last - first) // most))
     return step

@@ -1,4 +1,4 @@
-"""The register of sessions, live and past: what a server needs to have them again after a restart."""
+"""Registry: live and past sessions in the database, for a restart of the server."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from .database import Database
 from .session_record import SessionRecord
 from .tables import requests, sessions
 
-_CAPACITY = 10_000  # sessions that wait for a database that cannot be reached
-_LOOK_INTERVAL = 0.005  # seconds between looks whether something is written
-_MAX_REQUESTS = 256  # creation requests that wait likewise; each may have megabytes of meshes
+_CAPACITY = 10_000  # queued sessions while the database cannot be reached
+_LOOK_INTERVAL = 0.005  # seconds between checks whether a row is written
+_MAX_REQUESTS = 256  # queued creation requests; each may have megabytes of meshes
 
 
 class Registry:
-    """Sessions in the database. Saving never waits; what was saved is known to :meth:`newest` at once.
+    """Sessions in the database. Saving never waits; :meth:`newest` returns saved sessions at once.
 
     Args:
-        keep: seconds for which sessions that have ended are remembered.
+        keep: retention of ended sessions, seconds.
     """
 
     def __init__(self, database: Database, keep: float):
         self._database, self._keep = database, keep
         self._requests = database.queue(_MAX_REQUESTS, self._write_requests)
         self._records = database.queue(_CAPACITY, self._write_records)
-        database.chore(self._forget_old)
+        database.periodic_task(self._forget_old)
 
     def save(self, record: SessionRecord) -> None:
-        """Registers a session, or what has changed of it: a new state, limits, statistics.
+        """Registers a session or its changes: state, limits, statistics.
 
-        Only the newest record of a session is written, a few times per second at most; to save at every change is fine.
+        Only the newest record of a session is written, at most a few times per second; callers may save at every change.
         """
         self._records.put(record.uid, record)
 
     async def written(self, uid: int, timeout: float) -> bool:
-        """Whether what was saved of a session is in the database: as soon as it is, or after ``timeout`` seconds."""
+        """Waits until the saved session is in the database; False after ``timeout`` seconds."""
         deadline = monotonic() + timeout
-        with self._database.hurried():
+        with self._database.immediate_writes():
             while uid in self._records:
                 if monotonic() > deadline or self._database.condition.problem:
                     return False
@@ -50,21 +50,20 @@ class Registry:
         return True
 
     def save_request(self, uid: int, request: bytes) -> None:
-        """Keeps what a session was created from (a serialised CreateSessionRequest or RestoreSessionRequest), while it
-        lives, for a restart before its first checkpoint."""
+        """Stores a live session's serialised CreateSessionRequest or RestoreSessionRequest, for a restart before its first
+        checkpoint."""
         self._requests.put(uid, (uid, request))
 
     def end(self, record: SessionRecord, reason: pb.ErrorDetail) -> None:
-        """Registers the end of a session; its history stays."""
+        """Registers the end of a session; its history remains."""
         self._requests.discard(record.uid)
         self.save(replace(record, reason=reason, end_time=time.time()))
 
     async def alive(self, server_id: str) -> list[SessionRecord]:
-        """The sessions of a server that have not ended, oldest first; whether one has expired meanwhile is for the
-        caller to see from its ``expire_time``.
+        """The live sessions of a server, oldest first. The caller checks their ``expire_time``.
 
         Raises:
-            Unavailable: the database cannot be reached; worth another try later.
+            Unavailable: the database cannot be reached; retry later.
         """
         query = (
             sa.select(sessions)
@@ -74,7 +73,7 @@ class Registry:
         return await self._database.read(lambda c: [_record(row) for row in c.execute(query)])
 
     async def request(self, uid: int) -> bytes | None:
-        """What :meth:`save_request` kept, or None.
+        """The request stored by :meth:`save_request`, or None.
 
         Raises:
             Unavailable: the database cannot be reached.
@@ -86,7 +85,7 @@ class Registry:
         return await self._database.read(lambda c: c.execute(query).scalar_one_or_none())
 
     async def newest(self, session_id: str) -> SessionRecord | None:
-        """The last session that had this id, live or past; None where none is remembered.
+        """The newest session of this id, live or past; None: no such session.
 
         Raises:
             Unavailable: the database cannot be reached.
@@ -94,7 +93,7 @@ class Registry:
         waiting = [record for record in self._records.pending().values() if record.id == session_id]
         query = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
         stored = await self._database.read(lambda c: [_record(row) for row in c.execute(query)])
-        # The waiting record of a session is newer than the stored one of the same, so it comes last.
+        # The queued record of a session is newer than its stored one, so it comes last.
         return max(reversed([*stored, *waiting]), key=lambda record: record.create_time, default=None)
 
     def _write_requests(self, connection: sa.Connection, rows: list[tuple[int, bytes]]) -> None:

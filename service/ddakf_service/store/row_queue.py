@@ -1,4 +1,4 @@
-"""Row queue: rows on their way to the database, bounded."""
+"""Row queue: a bounded queue of rows in front of the database."""
 
 from __future__ import annotations
 
@@ -20,45 +20,45 @@ _BATCH = 1000  # rows per transaction
 
 
 class RowQueue(Generic[Row]):
-    """Rows on their way to the database, oldest first; made by :meth:`Database.queue`. Any thread may call."""
+    """Rows to write, oldest first; created by :meth:`Database.queue`. Any thread may call."""
 
     def __init__(self, changed: threading.Condition, capacity: int, write, on_dropped, on_written):
         self._changed, self._capacity, self._write = changed, capacity, write
         self._on_dropped, self._on_written = on_dropped, on_written
         self._rows: OrderedDict[Hashable, Row] = OrderedDict()
-        self._flying: OrderedDict[Hashable, Row] = OrderedDict()
+        self._in_flight: OrderedDict[Hashable, Row] = OrderedDict()
 
     def put(self, key: Hashable, row: Row) -> None:
-        """Leaves a row, in place of the one that waits under the same key; the oldest one goes when there is no room."""
+        """Queues a row, in place of a queued row of the same key. A full queue drops its oldest row."""
         with self._changed:
             self._rows[key] = row
             self._shorten()
             self._changed.notify_all()
 
     def discard(self, key: Hashable) -> None:
-        """Takes a row back, unless it is being written."""
+        """Removes a queued row, unless it is being written."""
         with self._changed:
             self._rows.pop(key, None)
 
     def pending(self) -> dict[Hashable, Row]:
-        """What is not known to be written, oldest first. A reader asks this first and the database afterwards."""
+        """Rows that may not be in the database yet, oldest first. A reader must call this before it reads the database."""
         with self._changed:
-            return {**self._flying, **self._rows}
+            return {**self._in_flight, **self._rows}
 
     def __len__(self) -> int:
-        return len(self._rows) + len(self._flying)
+        return len(self._rows) + len(self._in_flight)
 
     def __contains__(self, key: Hashable) -> bool:
-        """Whether a row of this key is not known to be written."""
+        """Whether the row of this key may not be in the database yet."""
         with self._changed:
-            return key in self._rows or key in self._flying
+            return key in self._rows or key in self._in_flight
 
     def _flush(self, engine: sa.Engine) -> None:
-        """Writes everything that waits, in the calling thread."""
+        """Writes all queued rows in the calling thread."""
         while self._take():
             try:
                 with engine.begin() as connection:
-                    self._write(connection, list(self._flying.values()))
+                    self._write(connection, list(self._in_flight.values()))
             except (DataError, IntegrityError):
                 self._flush_singly(engine)
             except BaseException:
@@ -66,36 +66,36 @@ class RowQueue(Generic[Row]):
                 raise
             self._on_written()
             with self._changed:
-                self._flying.clear()
+                self._in_flight.clear()
                 self._changed.notify_all()
 
     def _flush_singly(self, engine: sa.Engine) -> None:
-        """Writes the rows one by one: what the database refuses shall not keep the others."""
-        while self._flying:
-            key, row = next(iter(self._flying.items()))
+        """Writes the rows one by one, so that a rejected row does not block the others."""
+        while self._in_flight:
+            key, row = next(iter(self._in_flight.items()))
             try:
                 with engine.begin() as connection:
                     self._write(connection, [row])
             except (DataError, IntegrityError):
-                log.exception("the database refused a row, which is left out", extra={"key": key})
+                log.exception("the database rejected a row, which is dropped", extra={"key": key})
                 self._on_dropped(1)
             except BaseException:
                 self._put_back()
                 raise
             with self._changed:
-                del self._flying[key]
+                del self._in_flight[key]
 
     def _take(self) -> bool:
         with self._changed:
-            while self._rows and len(self._flying) < _BATCH:
+            while self._rows and len(self._in_flight) < _BATCH:
                 key, row = self._rows.popitem(last=False)
-                self._flying[key] = row
-            return bool(self._flying)
+                self._in_flight[key] = row
+            return bool(self._in_flight)
 
     def _put_back(self) -> None:
         with self._changed:
-            self._rows = OrderedDict({**self._flying, **self._rows})
-            self._flying.clear()
+            self._rows = OrderedDict({**self._in_flight, **self._rows})
+            self._in_flight.clear()
             self._shorten()
 
     def _shorten(self) -> None:

@@ -1,4 +1,4 @@
-"""The name of a server, held among those of one PostgreSQL for as long as the server runs."""
+"""Server name: a unique name among the servers of one PostgreSQL database, locked while the server runs."""
 
 from __future__ import annotations
 
@@ -16,37 +16,39 @@ from .condition import sentence_of
 
 log = logging.getLogger(__name__)
 
-_PATIENCE = 3.0  # seconds for which a start waits for the connection of a predecessor to end
+_PATIENCE = 3.0  # seconds that a start waits for the end of a predecessor's connection
 _PAUSE = 0.2  # seconds between its attempts
-_LOOK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between looks at the connection, while it holds the name and while not
+_LOOK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between checks of the connection, with and without the lock
 _ERRORS = (SQLAlchemyError, OSError)
 
 
 class ServerName:
-    """``server_id``, as an advisory lock of PostgreSQL on a connection of its own: a second server of the name is refused at
-    its start. A connection that is lost is made again, in a thread; meanwhile another server may take the name.
+    """``server_id`` as a PostgreSQL advisory lock on a connection of its own.
+
+    A second server of the same name fails at its start. A thread renews a lost connection; meanwhile another server may take
+    the name.
 
     Args:
-        engine: of connections that are not pooled, each statement on its own. It is disposed of at the end.
+        engine: of autocommit connections without a pool; disposed of at the end.
 
     Attributes:
-        problem: one sentence while the name is not held; empty while it is.
+        problem: one sentence while the name is not locked; empty while it is.
     """
 
     def __init__(self, engine: sa.Engine, server_id: str):
         self._engine, self._server_id = engine, server_id
         digest = hashlib.sha256(f"ddakf server {server_id}".encode()).digest()
-        self._key = int.from_bytes(digest[:8], "big", signed=True)  # PostgreSQL has its locks by number
+        self._key = int.from_bytes(digest[:8], "big", signed=True)  # PostgreSQL identifies a lock by a number
         self._connection: sa.Connection | None = None
         self.problem = f"server_id {server_id!r} is not held in the database yet"
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._keep, name="server-id", daemon=True)
 
     def take(self) -> None:
-        """Holds the name from now on; blocks. From a database that cannot be reached now it is had later.
+        """Locks the name; blocks. An unreachable database is tried again later.
 
         Raises:
-            InvalidConfig: another server has it.
+            InvalidConfig: another server has the name.
         """
         deadline = monotonic() + _PATIENCE
         try:
@@ -61,7 +63,7 @@ class ServerName:
         self._thread.start()
 
     def release(self) -> None:
-        """Lets another server have the name; blocks."""
+        """Releases the name; blocks."""
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -82,7 +84,7 @@ class ServerName:
             self._fails(f"server_id {self._server_id!r} is held by another server of this database: give each its own")
 
     def _try(self) -> bool:
-        """Whether the name is held now."""
+        """Tries to lock the name; returns whether it is locked."""
         if self._connection is None:
             self._connection = self._engine.connect()
         if self._connection.execute(sa.select(sa.func.pg_try_advisory_lock(self._key))).scalar_one():
@@ -95,10 +97,10 @@ class ServerName:
         self._drop()  # SQLAlchemy would connect again silently, without the lock
         before, self.problem = self.problem, problem
         if before != problem:
-            log.error("%s; tracking goes on, and this is tried again", problem)
+            log.error("%s; tracking continues, and the server tries again", problem)
 
     def _drop(self) -> None:
-        """Closes the connection, and with it the lock."""
+        """Closes the connection, which releases the lock."""
         if self._connection is not None:
             connection, self._connection = self._connection, None
             connection.invalidate()

@@ -1,4 +1,4 @@
-"""Session record: one session as the registry stores it."""
+"""Session record: one session's row in the registry."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 
 def new_uid() -> int:
-    """A number that no other session has: ids can be used again, this never is."""
+    """A random number for a session: unlike its id, never used again."""
     return secrets.randbits(63)
 
 
 @dataclass(frozen=True)
 class SessionRecord:
-    """A session as it is registered.
+    """A session in the registry.
 
     Attributes:
-        server_id: of the server that has it.
-        session: the resource without its meshes: name, state, labels, limits, configuration, fabric, counts, vertex map,
-            times, statistics, etag. Whoever saves it leaves it alone afterwards.
-        request_id: the one that it was created with, if any.
-        owner: the key that it was created with; None: none was needed.
+        server_id: of the session's server.
+        session: the session without its meshes: name, state, labels, limits, configuration, fabric, counts, vertex map,
+            times, statistics, etag. Not to be changed after it is saved.
+        request_id: of the creation, if any.
+        owner: id of the key that created the session; None: no key was needed.
         uid: see :func:`new_uid`.
-        reason: why it is no more; None while it lives.
-        end_time: when it ended, seconds since 1970; None while it lives.
+        reason: of the session's end; None while it is live.
+        end_time: seconds since 1970; None while it is live.
     """
 
     server_id: str

@@ -1,4 +1,4 @@
-"""What outlives the process: the register of sessions and their history in a database, checkpoints in files or objects."""
+"""Store of a server: database, registry, history and checkpoints, with locks against a second server."""
 
 from __future__ import annotations
 
@@ -19,36 +19,36 @@ from .history import History
 from .registry import Registry
 from .server_name import ServerName
 
-NOTHING = "none"  # data_dir of a server that keeps nothing
+NO_DATA_DIR = "none"  # data_dir of a server without durable state
 _DAY = 86400.0
-_KEPT_IN_MEMORY = 3600.0  # seconds of history and of ended sessions, where there is no place for more
+_IN_MEMORY_RETENTION = 3600.0  # seconds of history and of ended sessions that stay in memory
 _RETRY_AFTER = 1.0  # seconds
 
 
 class Store:
-    """All that is durable of a server; without a ``data_dir`` the same in memory, bounded.
+    """The durable state of a server; without a ``data_dir`` the same in memory, bounded.
 
-    The thread that makes it may block, so not the event loop's. The parts never block but where they say so.
+    The constructor blocks and must not run in the event loop. Other methods block only where their docstring says so.
 
     Attributes:
-        server_id: of the settings.
-        registry, history, database: always there.
-        checkpoints: None where there is neither a ``data_dir`` nor a ``checkpoint_url``.
+        server_id: from the settings.
+        registry, history, database: always present.
+        checkpoints: None without ``data_dir`` and ``checkpoint_url``.
 
     Raises:
-        InvalidConfig: naming the setting: ``data_dir``, an SQLite, a folder of checkpoints or, in a PostgreSQL, ``server_id``
-            is another server's; one cannot be written; a URL cannot be used.
+        InvalidConfig: with the setting's name. Another server uses the ``data_dir``, the SQLite file, the checkpoint folder
+            or, in PostgreSQL, the ``server_id``; a place is not writable; a URL is invalid.
     """
 
     def __init__(self, settings: Settings, metrics: Metrics):
         self.server_id = settings.server_id
         self._name: ServerName | None = None
         self._locks: list[DataFolder | Lock] = []
-        if settings.data_dir != NOTHING:
+        if settings.data_dir != NO_DATA_DIR:
             self._locks.append(DataFolder(Path(settings.data_dir).expanduser()))
         try:
             self.database = Database(database_url(settings), metrics)
-            keep = _KEPT_IN_MEMORY if self.database.in_memory else settings.history_days * _DAY
+            keep = _IN_MEMORY_RETENTION if self.database.in_memory else settings.history_days * _DAY
             self.registry = Registry(self.database, keep)
             self.history = History(self.database, keep)
             url = _checkpoint_url(settings)
@@ -64,18 +64,22 @@ class Store:
             self.checkpoints.open()
 
     def problems(self) -> list[str]:
-        """One sentence for each part that does not work now."""
+        """One sentence for each failing part."""
         parts = [self.database, *([self.checkpoints] if self.checkpoints is not None else [])]
         problems = [part.condition.problem for part in parts]
         return [problem for problem in (*problems, self._name.problem if self._name else "") if problem]
 
     def require_name(self) -> None:
-        """Raises :class:`Unavailable` while another server may have the sessions of this one's name."""
+        """Checks that this server holds its name.
+
+        Raises:
+            Unavailable: another server of the same name may have its sessions.
+        """
         if self._name is not None and self._name.problem:
             raise Unavailable(f"{self._name.problem}; try again later", retry_after=_RETRY_AFTER)
 
     def close(self) -> None:
-        """Writes what waits, as far as that works within some seconds, and lets go of the folder; blocks."""
+        """Writes queued rows and checkpoints within some seconds and releases the locks; blocks."""
         self.history.close_all()
         if self.checkpoints is not None:
             self.checkpoints.close()
@@ -85,7 +89,7 @@ class Store:
         self._release()
 
     def _take_files(self) -> None:
-        """They may lie outside ``data_dir``, where another server would end this one's sessions and delete its checkpoints."""
+        """Locks files outside ``data_dir``: a second server on them would end this one's sessions and delete its checkpoints."""
         if (file := self.database.file) is not None:
             self._lock(file, "database_url")
         if self.checkpoints is not None and (folder := self.checkpoints.folder) is not None:
@@ -100,7 +104,7 @@ class Store:
             raise InvalidConfig(setting, "a place that can be written", f"{path}: {error.strerror}") from None
 
     def _take_name(self) -> None:
-        """Of the servers of one PostgreSQL one alone has a name; an SQLite is one server's with its file."""
+        """Takes the server's name in PostgreSQL, where it must be unique. A SQLite file belongs to one server anyway."""
         if engine := self.database.lasting_connections():
             name = ServerName(engine, self.server_id)
             try:
@@ -116,14 +120,14 @@ class Store:
 
 
 def database_url(settings: Settings) -> str:
-    """Where the registry, the history and the keys are."""
-    if settings.database_url or settings.data_dir == NOTHING:
+    """URL of the database with the registry, the history and the keys."""
+    if settings.database_url or settings.data_dir == NO_DATA_DIR:
         return settings.database_url or IN_MEMORY
     path = Path(settings.data_dir).expanduser() / "ddakf.sqlite"
     return sa.URL.create("sqlite", database=str(path)).render_as_string()
 
 
 def _checkpoint_url(settings: Settings) -> str:
-    if settings.checkpoint_url or settings.data_dir == NOTHING:
+    if settings.checkpoint_url or settings.data_dir == NO_DATA_DIR:
         return settings.checkpoint_url
     return str(Path(settings.data_dir).expanduser().absolute() / "checkpoints")

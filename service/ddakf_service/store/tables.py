@@ -1,4 +1,4 @@
-"""Tables of the database. Times are seconds since 1970 (UTC); a session's ``uid`` is never used again, unlike its id."""
+"""Tables of the database. Times are seconds since 1970 (UTC). A session's ``uid`` is never used again, unlike its id."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from sqlalchemy import JSON, BigInteger, Column, Double, Index, Integer, LargeBi
 metadata = MetaData()
 
 # Live and past sessions. `message` is the ddakf_api.v1.Session without meshes, `reason` the ErrorDetail of its end; the
-# other columns repeat what one searches for.
+# other columns repeat searched fields.
 sessions = Table(
     "sessions",
     metadata,
@@ -27,7 +27,7 @@ sessions = Table(
     Index("sessions_of_server", "server_id", "end_time"),
 )
 
-# What live sessions were created from, meshes included; apart, because it is large and never changes.
+# Creation requests of live sessions with their meshes; a table of its own, because they are large and never change.
 requests = Table(
     "requests",
     metadata,
@@ -35,7 +35,7 @@ requests = Table(
     Column("request", LargeBinary, nullable=False),
 )
 
-# One row per session and second with frames. Sums over the applied frames, so that rows can be added up.
+# One row per session and second with frames. Sums over the applied frames, so that rows can be added.
 history = Table(
     "history",
     metadata,
@@ -65,7 +65,7 @@ state_changes = Table(
     sqlite_with_rowid=False,
 )
 
-# Keys of clients: never the key itself, only its SHA-256 and the first characters, by which a person knows it again.
+# Keys of clients: only the SHA-256 of a key, and its first characters, by which a person recognises it.
 api_keys = Table(
     "api_keys",
     metadata,

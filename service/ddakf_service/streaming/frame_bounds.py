@@ -1,4 +1,4 @@
-"""What a frame may weigh: refused at the door, before a worker sees it, is what would only take memory while it waits."""
+"""Frame bounds: size checks of a frame before it waits for a worker; nothing is decoded."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from ddakf_api.codec import require_few_sensors, require_image_within
 from ddakf_api.errors import InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
-# A point of the least compact codec takes 12 bytes; smaller clouds carry headers.
+# The least compact codec takes 12 bytes a point; small clouds consist mostly of headers.
 _BYTES_PER_POINT, _HEADER_BYTES = 12, 1 << 16
 
 
-def require_payload_within(frame: pb.Frame, max_points: int, max_pixels: int) -> None:
-    """Raises :class:`InvalidFrame` for a payload that no frame within the limits has; nothing is decoded."""
+def require_frame_within_bounds(frame: pb.Frame, max_points: int, max_pixels: int) -> None:
+    """Rejects a measurement that is larger than any frame within the limits.
+
+    Raises:
+        InvalidFrame: names the field.
+    """
     require_few_sensors(frame.sensors)
     if frame.WhichOneof("payload") == "depth_image":
         require_image_within(frame.depth_image, max_pixels)

@@ -1,4 +1,4 @@
-"""What becomes of frames, told to whom it concerns: the session's counters, the metrics, the history."""
+"""Frame recorder: each frame's result or error, to the session's counters, the metrics, the history and the spans."""
 
 from __future__ import annotations
 
@@ -12,39 +12,47 @@ from ..observability.metrics import Metrics, codec_of, flow_of
 from ..observability.tracing import Tracer
 from ..sessions.session import Session
 from ..store.history import History
-from .mailbox import Waiting
+from .mailbox import QueuedFrame
 
 log = logging.getLogger(__name__)
 
 
 class FrameRecorder:
-    """Counts frames by outcome, and keeps what became of them over time."""
+    """Records frames by outcome: applied, dropped, late, rejected or failed."""
 
     def __init__(self, metrics: Metrics, history: History, tracer: Tracer):
         self._metrics, self._history, self._tracer = metrics, history, tracer
 
-    def applied(self, session: Session, result: pb.Result, waiting: Waiting, started: float, mode: pb.FlowMode) -> None:
-        """A frame was tracked; its work was ``started`` then (monotonic clock). Completes the result."""
-        session.record_result(result, waiting.arrived)
-        result.timings["queue"] = started - waiting.arrived
-        result.timings["server"] = monotonic() - waiting.arrived
-        codec, flow = codec_of(waiting.frame), flow_of(mode)
+    def applied(self, session: Session, result: pb.Result, queued: QueuedFrame, started: float, mode: pb.FlowMode) -> None:
+        """Records a tracked frame and completes its result with counters and timings.
+
+        Args:
+            started: when it left the mailbox, monotonic clock, seconds.
+        """
+        session.record_result(result, queued.arrived)
+        result.timings["queue"] = started - queued.arrived
+        result.timings["server"] = monotonic() - queued.arrived
+        codec, flow = codec_of(queued.frame), flow_of(mode)
         self._metrics.observe(result, codec, flow)
         self._history.applied(session.uid, result, result.timings["server"])
-        if not session.closed:  # a frame may come out of the worker after its session's end
+        if not session.closed:  # the result of a frame may arrive after the end of its session
             self._history.state(session.uid, session.state)
-        self._tracer.applied(session.id, waiting.frame, result, codec, flow)
+        self._tracer.applied(session.id, queued.frame, result, codec, flow)
 
     def dropped(self, session: Session, count: int) -> None:
-        """Frames were overtaken by newer ones, or came faster than they may."""
-        session.touch()  # who sends too many frames is there
+        """Records frames that newer ones displaced, or that exceeded the frame rate."""
+        session.touch()  # a dropped frame counts as activity
         session.statistics.frames_dropped += count
         self._metrics.frames.labels("dropped").inc(count)
         self._history.count(session.uid, "dropped", count)
 
     def refused(self, session: Session, frame: pb.Frame, error: ServiceError, arrived: float) -> pb.TrackResponse:
-        """A frame that ``arrived`` then (monotonic clock) was not tracked: its answer."""
-        session.touch()  # who sends frames, if bad ones, is there
+        """Records a frame that was not tracked, and returns the response to it.
+
+        Args:
+            arrived: time of arrival, monotonic clock, seconds.
+        """
+        session.touch()  # a rejected frame counts as activity
         statistics = session.statistics
         late = isinstance(error, DeadlineExceeded)
         self._history.count(session.uid, "late" if late else "rejected")

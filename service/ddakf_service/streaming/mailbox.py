@@ -1,4 +1,4 @@
-"""Flow: what happens to frames that arrive while their session is busy, or faster than they may, and who is told."""
+"""Backpressure: a bounded mailbox of frames per stream, newest wins or lossless."""
 
 from __future__ import annotations
 
@@ -9,35 +9,38 @@ from typing import NamedTuple, Protocol
 from ddakf_api.v1 import tracking_pb2 as pb
 
 
-class Waiting(NamedTuple):
-    """A frame and when it arrived (monotonic clock, seconds)."""
+class QueuedFrame(NamedTuple):
+    """A frame and its time of arrival (monotonic clock, seconds)."""
 
     frame: pb.Frame
     arrived: float
 
 
 class Mailbox(Protocol):
-    """Where the reader of a stream leaves frames, and the session takes them from."""
+    """Queue between the reader of a stream and the session."""
 
     async def put(self, frame: pb.Frame, arrived: float) -> int:
-        """Leaves a frame that arrived then (monotonic clock, seconds) and returns how many older ones it displaced; may wait,
-        which holds the client back."""
+        """Adds a frame and returns the number of older frames that it displaced. A wait holds the client back.
 
-    async def get(self) -> Waiting | None:
-        """The next frame to track, or None when no more will come."""
+        Args:
+            arrived: time of arrival, monotonic clock, seconds.
+        """
+
+    async def get(self) -> QueuedFrame | None:
+        """The next frame to track; None after the last."""
 
     def close(self) -> None:
-        """No more frames will be put; those that wait can still be taken."""
+        """Closes the mailbox to new frames. Queued frames can still be taken."""
 
     def __len__(self) -> int:
-        """Frames that wait."""
+        """Number of queued frames."""
 
 
 class LosslessMailbox:
-    """All frames, in order; ``put`` waits while ``capacity`` of them do. For one reader and one taker."""
+    """All frames, in order; ``put`` waits while ``capacity`` frames are queued. One producer, one consumer."""
 
     def __init__(self, capacity: int):
-        self._frames: deque[Waiting] = deque()
+        self._frames: deque[QueuedFrame] = deque()
         self._capacity = capacity
         self._closed = False
         self._filled, self._room = asyncio.Event(), asyncio.Event()
@@ -46,11 +49,11 @@ class LosslessMailbox:
         while len(self._frames) >= self._capacity and not self._closed:
             self._room.clear()
             await self._room.wait()
-        self._frames.append(Waiting(frame, arrived))
+        self._frames.append(QueuedFrame(frame, arrived))
         self._filled.set()
         return 0
 
-    async def get(self) -> Waiting | None:
+    async def get(self) -> QueuedFrame | None:
         while not self._frames and not self._closed:
             self._filled.clear()
             await self._filled.wait()
@@ -67,25 +70,25 @@ class LosslessMailbox:
 
 
 class RealtimeMailbox:
-    """One frame: the newest wins, so that latency stays bounded however fast frames come."""
+    """One frame: the newest wins, so that latency stays bounded at any frame rate."""
 
     def __init__(self):
-        self._newest: Waiting | None = None
+        self._newest: QueuedFrame | None = None
         self._closed = False
         self._filled = asyncio.Event()
 
     async def put(self, frame: pb.Frame, arrived: float) -> int:
         displaced = len(self)
-        self._newest = Waiting(frame, arrived)
+        self._newest = QueuedFrame(frame, arrived)
         self._filled.set()
         return displaced
 
-    async def get(self) -> Waiting | None:
+    async def get(self) -> QueuedFrame | None:
         while self._newest is None and not self._closed:
             self._filled.clear()
             await self._filled.wait()
-        waiting, self._newest = self._newest, None
-        return waiting
+        queued, self._newest = self._newest, None
+        return queued
 
     def close(self) -> None:
         self._closed = True
@@ -96,5 +99,5 @@ class RealtimeMailbox:
 
 
 def mailbox_for(mode: pb.FlowMode, capacity: int) -> Mailbox:
-    """The mailbox of a flow mode; ``capacity`` bounds the lossless one."""
+    """The mailbox of a flow mode; ``capacity`` bounds the lossless mailbox."""
     return LosslessMailbox(capacity) if mode == pb.FLOW_MODE_LOSSLESS else RealtimeMailbox()

@@ -1,4 +1,4 @@
-"""Outbox: answers of a stream on their way to its client."""
+"""Outbox: responses of a stream on their way to its client, with room for one."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from collections.abc import Callable
 
 from ddakf_api.v1 import tracking_pb2 as pb
 
-# Answers that may wait for a slow reader: one, so that the next frame is tracked while this one is sent.
+# Responses that may wait for a slow reader: one, so that the next frame is tracked while this one is sent.
 _OUTBOX_CAPACITY = 1
 
 
 class Outbox:
-    """Answers on their way to the client; ``publish`` is told each of them too, without waiting."""
+    """Queue of responses to the client.
+
+    Args:
+        publish: receives every response too, at once; for the session's watchers.
+    """
 
     def __init__(self, publish: Callable[[pb.TrackResponse], None]):
         self._publish = publish
@@ -24,7 +28,7 @@ class Outbox:
         self._error: Exception | None = None
 
     async def put(self, response: pb.TrackResponse) -> None:
-        """Leaves an answer, once there is room for it; watchers get it at once."""
+        """Appends a response when there is room; publishes it at once."""
         self._publish(response)
         while len(self._responses) > _OUTBOX_CAPACITY and not self._closed:
             self._room.clear()
@@ -32,7 +36,7 @@ class Outbox:
         self._append(response)
 
     def notify(self, notice: pb.Notice) -> None:
-        """Leaves a notice without waiting, in place of one of its kind that still waits."""
+        """Appends a notice without waiting; replaces a queued notice of the same kind."""
         response = pb.TrackResponse(notice=notice)
         self._publish(response)
         older = [r for r in self._responses if r.HasField("notice") and r.notice.kind == notice.kind]
@@ -46,14 +50,14 @@ class Outbox:
             self._changed.set()
 
     def close(self, error: Exception | None = None) -> None:
-        """No more answers; ``get`` hands out those that wait, and then raises ``error``, if any."""
+        """Closes the outbox. ``get`` returns the queued responses, then raises ``error``, if any."""
         if not self._closed:
             self._closed, self._error = True, error
             self._changed.set()
             self._room.set()
 
     async def get(self) -> pb.TrackResponse | None:
-        """The next answer; None after the last."""
+        """The next response; None after the last."""
         while not self._responses and not self._closed:
             self._changed.clear()
             await self._changed.wait()
@@ -63,8 +67,8 @@ class Outbox:
         self._raise_error()
         return None
 
-    def forget_error(self) -> None:
-        """Nobody asks any more. Its frames hold the stream and, through it, this."""
+    def discard_error(self) -> None:
+        """Drops the error: its traceback refers to the stream and, through it, to this outbox."""
         self._error = None
 
     def _raise_error(self) -> None:
@@ -73,4 +77,4 @@ class Outbox:
             if error:
                 raise error
         finally:
-            del error  # which this frame, being one of its, would keep
+            del error  # the error's traceback refers to this Python frame: a reference cycle

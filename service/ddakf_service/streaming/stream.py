@@ -1,4 +1,4 @@
-"""One Track call, whatever carries it: requests go to the mailbox, answers come out of the outbox."""
+"""Stream: one client's Track call on any transport, from its requests to its responses."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import current_principal
 from ..observability.logs import current_session
-from ..sessions.durability import TELL_EVERY, Durability, Irrecoverable
+from ..sessions.durability import WAITING_NOTICE_INTERVAL, Durability, Irrecoverable
 from ..sessions.session import Session
 from ..sessions.watchers import without_arrays
 from ..workers.pool import WorkerPool, worker_lost
-from .frame_bounds import require_payload_within
+from .frame_bounds import require_frame_within_bounds
 from .frame_recorder import FrameRecorder
-from .mailbox import Waiting, mailbox_for
+from .mailbox import QueuedFrame, mailbox_for
 from .outbox import Outbox
 from .rate_limit import Overload, RateLimit
 
@@ -29,18 +29,18 @@ log = logging.getLogger(__name__)
 
 
 class Stream:
-    """The conversation of a session with its client.
+    """A session's stream of requests and responses.
 
-    A transport calls :meth:`receive` for each request, :meth:`finish` when no more will come, has :meth:`deliver` send the
-    answers, and calls :meth:`close` at the end, whichever side ended it.
+    A transport calls :meth:`receive` for each request and :meth:`finish` after the last one. :meth:`deliver` sends the
+    responses. The transport calls :meth:`close` at the end, whichever side ended the stream.
 
     Args:
-        reader_timeout: seconds that the client may not read before the stream ends.
+        reader_timeout: the stream ends when the client reads nothing for so many seconds.
 
     Attributes:
-        key_id: of the key that it was opened with; empty: none.
-        ending: set once nothing more is tracked, though a frame may still be in the worker.
-        gone: set by whoever closed the stream, once its session is free for another one.
+        key_id: id of the key that opened the stream; empty: no key.
+        ending: set when no more frames will be tracked; one frame may still be in the worker.
+        session_free: set after :meth:`close`, when the session accepts another stream.
     """
 
     def __init__(
@@ -63,13 +63,13 @@ class Stream:
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox(session.watchers.publish)
         self._rate_limit, self._overload = RateLimit(), Overload(monotonic())
-        self.ending, self.gone = asyncio.Event(), asyncio.Event()
-        self._pump = asyncio.create_task(self._run())
+        self.ending, self.session_free = asyncio.Event(), asyncio.Event()
+        self._tracking_task = asyncio.create_task(self._run())
 
     # From the client ------------------------------------------------------------------------------------------------
 
     async def receive(self, request: pb.TrackRequest) -> None:
-        """Takes a request; waits in lossless mode while the session is behind."""
+        """Accepts a request. In lossless mode, waits while the mailbox is full."""
         match request.WhichOneof("message"):
             case "frame":
                 await self._receive_frame(request.frame, monotonic())
@@ -82,7 +82,7 @@ class Stream:
                 )
 
     def finish(self) -> None:
-        """The client sends no more; the frames that wait are still answered."""
+        """Marks the end of the client's requests. Queued frames are still tracked."""
         self._mailbox.close()
 
     async def _receive_frame(self, frame: pb.Frame, arrived: float) -> None:
@@ -91,17 +91,17 @@ class Stream:
         except InvalidFrame as error:
             await self._outbox.put(self._recorder.refused(self.session, frame, error, arrived))
             return
-        if await self._may_come(arrived):
-            self._count_dropped(await self._mailbox.put(frame, arrived))
+        if await self._within_frame_rate(arrived):
+            self._record_dropped(await self._mailbox.put(frame, arrived))
 
     def _check(self, frame: pb.Frame) -> None:
-        """Refuses at the door what would only take memory while it waits."""
-        require_payload_within(frame, self.session.limits.max_points, self._max_image_pixels)
+        """Rejects an invalid frame before it takes memory in the mailbox."""
+        require_frame_within_bounds(frame, self.session.limits.max_points, self._max_image_pixels)
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
-    async def _may_come(self, now: float) -> bool:
-        """Whether a frame keeps to the session's frame rate. In lossless flow it does, once this returns."""
+    async def _within_frame_rate(self, now: float) -> bool:
+        """Whether a frame is within the session's frame rate. In lossless mode, waits until it is."""
         rate = self.session.limits.max_frame_rate
         if self._mode == pb.FLOW_MODE_LOSSLESS:
             while not self.ending.is_set() and (pause := self._rate_limit.wait(rate, monotonic())) > 0:
@@ -110,49 +110,49 @@ class Stream:
         if self._rate_limit.wait(rate, now) == 0:
             return True
         self._recorder.dropped(self.session, 1)
-        if self._overload.may_tell(now):
-            self._tell_to_slow_down(rate, f"the session may have {rate:g} frames per second")
+        if self._overload.may_notify(now):
+            self._notify_slow_down(rate, f"the session may have {rate:g} frames per second")
         return False
 
-    def _count_dropped(self, count: int) -> None:
+    def _record_dropped(self, count: int) -> None:
         if count:
             self._recorder.dropped(self.session, count)
-            self._count_missed(count)
+            self._record_missed(count)
 
-    def _count_missed(self, count: int) -> None:
+    def _record_missed(self, count: int) -> None:
         if rate := self._overload.missed(count, monotonic()):
-            self._tell_to_slow_down(rate, f"more frames come than can be tracked, which are {rate:.3g} per second")
+            self._notify_slow_down(rate, f"frames arrive faster than they can be tracked: {rate:.3g} per second")
 
-    def _tell_to_slow_down(self, rate: float, message: str) -> None:
+    def _notify_slow_down(self, rate: float, message: str) -> None:
         self.notify(pb.Notice(kind=pb.NOTICE_KIND_SLOW_DOWN, message=message, value=rate))
 
     # To the client --------------------------------------------------------------------------------------------------
 
     def notify(self, notice: pb.Notice) -> None:
-        """Tells the client something in between its results."""
+        """Sends a notice to the client."""
         self._outbox.notify(notice)
 
     async def deliver(self, send: Callable[[pb.TrackResponse], Awaitable[None]]) -> None:
-        """Sends everything, beginning with Started.
+        """Sends all responses, Started first.
 
         Raises:
-            ServiceError: what ended the stream before its time; DeadlineExceeded when it was a client that does not read.
+            ServiceError: the stream ended early. DeadlineExceeded: the client did not read.
         """
         async for response in self.responses():
             try:
                 async with asyncio.timeout(self._reader_timeout):
                     await send(response)
             except TimeoutError:
-                error = DeadlineExceeded(f"the client has not read its answers for {self._reader_timeout:g} s")
+                error = DeadlineExceeded(f"the client has not read its responses for {self._reader_timeout:g} s")
                 log.warning("a stream ends: %s", error, extra={"session": self.session.id})
                 self.end(error)
                 try:
                     raise error from None
                 finally:
-                    del error  # which this frame, being one of its, would keep
+                    del error  # the error's traceback refers to this Python frame: a reference cycle
 
     async def responses(self) -> AsyncIterator[pb.TrackResponse]:
-        """Everything to send, beginning with Started; raises the error that ended the stream, if one did."""
+        """All responses, Started first. Raises the error that ended the stream, if any."""
         statistics = self.session.statistics
         yield pb.TrackResponse(
             started=pb.Started(
@@ -168,32 +168,32 @@ class Stream:
 
     # The end --------------------------------------------------------------------------------------------------------
 
-    def left(self) -> None:
-        """The transport sends nothing more."""
-        self._outbox.forget_error()
+    def discard_error(self) -> None:
+        """Drops the error of the outbox: the transport sends nothing more."""
+        self._outbox.discard_error()
 
     def end(self, error: Exception | None) -> None:
-        """Ends the stream from the server's side, with what the client shall be told."""
+        """Ends the stream from the server's side. The client receives the error."""
         self.ending.set()
         self._outbox.close(error)
         self._mailbox.close()
 
     async def close(self) -> None:
-        """Returns when the frame that is in the worker, if any, has been counted; frames that wait are dropped."""
+        """Drops queued frames and returns when the frame in the worker, if any, has been counted."""
         self.end(None)
         while await self._mailbox.get() is not None:
             self._recorder.dropped(self.session, 1)
-        # Not the pump itself: whoever waits here may be cancelled, and the frame in the worker shall be counted still.
-        await asyncio.wait({self._pump})
+        # Not the task itself: a cancelled caller must not cancel it, so that the frame in the worker is still counted.
+        await asyncio.wait({self._tracking_task})
 
     # Tracking -------------------------------------------------------------------------------------------------------
 
     async def _run(self) -> None:
-        """Tracks frame after frame until no more come; one is in the worker at a time."""
+        """Tracks frames until the mailbox is closed, one at a time."""
         current_session.set(self.session.id)
         try:
-            while not self.ending.is_set() and (waiting := await self._mailbox.get()) is not None:
-                await self._outbox.put(await self._track(waiting))
+            while not self.ending.is_set() and (queued := await self._mailbox.get()) is not None:
+                await self._outbox.put(await self._track(queued))
             self._outbox.close()
         except Irrecoverable as error:
             self.end(error.reason)
@@ -201,81 +201,81 @@ class Stream:
             log.exception("a stream failed")
             self.end(error)
 
-    async def _track(self, waiting: Waiting) -> pb.TrackResponse:
-        """The answer to a frame.
+    async def _track(self, queued: QueuedFrame) -> pb.TrackResponse:
+        """The response to a frame.
 
         Raises:
-            Irrecoverable: the session cannot be had back.
+            Irrecoverable: the session cannot be restored.
         """
         started, session = monotonic(), self.session
         try:
-            result = await self._tracked(waiting, started)
+            result = await self._tracked(queued, started)
         except ServiceError as error:
             if isinstance(error, DeadlineExceeded):
-                self._count_missed(1)
-            return self._recorder.refused(session, waiting.frame, error, waiting.arrived)
+                self._record_missed(1)
+            return self._recorder.refused(session, queued.frame, error, queued.arrived)
         response = pb.TrackResponse(result=result)
         return without_arrays(response) if result.frames_applied % self._every_nth else response
 
-    async def _tracked(self, waiting: Waiting, started: float) -> pb.Result:
-        """Has a frame tracked, once more in another worker if the first one is lost."""
+    async def _tracked(self, queued: QueuedFrame, started: float) -> pb.Result:
+        """Tracks a frame; tries a second time, in another worker, when the first worker is lost."""
         try:
-            return await self._submit(waiting, started)
+            return await self._submit(queued, started)
         except WorkerLost:
-            return await self._submit(waiting, started)
+            return await self._submit(queued, started)
 
-    async def _submit(self, waiting: Waiting, started: float) -> pb.Result:
-        frame, session = waiting.frame, self.session
-        if not session.seated:
-            await self._seated()
+    async def _submit(self, queued: QueuedFrame, started: float) -> pb.Result:
+        frame, session = queued.frame, self.session
+        if not session.has_worker:
+            await self._wait_for_worker()
         async with session.lock:
-            if not session.seated:  # any more
+            if not session.has_worker:  # any more
                 raise worker_lost(session.id)
             self._check_order(frame)
-            turn_by = waiting.arrived + frame.deadline if frame.deadline else math.inf
+            start_by = queued.arrived + frame.deadline if frame.deadline else math.inf
             most = session.limits.max_points
             try:
-                with self._telling_to_wait():
+                with self._waiting_notices():
                     answer = await self._pool.submit(
-                        session.id, frame.SerializeToString(), self._options, max_points=most, turn_by=turn_by
+                        session.id, frame.SerializeToString(), self._options, max_points=most, start_by=start_by
                     )
             except WorkerLost:
-                self._durability.lost(session)
+                self._durability.record_worker_loss(session)
                 raise
             result = pb.Result.FromString(answer)
-            self._recorder.applied(session, result, waiting, started, self._mode)
+            self._recorder.applied(session, result, queued, started, self._mode)
             self._overload.applied()
-            self._durability.tracked(session)
+            self._durability.frame_tracked(session)
         return result
 
     @contextmanager
-    def _telling_to_wait(self) -> Iterator[None]:
-        """While a frame is in the worker for longer than usual, its client is told that it is; it would count the silence."""
-        self._tell_later(monotonic())
+    def _waiting_notices(self) -> Iterator[None]:
+        """Sends a waiting notice at intervals while a frame is in the worker: the client's timeout counts silence."""
+        self._schedule_waiting_notice(monotonic())
         try:
             yield
         finally:
-            self._telling.cancel()
+            self._waiting_timer.cancel()
 
-    def _tell_later(self, began: float) -> None:
-        self._telling = asyncio.get_running_loop().call_later(TELL_EVERY, self._tell_to_wait, began)
+    def _schedule_waiting_notice(self, began: float) -> None:
+        self._waiting_timer = asyncio.get_running_loop().call_later(WAITING_NOTICE_INTERVAL, self._notify_waiting, began)
 
-    def _tell_to_wait(self, began: float) -> None:
-        self._tell_later(began)
-        self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="a frame takes long", value=monotonic() - began))
+    def _notify_waiting(self, began: float) -> None:
+        self._schedule_waiting_notice(began)
+        self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="the frame is still being tracked", value=monotonic() - began))
 
-    async def _seated(self) -> None:
+    async def _wait_for_worker(self) -> None:
         """Returns when the session has a worker.
 
         Raises:
-            WorkerLost: the stream is about to end before that. Irrecoverable: it will have none.
+            WorkerLost: the stream ends first. Irrecoverable: the session cannot be restored.
         """
-        reviving, ending = self._durability.revive(self.session), asyncio.create_task(self.ending.wait())
-        await asyncio.wait((reviving, ending), return_when=asyncio.FIRST_COMPLETED)
+        restore, ending = self._durability.revive(self.session), asyncio.create_task(self.ending.wait())
+        await asyncio.wait((restore, ending), return_when=asyncio.FIRST_COMPLETED)
         ending.cancel()
-        if not reviving.done():
+        if not restore.done():
             raise worker_lost(self.session.id)
-        if reason := reviving.result():
+        if reason := restore.result():
             raise Irrecoverable(reason)
 
     def _check_order(self, frame: pb.Frame) -> None:
@@ -283,6 +283,6 @@ class Stream:
         if frame.sequence_number <= last:
             raise InvalidFrame(
                 field="sequence_number",
-                expected=f"more than {last}, that of the last frame",
+                expected=f"more than {last}, the number of the last frame",
                 got=str(frame.sequence_number),
             )

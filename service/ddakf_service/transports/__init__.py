@@ -1,1 +1,1 @@
-"""Transports: the contract over gRPC, REST and WebSocket."""
+"""Transports: the service's contract over gRPC, REST and WebSocket."""

@@ -1,4 +1,4 @@
-"""Guard of every HTTP route and every WebSocket."""
+"""HTTP guard: the key and scopes of every REST call and every WebSocket."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ _SUBPROTOCOL = "ddakf.key."
 
 
 class HttpGuard:
-    """ASGI middleware before every route and every WebSocket.
+    """ASGI middleware in front of every route and every WebSocket.
 
-    A browser's WebSocket cannot send headers: it names its key as a subprotocol, ``ddakf.key.KEY``, after ``ddakf.v1``.
+    A browser's WebSocket cannot send headers: it sends its key as a subprotocol, ``ddakf.key.KEY``, after ``ddakf.v1``.
     """
 
     def __init__(self, app, guard: Guard):

@@ -1,4 +1,4 @@
-"""The HTTP port: uvicorn, with what bounds and encrypts its connections."""
+"""HTTP server of REST and WebSocket: uvicorn with bounded and encrypted connections."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from ..settings import Settings
 from .rest.cross_origin import SecurityHeaders
 from .websocket.keepalive import WebSocketProtocol
 
-_LAST_WORDS = 1.0  # seconds that the answer to a late request has before its connection is cut
+_RESPONSE_GRACE = 1.0  # seconds for the response to a late request before its connection is closed
 _STOP_PATIENCE = 2  # seconds that a stop waits for calls in progress
-# Bytes that the kernel keeps for one connection. Left alone it keeps megabytes for a slow watcher: seconds that are past.
+# Bytes of the operating system's send buffer per connection. By default it holds megabytes for a slow watcher: stale results.
 _SEND_BUFFER = 1 << 19
 
 
 class HttpServer:
-    """uvicorn in an event loop that others share.
+    """uvicorn in the server's event loop.
 
     Args:
-        app: the application, with its guards.
+        app: the application with its guard.
         tls: certificates; None: no encryption.
     """
 
@@ -36,7 +36,7 @@ class HttpServer:
         self._settings, self._tls = settings, tls
         config = uvicorn.Config(
             SecurityHeaders(app),
-            http=http_protocol(settings.request_timeout + _LAST_WORDS),
+            http=http_protocol(settings.request_timeout + _RESPONSE_GRACE),
             ws=WebSocketProtocol,
             ws_max_size=settings.max_message_bytes,
             ws_ping_interval=settings.keepalive,
@@ -49,17 +49,17 @@ class HttpServer:
             timeout_graceful_shutdown=_STOP_PATIENCE,
         )
         if tls is not None:
-            config.load()  # uvicorn makes a context from files alone, which it never reads again
+            config.load()  # uvicorn would read the files once only
             config.ssl = tls.context()
         self._server = _QuietServer(config)
         self._task: asyncio.Task | None = None
         self._following: asyncio.Task | None = None
 
     async def start(self) -> int:
-        """Listens, and returns the port.
+        """Binds the port and returns it.
 
         Raises:
-            InvalidConfig: the port cannot be had.
+            InvalidConfig: the port is not available.
         """
         host, port = self._settings.host, self._settings.http_port
         try:
@@ -73,13 +73,13 @@ class HttpServer:
         self._task = asyncio.create_task(self._server.serve(sockets=[listener]))
         while not self._server.started:
             if self._task.done():
-                await self._task  # raises why it could not start
+                await self._task  # raises the reason
                 raise RuntimeError("the HTTP server ended while it started")
             await asyncio.sleep(0.01)
         return listener.getsockname()[1]
 
     async def stop(self) -> None:
-        """Ends once the calls in progress are answered."""
+        """Stops after the calls in progress."""
         self._server.should_exit = True
         if self._following:
             self._following.cancel()
@@ -88,8 +88,12 @@ class HttpServer:
 
 
 def http_protocol(patience: float) -> type[H11Protocol]:
-    """uvicorn's protocol on h11, which bounds the headers of a request, but a connection whose request is not there, headers
-    and body, ``patience`` seconds after its first byte, or after the connection itself, is cut."""
+    """uvicorn's h11 protocol with a time limit per request; h11 bounds the headers.
+
+    Args:
+        patience: seconds from the connection, or from the first byte of a request, to the end of the request's body; then
+            the connection is closed.
+    """
 
     class Protocol(H11Protocol):
         _cutting: asyncio.TimerHandle | None = None
@@ -124,4 +128,4 @@ def http_protocol(patience: float) -> type[H11Protocol]:
 class _QuietServer(uvicorn.Server):
     @contextlib.contextmanager
     def capture_signals(self):
-        yield  # signals belong to the whole service, not to its HTTP side
+        yield  # the service handles signals

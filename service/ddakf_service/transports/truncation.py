@@ -1,4 +1,4 @@
-"""Sentences cut to what a header or a control frame can hold."""
+"""Truncation of messages to the size of a header or a control frame."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ _DOTS = "..."
 
 
 def truncated(text: str, most: int) -> str:
-    """The text in at most ``most`` bytes of UTF-8, with dots where something is missing."""
+    """The text in at most ``most`` bytes of UTF-8; dots mark a truncation."""
     data = text.encode()
     if len(data) <= most:
         return text

@@ -1,1 +1,1 @@
-"""Worker processes: an interface of a pool, and the processes of this machine that implement it."""
+"""Workers: the interface of a pool, and the pool of this machine's processes."""

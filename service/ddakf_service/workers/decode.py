@@ -1,6 +1,6 @@
-"""Messages of the contract to what the tracker takes, and back. Runs in the workers.
+"""Decoding in a worker: messages of the contract as meshes, configuration and frame arguments of the tracker.
 
-Every length is checked against its limit before memory is taken; errors name the field of the message.
+Every length is checked against its limit before memory is allocated; errors name the field of the message.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from ddakf.files import depth as depths
 from .pool import Limits
 
 _MAX_CONFIG_CHARACTERS = 1 << 16
-# The arguments of Tracker.step by the fields of a frame that they come from.
+# Field of the frame by argument of Tracker.step.
 _FRAME_FIELDS = {"points": "point_cloud", "timestamp": "capture_time", "sensor_origin": "sensors"}
-MOST_AHEAD = 0.5  # s between capture and display: later is no latency, and no prediction
+_MAX_PREDICTION = 0.5  # s between capture and display: a longer time is no latency and cannot be predicted
 
 
 def garment(request: pb.CreateSessionRequest, max_vertices: int, max_faces: int) -> tuple[ddakf.Mesh, np.ndarray | None]:
-    """The garment, and with ``clean`` the vertex map (V,) of the repair."""
+    """The garment mesh, and with ``clean`` the vertex map (V,) of the repair."""
     vertices, faces = unpack_mesh(request.session.garment, field="garment", max_vertices=max_vertices, max_faces=max_faces)
-    with _fields_of("garment"):
+    with _with_mesh_fields("garment"):
         return ddakf.Mesh.cleaned(vertices, faces) if request.clean else (ddakf.Mesh(vertices, faces), None)
 
 
 def body(session: pb.Session, max_vertices: int, max_faces: int) -> ddakf.Mesh | None:
-    """The body, if there is one."""
+    """The body mesh, if any."""
     if not session.HasField("body"):
         return None
     vertices, faces = unpack_mesh(session.body, field="body", max_vertices=max_vertices, max_faces=max_faces)
-    with _fields_of("body"):
+    with _with_mesh_fields("body"):
         return ddakf.Mesh(vertices, faces)
 
 
 def config(session: pb.Session) -> ddakf.Config:
-    """The tracker's configuration: ``config_json`` over the defaults, then ``fabric``."""
+    """The tracker's configuration: the defaults, overridden by ``config_json``, then by ``fabric``."""
     text = session.config_json
     if len(text) > _MAX_CONFIG_CHARACTERS:
         raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
@@ -55,8 +55,8 @@ def config(session: pb.Session) -> ddakf.Config:
     return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
 
 
-def restored(data: bytes, limits: Limits) -> ddakf.Tracker:
-    """The tracker of a snapshot; nothing is built of one whose meshes no new session could have."""
+def tracker_from_snapshot(data: bytes, limits: Limits) -> ddakf.Tracker:
+    """The tracker of a snapshot. Meshes beyond the limits of a new session are rejected before anything is built."""
     numbers, arrays = snapshot.unpack(data)
     for name, most, what in (
         ("garment_V", limits.max_vertices, "garment vertices"),
@@ -73,7 +73,7 @@ def restored(data: bytes, limits: Limits) -> ddakf.Tracker:
 def step_arguments(frame: pb.Frame, limits: Limits, draco: codec.DracoDecoder) -> dict:
     """The arguments of ``Tracker.step`` for a frame."""
     if frame.WhichOneof("payload") == "depth_image":
-        points, origin = _unprojected(frame, limits)
+        points, origin = _unproject(frame, limits)
     else:
         points = codec.decode(frame.point_cloud, max_points=limits.max_points, draco_decoder=draco)
         origin = codec.sensor_origins(frame.sensors, len(points))
@@ -85,20 +85,20 @@ def step_arguments(frame: pb.Frame, limits: Limits, draco: codec.DracoDecoder) -
     }
 
 
-def seconds_ahead(frame: pb.Frame) -> float:
-    """How long after its capture the frame's answer will be shown."""
+def prediction_seconds(frame: pb.Frame) -> float:
+    """Seconds from the frame's capture to the display of its result."""
     if frame.display_time == 0:
         return 0.0
     ahead = frame.display_time - frame.capture_time
-    if not 0 <= ahead <= MOST_AHEAD:  # also false for a NaN
-        expected = f"0, or {frame.capture_time:.6f} to {MOST_AHEAD} s later"
+    if not 0 <= ahead <= _MAX_PREDICTION:  # also false for a NaN
+        expected = f"0, or {frame.capture_time:.6f} to {_MAX_PREDICTION} s later"
         raise InvalidFrame(field="display_time", expected=expected, got=f"{frame.display_time:.6f}")
     return ahead
 
 
 @contextmanager
-def frame_fields(frame: pb.Frame):
-    """Makes errors of the tracker name the fields of the frame."""
+def with_frame_fields(frame: pb.Frame):
+    """Renames the fields in the tracker's errors to those of the frame."""
     try:
         yield
     except library.InvalidFrame as error:
@@ -115,8 +115,8 @@ def optional_array(message, field: str, max_items: int) -> np.ndarray | None:
     return unpack(getattr(message, field), 3, field=field, max_items=max_items, encodings=FLOATS).astype(np.float64)
 
 
-def _unprojected(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
-    """World points (N, 3) of a depth image, metres, without those that float behind edges, and the camera's centre (3,)."""
+def _unproject(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
+    """World points (N, 3) of a depth image, metres, without flying pixels behind edges; and the camera's centre (3,)."""
     if frame.sensors:
         raise InvalidFrame(field="sensors", expected="none beside a depth image, which has its pose", got=str(len(frame.sensors)))
     image = codec.decode_depth(frame.depth_image, max_pixels=limits.max_image_pixels)
@@ -138,13 +138,13 @@ def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:
         raise InvalidFrame(field="body_vertices", expected="float32 triples, 12 bytes each", got=f"{len(data)} bytes")
     if len(data) > 12 * max_vertices:
         raise InvalidFrame(field="body_vertices", expected=f"at most {max_vertices}", got=str(len(data) // 12))
-    with np.errstate(invalid="ignore"):  # a signalling NaN, of which NumPy warns here, is refused with the others
+    with np.errstate(invalid="ignore"):  # NumPy warns of a signalling NaN, which is rejected later with all others
         return np.frombuffer(data, "<f4").reshape(-1, 3).astype(np.float64)
 
 
 @contextmanager
-def _fields_of(name: str):
-    """Makes errors of a mesh say which mesh."""
+def _with_mesh_fields(name: str):
+    """Renames the field "mesh" in errors to the given name."""
     try:
         yield
     except library.InvalidMesh as error:

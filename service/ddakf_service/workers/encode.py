@@ -1,4 +1,4 @@
-"""Encoding: results and sessions of the tracker as messages of the contract."""
+"""Encoding in a worker: results and sessions of the tracker as messages of the contract."""
 
 from __future__ import annotations
 
@@ -14,28 +14,17 @@ from ddakf.types import FrameResult
 
 _UPPER_TRIANGLE = ((0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2))
 
-
-# What a client may ask for, per array; the first is the default.
+# Encodings that a client may choose, per array; the first is the default.
 _VERTEX_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT64, pb.ARRAY_ENCODING_QUANTISED_16)
-
-
 _SIGMA_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_FLOAT16)
-
-
 _RELIABILITY_ENCODINGS = (pb.ARRAY_ENCODING_FLOAT32, pb.ARRAY_ENCODING_QUANTISED_8)
-
-
 _RELIABILITY_STEP = 1 / 255
-
-
-_ROOM = 1.5  # times the template's largest side: what a garment extends to before its vertices are quantised more coarsely
-
-
+_EXTENT_FACTOR = 1.5  # extent that 16-bit vertices cover, over the template's largest side
 RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_ENCODINGS})
 
 
-def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:
-    """What the server keeps of a new session."""
+def session_message(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:
+    """Description of a new session for the server: configuration, meshes, counts, vertex map."""
     garment, body = tracker.garment, tracker.body
     session = pb.Session(
         config_json=json.dumps(tracker.config.to_dict()),
@@ -53,7 +42,7 @@ def opened(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | No
 
 
 def require_known_encodings(options: pb.ResultOptions) -> None:
-    """Refuses, before the frame is tracked, options that its result could not be encoded with."""
+    """Rejects unknown encodings of the result, before the frame is tracked."""
     for field, allowed in (
         ("vertex_encoding", _VERTEX_ENCODINGS),
         ("sigma_encoding", _SIGMA_ENCODINGS),
@@ -67,33 +56,33 @@ def require_known_encodings(options: pb.ResultOptions) -> None:
             raise InvalidFrame(field=f"result_options.{field}", expected=names, got=got)
 
 
-def result(frame: pb.Frame, outcome: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
-    """The answer to a frame, without what only the server knows: counters and queueing time."""
+def result_message(frame: pb.Frame, result: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
+    """The message to a frame, without what only the server knows: counters and queueing time."""
     vertex_encoding = options.vertex_encoding or _VERTEX_ENCODINGS[0]
     step = _vertex_step(garment) if vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16 else None
-    answer = pb.Result(
+    message = pb.Result(
         sequence_number=frame.sequence_number,
         capture_time=frame.capture_time,
-        state=pb.TrackerState.Value(f"TRACKER_STATE_{outcome.state.upper()}"),
-        reliability=outcome.reliability,
-        paper_score=outcome.paper_score,
-        coverage=outcome.coverage,
-        timings=outcome.timings,
+        state=pb.TrackerState.Value(f"TRACKER_STATE_{result.state.upper()}"),
+        reliability=result.reliability,
+        paper_score=result.paper_score,
+        coverage=result.coverage,
+        timings=result.timings,
         display_time=frame.display_time or frame.capture_time,
-        vertices=pack(outcome.vertices, vertex_encoding, step=step),
-        sigma=pack(outcome.sigma, options.sigma_encoding or _SIGMA_ENCODINGS[0]),
+        vertices=pack(result.vertices, vertex_encoding, step=step),
+        sigma=pack(result.sigma, options.sigma_encoding or _SIGMA_ENCODINGS[0]),
         vertex_reliability=pack(
-            outcome.vertex_reliability, options.reliability_encoding or _RELIABILITY_ENCODINGS[0], step=_RELIABILITY_STEP
+            result.vertex_reliability, options.reliability_encoding or _RELIABILITY_ENCODINGS[0], step=_RELIABILITY_STEP
         ),
-        observed=pack(outcome.observed, pb.ARRAY_ENCODING_BOOL),
+        observed=pack(result.observed, pb.ARRAY_ENCODING_BOOL),
     )
     if options.include_velocities:
-        answer.velocities.CopyFrom(pack(outcome.velocities))
+        message.velocities.CopyFrom(pack(result.velocities))
     if options.include_covariance:
-        answer.covariance.CopyFrom(pack(outcome.covariance[:, *_UPPER_TRIANGLE]))
-    return answer
+        message.covariance.CopyFrom(pack(result.covariance[:, *_UPPER_TRIANGLE]))
+    return message
 
 
 def _vertex_step(garment: ddakf.Mesh) -> float:
-    """Metres per step of 16-bit vertices: with 65,536 of them half as much again as the template's largest side is covered."""
-    return _ROOM * float(np.ptp(garment.vertices, axis=0).max()) / 0xFFFF
+    """Metres per step of 16-bit vertices: 65,536 steps cover 1.5 times the template's largest side."""
+    return _EXTENT_FACTOR * float(np.ptp(garment.vertices, axis=0).max()) / 0xFFFF

@@ -1,4 +1,4 @@
-"""The interface of a worker pool. Payloads are serialised messages, so that a pool may live on other machines."""
+"""Interface of a worker pool: requests and answers are serialised messages, so that workers may run on other machines."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import NamedTuple, Protocol
 
 from ddakf_api.errors import WorkerLost
 
-RETRY_AFTER = 1.0  # seconds, told to clients: about what a replacement takes with a warm kernel cache
+RETRY_AFTER = 1.0  # seconds; about the start of a replacement worker with a warm kernel cache
 
-# Called with (kernels compiled, kernels in all, name of the next one) while the first worker warms up.
+# Called with (compiled kernels, total, name of the next) while the first worker warms up.
 Progress = Callable[[int, int, str], None]
 
-# Called with the ids of the sessions whose state went with their worker.
+# Called with the ids of the sessions that were lost with their worker.
 OnLost = Callable[[Sequence[str]], None]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What one request may contain; checked before memory is taken for it."""
+    """Upper bounds of one request, checked before memory is allocated."""
 
     max_points: int
     max_vertices: int
@@ -41,26 +41,33 @@ class Memory(NamedTuple):
     """Estimated memory of a session in its worker, bytes.
 
     Attributes:
-        kept: for as long as the session lives.
-        frame: on top of that while a frame is tracked. A worker tracks one frame at a time, so that its sessions share this.
+        session: for the life of the session.
+        frame: in addition while a frame is tracked. A worker tracks one frame at a time, so its sessions share this part.
     """
 
-    kept: int = 0
+    session: int = 0
     frame: int = 0
 
     @classmethod
     def of(cls, vertices: int, faces: int, body_vertices: int, body_faces: int, points: int) -> Memory:
-        """Of a garment and a body, and frames of ``points``. The factors are rounded up from measured growth of a worker."""
-        kept = (1 << 20) + 1500 * vertices + 200 * faces + 900 * body_vertices + 100 * body_faces
-        return cls(kept, 1500 * vertices + 300 * points)
+        """Estimate for a garment, a body and frames of ``points``. The factors are rounded up from a worker's measured growth."""
+        session = (1 << 20) + 1500 * vertices + 200 * faces + 900 * body_vertices + 100 * body_faces
+        return cls(session, 1500 * vertices + 300 * points)
 
 
 UNKNOWN = Memory(0, 0)
 
 
 class Health(NamedTuple):
-    """State of a pool: workers that take frames, workers that there should be, how often one was lost, warm spares that wait,
-    and how often one was replaced in order."""
+    """State of a pool.
+
+    Attributes:
+        ready: workers that accept frames.
+        wanted: configured number of those.
+        restarts: workers lost since the start.
+        spares: warm workers in reserve.
+        recycled: workers replaced in order since the start.
+    """
 
     ready: int
     wanted: int
@@ -70,56 +77,58 @@ class Health(NamedTuple):
 
 
 def worker_lost(session_id: str) -> WorkerLost:
-    """What everyone is told who asks for a session that went with its worker."""
+    """The error of a call for a session whose worker was lost."""
     return WorkerLost(f"the worker of sessions/{session_id} was lost", retry_after=RETRY_AFTER)
 
 
 class WorkerPool(Protocol):
     """Sessions pinned to workers.
 
-    Every call raises ``WorkerLost`` when the session's worker is gone (the session must be opened or restored again), and the
-    error that the worker raised, with its field, when the payload cannot be used (the session is as it was).
-    One call per session at a time, :meth:`snapshot` excepted; calls of different sessions overlap, and their frames are tracked
+    Every call raises ``WorkerLost`` when the session's worker is lost; the session must then be opened or restored again.
+    A call raises the worker's error, with its field, when the request is invalid; the session stays unchanged.
+    One call per session at a time, except :meth:`snapshot`. Calls of different sessions overlap; a worker tracks their frames
     in turn. A pool may move sessions between its workers; calls wait meanwhile.
     """
 
     async def start(self, progress: Progress) -> None:
-        """Returns when every worker has compiled its kernels and tracked a frame; spares come later."""
+        """Returns when every worker has compiled its kernels and tracked a frame; spares start later."""
 
     async def open(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         """Creates a session on the least loaded worker: CreateSessionRequest in, Session with its meshes out.
 
         Raises:
-            ResourceExhausted: no worker has so much memory left.
+            ResourceExhausted: no worker has enough memory.
         """
 
     async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         """Creates a session from a snapshot: RestoreSessionRequest in, Session with its meshes out. Raises as :meth:`open`."""
 
-    async def submit(self, session_id: str, frame: bytes, options: bytes, *, max_points: int, turn_by: float = math.inf) -> bytes:
+    async def submit(
+        self, session_id: str, frame: bytes, options: bytes, *, max_points: int, start_by: float = math.inf
+    ) -> bytes:
         """Tracks one frame of at most ``max_points``: Frame and ResultOptions in, Result out.
 
         Raises:
-            DeadlineExceeded: its turn did not come before ``turn_by`` (monotonic clock, seconds); it was not tracked.
+            DeadlineExceeded: the worker was not free before ``start_by`` (monotonic clock, seconds); the frame was not tracked.
         """
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
-        """Another configuration from the next frame on: Session with config_json and fabric in, with the whole config out."""
+        """Replaces the configuration from the next frame on: Session with config_json and fabric in, with the full config out."""
 
     async def reset(self, session_id: str, request: bytes) -> None:
-        """Starts the session's tracker again: ResetSessionRequest in."""
+        """Resets the session's tracker: ResetSessionRequest in."""
 
     def snapshot(self, session_id: str, *, compressed: bool = False) -> Awaitable[bytes]:
-        """The state of the session's tracker as the calls before this one left it, whatever is called before it is answered."""
+        """The tracker's state after all earlier calls; later calls do not change the answer."""
 
     async def close(self, session_id: str) -> None:
-        """Forgets the session; unknown sessions are ignored."""
+        """Removes the session; an unknown session is ignored."""
 
     def health(self) -> Health:
-        """As of now, without waiting."""
+        """Current state, without waiting."""
 
     def process_ids(self) -> list[int]:
-        """Of the workers that take frames."""
+        """Process ids of the workers that accept frames."""
 
     async def stop(self) -> None:
         """Ends all workers; returns when no process is left."""

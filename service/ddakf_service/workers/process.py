@@ -1,4 +1,4 @@
-"""A worker process: started with its end of a pipe, it computes until the pipe closes.
+"""Main program of a worker process: answers requests on its end of a pipe until the pipe closes.
 
 Run as ``python -m ddakf_service.workers.process DESCRIPTOR LIMITS``, LIMITS being the JSON of :class:`Limits`.
 """
@@ -26,33 +26,33 @@ _PR_SET_PDEATHSIG = 1
 
 
 def main(descriptor: int, limits: Limits) -> None:
-    """Warms up, says so, and answers requests one after the other."""
-    # A Ctrl-C or a stop reaches the whole group; the server decides when its workers end, by closing their pipes.
+    """Warms up, reports READY, and answers requests one at a time."""
+    # Ctrl-C or a stop reaches the whole process group, but the server ends its workers by closing their pipes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _die_with_parent()
     channel = BlockingChannel(socket.socket(fileno=descriptor))
-    compute = TrackerHost(limits)
-    compute.warm(lambda *step: channel.send(Message(Kind.PROGRESS, payload=json.dumps(step).encode())))
+    host = TrackerHost(limits)
+    host.warm(lambda *step: channel.send(Message(Kind.PROGRESS, content=json.dumps(step).encode())))
     channel.send(Message(Kind.READY))
     while (request := channel.receive()) is not None:
-        channel.send(_answer(compute, request))
+        channel.send(_answer(host, request))
 
 
-def _answer(compute: TrackerHost, request: Message) -> Message:
+def _answer(host: TrackerHost, request: Message) -> Message:
     current_session.set(request.session_id)
     try:
-        payload = compute.handle(request)
-        return Message(Kind.RESULT, request.number, payload=payload)
+        content = host.handle(request)
+        return Message(Kind.RESULT, request.number, content=content)
     except Exception as error:
         detail = to_detail(error)
         if detail.name == "Internal":
             log.exception("a request failed")
-        return Message(Kind.ERROR, request.number, payload=detail.SerializeToString())
+        return Message(Kind.ERROR, request.number, content=detail.SerializeToString())
 
 
 def _die_with_parent() -> None:
-    """Asks the kernel to kill this process when the server dies, even in the middle of a compilation."""
+    """Asks Linux to kill this process when the server dies, even during a compilation."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
@@ -62,4 +62,4 @@ if __name__ == "__main__":
     try:
         main(int(sys.argv[1]), Limits.from_json(sys.argv[2]))
     except (BrokenPipeError, ConnectionResetError):
-        sys.exit(0)  # the server is gone, and so is the work
+        sys.exit(0)  # the server is gone

@@ -1,4 +1,4 @@
-"""The sessions of one worker: serialised messages in, serialised messages out, trackers between."""
+"""Tracker host: the trackers of one worker process, behind serialised requests and answers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ddakf.commands import warmup
 from . import decode, encode
 from .pool import Limits
 from .warmup_session import warm_up_session
-from .wire import Kind, Message, split
+from .wire import Kind, Message, unpack_frame_request
 
 
 class TrackerHost:
@@ -39,58 +39,59 @@ class TrackerHost:
 
     def handle(self, request: Message) -> bytes:
         """Answers one request of the server."""
-        return self._handlers[request.kind](request.session_id, request.payload)
+        return self._handlers[request.kind](request.session_id, request.content)
 
     def warm(self, progress: Callable[[int, int, str], None]) -> None:
-        """Compiles the kernels, and tracks a first frame the way that every later one goes."""
+        """Compiles the kernels and tracks a first frame on the path of every later one."""
         warmup.warm(progress)
         request, frame = warm_up_session()
         self.open("warm-up", request.SerializeToString())
         self._track("warm-up", frame, pb.ResultOptions(include_covariance=True), self._limits)
         self.close("warm-up", b"")
 
-    def open(self, session_id: str, payload: bytes) -> bytes:
+    def open(self, session_id: str, request: bytes) -> bytes:
         """CreateSessionRequest in, Session with its meshes out."""
-        request = pb.CreateSessionRequest.FromString(payload)
-        session, limits = request.session, self._limits
-        garment, vertex_map = decode.garment(request, limits.max_vertices, limits.max_faces)
+        creation, limits = pb.CreateSessionRequest.FromString(request), self._limits
+        session = creation.session
+        garment, vertex_map = decode.garment(creation, limits.max_vertices, limits.max_faces)
         body = decode.body(session, limits.max_body_vertices, limits.max_faces)
         tracker = ddakf.Tracker(garment, body=body, config=decode.config(session))
         self._trackers[session_id] = tracker
-        return encode.opened(tracker, session.fabric, vertex_map).SerializeToString()
+        return encode.session_message(tracker, session.fabric, vertex_map).SerializeToString()
 
-    def restore(self, session_id: str, payload: bytes) -> bytes:
+    def restore(self, session_id: str, request: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
-        self._trackers[session_id] = tracker = decode.restored(pb.RestoreSessionRequest.FromString(payload).data, self._limits)
-        return encode.opened(tracker).SerializeToString()
+        data = pb.RestoreSessionRequest.FromString(request).data
+        self._trackers[session_id] = tracker = decode.tracker_from_snapshot(data, self._limits)
+        return encode.session_message(tracker).SerializeToString()
 
-    def frame(self, session_id: str, payload: bytes) -> bytes:
+    def frame(self, session_id: str, request: bytes) -> bytes:
         """ResultOptions, Frame and the session's bound on its points in, Result out."""
-        options, frame, max_points = split(payload)
+        options, frame, max_points = unpack_frame_request(request)
         limits = replace(self._limits, max_points=min(max_points, self._limits.max_points))
         return self._track(session_id, pb.Frame.FromString(frame), pb.ResultOptions.FromString(options), limits)
 
-    def reset(self, session_id: str, payload: bytes) -> bytes:
+    def reset(self, session_id: str, request: bytes) -> bytes:
         """ResetSessionRequest in."""
         tracker = self._tracker(session_id)
-        request = pb.ResetSessionRequest.FromString(payload)
-        vertices = decode.optional_array(request, "vertices", self._limits.max_vertices)
-        velocities = decode.optional_array(request, "velocities", self._limits.max_vertices)
+        reset = pb.ResetSessionRequest.FromString(request)
+        vertices = decode.optional_array(reset, "vertices", self._limits.max_vertices)
+        velocities = decode.optional_array(reset, "velocities", self._limits.max_vertices)
         tracker.reset(vertices, velocities=velocities)
         return b""
 
-    def configure(self, session_id: str, payload: bytes) -> bytes:
-        """Session with configuration and fabric in, with the whole configuration out."""
-        session = pb.Session.FromString(payload)
+    def configure(self, session_id: str, request: bytes) -> bytes:
+        """Session with configuration and fabric in, with the full configuration out."""
+        session = pb.Session.FromString(request)
         self._trackers[session_id] = tracker = self._tracker(session_id).configured(decode.config(session))
         return pb.Session(config_json=json.dumps(tracker.config.to_dict()), fabric=session.fabric).SerializeToString()
 
-    def snapshot(self, session_id: str, payload: bytes) -> bytes:
-        """The tracker's state out, compressed unless the payload is empty."""
-        return self._tracker(session_id).snapshot(compressed=bool(payload))
+    def snapshot(self, session_id: str, request: bytes) -> bytes:
+        """The tracker's state out; compressed unless the request is empty."""
+        return self._tracker(session_id).snapshot(compressed=bool(request))
 
-    def close(self, session_id: str, payload: bytes) -> bytes:
-        """Forgets a session."""
+    def close(self, session_id: str, request: bytes) -> bytes:
+        """Removes a session."""
         self._trackers.pop(session_id, None)
         return b""
 
@@ -98,18 +99,18 @@ class TrackerHost:
         started = perf_counter()
         tracker = self._tracker(session_id)
         encode.require_known_encodings(options)
-        ahead = decode.seconds_ahead(frame)
+        prediction = decode.prediction_seconds(frame)
         arguments = decode.step_arguments(frame, limits, self._draco)
         decoded = perf_counter()
-        with decode.frame_fields(frame):
-            outcome = tracker.step(**arguments)
-        if ahead > 0:
-            outcome = tracker.predicted(outcome, ahead)
+        with decode.with_frame_fields(frame):
+            result = tracker.step(**arguments)
+        if prediction > 0:
+            result = tracker.predicted(result, prediction)
         tracked = perf_counter()
-        result = encode.result(frame, outcome, options, tracker.garment)
-        result.timings["decode"] = decoded - started
-        result.timings["encode"] = perf_counter() - tracked
-        return result.SerializeToString()
+        message = encode.result_message(frame, result, options, tracker.garment)
+        message.timings["decode"] = decoded - started
+        message.timings["encode"] = perf_counter() - tracked
+        return message.SerializeToString()
 
     def _tracker(self, session_id: str) -> ddakf.Tracker:
         try:

@@ -1,4 +1,4 @@
-"""Warm-up: a small session and a first frame, tracked by a worker before it takes sessions."""
+"""Warm-up session: a small sheet above a body and a first frame, tracked by a worker before it accepts sessions."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 
 def warm_up_session() -> tuple[pb.CreateSessionRequest, pb.Frame]:
-    """A hand-sized sheet above a body, and a first frame of it: what a worker tracks before it takes sessions."""
+    """The creation request of a hand-sized sheet above a body, and a first frame of it."""
     side, spacing = 12, 0.02
     x, y = np.meshgrid(np.arange(side), np.arange(side), indexing="ij")
     sheet = spacing * np.stack([x.ravel(), y.ravel(), np.zeros(side * side)], axis=1)

@@ -1,4 +1,4 @@
-"""Messages between the server and a worker process: kind, request number, session id, payload."""
+"""Wire format between the server and a worker process: kind, request number, session id, content."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import socket
 import struct
 from typing import NamedTuple
 
-_HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the payload
+_HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the content
 _FRAME = struct.Struct("<II")  # points that the frame may have, bytes of the options
 
 
 class Kind(enum.IntEnum):
-    """What a message asks for, or what it answers."""
+    """Kind of a request (below 16) or of an answer."""
 
     OPEN = 1
     RESTORE = 2
@@ -33,24 +33,24 @@ class Message(NamedTuple):
     kind: Kind
     number: int = 0
     session_id: str = ""
-    payload: bytes = b""
+    content: bytes = b""
 
     def head(self) -> bytes:
-        """All that goes before the payload."""
+        """The bytes before the content."""
         session_id = self.session_id.encode()
-        return _HEADER.pack(self.kind, self.number, len(session_id), len(self.payload)) + session_id
+        return _HEADER.pack(self.kind, self.number, len(session_id), len(self.content)) + session_id
 
 
-def join(options: bytes, frame: bytes, max_points: int) -> bytes:
-    """The payload of a FRAME: serialised ResultOptions and Frame, and how many points the session lets it have."""
+def pack_frame_request(options: bytes, frame: bytes, max_points: int) -> bytes:
+    """Content of a FRAME request: serialised ResultOptions and Frame, and the session's bound on points."""
     return b"".join((_FRAME.pack(max_points, len(options)), options, frame))
 
 
-def split(payload: bytes) -> tuple[bytes, bytes, int]:
+def unpack_frame_request(content: bytes) -> tuple[bytes, bytes, int]:
     """The inverse of :func:`join`."""
-    max_points, size = _FRAME.unpack_from(payload)
+    max_points, size = _FRAME.unpack_from(content)
     end = _FRAME.size + size
-    return payload[_FRAME.size : end], payload[end:], max_points
+    return content[_FRAME.size : end], content[end:], max_points
 
 
 async def read(reader: asyncio.StreamReader) -> Message:
@@ -61,22 +61,22 @@ async def read(reader: asyncio.StreamReader) -> Message:
 
 
 class BlockingChannel:
-    """The worker's end: plain blocking reads and writes, for it does one thing at a time."""
+    """The worker's end of the pipe: blocking reads and writes, one request at a time."""
 
     def __init__(self, connection: socket.socket):
         self._connection = connection
         self._file = connection.makefile("rb", buffering=1 << 20)
 
     def receive(self) -> Message | None:
-        """The next message, or None when the server is gone."""
+        """The next message; None when the server is gone."""
         head = self._file.read(_HEADER.size)
         if len(head) < _HEADER.size:
             return None
         kind, number, id_size, size = _HEADER.unpack(head)
         session_id = self._file.read(id_size).decode()
-        payload = self._file.read(size)
-        return Message(Kind(kind), number, session_id, payload) if len(payload) == size else None
+        content = self._file.read(size)
+        return Message(Kind(kind), number, session_id, content) if len(content) == size else None
 
     def send(self, message: Message) -> None:
-        # In one piece: the event loop at the other end is woken once.
-        self._connection.sendall(message.head() + message.payload)
+        # One write, so that the event loop at the other end wakes once.
+        self._connection.sendall(message.head() + message.content)

@@ -1,4 +1,4 @@
-"""One worker process, and the server's end of its pipe: spawned, spoken to, ended."""
+"""Worker: one worker process and the server's end of its pipe."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pathlib import Path
 from ddakf_api.errors import from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ..workers import wire
+from . import wire
 from .pool import UNKNOWN, Limits, Memory, Progress, worker_lost
 
 log = logging.getLogger(__name__)
 
-# One compute thread per worker: sessions are the unit of parallelism, and more threads than cores only add waiting.
+# One compute thread per worker: sessions are the unit of parallelism, and more threads than cores add only waiting.
 ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
 
 _STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
-_EXIT_PATIENCE = 5.0  # seconds that a worker has to end by itself once its pipe is closed
-_FRAMES_IN_PIPE = 2  # one that is tracked, and one so that the worker need not wait; the others' turns come in order
+_EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
+_FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
 
 
 class WorkerStartFailed(RuntimeError):
@@ -36,20 +36,20 @@ class Worker:
     """One process and the server's end of its pipe.
 
     Attributes:
-        sessions: with the memory that each is estimated to take.
-        turns: taken by a frame, or a session that is placed, for as long as it is in the pipe or the worker.
-        placing: taken by a session that waits for such a turn, so that no frame waits for several of them.
-        frames: submitted so far.
-        gone: set once the process is.
-        keeper: waits for that.
+        sessions: estimated memory by session id.
+        frame_slots: held by a frame, or by the placement of a session, while it is in the pipe or the worker.
+        placement_lock: held by a placement that waits for a slot, so that a frame waits for one placement at most.
+        frames: number of submitted frames.
+        gone: set when the process has ended.
+        exit_watcher: task that waits for ``gone``.
     """
 
-    keeper: asyncio.Task
+    exit_watcher: asyncio.Task
 
     def __init__(self, process: subprocess.Popen, reader: asyncio.StreamReader, writer: asyncio.StreamWriter):
         self.process = process
         self.sessions: dict[str, Memory] = {}
-        self.turns, self.placing = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Lock()
+        self.frame_slots, self.placement_lock = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Lock()
         self.frames = 0
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
@@ -63,8 +63,7 @@ class Worker:
         ours, theirs = socket.socketpair()
         with theirs:
             reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
-            # Not the event loop's own way to start a process: it forks, which gRPC's threads forbid, while this one
-            # goes straight to the new program.
+            # The event loop would fork, which gRPC's threads forbid; Popen spawns the new program directly.
             try:
                 process = subprocess.Popen(
                     [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],
@@ -89,22 +88,22 @@ class Worker:
         return worker
 
     def memory_with(self, more: Memory = UNKNOWN) -> int:
-        """Estimated bytes of its sessions, with one more."""
+        """Estimated bytes of the worker's sessions and one more."""
         all_of_them = [*self.sessions.values(), more]
-        return sum(memory.kept for memory in all_of_them) + max(memory.frame for memory in all_of_them)
+        return sum(memory.session for memory in all_of_them) + max(memory.frame for memory in all_of_them)
 
     def resident_bytes(self) -> int:
-        """What the process has in memory; 0 where the system does not say."""
+        """Resident bytes of the process; 0 where the system does not report them."""
         try:
             return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except OSError:
             return 0
 
-    def send(self, kind: wire.Kind, session_id: str, payload: bytes = b"") -> asyncio.Future[bytes]:
-        """Places a request at once; its answer comes later.
+    def send(self, kind: wire.Kind, session_id: str, content: bytes = b"") -> asyncio.Future[bytes]:
+        """Sends a request at once; returns a future of the answer.
 
         Raises:
-            WorkerLost: the worker is gone. The answer may be so, too.
+            WorkerLost: the worker is gone. The future may raise it too.
         """
         if self.gone.is_set():
             raise worker_lost(session_id)
@@ -112,16 +111,16 @@ class Worker:
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting[number] = session_id, answer
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))
-        self._writer.writelines((wire.Message(kind, number, session_id, payload).head(), payload))
+        self._writer.writelines((wire.Message(kind, number, session_id, content).head(), content))
         return answer
 
-    def tell(self, kind: wire.Kind, session_id: str) -> None:
-        """A request whose answer nobody waits for."""
+    def send_without_answer(self, kind: wire.Kind, session_id: str) -> None:
+        """Sends a request and ignores its answer."""
         if not self.gone.is_set():
             self._writer.write(wire.Message(kind, 0, session_id).head())
 
     async def end(self, patience: float = _EXIT_PATIENCE) -> None:
-        """Closes the pipe, at which the process ends; kills it if it does not."""
+        """Closes the pipe, which ends the process; kills it after ``patience`` seconds."""
         if self._listener not in (None, asyncio.current_task()):
             self._listener.cancel()
         self._writer.close()
@@ -134,12 +133,12 @@ class Worker:
     async def _become_ready(self, progress: Progress) -> None:
         try:
             while (message := await wire.read(self._reader)).kind is not wire.Kind.READY:
-                progress(*json.loads(message.payload))
+                progress(*json.loads(message.content))
         except (asyncio.IncompleteReadError, ConnectionError):
             code = await asyncio.to_thread(self.process.wait)
-            raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; its log says why") from None
+            raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; see its log") from None
         except ValueError as error:
-            raise WorkerStartFailed(f"a worker sent what cannot be read before it was ready: {error}") from None
+            raise WorkerStartFailed(f"a worker sent an invalid message before it was ready: {error}") from None
 
     async def _listen(self) -> None:
         try:
@@ -147,16 +146,16 @@ class Worker:
                 message = await wire.read(self._reader)
                 _, answer = self._waiting.get(message.number, ("", None))
                 if answer is None or answer.done():
-                    continue  # whoever asked has left
+                    continue  # the caller has left
                 if message.kind is wire.Kind.ERROR:
-                    answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.payload)))
+                    answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.content)))
                 else:
-                    answer.set_result(message.payload)
+                    answer.set_result(message.content)
         except (asyncio.IncompleteReadError, ConnectionError):
-            # The kernel closes the pipe of a killed process at once, so this is also how a kill is noticed.
+            # The operating system closes the pipe of a killed process at once: a kill is detected here too.
             await self._lose()
         except Exception:
-            log.exception("a worker sent what cannot be read and is replaced", extra={"worker": self.process.pid})
+            log.exception("a worker sent an invalid message and is replaced", extra={"worker": self.process.pid})
             await self._lose()
 
     async def _lose(self) -> None:

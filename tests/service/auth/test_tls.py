@@ -101,9 +101,9 @@ def test_changed_files_are_used_by_new_connections_and_a_broken_one_is_not(encry
 
 async def test_a_file_that_stays_broken_is_told_of_once(tmp_path, monkeypatch, caplog):
     install(tmp_path, Authority("only"), "server")
-    files, looks, stamp = Tls(tmp_path / "server.pem", tmp_path / "server.key"), [], Tls.stamp
+    files, looks, stamp = Tls(tmp_path / "server.pem", tmp_path / "server.key"), [], Tls.modification_times
     monkeypatch.setattr(tls, "_INTERVAL", 0.001)
-    monkeypatch.setattr(Tls, "stamp", lambda self: looks.append(caplog.messages[:]) or stamp(self))
+    monkeypatch.setattr(Tls, "modification_times", lambda self: looks.append(caplog.messages[:]) or stamp(self))
     following = asyncio.create_task(files.follow(files.context()))
 
     async def told(count: int) -> list[str]:

@@ -9,7 +9,7 @@ import sys
 import pytest
 from ddakf_api.errors import InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.observability.tracing import ENDPOINT_VARIABLES, STAGES, NoTracer, parts, tracer_for
+from ddakf_service.observability.tracing import ENDPOINT_VARIABLES, STAGES, NoTracer, frame_spans, tracer_for
 
 from ..conftest import TIMEOUT
 
@@ -88,5 +88,5 @@ def test_without_an_endpoint_there_are_no_spans(monkeypatch):
 
 def test_parts_are_all_timings_but_the_sums():
     timings = {name: 0.001 for name in ("encode", "reliability", "new stage", *STAGES, "queue", "decode", "total", "server")}
-    names = [name for name, _, _ in parts(timings, 0)]
+    names = [name for name, _, _ in frame_spans(timings, 0)]
     assert names == ["queue", "decode", *STAGES, "new stage", "encode"]

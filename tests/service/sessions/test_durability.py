@@ -164,7 +164,7 @@ def test_a_frame_is_forgotten_once_however_often_its_session_goes_back_to_a_chec
     forgotten = []
     for applied, checkpoint in ((10, 4), (13, 4), (17, 15)):
         session.statistics.frames_applied = applied
-        forgotten.append(session.forget_since(pb.SessionStatistics(frames_applied=checkpoint)))
+        forgotten.append(session.record_recovery(pb.SessionStatistics(frames_applied=checkpoint)))
     assert forgotten == [6, 3, 2]
     assert session.statistics.frames_lost == 11
 
@@ -174,10 +174,10 @@ def test_a_session_that_takes_worker_after_worker_down_ends():
     durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)))
     session = Session("deadly", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
     for _ in range(3):
-        durability.lost(session)
-    assert not session.seated
+        durability.record_worker_loss(session)
+    assert not session.has_worker
     with pytest.raises(Irrecoverable, match="4 workers were lost over its frames"):
-        durability.lost(session)
+        durability.record_worker_loss(session)
     ((name, reason),) = given_up
     assert name == "sessions/deadly"
     assert isinstance(reason, WorkerLost)

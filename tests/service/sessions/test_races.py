@@ -148,7 +148,7 @@ async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, poo
 
 
 async def test_a_stop_does_not_wait_for_a_session_on_its_way_back(server, monkeypatch):
-    monkeypatch.setattr(service, "_LAST_CHECKPOINTS", 0.05)
+    monkeypatch.setattr(service, "_LAST_CHECKPOINTS_TIMEOUT", 0.05)
     async with server._catalog.readable("sessions/some").lock:
         await asyncio.wait_for(server.drain(0.0), 30.0)
 
@@ -160,7 +160,7 @@ async def test_a_server_that_stops_opens_no_stream(server, streams):
 
 
 async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_not_exist(server, streams):
-    server._catalog.complete = False
+    server._catalog.loaded = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
         await streams.open(pb.Start(name="sessions/earlier", api_version=API_VERSION))
 
@@ -184,13 +184,13 @@ async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
 async def test_a_session_waits_for_a_worker_with_room(server, pool):
     """As the others have the memory until the lost worker is replaced."""
     session = server._catalog.readable("sessions/some")
-    await server._durability.secure(session)
+    await server._durability.checkpoint_now(session)
     pool.full = True
     server.lose(["some"])
     while ("restore", "some") not in pool.calls:
         await asyncio.sleep(0)
     pool.full = False
     async with asyncio.timeout(10):
-        while not session.seated:
+        while not session.has_worker:
             await asyncio.sleep(0.01)
     assert server._catalog.readable("sessions/some") is session

@@ -109,10 +109,10 @@ async def test_a_name_that_another_server_took_meanwhile_is_a_problem_and_its_se
     eventually(taken)
     eventually(lambda: any("another server" in problem for problem in opened.problems()))
     with pytest.raises(Unavailable, match="server_id"):
-        await persistence_of(opened).alive()
+        await persistence_of(opened).live_sessions()
     admin.execute(sa.select(sa.func.pg_advisory_unlock(key)))
     eventually(lambda: opened.problems() == [])
-    assert await persistence_of(opened).alive() == []
+    assert await persistence_of(opened).live_sessions() == []
 
 
 def test_a_database_that_is_away_at_the_start_gives_the_name_later(store, postgres, admin):

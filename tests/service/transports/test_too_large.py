@@ -8,7 +8,7 @@ import pytest
 from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import InvalidFrame, MessageTooLarge, ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.streaming.frame_bounds import require_payload_within
+from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
 from ddakf_service.transports import bounded_parsing
 from ddakf_service.transports.rest.requests import CreateSession, ResetSession
 from google.protobuf.message import DecodeError
@@ -60,7 +60,7 @@ COUNTLESS = [
 @pytest.mark.parametrize("message", COUNTLESS, ids=["messages", "numbers", "entries", "enums", "texts"])
 def test_a_message_of_countless_parts_is_refused_before_they_are_made(message):
     with pytest.raises(MessageTooLarge, match="message: expected at most 16384 parts, got more"):
-        bounded_parsing.parsed(type(message), message.SerializeToString())
+        bounded_parsing.parse(type(message), message.SerializeToString())
 
 
 def test_a_message_as_large_as_messages_are_is_the_parsers():
@@ -73,20 +73,20 @@ def test_a_message_as_large_as_messages_are_is_the_parsers():
     for message in (pb.TrackRequest(frame=frame), pb.CreateSessionRequest(session=session)):
         data = message.SerializeToString()
         assert len(data) > 1 << 17
-        assert bounded_parsing.parsed(type(message), data) == message
+        assert bounded_parsing.parse(type(message), data) == message
 
 
 @pytest.mark.parametrize("end", [b"\x0a", b"\x0a\xff", b"\xff" * 40, b"\x0a\x05a", b"\x0f"])
 def test_a_message_that_is_cut_off_is_none(end):
     request = pb.TrackRequest(frame=pb.Frame(body_vertices=bytes(1 << 17)))
     with pytest.raises(DecodeError):
-        bounded_parsing.parsed(pb.TrackRequest, request.SerializeToString() + end)
+        bounded_parsing.parse(pb.TrackRequest, request.SerializeToString() + end)
 
 
 def test_messages_of_countless_parts_are_refused_over_grpc(api, session):
-    with pytest.raises(MessageTooLarge, match="parts"):
+    with pytest.raises(MessageTooLarge, match="elements"):
         api.call("CreateSession", COUNTLESS[2])
-    with pytest.raises(MessageTooLarge, match="parts"):
+    with pytest.raises(MessageTooLarge, match="elements"):
         list(api.track(session, COUNTLESS[:1]))
     assert api.get(session).statistics.frames_rejected == 0
 
@@ -103,9 +103,9 @@ def test_messages_of_countless_parts_are_refused_over_websocket(service, session
 def test_a_frame_of_countless_sensors_is_refused_at_the_door():
     frame = pb.Frame(sensors=[pb.Sensor()] * 65)
     with pytest.raises(InvalidFrame, match="sensors: expected at most 64, got 65"):
-        require_payload_within(frame, 10, 10)
+        require_frame_within_bounds(frame, 10, 10)
     del frame.sensors[64:]
-    require_payload_within(frame, 10, 10)
+    require_frame_within_bounds(frame, 10, 10)
 
 
 @pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])

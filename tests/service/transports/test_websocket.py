@@ -127,7 +127,7 @@ def test_a_stream_is_taken_over_across_transports(service, api, session, sheet):
             assert second.ending()[0] == 4409
         list(api.track(session, [request_of(frame_of(sheet, 1))], takeover=True))
         code, reason = first.ending()
-    assert (code, reason) == (4409, f"another stream took {session} over")
+    assert (code, reason) == (4409, f"another stream took over {session}")
 
 
 def test_nothing_is_compressed(service, session):

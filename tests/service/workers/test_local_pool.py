@@ -9,7 +9,7 @@ import subprocess
 import pytest
 from ddakf_api.errors import SessionNotFound, Unavailable
 from ddakf_service.workers import wire
-from ddakf_service.workers.local_pool import _Home
+from ddakf_service.workers.local_pool import _Placement
 from ddakf_service.workers.pool import Memory
 from ddakf_service.workers.tracker_host import TrackerHost
 from ddakf_service.workers.worker import WorkerStartFailed
@@ -28,9 +28,9 @@ class Worker:
 
     def __init__(self):
         self.sessions, self.told = {}, []
-        self.turns, self.placing = asyncio.Semaphore(2), asyncio.Lock()
+        self.frame_slots, self.placement_lock = asyncio.Semaphore(2), asyncio.Lock()
 
-    def tell(self, kind, session_id):
+    def send_without_answer(self, kind, session_id):
         self.told.append((kind, session_id))
 
     def memory_with(self, more):
@@ -40,9 +40,9 @@ class Worker:
 async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(monkeypatch):
     pool, old, new = local(), Worker(), Worker()
     pool._workers.append(new)
-    pool._homes["one"], old.sessions["one"] = _Home(old), Memory(1, 1)
+    pool._placements["one"], old.sessions["one"] = _Placement(old), Memory(1, 1)
 
-    async def call(worker, kind, session_id, payload=b""):
+    async def call(worker, kind, session_id, request=b""):
         return b""
 
     monkeypatch.setattr(pool, "_call", call)
@@ -56,16 +56,16 @@ async def test_a_session_that_is_lost_while_it_moves_stays_nowhere(monkeypatch):
 
     pool, old, new = local(), Worker(), Worker()
     old.sessions["one"] = Memory(1, 1)
-    home = pool._homes["one"] = _Home(old)
+    placement = pool._placements["one"] = _Placement(old)
 
-    async def call(worker, kind, session_id, payload=b""):
+    async def call(worker, kind, session_id, request=b""):
         if worker is new:
-            del pool._homes["one"]
+            del pool._placements["one"]
         return b""
 
     monkeypatch.setattr(pool, "_call", call)
     await pool._move("one", old, new)
-    assert home.worker is old
+    assert placement.worker is old
     assert new.sessions == {}
     assert new.told == [(wire.Kind.CLOSE, "one")]
 
@@ -93,4 +93,4 @@ async def test_a_worker_that_is_not_ready_in_time_fails_the_start():
 
 def test_an_unknown_session_of_a_worker_is_not_found():
     with pytest.raises(SessionNotFound):
-        TrackerHost(LIMITS).frame("none", wire.join(b"", b"", 1))
+        TrackerHost(LIMITS).frame("none", wire.pack_frame_request(b"", b"", 1))

@@ -153,7 +153,7 @@ async def test_a_killed_worker_is_noticed_and_replaced(pool, sheet):
 @pytest.mark.slow
 async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
     await pool.open("one", creation(sheet))
-    worker = pool._homes["one"].worker
+    worker = pool._placements["one"].worker
     worker._reader.feed_data(b"\xff" + bytes(14))
     await until(lambda: pool.lost)
     with pytest.raises(WorkerLost):
@@ -165,11 +165,11 @@ async def test_a_worker_that_sends_nonsense_is_replaced(pool, sheet):
 @pytest.mark.slow
 async def test_a_call_in_progress_fails_when_its_worker_is_killed(pool, sheet):
     await pool.open("one", creation(sheet))
-    home = pool.process_ids()[0]
-    os.kill(home, signal.SIGSTOP)
+    placement = pool.process_ids()[0]
+    os.kill(placement, signal.SIGSTOP)
     call = asyncio.create_task(track(pool, "one", frame_of(sheet, 1)))
     await asyncio.sleep(0.05)
-    os.kill(home, signal.SIGKILL)
+    os.kill(placement, signal.SIGKILL)
     with pytest.raises(WorkerLost):
         await call
 
@@ -222,7 +222,7 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
     options = pb.ResultOptions(include_covariance=True).SerializeToString()
     for i, pair in enumerate(results, 1):
         frame = frame_of(sheet, i, shift=(0.001 * i, 0, 0)).SerializeToString()
-        expected = pb.Result.FromString(undisturbed.frame("one", wire.join(options, frame, LIMITS.max_points)))
+        expected = pb.Result.FromString(undisturbed.frame("one", wire.pack_frame_request(options, frame, LIMITS.max_points)))
         assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
     await until(lambda: pool.health().spares == 1)
 
@@ -281,7 +281,7 @@ async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
     """Whoever has many frames to come waits for those who have one."""
     for name in ("greedy", "other", "modest"):
         await pool.open(name, creation(sheet))
-    assert pool._homes["greedy"].worker is pool._homes["modest"].worker
+    assert pool._placements["greedy"].worker is pool._placements["modest"].worker
     order = []
 
     async def submit(name, numbers):
@@ -292,7 +292,7 @@ async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
     await asyncio.gather(submit("greedy", range(1, 31)), submit("modest", range(1, 11)))
     assert order.index("modest") <= 2
     assert order[:18].count("modest") >= 8
-    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", max_points=LIMITS.max_points, turn_by=0.0)
+    late = pool.submit("modest", frame_of(sheet, 11).SerializeToString(), b"", max_points=LIMITS.max_points, start_by=0.0)
     with pytest.raises(DeadlineExceeded):
         await late
     assert (await track(pool, "modest", frame_of(sheet, 11))).sequence_number == 11

@@ -1,1 +1,1 @@
-"""Migrations of the tables, run at every start. A change of ``tables.py`` needs a new file in ``versions``."""
+"""Migrations of the tables, run at every start. A change of ``tables.py`` requires a new file in ``versions``."""

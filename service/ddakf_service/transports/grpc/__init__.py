@@ -1,1 +1,1 @@
-"""The contract over gRPC."""
+"""gRPC: session calls, the Track stream, health and reflection."""

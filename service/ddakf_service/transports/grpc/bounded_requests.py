@@ -1,4 +1,4 @@
-"""Bounded requests: time limits and size limits of gRPC requests before they are parsed."""
+"""Bounded requests: time limit and number of elements of a gRPC request, checked before it is parsed."""
 
 from __future__ import annotations
 
@@ -15,18 +15,19 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
-from ..bounded_parsing import parsed
+from ..bounded_parsing import parse
 from .errors import abort
 
 _SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
 
 
 class BoundedRequests(grpc.aio.ServerInterceptor):
-    """Has the one request of a call come in time, and looks at those of the service before they are parsed. One that is refused
-    then reaches its method as the error.
+    """Interceptor that limits the time of a unary request and counts the elements of every request before it is parsed.
+
+    The method receives the error in place of a rejected request.
 
     Args:
-        patience: seconds.
+        patience: seconds for a unary request to arrive.
     """
 
     def __init__(self, patience: float):
@@ -44,7 +45,7 @@ class BoundedRequests(grpc.aio.ServerInterceptor):
 
 
 def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMethodHandler:
-    """The method of one request as one of a stream of requests: those gRPC leaves to be read, and waits for no other for ever."""
+    """A unary method as a method of a request stream: gRPC waits without limit for a unary request, never for a stream."""
     call = handler.unary_stream or handler.unary_unary
 
     async def read(context):
@@ -60,7 +61,7 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
         await abort(context, failure)
 
     async def read_and_call(_, context):
-        return await call(await read(context), context)  # so that no frame but the call's own keeps the request
+        return await call(await read(context), context)  # no local: only the call's own Python frame refers to the request
 
     way = "stream_stream" if handler.response_streaming else "stream_unary"
     return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{way: read_and_call})
@@ -68,6 +69,6 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
 
 def _parsed(kind: type[Message], data: bytes) -> Message | MessageTooLarge:
     try:
-        return parsed(kind, data)
-    except MessageTooLarge as error:  # what is raised here gRPC answers by itself, as UNKNOWN
+        return parse(kind, data)
+    except MessageTooLarge as error:  # gRPC would answer an exception raised here with UNKNOWN
         return error

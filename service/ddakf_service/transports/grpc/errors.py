@@ -1,7 +1,7 @@
-"""Errors over gRPC as clients of any language read them: ``google.rpc.Status`` with its details, beside our own.
+"""gRPC errors: ``google.rpc.Status`` with details for clients of any language, beside the service's own detail.
 
-Status and trailers share the 8 KiB that gRPC takes for the headers of an answer. Texts are cut so that the worst of them
-fit: each is there up to four times, in base64 or percent-encoded.
+Status and trailers share gRPC's 8 KiB of response headers. Each text occurs up to four times, in base64 or percent-encoded;
+texts are truncated so that the longest fit.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _MOST_BYTES = {"message": 600, "field": 150, "expected": 250, "got": 250}
 
 
 def shortened(detail: pb.ErrorDetail) -> pb.ErrorDetail:
-    """The detail as far as the headers can hold it."""
+    """The detail with its texts truncated to the size of the headers."""
     short = pb.ErrorDetail()
     short.CopyFrom(detail)
     for field, most in _MOST_BYTES.items():
@@ -33,12 +33,12 @@ def shortened(detail: pb.ErrorDetail) -> pb.ErrorDetail:
 
 
 def trailers(detail: pb.ErrorDetail, error: type[ServiceError]) -> tuple[tuple[str, bytes], ...]:
-    """Trailing metadata of a call that ends with this error: ``ddakf-error-bin`` and ``grpc-status-details-bin``."""
+    """Trailing metadata of a failed call: ``ddakf-error-bin`` and ``grpc-status-details-bin``."""
     return (*to_metadata(detail), (_KEY, rich_status(detail, error).SerializeToString()))
 
 
 def rich_status(detail: pb.ErrorDetail, error: type[ServiceError]) -> status_pb2.Status:
-    """ErrorInfo with the error's name as reason; BadRequest where a field is at fault; RetryInfo where waiting helps."""
+    """Status with ErrorInfo (the error's name as reason), BadRequest for an invalid field, RetryInfo for a retryable error."""
     reason = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", detail.name).upper()
     details = [error_details_pb2.ErrorInfo(reason=reason, domain=DOMAIN, metadata=_metadata(detail))]
     if detail.field and error.status is grpc.StatusCode.INVALID_ARGUMENT:
@@ -59,15 +59,16 @@ def _metadata(detail: pb.ErrorDetail) -> dict[str, str]:
 
 
 async def abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
-    """Not to be called while the error is handled, which gRPC would keep then."""
+    """Aborts the call. Call it outside the ``except`` block: gRPC would keep the handled error."""
     detail, cls = shortened(to_detail(error)), class_of(error)
     await context.abort(cls.status, detail.message, trailers(detail, cls))
 
 
 def without_traceback(error: E) -> E:
-    """The same error without its frames and those that led to it.
+    """The error without its traceback, cause and context.
 
-    Frames hold requests and sessions, megabytes, and whoever keeps an error that came through them makes a cycle, which stays
-    until the collector of cycles finds it: after hundreds of such requests."""
+    A traceback refers to Python frames with requests and sessions, megabytes. A stored error forms a reference cycle with
+    them, which the garbage collector finds only after hundreds of such requests.
+    """
     error.__cause__ = error.__context__ = None
     return error.with_traceback(None)

@@ -1,4 +1,4 @@
-"""Guard of every gRPC method."""
+"""gRPC guard: the key and scopes of every call."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .errors import trailers
 
 
 class GrpcGuard(grpc.aio.ServerInterceptor):
-    """Before every gRPC method."""
+    """Interceptor in front of every gRPC method."""
 
     def __init__(self, guard: Guard):
         self._guard = guard
@@ -31,7 +31,7 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
 
 
 def _refusing(error: ServiceError) -> grpc.RpcMethodHandler:
-    """A handler for a method of any kind that says why not. As one of streams it reads nothing of what was sent."""
+    """A handler that refuses a call of any kind. As a stream handler it reads no request."""
     detail, cls = to_detail(error), class_of(error)
 
     async def refuse(requests, context):

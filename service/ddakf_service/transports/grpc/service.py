@@ -1,4 +1,4 @@
-"""The contract over gRPC: session calls, the Track stream, health and reflection."""
+"""gRPC service and server: session calls, the Track stream, health and reflection."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SERVICE_NAME = pb.DESCRIPTOR.services_by_name["TrackingService"].full_name
 
 
 def _answering_errors(call):
-    """Ends the call with the error's code, sentence and details."""
+    """Decorator: ends a failed call with the error's code, message and details."""
 
     @functools.wraps(call)
     async def answering(self, request, context):
@@ -51,21 +51,21 @@ def _answering_errors(call):
         except Exception as error:
             log.exception("%s failed", call.__name__)
             failure = without_traceback(error)
-        del request  # gRPC keeps the frames of an abort
+        del request  # gRPC keeps the Python frames of an abort
         await abort(context, failure)
 
     return answering
 
 
 def _usable(request):
-    """The request; raises what it was refused with."""
+    """The request. Raises the error of a rejected one; see :class:`.bounded_requests.BoundedRequests`."""
     if isinstance(request, ServiceError):
         raise request
     return request
 
 
 class TrackingService(rpc.TrackingServiceServicer):
-    """Each call hands over to :class:`Sessions` or :class:`Streams`."""
+    """Calls of the contract, passed on to :class:`Sessions` or :class:`Streams`."""
 
     def __init__(self, sessions: Sessions, streams: Streams, settings: Settings):
         self._sessions, self._streams, self._settings = sessions, streams, settings
@@ -140,26 +140,26 @@ class TrackingService(rpc.TrackingServiceServicer):
 
 
 async def _read(context: grpc.aio.ServicerContext, stream: Stream) -> None:
-    """Always reads: an unread stream would buffer frames in the transport, where none can be dropped."""
+    """Reads at all times: an unread stream would buffer frames in the transport, where none can be dropped."""
     try:
         while (request := await context.read()) is not grpc.aio.EOF:
             await stream.receive(_usable(request))
         stream.finish()
-    except Exception as error:  # the connection broke, or the client sent what cannot be parsed
+    except Exception as error:  # the connection broke, or the request is invalid
         stream.end(error)
 
 
 class GrpcServer:
-    """The listening server. ``start`` binds; ``serving`` follows the server's readiness.
+    """The listening server. ``start`` binds the port; ``serving`` sets the health status.
 
     Args:
-        guard: before every call.
+        guard: checks every call.
         tls: certificates; None: no encryption.
     """
 
     def __init__(self, sessions: Sessions, streams: Streams, settings: Settings, guard: Guard, tls: Tls | None):
         self._settings, self._tls = settings, tls
-        # Without reuse of the port a second server says that the port is taken, rather than share the clients.
+        # With SO_REUSEPORT a second server would share the clients instead of failing.
         options = [*server_options(settings.max_message_bytes), ("grpc.so_reuseport", 0)]
         interceptors = [GrpcGuard(guard), BoundedRequests(settings.request_timeout)]
         self._server = grpc.aio.server(options=options, interceptors=interceptors)
@@ -170,10 +170,10 @@ class GrpcServer:
         reflection.enable_server_reflection(names, self._server)
 
     async def start(self) -> int:
-        """Listens, and returns the port.
+        """Binds the port and returns it.
 
         Raises:
-            InvalidConfig: the port cannot be had.
+            InvalidConfig: the port is not available.
         """
         s = self._settings
         await self.serving(False)
@@ -190,13 +190,13 @@ class GrpcServer:
         return port
 
     async def serving(self, ready: bool) -> None:
-        """Says through grpc.health.v1, service by service, whether the server takes sessions."""
+        """Sets the status of each service in grpc.health.v1."""
         status = health_pb2.HealthCheckResponse.SERVING if ready else health_pb2.HealthCheckResponse.NOT_SERVING
         for service in ("", SERVICE_NAME):
             await self._health.set(service, status)
-        for service in (health.SERVICE_NAME, reflection.SERVICE_NAME):  # which answer from the first moment on
+        for service in (health.SERVICE_NAME, reflection.SERVICE_NAME):  # these answer from the start
             await self._health.set(service, health_pb2.HealthCheckResponse.SERVING)
 
     async def stop(self, grace: float) -> None:
-        """Ends all calls, the last ones after ``grace`` seconds."""
+        """Ends all calls, the remaining ones after ``grace`` seconds."""
         await self._server.stop(grace)

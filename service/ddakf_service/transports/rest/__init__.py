@@ -1,1 +1,1 @@
-"""The contract over REST."""
+"""REST: session calls as JSON, health, metrics and the OpenAPI document."""

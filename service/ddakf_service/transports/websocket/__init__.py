@@ -1,1 +1,1 @@
-"""Streams and watchers over WebSocket."""
+"""WebSocket: streams and watchers for browsers and scripts."""

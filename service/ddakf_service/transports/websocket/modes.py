@@ -11,19 +11,19 @@ from fastapi import WebSocket
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
-from ..bounded_parsing import parsed, require_few_in_json
+from ..bounded_parsing import parse, require_bounded_json
 
-_LARGE = 1 << 16  # bytes of a message from which on JSON is written and read in a thread
+_LARGE = 1 << 16  # bytes; JSON of a larger message is written and read in a thread
 
 
 class Mode(Protocol):
-    """How messages look in WebSocket frames."""
+    """Encoding of messages in WebSocket frames."""
 
     async def parsed(self, event: dict) -> pb.TrackRequest | None:
-        """The request in a received frame; None for an empty one."""
+        """The request of a received WebSocket frame; None for an empty frame."""
 
     async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
-        """Sends an answer."""
+        """Sends a response."""
 
 
 class Binary:
@@ -33,10 +33,10 @@ class Binary:
         if (data := event.get("bytes")) is None:
             raise InvalidArgument(field="message", expected="a binary frame, or mode=json", got="a text frame")
         try:
-            return parsed(pb.TrackRequest, data) if data else None
+            return parse(pb.TrackRequest, data) if data else None
         except DecodeError:
             raise InvalidArgument(
-                field="message", expected="a serialised TrackRequest", got=f"{len(data)} bytes that are none"
+                field="message", expected="a serialised TrackRequest", got=f"{len(data)} bytes of another kind"
             ) from None
 
     async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
@@ -49,7 +49,7 @@ class Json:
     async def parsed(self, event: dict) -> pb.TrackRequest | None:
         if (text := event.get("text")) is None:
             raise InvalidArgument(field="message", expected="a text frame in mode=json", got="a binary frame")
-        require_few_in_json(text)
+        require_bounded_json(text)
         try:
             request = await _maybe_in_thread(len(text), json_format.Parse, text or "{}", pb.TrackRequest())
         except (json_format.ParseError, RecursionError) as error:
@@ -71,5 +71,5 @@ def _as_json(response: pb.TrackResponse) -> str:
 
 
 async def _maybe_in_thread(size: int, function, *arguments):
-    """A large message is converted where it holds up nobody."""
+    """Runs the conversion of a large message in a thread, so that it does not block the event loop."""
     return await asyncio.to_thread(function, *arguments) if size > _LARGE else function(*arguments)

@@ -1,7 +1,7 @@
-"""The contract over WebSocket: a session's stream and its watchers, as protobuf in binary frames or as JSON in text frames.
+"""WebSocket routes: a session's stream and its watchers, as protobuf in binary frames or as JSON in text frames.
 
-An empty message says that no more frames follow, what half-closing says over gRPC. A stream that ends with an error ends
-with the close code 4000 plus the error's HTTP status, and its sentence as the reason.
+An empty message marks the end of the frames, as half-closing does over gRPC. A stream that ends with an error is closed with
+the code 4000 plus the error's HTTP status, and the error's message as the reason.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .modes import MODES, Mode
 
 log = logging.getLogger(__name__)
 
-# What a browser that names its key as a subprotocol names first, because it needs one of them agreed to.
+# The subprotocol that the server accepts. A browser that sends its key as a subprotocol lists this one first.
 SUBPROTOCOL = "ddakf.v1"
 ERROR_CODES = 4000  # plus the HTTP status of the error
 _NORMAL = 1000
@@ -35,7 +35,7 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
     """The routes ``/v1/sessions/{id}/stream`` and ``/v1/sessions/{id}/watch``; ``?mode=json`` for text frames.
 
     Args:
-        patience: seconds that a stream's client has to send Start.
+        patience: seconds for the client of a stream to send Start.
     """
 
     @app.websocket("/v1/sessions/{session_id}/stream")
@@ -48,7 +48,7 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
 
 
 async def _answering_errors(websocket: WebSocket, converse, streams: Streams, name: str) -> None:
-    """Runs a conversation and closes the connection with what it ended with."""
+    """Runs a stream or a watcher and closes the connection with the resulting code and reason."""
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
     code, reason = _NORMAL, ""
     try:
@@ -63,7 +63,7 @@ async def _answering_errors(websocket: WebSocket, converse, streams: Streams, na
     try:
         await websocket.close(code, reason)
     except (WebSocketDisconnect, RuntimeError):
-        log.debug("the client had left before it was told %s", code)
+        log.debug("the client left before the close code %s", code)
 
 
 async def _stream(websocket: WebSocket, streams: Streams, name: str, *, patience: float) -> None:
@@ -118,14 +118,14 @@ async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
 
 
 async def _read(websocket: WebSocket, mode: Mode, stream: Stream) -> None:
-    """Always reads, but for the time that a lossless session holds its client back."""
+    """Reads at all times, except while backpressure of a lossless session holds the client back."""
     try:
         while (request := await mode.parsed(await _receive(websocket))) is not None:
             await stream.receive(request)
         stream.finish()
         await _receive(websocket)
         raise FailedPrecondition("no message may follow the empty one", field="message")
-    except Exception as error:  # the client left, or sent what cannot be used
+    except Exception as error:  # the client left, or the request is invalid
         stream.end(error)
 
 
@@ -139,7 +139,7 @@ async def _receive(websocket: WebSocket) -> dict:
 async def _send(websocket: WebSocket, mode: Mode, response: pb.TrackResponse) -> None:
     try:
         await mode.send(websocket, response)
-    except RuntimeError as error:  # the connection was closed beneath: a message too large, no answer to a ping
+    except RuntimeError as error:  # the protocol closed the connection: a message too large, no answer to a ping
         raise WebSocketDisconnect() from error
 
 
@@ -151,5 +151,5 @@ def _mode(websocket: WebSocket) -> Mode:
 
 
 def _closing(error: Exception) -> tuple[int, str]:
-    """The close code of an error, and its sentence as far as it fits."""
+    """Close code of an error, and its message truncated to fit."""
     return ERROR_CODES + class_of(error).http_status, truncated(to_detail(error).message, _MAX_REASON_BYTES)
