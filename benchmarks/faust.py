@@ -18,7 +18,7 @@ import numpy as np
 
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import load_faust
-from ddakf.evaluation.datasets.faust import FPS, HELD, MOVING, NEUTRAL, Faust
+from ddakf.evaluation.datasets.faust import FPS, MOVING, NEUTRAL, RESTING, Faust
 from ddakf.evaluation.datasets.pose_interpolation import Interpolation
 from ddakf.mesh import Mesh
 
@@ -74,7 +74,7 @@ def measured(faust: Faust, part: str) -> dict:
 
 def summary(rows: list[dict]) -> dict:
     """Worst values over all clips, and means of the means."""
-    found = {"clips": len(rows), "moving_frames": MOVING, "held_frames": HELD, "fps": FPS}
+    found = {"clips": len(rows), "moving_frames": MOVING, "held_frames": RESTING, "fps": FPS}
     found["peak_mm_per_frame"] = max(row["peak_mm_per_frame"] for row in rows)
     found["median_peak_mm_per_frame"] = float(np.median([row["peak_mm_per_frame"] for row in rows]))
     found["mean_mm_per_frame"] = round(float(np.mean([row["mean_mm_per_frame"] for row in rows])), 1)

@@ -1,1 +1,5 @@
-"""Measuring: virtual sensors, recordings, metrics, pictures. Sits on top of the tracker, which never imports it."""
+"""Evaluation: virtual sensors, data sets, metrics, baselines, studies and their report. The tracker never imports it.
+
+Folders, each of which imports only those before it: ``sensors``, ``datasets`` and ``metrics`` and ``drawing``, ``simulation`` and
+``tracking``, ``baselines``, ``trials``, ``studies``, ``reporting``.
+"""

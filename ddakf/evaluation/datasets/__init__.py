@@ -1,4 +1,4 @@
-"""Data to evaluate on: sequences with truth, recordings of sensors without it, pairs of frames with scene flow.
+"""Data sets: sequences with truth, recordings of sensors without it, pairs of frames with scene flow.
 
 ``docs/datasets.md`` lists layouts, units, axes and terms. Metres everywhere, y up.
 """
@@ -31,16 +31,16 @@ KNOWN = (
 
 
 def open_dataset(path, *, fps: float = 30.0, smpl=None) -> Sequence | Recording | Pair:
-    """Opens whatever is at a path.
+    """Opens the recording at a path, of any known kind.
 
     Args:
-        path: of a file or folder; behind a ``#`` which one of its :func:`parts`, where there are several:
+        path: of a file or folder; behind a ``#`` the name of one of its :func:`parts`, where there are several:
             ``MPI-FAUST#s3_p7``, ``00042#Tshirt``, ``seq258#shirt_000000_000110``.
-        fps: frames per second of a recording that does not say.
+        fps: frames per second of a recording that does not state them.
         smpl: see :func:`ddakf.evaluation.datasets.cloth3d.load_cloth3d`; None: what DDAKF_SMPL names, if anything.
 
     Raises:
-        InvalidFile: nothing there, nothing of these kinds, or broken. InvalidArgument: no such part, or one has to be named.
+        InvalidFile: no file, of no known kind, or damaged. InvalidArgument: no such part, or a missing name of one.
     """
     path, part = _split(path)
     if path.is_dir():
@@ -59,10 +59,10 @@ def open_dataset(path, *, fps: float = 30.0, smpl=None) -> Sequence | Recording 
 
 
 def parts(path) -> tuple[str, ...]:
-    """What can stand behind the ``#``: clips of FAUST, garments of CLOTH3D, pairs of DeepDeform; none of the other kinds.
+    """Names that can follow the ``#``: clips of FAUST, garments of CLOTH3D, pairs of DeepDeform; none for the other kinds.
 
     Raises:
-        InvalidFile: nothing there, or broken.
+        InvalidFile: no file, or a damaged one.
     """
     path, _ = _split(path)
     if path.is_dir():
@@ -85,7 +85,7 @@ def _folder(path: Path, part: str | None, fps: float, smpl) -> Sequence | Record
 
 
 def _split(path) -> tuple[Path, str | None]:
-    """The path that is there, and what stands behind its ``#``."""
+    """The path of the file or folder, and the name behind its ``#``."""
     whole = Path(path)
     before, mark, part = str(path).rpartition("#")
     if whole.exists() or not mark:
@@ -96,10 +96,10 @@ def _split(path) -> tuple[Path, str | None]:
 
 
 def _named(path: Path, part: str | None) -> str:
-    """The part, which has to be given.
+    """The name of the part.
 
     Raises:
-        InvalidArgument: it is not.
+        InvalidArgument: none is given.
     """
     if part is None:
         known = parts(path)

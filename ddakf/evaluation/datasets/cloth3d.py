@@ -29,7 +29,7 @@ NUMBERS = {"poses": "(72, T)", "shape": "(10,)", "trans": "(3, T)", "zrot": "one
 
 
 def is_cloth3d(path: Path) -> bool:
-    """Whether a folder is a sequence of CLOTH3D."""
+    """True if a folder is a sequence of CLOTH3D."""
     return path.is_dir() and (path / "info.mat").is_file()
 
 

@@ -21,8 +21,8 @@ NO_TEMPLATE = f"a mesh file, as the frames are points; {TEMPLATE}.obj beside the
 
 @dataclass(frozen=True, eq=False)
 class FolderRecording:
-    """A folder with one file of points per frame, in the order of the numbers in their names; units and axes are
-    theirs.
+    """A folder with one file of points per frame, in the order of the numbers in their names. Units and axes are those of
+    the files.
 
     Attributes:
         name: of the folder.
@@ -44,10 +44,10 @@ class FolderRecording:
         return frame / self.fps
 
     def cloud(self, frame: int) -> Cloud:
-        """The points of one frame; where the sensor was is not known.
+        """The points of one frame. The position of the sensor is not known.
 
         Raises:
-            InvalidFile: no points that can be read, or beyond :data:`LARGEST`.
+            InvalidFile: an unreadable file, or coordinates beyond :data:`LARGEST`.
         """
         points = read_points(self.paths[frame])
         if np.abs(points).max(initial=0.0) > LARGEST:
@@ -55,7 +55,7 @@ class FolderRecording:
         return Cloud(points.astype(np.float32), None)
 
     def template(self, frame: int = 0) -> Mesh:
-        """The folder's template, or the mesh that a frame's file holds; cleaned.
+        """The folder's template, or the mesh in a frame's file; cleaned.
 
         Raises:
             InvalidArgument: neither, or a template for another frame than the first. InvalidFile: a template that is no mesh.
@@ -73,7 +73,7 @@ class FolderRecording:
 
 
 def load_folder(path, fps: float = 30.0) -> FolderRecording:
-    """Opens a folder of .ply, .obj, .xyz, .txt, .csv or .pcd frames, read as they are asked for.
+    """Opens a folder of .ply, .obj, .xyz, .txt, .csv or .pcd frames, which are read when they are needed.
 
     Raises:
         InvalidFile: no such folder, or no frames in it.

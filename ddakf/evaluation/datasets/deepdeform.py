@@ -27,13 +27,13 @@ from ddakf.mesh import Mesh
 
 MM = 1e-3  # metres
 FPS = 30.0
-REACH = 0.3  # m: the target is the largest surface in the box around the object in the source, grown by this on every side
+REACH = 0.3  # m: the target is the largest surface in the source object's bounding box, enlarged by this on every side
 FLOW = re.compile(r"(?P<object>\w+?)_(?P<source>\d+)_(?P<target>\d+)\.sflow")
 
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two frames of a sensor, and where the surface seen in the first one is in the second.
+    """Two frames of a sensor, and the true displacement from the first to the second.
 
     Attributes:
         name: of the sequence and the pair.
@@ -135,7 +135,7 @@ def _depth(path: Path) -> np.ndarray:
 
 
 def _near(camera: Camera, depth: np.ndarray, points: np.ndarray) -> Cloud:
-    """The cloud of the largest surface in the box around points of another frame, grown by :data:`REACH`."""
+    """The cloud of the largest surface in the bounding box of another frame's points, enlarged by :data:`REACH`."""
     keep = without_fliers(depth, JUMP)
     seen, surface = camera.unproject(depth, keep), _surfaces(depth)[keep]
     inside = ((seen >= points.min(axis=0) - REACH) & (seen <= points.max(axis=0) + REACH)).all(axis=1)

@@ -25,10 +25,10 @@ def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
     """
     height, width = shape
     if (path / "camera.json").is_file():
-        said = _json(path / "camera.json")
-        lens = _lens(said)
-        camera = _placed(Intrinsics(width, height, *lens), said.get("T_world_sensor"))
-        return camera, said
+        fields = _json(path / "camera.json")
+        lens = _lens(fields)
+        camera = _posed_camera(Intrinsics(width, height, *lens), fields.get("T_world_sensor"))
+        return camera, fields
     if not (path / "intrinsics.txt").is_file():
         raise InvalidFile(str(path), "camera.json or intrinsics.txt", "neither")
     matrix = read_numbers(path / "intrinsics.txt")
@@ -92,20 +92,20 @@ def read_numbers(path: Path) -> np.ndarray:
 
 def _json(path: Path) -> dict:
     try:
-        said = json.loads(_text(path))
+        fields = json.loads(_text(path))
     except (ValueError, RecursionError) as error:
         raise InvalidFile(path.name, "JSON", str(error)[:80]) from error
-    if not isinstance(said, dict):
-        raise InvalidFile(path.name, "a JSON object", type(said).__name__)
-    return said
+    if not isinstance(fields, dict):
+        raise InvalidFile(path.name, "a JSON object", type(fields).__name__)
+    return fields
 
 
-def _lens(said: dict) -> list[float]:
+def _lens(fields: dict) -> list[float]:
     """fx, fy, cx, cy; Open3D writes the matrix column by column."""
-    matrix = said.get("intrinsic_matrix")
+    matrix = fields.get("intrinsic_matrix")
     if isinstance(matrix, list) and len(matrix) == 9:
         return _checked_lens("camera.json: intrinsic_matrix", [matrix[k] for k in (0, 4, 6, 7)])
-    return _checked_lens("camera.json", [said.get(name) for name in ("fx", "fy", "cx", "cy")])
+    return _checked_lens("camera.json", [fields.get(name) for name in ("fx", "fy", "cx", "cy")])
 
 
 def _checked_lens(where: str, values: list) -> list[float]:
@@ -119,7 +119,7 @@ def is_number(value) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def _placed(intrinsics: Intrinsics, pose) -> Camera:
+def _posed_camera(intrinsics: Intrinsics, pose) -> Camera:
     if pose is None:
         return Camera.at_origin(intrinsics)
     try:

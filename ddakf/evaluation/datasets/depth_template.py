@@ -1,4 +1,4 @@
-"""A template from nothing but a depth image: the visible surface as a grid mesh, enough to track any recording."""
+"""Templates from a depth image: the visible surface as a grid mesh, enough to track any recording."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ SMALLEST_SHARE = 0.05  # of the vertices: smaller components are left out
 
 
 def template_from_depth(depth: np.ndarray, camera: Camera, vertices: int = 3000, jump: float = JUMP) -> Mesh:
-    """Grid mesh of what a depth image shows.
+    """Grid mesh of the surfaces in a depth image.
 
-    The depth is smoothed within surfaces and resampled on a grid as coarse as the wanted number of vertices asks for;
-    no triangle spans a depth jump; small components are left out.
+    The depth is smoothed within surfaces and resampled on a grid whose spacing gives the wanted number of vertices.
+    No triangle spans a depth jump, and small components are left out.
 
     Args:
-        depth: (H, W) metres; zero, negative or non-finite where nothing was seen.
-        camera: that took it.
-        vertices: about how many the mesh shall have.
-        jump: metres between surfaces.
+        depth: (H, W) metres; zero, negative or non-finite in pixels without a depth.
+        camera: of the image.
+        vertices: approximate number of the mesh's vertices.
+        jump: least difference in depth between two surfaces, metres.
 
     Returns:
         A clean mesh in the world of the camera, faces counter-clockwise seen from the camera.
 
     Raises:
-        InvalidArgument: too little was seen for a mesh.
+        InvalidArgument: too few pixels with a depth for a mesh.
     """
     smooth = smoothed(depth, jump)
     seen = smooth > 0

@@ -1,9 +1,9 @@
 """FAUST: scans of ten people in ten poses each, and one mesh registered to all of them (Bogo, Romero, Loper and Black 2014).
 
 Published layout: ``MPI-FAUST/training/registrations/tr_reg_037.ply`` is pose 7 of subject 3, metres, y up, vertex i the same
-place in all of them; ``MPI-FAUST/training/scans/tr_scan_037.ply`` is what was scanned. Or all registrations in one ``.npz``:
+place in all of them; ``MPI-FAUST/training/scans/tr_scan_037.ply`` is the scan. Or all registrations in one ``.npz``:
 ``V (10 S, V, 3)``, pose p of subject s at 10 s + p, and ``F (F, 3)``. FAUST is static: a clip leads from a subject's neutral pose
-to another one by :class:`ddakf.evaluation.datasets.pose_interpolation.Interpolation`, in a second, and holds it.
+to another one within a second, by :class:`ddakf.evaluation.datasets.pose_interpolation.Interpolation`, and then stands still.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ddakf.mesh import Mesh
 POSES = 10  # of every subject; the first one is neutral
 NEUTRAL = 0
 FPS = 30.0
-MOVING, HELD = 30, 6  # frames after the neutral one in which a clip moves, and then rests
+MOVING, RESTING = 30, 6  # frames after the neutral one in which a clip moves, and then stands still
 REGISTRATION, SCAN = re.compile(r"tr_reg_(\d{3})\.ply"), re.compile(r"tr_scan_(\d{3})\.ply")
 CLIP = re.compile(r"s(\d+)_p(\d+)")
 
@@ -83,7 +83,7 @@ class Faust:
         return read_points(self.scans[subject, pose])
 
     def clip(self, part: str) -> Sequence:
-        """``s3_p7``: subject 3 from the neutral pose to pose 7 by interpolation; 1 frame, :data:`MOVING` and :data:`HELD` more.
+        """``s3_p7``: subject 3 from the neutral pose to pose 7 by interpolation; 1 + :data:`MOVING` + :data:`RESTING` frames.
 
         Raises:
             InvalidArgument: not at hand. InvalidFile, InvalidMesh: not registrations.
@@ -99,7 +99,7 @@ class Faust:
             raise InvalidFile(f"{self.path.name}: {part}", expected, str(len(last)))
         way = Interpolation(neutral, last)
         moving = [way(minimum_jerk(frame / MOVING)) for frame in range(MOVING + 1)]
-        vertices = np.stack(moving + [moving[-1]] * HELD).astype(np.float32)
+        vertices = np.stack(moving + [moving[-1]] * RESTING).astype(np.float32)
         return Sequence(f"faust_{part}", vertices, self.faces, FPS, garment="whole body", motion=f"p{pose}")
 
 
@@ -119,7 +119,7 @@ def load_faust(path) -> Faust:
 
 
 def is_faust(path: Path) -> bool:
-    """Whether a folder holds FAUST in its published layout."""
+    """True if a folder holds FAUST in its published layout."""
     return _registrations(path) is not None
 
 

@@ -1,8 +1,8 @@
 """Numeric arrays of MATLAB files of version 5 (``save -v6`` and ``-v7``, SciPy's ``savemat``).
 
-SciPy's ``loadmat`` reads more, but ends the process on some damaged files, and unpacks whatever a file asks for. Format: The
-MathWorks, "MAT-File Format", chapter 1. A file is a header of 128 bytes and data elements; an array is an element that holds
-others, and may be packed by zlib.
+SciPy's ``loadmat`` reads more formats, but some damaged files end the process, and it unpacks any size that a file states.
+Format: The MathWorks, "MAT-File Format", chapter 1. A file is a header of 128 bytes and data elements. An array is an element
+that holds others, and may be packed by zlib.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ COMPLEX = 0x0800
 
 
 def read_arrays(path, names: Collection[str]) -> dict[str, np.ndarray]:
-    """Reads the arrays of these names that are in a file and are real numbers.
+    """Reads arrays of real numbers by their names.
 
     Args:
         path: of the file.
-        names: of the arrays wanted; others, structures and texts are passed over.
+        names: of the wanted arrays; others, structures and texts are skipped.
 
     Returns:
-        By name, of two or more dimensions, in the type that they are stored in: MATLAB stores whole numbers in the least one.
+        Arrays by name, of two or more dimensions, in their stored type: MATLAB stores whole numbers in the smallest one.
 
     Raises:
         InvalidFile: no such file, not of this format, damaged, or an array beyond :data:`MOST_BYTES`.

@@ -1,4 +1,4 @@
-"""Between two poses of one mesh: limbs turn instead of shrinking.
+"""Interpolation between two poses of one mesh, by which limbs turn instead of shrinking.
 
 Every triangle's deformation from the first pose to the second is split into a rotation and a stretch (polar decomposition of its
 deformation gradient; Sumner and Popovic 2004, "Deformation transfer for triangle meshes", section 3.1). The rotation grows by its
@@ -31,7 +31,7 @@ def minimum_jerk(time: float) -> float:
 
 
 class Interpolation:
-    """The way from one pose to another.
+    """The path from one pose to another.
 
     Args:
         mesh: in the first pose, metres.
@@ -52,10 +52,10 @@ class Interpolation:
         self._divergence = (gradient.T * np.repeat(area, 3)).tocsr()
         edges = sparse.coo_array((np.ones(len(mesh.edges)), mesh.edges.T), (mesh.n_vertices,) * 2)
         self._component = connected_components(edges, directed=False)[1]
-        # the gradients leave the place of each connected component open: one vertex is held, and the whole moved afterwards
-        held = np.zeros(mesh.n_vertices)
-        held[np.unique(self._component, return_index=True)[1]] = area.mean()
-        self._factor = splu((self._divergence @ gradient + sparse.diags_array(held)).tocsc())
+        # the gradients leave the place of each connected component open: one vertex is fixed, and the component moved afterwards
+        anchor = np.zeros(mesh.n_vertices)
+        anchor[np.unique(self._component, return_index=True)[1]] = area.mean()
+        self._factor = splu((self._divergence @ gradient + sparse.diags_array(anchor)).tocsc())
         rotation, self._stretch = _polar(_frames(last, mesh.faces)[0] @ inverse)
         self.turn = _unwrapped(Rotation.from_matrix(rotation), mesh)  #: (F, 3) rotation vector of every triangle, rad
 
@@ -113,7 +113,7 @@ def _face_pairs(faces: np.ndarray) -> np.ndarray:
 
 
 def _unwrapped(rotation: Rotation, mesh: Mesh) -> np.ndarray:
-    """(F, 3) rotation vectors without jumps of whole turns between neighbours; the least one for the face in the middle."""
+    """(F, 3) rotation vectors without jumps of whole turns between neighbours. The middle face has the shortest one."""
     pairs = _face_pairs(mesh.faces)
     difference = (rotation[pairs[:, 0]].inv() * rotation[pairs[:, 1]]).magnitude() + LEAST_DIFFERENCE
     graph = sparse.csr_array((difference, pairs.T), (mesh.n_faces,) * 2)
@@ -130,7 +130,7 @@ def _unwrapped(rotation: Rotation, mesh: Mesh) -> np.ndarray:
 
 
 def _nearest_turn(vector: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Of the vectors of the same rotation the one nearest to another vector."""
+    """The rotation vector of the same rotation that is nearest to another vector."""
     angle = np.linalg.norm(vector)
     if angle == 0:
         return vector

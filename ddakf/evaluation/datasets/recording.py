@@ -1,4 +1,4 @@
-"""What recordings of real sensors have in common: frames of points without ground truth, of depth images or of files."""
+"""Recordings of real sensors: frames of points without ground truth, from depth images or from files."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class DepthRecording:
 
     Attributes:
         name: of the file, without its ending.
-        depth: T images (H, W) uint16 millimetres, 0 where nothing was seen: an array, or what reads them as they are asked for.
+        depth: T images (H, W) uint16 millimetres, 0 in pixels without a depth: an array, or a sequence that reads them lazily.
         camera: in whose world the points are.
         fps: frames per second.
         smooth: even out the sensor's depth steps (22 mm at 2.8 m), which otherwise make every local plane face the
@@ -66,7 +66,7 @@ class DepthRecording:
         return frame / self.fps if self.times is None else float(self.times[frame] - self.times[0])
 
     def cloud(self, frame: int) -> Cloud:
-        """The points of one frame without those that float behind edges, and the camera's position."""
+        """The points of one frame without edge fliers, and the camera's position."""
         depth = self.depth[frame] * MM
         if self.smooth:
             depth = smoothed(depth, JUMP, passes=1)
@@ -79,10 +79,10 @@ class DepthRecording:
 
 
 def positive_rate(fps: float) -> float:
-    """Frames per second, if they make sense.
+    """Checks a frame rate.
 
     Raises:
-        InvalidArgument: they do not.
+        InvalidArgument: not a positive number.
     """
     if not 1e-6 < fps < 1e6:
         raise InvalidArgument("fps", "a positive number of frames per second", str(fps))
@@ -90,5 +90,5 @@ def positive_rate(fps: float) -> float:
 
 
 def by_number(path: Path) -> list[int]:
-    """Orders frames by the numbers in their names."""
+    """Sort key of a frame: the numbers in its file name."""
     return [int(digits) for digits in re.findall(r"\d+", path.name)] or [0]

@@ -1,10 +1,10 @@
 """Folders of depth images with intrinsics, as RGB-D recorders write them.
 
-``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names; ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
-``camera.json`` (``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale``, units per metre, 1000 where it
-is not said, ``fps``, and ``T_world_sensor``, 4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every
-frame, not zero where the garment is; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward;
-without ``T_world_sensor`` the points are in the frame of the sensor, y up, looking along -z.
+``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names. ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
+``camera.json``: ``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale`` (units per metre, default
+1000), ``fps``, and ``T_world_sensor`` (4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every frame,
+not zero on the garment; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward. Without
+``T_world_sensor`` the points are in the axes of the sensor: y up, looking along -z.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ SHORTEST = 1e-6  # s between two frames
 
 @dataclass(frozen=True, eq=False)
 class DepthImages(Ordered):
-    """Depth images (H, W) in millimetres, read as they are asked for.
+    """Depth images (H, W) in millimetres, read when they are needed.
 
     Attributes:
         paths: of the images. masks: of the masks, as many or none.
@@ -56,7 +56,7 @@ class DepthImages(Ordered):
 
 
 def is_rgbd(path: Path) -> bool:
-    """Whether a folder holds depth images."""
+    """True if a folder holds depth images."""
     return any((path / "depth").glob("*.png"))
 
 
@@ -65,7 +65,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
 
     Args:
         path: the folder.
-        fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` says.
+        fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` states them.
 
     Raises:
         InvalidFile: no depth images, no intrinsics, masks or timestamps that do not fit, images that differ in size.
@@ -76,8 +76,8 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     if not paths:
         raise InvalidFile(str(path), "depth images depth/*.png", "none")
     shape = read_grey(paths[0]).shape
-    camera, said = load_camera(path, shape)
-    scale = said.get("depth_scale", MILLIMETRES)
+    camera, fields = load_camera(path, shape)
+    scale = fields.get("depth_scale", MILLIMETRES)
     if not is_number(scale) or scale < LEAST_SCALE:
         raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
     images = DepthImages(paths, _masks(path, paths), float(scale), shape)
@@ -85,14 +85,14 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     if times is not None and len(times) > 1:
         fps = (len(times) - 1) / (times[-1] - times[0])
     else:
-        fps = said.get("fps", fps)
+        fps = fields.get("fps", fps)
     if not is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
     return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
 
 
 def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The mask of every image, by the first number in its name; none where there is no folder ``mask``."""
+    """The mask of every image, matched by the first number in its name; empty without a folder ``mask``."""
     if not (path / "mask").is_dir():
         return ()
     by_first = {tuple(by_number(mask)[:1]): mask for mask in sorted((path / "mask").glob("*.png"))}

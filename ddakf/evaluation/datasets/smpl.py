@@ -2,7 +2,7 @@
 
 An ``.npz`` with ``v_template (B, 3)``, ``shapedirs (B, 3, betas)``, ``posedirs (B, 3, 9 (J - 1))``, ``J_regressor (J, B)``,
 ``weights (B, J)``, ``kintree_table (2, J)`` and ``f (F, 3)``, as the model's pickle names them. That pickle is never read:
-unpickling runs whatever it holds.
+unpickling runs any code in it.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Smpl:
             parent = self.parents[j]
             turn[:, j] = turn[:, parent] @ rotation[:, j]
             place[:, j] = place[:, parent] + turn[:, parent] @ (joints[j] - joints[parent])
-        shift = place - np.einsum("tjab,jb->tja", turn, joints)  # of what is at rest in the frame of a joint
+        shift = place - np.einsum("tjab,jb->tja", turn, joints)  # of the rest shape in the axes of a joint
         blended = np.einsum("bj,tjc->tbc", self.weights, turn.reshape(n, count, 9), optimize=True).reshape(n, -1, 3, 3)
         moved = np.einsum("tbac,tbc->tba", blended, vertices) + np.einsum("bj,tja->tba", self.weights, shift, optimize=True)
         return moved.astype(np.float32)

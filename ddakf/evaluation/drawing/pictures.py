@@ -1,4 +1,4 @@
-"""Pictures and animations of a tracked garment: what the sensor saw, the fit coloured by its uncertainty, the body.
+"""Pictures and animations of a tracked garment: the cloud, the fit coloured by its uncertainty, the body.
 
 Three panels, painted in software: the cloud alone from the sensor's side, the fit from there, and the fit from another
 side. The colour of the garment is sigma in millimetres, on one scale for all frames of an animation.
@@ -39,7 +39,7 @@ COLOURS = np.array([
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """What is shown of one frame.
+    """Content of one picture: cloud, fit and body of a frame.
 
     Attributes:
         points: (N, 3) of the sensor, metres.

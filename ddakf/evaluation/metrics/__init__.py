@@ -1,6 +1,6 @@
-"""How good an estimate is. E estimate, T truth, V vertices; positions in metres, errors reported in millimetres.
+"""Metrics of an estimate. E estimate, T truth, V vertices; positions in metres, errors in millimetres.
 
-One file per idea; ``docs/metrics.md`` lists every metric with its formula and unit.
+One module per idea; ``docs/metrics.md`` lists every metric with its formula and unit.
 """
 
 from ddakf.evaluation.metrics.calibration import (

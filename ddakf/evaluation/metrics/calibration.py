@@ -1,4 +1,4 @@
-"""Claimed covariances against the errors that were."""
+"""Calibration: claimed covariances against the actual errors."""
 
 from __future__ import annotations
 

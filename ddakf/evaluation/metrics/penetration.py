@@ -1,4 +1,4 @@
-"""A garment against the body in it."""
+"""Penetration: depth of a garment's vertices inside the body."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ddakf.mesh import Mesh
 
 
 class Depth(NamedTuple):
-    """Of a frame."""
+    """Penetration depth in one frame."""
 
     mean_mm: float  # over all vertices
     violating_mm: float  # over those inside alone, as in the paper; NaN where there are none
@@ -20,16 +20,16 @@ class Depth(NamedTuple):
 
 
 def violating_mm(mean_mm: float, share: float) -> float:
-    """Mean depth of the vertices inside, from the mean over all vertices and the share inside, of one frame or of a run (means
-    over its frames): all violations then count alike, in whichever frame they are. NaN where there are none."""
+    """Mean depth of the vertices inside, from the mean over all vertices and the share inside. Both may be means over a run's
+    frames; all violations then count alike, in any frame. NaN without any."""
     return float(mean_mm / share) if share > 0 else float("nan")
 
 
 class Penetration:
-    """How deep a garment is inside a moving body, by the exact signed distance.
+    """Penetration of a garment into a moving body, by the exact signed distance.
 
     Args:
-        body: in some pose.
+        body: in any pose.
     """
 
     def __init__(self, body: Mesh):

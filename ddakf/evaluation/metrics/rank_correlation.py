@@ -1,4 +1,4 @@
-"""How well one number tells another, by order alone."""
+"""Rank statistics: Spearman's correlation, and the area under the receiver operating characteristic."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def roc_auc(score: np.ndarray, positive: np.ndarray) -> float:
         positive: (n,) bool.
 
     Returns:
-        0.5 for a score that knows nothing; NaN when there are only positives or only negatives.
+        0.5 for a score without information; NaN with only positives or only negatives.
     """
     positive = np.asarray(positive, bool)
     n, m = int(positive.sum()), int((~positive).sum())

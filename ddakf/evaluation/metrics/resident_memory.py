@@ -1,4 +1,4 @@
-"""Memory that a method takes, whoever allocates it: Python, NumPy, compiled kernels, PyTorch."""
+"""Resident memory of a method, by any allocator: Python, NumPy, compiled kernels, PyTorch."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ STATUS, RESET = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 
 
 class ResidentPeak:
-    """Growth of the process's peak resident memory since this was made.
+    """Growth of the process's peak resident memory since this object was made.
 
-    On Linux the kernel keeps the peak (VmHWM) and can be told to start it anew; what the allocator holds free is handed back
-    before. tracemalloc would miss what compiled code and PyTorch allocate, and slow down what is timed. To leave out what is
-    loaded and compiled once, run the method over two frames before. One at a time in a process.
+    On Linux the kernel records the peak (VmHWM) and can reset it; free memory of the allocator is returned first. tracemalloc
+    would miss the allocations of compiled code and PyTorch, and slow down the timed code. To exclude memory that is loaded or
+    compiled once, run the method over two frames before. Only one instance may be in use in a process.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class ResidentPeak:
             self._before = _kilobytes("VmRSS")
 
     def mib(self) -> float | None:
-        """MiB by which the peak since then exceeds what was resident; None where the system does not say."""
+        """MiB by which the peak exceeds the resident memory at the start; None where the system does not state it."""
         return None if self._before is None else max(0, _kilobytes("VmHWM") - self._before) / 1024
 
 

@@ -1,4 +1,4 @@
-"""Scene flow: where points have gone from one frame to another."""
+"""Scene flow: displacement of points from one frame to another."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NEAR = 0.05  # m: an end point this near counts as right
 
 
 class EndPointError(NamedTuple):
-    """Of the flow of n points."""
+    """Error of an estimated flow of n points."""
 
     mean_mm: float
     within_5cm: float  # share of the points whose end point is less than NEAR off
@@ -24,7 +24,7 @@ def end_point_error(flow: np.ndarray, truth: np.ndarray) -> EndPointError:
     """|f_i - g_i| of estimated flows f and true ones g: mean, and share below 5 cm.
 
     Args:
-        flow: (N, 3) metres; where a method says nothing, NaN: such a point is not within 5 cm, and leaves no mean.
+        flow: (N, 3) metres; NaN where a method gives none: such a point is not within 5 cm, and makes the mean NaN.
         truth: (N, 3) metres; points without truth are not finite, and do not count.
 
     Returns:

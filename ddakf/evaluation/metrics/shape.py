@@ -1,4 +1,4 @@
-"""Strain, bending and layers of a garment against its rest shape or its truth."""
+"""Shape: strain, bending and crossed layers of a garment, against its rest shape or its truth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class ShapeDifference:
     """Strain and bending of one pose of a mesh against another: the rest shape's, or the truth's.
 
     Args:
-        mesh: whose edges and hinges count.
+        mesh: gives the edges and hinges.
     """
 
     def __init__(self, mesh: Mesh):
@@ -42,10 +42,10 @@ class ShapeDifference:
 
 
 def crossings(estimate: np.ndarray, truth: np.ndarray, mesh: Mesh) -> int:
-    """Vertices that are on another side of the layer next to them than in the truth.
+    """Number of vertices on another side of the adjacent layer than in the truth.
 
-    The layer next to a vertex is the nearest vertex, at most an edge away from it in the truth, of what is not close to it at
-    rest: see :mod:`ddakf.physics.self_collision`. Its side is that of the normal there, in each of the two poses.
+    The adjacent layer of a vertex is the nearest vertex that is not close to it at rest and at most an edge length away in the
+    truth: see :mod:`ddakf.physics.self_collision`. The normal there tells the side, in each of the two poses.
 
     Args:
         estimate, truth: (V, 3) metres.

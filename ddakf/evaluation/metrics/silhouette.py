@@ -1,4 +1,4 @@
-"""Silhouettes: how well the outlines of two poses of a garment agree, from cameras all around."""
+"""Silhouettes: agreement of the outlines of two poses of a garment, from cameras all around."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ INTRINSICS = Intrinsics(width=320, height=320, fx=285.0, fy=285.0, cx=159.5, cy=
 
 
 def silhouette_cameras(truth: np.ndarray) -> list[Camera]:
-    """The cameras of a frame. They go with the truth, since a garment may walk past any that stand still.
+    """The cameras of a frame. They follow the truth, since a garment may leave the view of fixed ones.
 
     Args:
         truth: (V, 3) metres, y up.

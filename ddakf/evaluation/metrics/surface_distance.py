@@ -1,4 +1,4 @@
-"""Distances to the surface between the vertices."""
+"""Surface distance: distances of points to the faces of a mesh, not only to its vertices."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ddakf.mesh import Mesh
 
 
 class Residual(NamedTuple):
-    """Distances of a frame's points to the estimated surface, millimetres: all that can be said where there is no truth.
+    """Distances of a frame's points to the estimated surface, millimetres: the only error without a truth.
 
-    It has the sensor's noise in it, and is small for any surface that goes through the points, whichever way its vertices
-    have slid and wherever it is where no points are.
+    It includes the sensor's noise. It is small for any surface through the points, even if vertices slid within the surface or
+    the surface is wrong where there are no points.
     """
 
     mean_mm: float
@@ -48,7 +48,7 @@ class SurfaceDistance:
         return np.abs(proximity.closest_points(self._tree, surface, points, radius=np.inf).distance)
 
     def residual(self, points: np.ndarray, vertices: np.ndarray) -> Residual:
-        """The distances summed up.
+        """Mean, root mean square and 95th percentile of the distances.
 
         Args:
             points: (N, 3) metres. vertices: (V, 3) of this frame, metres.

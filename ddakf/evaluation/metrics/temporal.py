@@ -1,4 +1,4 @@
-"""Over time: restlessness, and how long a disturbance lasts."""
+"""Temporal metrics: flicker, variance of acceleration, and the frames that a recovery takes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SMOOTHING = np.array([1, 4, 6, 4, 1]) / 16  # binomial weights of five frames: s
 
 
 def flicker_mm(estimates: np.ndarray, truths: np.ndarray) -> float:
-    """Restlessness of the error, not of the motion: sqrt(mean_{t,i} |d_{t-1,i} - 2 d_{t,i} + d_{t+1,i}|^2), d = E - T;
+    """Flicker of the error, not of the motion: sqrt(mean_{t,i} |d_{t-1,i} - 2 d_{t,i} + d_{t+1,i}|^2), d = E - T;
     millimetres per frame squared.
 
     Args:
@@ -29,7 +29,7 @@ def own_flicker_mm(estimates: np.ndarray) -> float:
     """:func:`flicker_mm` of the estimate itself, for recordings without truth: sqrt(mean_{t,i} |second difference of E|^2);
     millimetres per frame squared.
 
-    It has the motion in it, so that it compares methods on the same frames and nothing else; a frozen mesh has none.
+    It includes the motion, so that it only compares methods on the same frames. A frozen mesh has a flicker of 0.
 
     Args:
         estimates: (T, V, 3) consecutive frames, metres.
@@ -41,11 +41,11 @@ def own_flicker_mm(estimates: np.ndarray) -> float:
 
 
 def acceleration_variance_mm2(estimates: np.ndarray) -> float:
-    """The flicker that the paper describes, "acceleration variance relative to a smoothed trajectory", with numbers put to it:
+    """The flicker that the paper describes, "acceleration variance relative to a smoothed trajectory", with a formula of ours:
     mean_i sum_xyz var_t(a_i(t)), a the second difference of E - S and S the estimate smoothed in time with :data:`SMOOTHING`;
     millimetres squared per frame to the fourth power.
 
-    It knows no truth: a mesh that never moves has none, and wins. :func:`flicker_mm` is not fooled.
+    It uses no truth, so that a mesh that never moves has the best value, 0. :func:`flicker_mm` does not have this weakness.
 
     Args:
         estimates: (T, V, 3) consecutive frames, metres. The first and the last two have no smoothed place.
@@ -63,16 +63,16 @@ def acceleration_variance_mm2(estimates: np.ndarray) -> float:
 
 
 def frames_until_within(error: np.ndarray, reference: np.ndarray, factor: float, hold: int = 3) -> int | None:
-    """How many frames pass until an error is within ``factor`` of a reference, and stays there for ``hold`` frames.
+    """Frames until an error is within ``factor`` times a reference, and stays there for ``hold`` frames.
 
     Args:
-        error: (n,) per frame, the first one that of the first frame after a disturbance, or of a start.
-        reference: (n,) of the run that it is compared with, in the same frames.
+        error: (n,) per frame, from the first frame after a disturbance or a start on.
+        reference: (n,) of the reference run, in the same frames.
         factor: error_k <= factor * reference_k.
-        hold: frames in a row; fewer at the end of the run will do.
+        hold: consecutive frames; fewer suffice at the end of the run.
 
     Returns:
-        1 when it holds from the first frame on; None when it never does.
+        1 if it holds from the first frame on; None if it never does.
     """
     within = np.asarray(error) <= factor * np.asarray(reference)
     for first in range(len(within)):

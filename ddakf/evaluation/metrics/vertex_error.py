@@ -1,4 +1,4 @@
-"""Errors of vertices whose truth is known."""
+"""Vertex errors: distances of the estimated vertices from the true ones."""
 
 from __future__ import annotations
 

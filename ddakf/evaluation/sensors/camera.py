@@ -104,7 +104,7 @@ class Camera:
         """World points of the pixels of a depth image, row by row.
 
         Args:
-            depth: (H, W) metres; zero, negative or non-finite where nothing was seen.
+            depth: (H, W) metres; zero, negative or non-finite in pixels without a depth.
             keep: (H, W) bool, the pixels to use; default all that saw something.
 
         Returns:

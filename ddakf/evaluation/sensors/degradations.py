@@ -1,12 +1,12 @@
-"""Scripted degradations of a stream of captured clouds: what goes wrong, from which frame to which, and with which seed.
+"""Scripted degradations of a stream of captured clouds: faults in windows of frames, with seeded random numbers.
 
     script = Script("occlusion", (Event(10, 30, HalfSpace(0.5)),))
     for frame, degraded in script.apply(source, seed=3):
         ...
 
 ``source`` is any iterable of :class:`ddakf.evaluation.sensors.captured_frame.CapturedFrame`. Frames are counted from 0, the
-first one that the tracker is given. Every event has random numbers of its own, so that a script does to a frame the same
-whatever else happens.
+first one that the tracker is given. Every event has random numbers of its own, so that other events do not change its effect on
+a frame.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from numpy.random import Generator
 
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 
-OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
-EYE_DISTANCE = 2.0  # m: an occluder is seen from so far where the cloud has no sensor
+OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, enlarged by this on every side
+EYE_DISTANCE = 2.0  # m: viewing distance of an occluder where the cloud has no sensor; that of the virtual cameras
 
 
 class Degradation(Protocol):
-    """What happens to a frame inside a window; None when the frame never arrives."""
+    """A fault that changes the frames of a window, or drops them."""
 
     def degrade(self, frame: CapturedFrame, age: int, once: Generator, rng: Generator) -> CapturedFrame | None:
-        """The frame, degraded.
+        """The degraded frame, or None if the frame does not arrive.
 
         Args:
-            frame: as it would have been.
+            frame: before the degradation.
             age: frames since the window began.
             once: random numbers that are the same in every frame of the window.
             rng: random numbers of this frame.
@@ -56,16 +56,16 @@ class Dropout:
     share: float
 
     def degrade(self, frame: CapturedFrame, age: int, once: Generator, rng: Generator) -> CapturedFrame:
-        return kept(frame, rng.random(len(frame.points)) >= self.share)
+        return selected(frame, rng.random(len(frame.points)) >= self.share)
 
 
 @dataclass(frozen=True)
 class HalfSpace:
-    """Everything on one side of a plane is missing, about ``share`` of the points; the side stays the same.
+    """All points on one side of a plane are missing. The direction is the same throughout the window.
 
     Attributes:
-        share: of the window's first frame and all others alike.
-        direction: (3,) toward the missing side; at random and nearly horizontal if None.
+        share: of each frame's points that are missing.
+        direction: (3,) toward the missing side; None for a random, nearly horizontal one.
     """
 
     share: float
@@ -77,15 +77,15 @@ class HalfSpace:
         angle, rise = once.uniform(0, 2 * np.pi), once.uniform(-0.5, 0.5)
         drawn = np.array([np.cos(angle), rise, np.sin(angle)])
         height = frame.points @ (drawn if self.direction is None else np.asarray(self.direction, np.float64))
-        return kept(frame, height <= np.quantile(height, 1.0 - self.share))
+        return selected(frame, height <= np.quantile(height, 1.0 - self.share))
 
 
 @dataclass(frozen=True)
 class Disc:
-    """A disc in front of the garment hides what is behind it, as an arm or a passer-by does; ``radius`` in metres.
+    """A disc in front of the garment that hides all points behind it, as an arm or a passer-by does; ``radius`` in metres.
 
-    It is seen from the sensor, or where the cloud has none from :data:`EYE_DISTANCE` away in a random direction, and then hides
-    the near and the far side alike. It stays where it is while the garment moves.
+    The eye is the sensor. Where the cloud has none, the eye is :data:`EYE_DISTANCE` away in a random direction, and the disc
+    hides the near and the far side of the garment. The disc stands still while the garment moves.
     """
 
     radius: float
@@ -104,12 +104,12 @@ class Disc:
         axis = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
         along = np.einsum("na,na->n", ray, np.broadcast_to(axis, ray.shape))
         away = np.sqrt(np.maximum(np.einsum("na,na->n", ray, ray) - along**2, 0.0))
-        return kept(frame, away > self.radius)
+        return selected(frame, away > self.radius)
 
 
 @dataclass(frozen=True)
 class Outliers:
-    """A share of the points is replaced by uniform ones in the enlarged bounding box."""
+    """A share of the points is replaced by points that are uniform in the enlarged bounding box."""
 
     share: float
 
@@ -132,7 +132,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Fast:
-    """Only every ``nth`` frame arrives, with timestamps of the full rate: the garment moves so many times as fast."""
+    """Only every ``nth`` frame arrives, with timestamps of the full rate: the garment moves ``nth`` times as fast."""
 
     nth: int
 
@@ -145,24 +145,24 @@ class Event(NamedTuple):
 
     first: int
     last: int
-    what: Degradation
+    degradation: Degradation
 
 
 @dataclass(frozen=True)
 class Script:
-    """Events over a stream; windows may overlap and then act in their order."""
+    """Events over a stream. Where windows overlap, the events act in their order."""
 
     name: str
     events: tuple[Event, ...]
 
     def degrades(self, number: int) -> bool:
-        """Whether any event touches the frame of this number."""
+        """True if an event changes the frame of this number."""
         return any(event.first <= number < event.last for event in self.events)
 
     def apply(self, frames: Iterable[CapturedFrame], seed: int) -> Iterator[tuple[CapturedFrame, bool]]:
-        """The frames that arrive, and whether each is degraded; the first one after a gap counts as such.
+        """The frames that arrive, each with a flag: degraded or not. The first frame after a gap counts as degraded.
 
-        The timestamps during :class:`Fast` are closed up, so that later frames stay as far apart as they were.
+        The times that :class:`Fast` removes are subtracted from all later timestamps, so that later frames keep their distances.
         """
         after_gap, saved, last = False, 0.0, None
         for number, frame in enumerate(frames):
@@ -172,8 +172,8 @@ class Script:
                 if frame is None or not event.first <= number < event.last:
                     continue
                 once, rng = np.random.default_rng([seed, k]), np.random.default_rng([seed, k, number])
-                frame = event.what.degrade(frame, number - event.first, once, rng)
-                hurried |= frame is None and isinstance(event.what, Fast)
+                frame = event.degradation.degrade(frame, number - event.first, once, rng)
+                hurried |= frame is None and isinstance(event.degradation, Fast)
             if hurried:
                 saved += step
                 continue
@@ -184,21 +184,21 @@ class Script:
             after_gap = False
 
 
-def kept(frame: CapturedFrame, keep: np.ndarray) -> CapturedFrame:
-    """The frame with the points for which (N,) ``keep`` holds, and their sensors."""
+def selected(frame: CapturedFrame, keep: np.ndarray) -> CapturedFrame:
+    """The frame with the points for which (N,) ``keep`` holds, and the origins of their sensors."""
     origin = frame.sensor_origin
     if origin is not None and origin.ndim == 2:
         origin = origin[keep]
     return replace(frame, points=frame.points[keep], sensor_origin=origin)
 
 
-# The disturbances after which a tracker must be itself again ----------------------------------------------------------
+# Disturbances from which a tracker must recover ------------------------------------------------------------------------
 
 DISTURBED_FROM = 30  # frame at which each begins
 
 
-def _disturbance(name: str, frames: int, what: Degradation) -> Script:
-    return Script(name, (Event(DISTURBED_FROM, DISTURBED_FROM + frames, what),))
+def _disturbance(name: str, frames: int, degradation: Degradation) -> Script:
+    return Script(name, (Event(DISTURBED_FROM, DISTURBED_FROM + frames, degradation),))
 
 
 DISTURBANCES = (
@@ -208,7 +208,7 @@ DISTURBANCES = (
     _disturbance("10 % uniform outliers", 20, Outliers(0.1)),
 )
 
-# The runs by which the reliability score is judged --------------------------------------------------------------------
+# Runs that judge the reliability score ---------------------------------------------------------------------------------
 
 CLEAN = Script("clean", ())
 SCRIPTS = (
@@ -262,10 +262,10 @@ class DegradedRun(NamedTuple):
 
 
 def degraded_runs(sequences: Iterable[tuple[str, bool]]) -> list[DegradedRun]:
-    """The fixed list: every script on every sequence all around, from the front, and from there with the body where there is one.
+    """The fixed list: every script on every sequence in the views full and front, and in front with the body where there is one.
 
     Args:
-        sequences: name of each, and whether it has a body.
+        sequences: name of each, and True if it has a body.
     """
     runs = []
     for name, has_body in sequences:

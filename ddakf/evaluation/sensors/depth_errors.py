@@ -1,4 +1,4 @@
-"""What a real depth camera does to an ideal depth image (H, W), metres, infinity or 0 where nothing was seen.
+"""Errors of a real depth camera, applied to an ideal depth image (H, W), metres; infinity or 0 marks pixels without a depth.
 
 Errors of a sensor that triangulates grow with the square of the depth. Of the first Kinect, standard deviation 1.43 mm and steps
 of 2.85 mm at 1 m: Khoshelham and Elberink 2012, "Accuracy and resolution of Kinect depth data", Sensors 12(2), section 4.2.
@@ -16,10 +16,10 @@ def mixed_at_edges(depth: np.ndarray, share: float, jump: float, background: flo
 
     Args:
         depth: image.
-        share: of the pixels with one of their eight neighbours more than ``jump`` behind them.
+        share: of the edge pixels: those with one of their eight neighbours more than ``jump`` behind them.
         jump: metres.
-        background: depth of what is behind everything, metres.
-        rng: which ones, and their mixtures, uniform between both sides.
+        background: depth of the wall behind all surfaces, metres.
+        rng: chooses the pixels, and their mixtures, uniform between both sides.
     """
     found = seen(depth)
     filled = np.where(found, depth, background)

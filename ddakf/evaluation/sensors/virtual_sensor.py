@@ -1,4 +1,4 @@
-"""Virtual sensors: what a scanner or depth cameras see of a garment, with occlusion by garment and body."""
+"""Virtual sensors: point clouds of a garment from a scanner or from depth cameras, occluded by garment and body."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, h
 FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
 INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
 FLIER_JUMP = 0.03  # m: see ddakf.files.depth.without_fliers
-BACKGROUND = 1.0  # m: behind the garment's first centroid is what edge fliers mix with
-OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, grown by this on every side
-OF_A_CAMERA = ("depth_noise", "depth_step", "fliers")  # fields of a sensor
+BACKGROUND = 1.0  # m: distance from the garment's first centroid to the wall that edge fliers mix with
+OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, enlarged by this on every side
+OF_A_CAMERA = ("depth_noise", "depth_step", "fliers")  # fields of a sensor that only a depth camera has
 COVERED = 0.06  # m: skin this near to cloth counts as covered
 
 
@@ -44,7 +44,7 @@ class Sensor:
         fliers: of a camera: share of the pixels at depth edges that is a mixture of both sides.
         occlude: frames (first, last + 1) in which a side of the garment is hidden, see :func:`occluded_side`; None for none.
         occluded: share of the garment's vertices on that side.
-        every: frames are taken so many apart, see :meth:`frames`.
+        every: stride of the frames, see :meth:`frames`.
     """
 
     view: View = "front"
@@ -79,32 +79,32 @@ class Sensor:
             raise InvalidArgument("occlude", "frames FROM:TO with 0 <= FROM < TO", "{}:{}".format(*self.occlude))
 
     def require_no_camera(self) -> None:
-        """Refuses errors of a depth camera, where the frames are those of a real one.
+        """Refuses errors of a virtual depth camera for the frames of a real one, which has its own.
 
         Raises:
-            InvalidArgument: there are some.
+            InvalidArgument: one of them is not 0.
         """
         for name in OF_A_CAMERA:
             if value := getattr(self, name):
                 raise InvalidArgument(name, "0 for a recording, whose camera has errors of its own", str(value))
 
     def frames(self, frames: range) -> range:
-        """Of a range of frames those that this sensor takes; what it takes last is the last one that is due."""
+        """The frames of a range that this sensor takes: every :attr:`every`-th, from the first one on."""
         return frames[:: self.every]
 
     def occludes(self, frame: int) -> bool:
-        """Whether a side of the garment is hidden in the frame of this number."""
+        """True if a side of the garment is hidden in the frame of this number."""
         return self.occlude is not None and self.occlude[0] <= frame < self.occlude[1]
 
     def capture(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> Cloud:
-        """What this sensor sees of one frame; the same generator state gives the same cloud."""
+        """The cloud of one frame. The same generator state gives the same cloud."""
         if self.view == "full":
             cloud = Cloud(_scan(sequence, frame, self.points, self.segmented, rng), None)
         else:
             cloud = Cloud(*self._look(sequence, frame, rng))
         if self.occludes(frame):
             hidden = occluded_side(sequence, self.occluded)
-            cloud = _kept(cloud, ~hidden[cKDTree(sequence.garment_vertices[frame]).query(cloud.points)[1]])
+            cloud = _selected(cloud, ~hidden[cKDTree(sequence.garment_vertices[frame]).query(cloud.points)[1]])
         return self.degrade(cloud, rng)
 
     def degrade(self, cloud: Cloud, rng: np.random.Generator, frame: int | None = None) -> Cloud:
@@ -113,16 +113,16 @@ class Sensor:
         Args:
             cloud: as it was captured.
             rng: random numbers.
-            frame: its number where the cloud is recorded, and the occlusion is still to be done: of the points, as there are no
-                vertices, the share with the largest x is hidden.
+            frame: number of a recorded frame, whose occlusion is applied here. A recording has no vertices, so that the share
+                of the points with the largest x is hidden. None if the occlusion is done.
         """
         if frame is not None and self.occludes(frame) and len(cloud.points):
-            cloud = _kept(cloud, cloud.points[:, 0] <= np.quantile(cloud.points[:, 0], 1 - self.occluded))
+            cloud = _selected(cloud, cloud.points[:, 0] <= np.quantile(cloud.points[:, 0], 1 - self.occluded))
         chosen = np.arange(len(cloud.points))
         if len(chosen) > self.points:
             chosen = np.sort(rng.permutation(len(chosen))[: self.points])
         chosen = chosen[rng.random(len(chosen)) >= self.drop]
-        points, origin = _kept(cloud, chosen)
+        points, origin = _selected(cloud, chosen)
         points = points + self.noise * rng.normal(size=(len(chosen), 3))
         return Cloud(_with_outliers(points, self.outliers, rng).astype(np.float32), origin)
 
@@ -138,7 +138,7 @@ class Sensor:
         return np.concatenate(seen), origin
 
     def _depth_points(self, sequence: Sequence, frame: int, camera: Camera, rng: np.random.Generator) -> np.ndarray:
-        """World points (N, 3) of the pixels of one camera: of the garment, or of everything."""
+        """World points (N, 3) of one camera's pixels: of the garment if segmented, of the whole scene otherwise."""
         meshes = [(sequence.garment_vertices[frame], sequence.garment_faces)]
         if sequence.has_body:
             meshes.append((sequence.body_vertices[frame], sequence.body_faces))
@@ -201,7 +201,7 @@ def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _scan(sequence: Sequence, frame: int, count: int, segmented: bool, rng: np.random.Generator) -> np.ndarray:
-    """Samples of the garment, or of garment and bare skin at the same density."""
+    """Samples of the garment, or of the garment and the uncovered skin at the same density."""
     cloth, cloth_faces = sequence.garment_vertices[frame], sequence.garment_faces
     garment = sample_surface(cloth, cloth_faces, count, rng)
     if segmented or not sequence.has_body:
@@ -209,12 +209,12 @@ def _scan(sequence: Sequence, frame: int, count: int, segmented: bool, rng: np.r
     skin, skin_faces = sequence.body_vertices[frame], sequence.body_faces
     ratio = _areas(skin, skin_faces).sum() / _areas(cloth, cloth_faces).sum()
     body = sample_surface(skin, skin_faces, round(count * ratio), rng)
-    bare = np.isinf(cKDTree(garment).query(body, distance_upper_bound=COVERED)[0])
-    return np.concatenate([garment, body[bare]])
+    uncovered = np.isinf(cKDTree(garment).query(body, distance_upper_bound=COVERED)[0])
+    return np.concatenate([garment, body[uncovered]])
 
 
-def _kept(cloud: Cloud, keep: np.ndarray) -> Cloud:
-    """The points of (N,) bool or of indices, and their sensors."""
+def _selected(cloud: Cloud, keep: np.ndarray) -> Cloud:
+    """The points that a mask (N,) or indices choose, and the origins of their sensors."""
     points, origin = cloud
     return Cloud(points[keep], origin[keep] if origin is not None and origin.ndim == 2 else origin)
 
