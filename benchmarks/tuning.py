@@ -91,7 +91,7 @@ def of(method: type) -> Callable[[Any, RecordingLabels], Baseline]:
 def clothfit(settings: AnswerSettings, scored: RecordingLabels) -> ClothFit:
     """Learned from what ships for learning alone, without the clip, its garment and its motion; from nothing that the study
     scores, neither the sample nor what DDAKF_DATA names."""
-    among = [source for source in library.sources() if not source.at_hand and source.what != data.SAMPLE]
+    among = [source for source in library.sources() if not source.external and source.origin != data.SAMPLE]
     return ClothFit(partial(weights.committee, scored, Training(gate=settings.gate, steps=LEARNED_STEPS), among), settings)
 
 

@@ -11,13 +11,13 @@ from ddakf.commands import sensor_options
 from ddakf.errors import InvalidArgument
 
 EPILOG = """
-Every system gets the same clouds. What has been run is kept in OUT.rows.jsonl, so that the same command goes on after an
-interruption, and a larger one (more runs, systems, views, sequences) runs what is new alone. A method that cannot be used, or
-that fails, costs the others nothing: its row says why.
+Every system gets the same clouds. Finished runs are stored in OUT.rows.jsonl: the same command resumes after an interruption,
+and a larger one (more runs, systems, views, sequences) adds only the missing runs. A method that fails or cannot be used does
+not stop the others; its row has the reason.
 """
 
 
-WIDE = 140  # characters of the table at least: a narrow terminal wraps lines, but cuts no number
+WIDE = 140  # least characters of the table: a narrow terminal wraps lines instead of truncating numbers
 SHOWN = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "penetration_mm", "flicker", "residual_mm", "own_flicker",
          "end_point_error_mm", "ms_per_frame")  # fmt: skip
 
@@ -28,7 +28,7 @@ def register(commands: argparse._SubParsersAction) -> None:
     what = "sample, a name under DDAKF_DATA, or a path: .npz, MPI-FAUST#s3_p7, a folder of frames, ... (docs/datasets.md)"
     parser.add_argument("sequences", nargs="*", metavar="SEQ", help=what)
     parser.add_argument(
-        "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all that there are"
+        "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all available"
     )
     parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
     parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
@@ -39,9 +39,9 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--frames", default=":", metavar="A:B", help="from frame A, where the garment is known, to B - 1")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     parser.add_argument(
-        "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for calm times)"
+        "--procs", type=int, default=cores, metavar="N", help=f"processes of one thread each (default {cores}; 1 for exact times)"
     )
-    what = "run these systems again, or all, where their runs are of another commit or did not apply"
+    what = "run these systems again, or all, if their runs are of another commit or did not apply"
     parser.add_argument("--again", default="", metavar="A,B", help=what)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
     sensor_options.add(parser, several_views=True)
@@ -49,7 +49,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Checks, runs what is missing, writes the result and prints a table."""
+    """Checks the arguments, runs the missing trials, writes the result and prints a table."""
     from rich.console import Console
 
     from ddakf.evaluation.paper_scope import RUNS, SYSTEMS
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
-    """The studies of the paper have sensors and files of their own."""
+    """Refuses options of the sensor and --json with --paper, whose studies set them."""
     beside = argparse.ArgumentParser()
     sensor_options.add(beside, several_views=True)
     default = vars(beside.parse_args([])) | {"json": None}
@@ -94,7 +94,7 @@ def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
 
 
 def _paper(arguments: argparse.Namespace, console) -> int:
-    """All studies of the report, one after the other."""
+    """Runs all studies of the report."""
     from ddakf.evaluation.studies import paper_studies
     from ddakf.evaluation.studies.execution import run_study
 
@@ -138,7 +138,7 @@ def _again(arguments: argparse.Namespace, systems) -> list[str]:
 
 
 def table(result: dict):
-    """The means for people."""
+    """The means as a table for the terminal."""
     from rich.table import Table
 
     columns = [name for name in SHOWN if any(cell["mean"] and cell["mean"][name] is not None for cell in result["results"])]
@@ -154,7 +154,7 @@ def table(result: dict):
 
 
 def reasons(result: dict) -> list[str]:
-    """Why some have no means, or not of all runs."""
+    """The reasons for missing runs, with the methods, sequences and views."""
     found = {}
     for cell in result["results"]:
         if sentence := cell.get("failed") or cell.get("not_applicable"):

@@ -20,7 +20,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Writes the page and its pictures; computes nothing."""
+    """Writes the page and its pictures from existing results."""
     from rich.console import Console
 
     from ddakf.evaluation.reporting import content, markdown, result_files

@@ -23,15 +23,15 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--motion", choices=MOTIONS, required=True)
     parser.add_argument("--frames", type=int, default=150, metavar="N", help="of the recording (default 150)")
     parser.add_argument("--fps", type=float, default=30.0, help="frames per second (default 30)")
-    parser.add_argument("--vertices", type=int, default=2700, metavar="V", help="of the garment, about (default 2700)")
-    seed_help = "varies the garment's measures and the motion (default 0: as they are)"
+    parser.add_argument("--vertices", type=int, default=2700, metavar="V", help="of the garment, approximately (default 2700)")
+    seed_help = "varies the garment's measures and the motion (default 0: unchanged)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=seed_help)
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="default GARMENT_MOTION.npz")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Runs the command."""
+    """Simulates a recording, writes it and prints its quality."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -62,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _target(path: Path) -> Path:
-    """The file to write, in a folder that is there and can be written to: known before the hours of work, not after."""
+    """The file to write. Its folder is created and checked before hours of work, not after."""
     if path.suffix != ".npz":
         raise InvalidArgument("--out", "a name that ends in .npz", str(path))
     try:

@@ -1,4 +1,4 @@
-"""What the numbers were measured on, and with which versions."""
+"""Machine and versions with which numbers were measured."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PACKAGES = ("ddakf", "numpy", "scipy", "numba", "grpcio", "protobuf", "zstandard
 
 
 def describe() -> dict:
-    """CPU, cores, memory, system, Python and packages; and how busy the machine was when the run began."""
+    """CPU, cores, memory, system, Python, packages, and the load average when the run began."""
     return {
         "cpu": _cpu(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
@@ -30,9 +30,9 @@ def describe() -> dict:
 
 @contextlib.contextmanager
 def one_core() -> Iterator[None]:
-    """Keeps this process, and every thread that it starts meanwhile, on one core, where the platform can.
+    """Binds this process, and every thread that it starts meanwhile, to one core, if the platform can.
 
-    Environment variables do not bind all libraries: Open3D 0.20 takes as many threads as the process has cores when it is
+    Environment variables do not limit all libraries: Open3D 0.20 starts as many threads as the process has cores when it is
     first used.
     """
     if not hasattr(os, "sched_setaffinity"):
@@ -47,7 +47,7 @@ def one_core() -> Iterator[None]:
 
 
 def commit() -> str | None:
-    """The short commit of the checkout, with ``-dirty`` where it was changed since; None outside one."""
+    """The short commit of the checkout, with ``-dirty`` if files were changed since; None outside one."""
     command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
         return subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True).stdout.strip()
@@ -55,8 +55,8 @@ def commit() -> str | None:
         return None
 
 
-def code() -> str:
-    """What ran: the :func:`commit`, or outside a checkout the version."""
+def code_version() -> str:
+    """The :func:`commit`, or outside a checkout the version."""
     return commit() or f"version {ddakf.__version__}"
 
 

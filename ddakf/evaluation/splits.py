@@ -1,7 +1,7 @@
-"""What is trained on and what is scored: FAUST by subject, garments by category.
+"""Splits of the data into training and test: FAUST by subject, garments by category.
 
 The paper leaves subjects out of FAUST (training on 8, testing on the other 2) and garment categories out of CLOTH3D. A method
-that learns is told by a :class:`Scored` what it is about to be scored on, and leaves it out.
+that learns gets the :class:`RecordingLabels` of the scored recording, and excludes it from its training.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ddakf.files.sequence import Sequence, read_names
 
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))
 BODY = "whole body"
-# By the words of a garment, or of a sequence's name; CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.
-# Some recordings are named by where they are from, and hold one garment.
+# Words of a garment's or a sequence's name. CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.
+# The recordings of some origins have one garment only.
 CATEGORIES = {
     "T-shirt": ("tshirt", "shirt", "tee"),
     "tank top": ("tank", "top", "vest"),
@@ -29,11 +29,11 @@ CATEGORIES = {
     BODY: ("whole", "body"),
 }
 ORIGINS = {"sample": "T-shirt", "pergamo": "T-shirt", "faust": BODY}
-MADE_BY = frozenset({"sim", "simulated"})  # words that say neither garment nor motion
+MADE_BY = frozenset({"sim", "simulated"})  # words that name neither garment nor motion
 
 
 class RecordingLabels(NamedTuple):
-    """What a method is about to be scored on; empty where nobody says. Only what was trained looks at it, to leave it out."""
+    """Name, garment category and motion of a recording; empty where unknown. Trained methods exclude what shares one of them."""
 
     name: str = ""  # of the sequence
     garment: str = ""
@@ -51,26 +51,26 @@ class Split(NamedTuple):
 
 
 def labels_of(sequence: Sequence | str) -> RecordingLabels:
-    """What scoring on a sequence, or on one of that name, means: its garment's category and its motion.
+    """The labels of a sequence, or of a sequence's name: its garment's category and its motion.
 
-    A sequence that says its garment or motion is believed. What it leaves open is read off the name: ``sim_skirt_dance`` is a
-    skirt and a dance, ``samba_dress`` and ``samba_whole`` one motion. A name that says no category is one of its own.
+    The sequence's own garment and motion come first, then its name: ``sim_skirt_dance`` is a skirt and a dance, ``samba_dress``
+    and ``samba_whole`` have one motion. A name without a category is a category of its own.
     """
     if isinstance(sequence, str):
         return RecordingLabels(sequence, *_by_name(sequence))
-    return _said(sequence.name, sequence.garment, sequence.motion)
+    return _labels(sequence.name, sequence.garment, sequence.motion)
 
 
 def labels_of_file(path: Path) -> RecordingLabels:
-    """:func:`scored` of a sequence file, of which only the two names are read.
+    """:func:`labels_of` a sequence file, of which only garment and motion are read.
 
     Raises:
-        InvalidFile: not a sequence file, or names that are no words.
+        InvalidFile: not a sequence file, or names without words.
     """
-    return _said(path.stem, *read_names(path))
+    return _labels(path.stem, *read_names(path))
 
 
-def _said(name: str, garment: str, motion: str) -> RecordingLabels:
+def _labels(name: str, garment: str, motion: str) -> RecordingLabels:
     words = _words(garment)
     by_name = _by_name(name)
     return RecordingLabels(name, _category(words) or "_".join(words) or by_name[0], "_".join(_words(motion)) or by_name[1])
@@ -95,7 +95,7 @@ def _words(text: str) -> list[str]:
 
 
 def faust_split(clips: Iterable[str]) -> Split:
-    """Clips of FAUST (``s3_p7``) as the paper parts them: those of subjects 0 to 7 to train on, the rest to score."""
+    """Clips of FAUST (``s3_p7``) in the paper's split: subjects 0 to 7 for training, the rest for the test."""
     clips = tuple(clips)
     train = tuple(clip for clip in clips if int(CLIP.fullmatch(clip)[1]) in FAUST_TRAINING_SUBJECTS)
     return Split(train, tuple(clip for clip in clips if clip not in train))

@@ -1,7 +1,7 @@
-"""Is one method better than another, by how much, and could these data have told: ``docs/metrics.md``, section Statistics.
+"""Comparison of methods: paired permutation test, effect size, correction for several tests; ``docs/metrics.md``, Statistics.
 
-The unit is a disjoint clip of a sequence in one view, and its score the mean over the seeded runs: seeds repeat the noise and not
-the motion. Units are paired: all methods have scores of the same ones.
+The unit is a disjoint clip of a sequence in one view. Its score is the mean over the seeded runs, since seeds vary the noise and
+not the motion. Units are paired: all methods have scores of the same ones.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ DEPENDENCE = "clips of one sequence share garment, body and kind of motion: p is
 
 
 class Spread(NamedTuple):
-    """Of a score over seeded runs."""
+    """Mean and spread of a score over seeded runs."""
 
     mean: float | None  # None without a run
     sd: float | None  # with n - 1 in the denominator; None with fewer than two runs
@@ -34,7 +34,7 @@ class Spread(NamedTuple):
 
 
 def spread(values: Iterable[float | None]) -> Spread:
-    """Mean and standard deviation over the runs that have a value; None and NaN are none."""
+    """Mean and standard deviation over the runs that have a value; None and NaN are no values."""
     found = _finite(values)
     mean = float(found.mean()) if len(found) else None
     return Spread(mean, float(found.std(ddof=1)) if len(found) > 1 else None, len(found))
@@ -213,9 +213,9 @@ def corrected(family: Mapping[str, Comparison]) -> dict[str, Comparison]:
 
 
 def lost(rmse_mm: Iterable[float | None]) -> list[bool]:
-    """Runs that no longer follow the garment: RMSE above :data:`LOST_MM`, or none because the method could not go on.
+    """True for each run that lost the garment: an RMSE above :data:`LOST_MM`, or none because the method failed.
 
-    The limit is the same for all, not a multiple of the best: one method's being good does not lose another."""
+    The limit is the same for all methods, not a multiple of the best: a good method must not make another one count as lost."""
     return [not _follows(value) for value in rmse_mm]
 
 
@@ -224,7 +224,7 @@ def _follows(rmse_mm: float | None) -> bool:
 
 
 class Standing(NamedTuple):
-    """A method among the others by one score."""
+    """Rank of a method among the others by one score."""
 
     rivals: list[str]  # that use the cloud, ran, and were not lost
     lost: list[str]  # in more than half of their runs
@@ -244,11 +244,11 @@ def standing(
     rmse_mm: Mapping[str, Sequence[float | None]],
     blind: Iterable[str] = ("clothfit",),
 ) -> Standing:
-    """Where a method stands.
+    """Rank of a method among the others.
 
     Args:
         comparisons: of the method with each other one, by its name, from :func:`corrected`.
-        rmse_mm: of the runs of each other method in the same cells: what they lose is judged by, whatever the score.
+        rmse_mm: of the runs of each other method in the same cells, by which lost runs are judged for any score.
         blind: methods that use no cloud.
     """
     absent = [name for name in comparisons if len(rmse_mm.get(name, ())) == 0]

@@ -65,7 +65,7 @@ def test_the_learned_method_is_tuned_on_nothing_that_is_scored(tuning, monkeypat
     assert [scored.name for scored, _, _ in asked] == names
     for _, _, among in asked:
         assert {source.labels.name for source in among} >= set(names)
-        assert not any(source.at_hand or source.what == tuning.data.SAMPLE for source in among)
+        assert not any(source.external or source.origin == tuning.data.SAMPLE for source in among)
 
 
 def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):

@@ -11,26 +11,26 @@ from ddakf.mesh import Mesh
 
 
 class Baseline(Protocol):
-    """A method that follows a garment through point clouds; what it keeps between frames is its own affair."""
+    """A method that tracks a garment through point clouds, with any state between frames."""
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
-        """Starts anew.
+        """Starts a new run.
 
         Args:
             garment: its vertices are the rest shape.
-            vertices: (V, 3) where the garment is before the first frame, metres.
-            body: in the pose of the start, or None; what knows no body ignores it.
+            vertices: (V, 3) of the garment before the first frame, metres.
+            body: in the pose of the start, or None; methods without a body ignore it.
 
         Raises:
-            NotApplicable: it cannot be used here; the sentence says what it lacks.
+            NotApplicable: it cannot be used here; the message has the reason.
         """
 
     def step(self, frame: CapturedFrame) -> np.ndarray:
-        """One frame, of which the method sees the points, their sensor's place, the time and the body's vertices.
+        """Tracks one frame, of which the method may use the points, their sensor's origin, the time and the body's vertices.
 
         Returns:
             (V, 3) the garment in this frame, metres.
 
         Raises:
-            NotApplicable: this frame lacks what the method cannot do without.
+            NotApplicable: the frame lacks data that the method needs.
         """

@@ -14,7 +14,7 @@ from ddakf.evaluation.baselines.registration import Registration
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
-DAMPING = 0.01  # of a correspondence, per vertex: decides where neither a point nor a neighbour does
+DAMPING = 0.01  # of a correspondence, per vertex: keeps vertices without points and neighbours in place
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
 SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.1
 
@@ -42,7 +42,7 @@ class NonRigidPointToPlane(Registration):
     n_i its normal, w_i its weight, and the displacement field d = x - T r from the rest shape r, which T lays rigidly onto the
     present estimate (Kabsch 1976). Correspondences and T are found anew in every iteration, and the linear system is solved by
     conjugate gradients, preconditioned by the factors of the system in which every correspondence weighs the same along all axes.
-    Knows no body and no time.
+    Uses no body and no time.
     """
 
     def __init__(self, settings: IcpSettings = TUNED):
@@ -99,7 +99,7 @@ class RigidPointToPlane(Registration):
     whose shape stays that of the start.
 
     The cloud is laid onto the vertices and their normals, and the garment moved by the inverse: so every point of a partial cloud
-    has a counterpart, and what a sensor does not see asks for none. Knows no body and no time.
+    has a counterpart, and unseen vertices need none. Uses no body and no time.
 
     Raises:
         NotApplicable: Open3D cannot be imported.

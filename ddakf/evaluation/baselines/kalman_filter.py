@@ -1,4 +1,4 @@
-"""A Kalman filter per vertex: constant velocity, nearest points as measurements, nothing else.
+"""Kalman filter per vertex: constant velocity, nearest points as measurements, nothing else.
 
 State of a vertex: position p and velocity v. Prediction over a time dt: p <- p + v dt, with the covariance of a white
 acceleration (Bar-Shalom, Li and Kirubarajan 2001, "Estimation with applications to tracking and navigation", section 6.2).
@@ -43,7 +43,7 @@ TUNED = KalmanSettings()
 
 
 class KalmanFilter:
-    """See the module. Knows no body."""
+    """See the module. Uses no body."""
 
     def __init__(self, settings: KalmanSettings = TUNED):
         self.settings = settings

@@ -1,4 +1,4 @@
-"""Linear algebra that the baselines share."""
+"""Linear algebra of the baselines: graph Laplacian, factorisation, conjugate gradients, best rotations."""
 
 from __future__ import annotations
 

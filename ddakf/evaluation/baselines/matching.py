@@ -1,4 +1,4 @@
-"""What the baselines have in common: normals, points nearest to vertices, and which vertices a sensor can see."""
+"""Matching of vertices with points, shared by the baselines: normals, nearest points, vertices that face a sensor."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
-LEAST_POINTS = 20  # a smaller cloud is a frame without measurements
+LEAST_POINTS = 20  # a smaller cloud counts as a frame without measurements
 TINY = 1e-30  # m^2
 
 
@@ -20,7 +20,7 @@ class VertexNormals:
     """Area-weighted unit normals of a mesh in any pose; those of :func:`ddakf.mesh.vertex_normals`, at a fraction of the time.
 
     Args:
-        mesh: whose faces count.
+        mesh: gives the faces.
     """
 
     def __init__(self, mesh: Mesh):
@@ -36,7 +36,7 @@ class VertexNormals:
 
 
 class Matches(NamedTuple):
-    """For every vertex a point of the cloud; where there is none its weight is 0."""
+    """A point of the cloud for every vertex; its weight is 0 if there is none."""
 
     points: np.ndarray  # (V, 3) m
     normals: np.ndarray  # (V, 3) of the points, on the side of the vertices' own
@@ -45,10 +45,10 @@ class Matches(NamedTuple):
 
 @dataclass(frozen=True)
 class MatchSettings:
-    """Which points vertices are matched with.
+    """Settings of the matching.
 
     Attributes:
-        gate: metres; points farther off are none, see :meth:`Scan.match`.
+        gate: metres; points farther away are no match, see :meth:`Scan.match`.
         normal_cosine: least between the normals of a vertex and its point; of either sign where there is no sensor.
         neighbours: the normal of a point is the direction in which so many points around it vary least.
     """
@@ -59,7 +59,7 @@ class MatchSettings:
 
 
 class Scan:
-    """A frame's cloud that can be searched, and has normals.
+    """A frame's cloud with a search tree and normals.
 
     Args:
         frame: its points and their sensor's place.
@@ -67,7 +67,7 @@ class Scan:
     """
 
     def __init__(self, frame: CapturedFrame, settings: MatchSettings):
-        # a tree of many boxes is quick to build, and to leave when nothing is near
+        # an unbalanced tree with loose boxes is quicker to build, and rejects distant queries quickly
         self._tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
         self._origin, self._settings = frame.sensor_origin, settings
         self._normals, self._known = np.zeros_like(self._tree.data), np.zeros(self._tree.n, bool)
@@ -94,7 +94,7 @@ class Scan:
         return Matches(self._tree.data[nearest], its, weight * seen)
 
     def _normals_of(self, index: np.ndarray) -> np.ndarray:
-        """Of the points of these numbers: what nobody asks for is never computed, and nothing twice."""
+        """Normals of the points of these indices, computed on the first request."""
         new = np.unique(index[~self._known[index]])
         if len(new):
             points = self._tree.data

@@ -1,8 +1,8 @@
 """Non-rigid ICP with as-rigid-as-possible regularisation, on the dense vertices.
 
 Energy: sum_i w_i |x_i - c_i|^2 + stiffness sum_ij |(x_i - x_j) - (R_i + R_j) / 2 (r_i - r_j)|^2 over the edges, where c_i is
-the mean of the nearest points of the cloud, w_i their weight, R_i the rotation of a vertex, r the rest shape; minimised by
-turns over c, R and x (Sorkine and Alexa 2007, "As-rigid-as-possible surface modeling"; correspondences as in Amberg,
+the mean of the nearest points of the cloud, w_i their weight, R_i the rotation of a vertex, r the rest shape; minimised
+alternately over c, R and x (Sorkine and Alexa 2007, "As-rigid-as-possible surface modeling"; correspondences as in Amberg,
 Romdhani and Vetter 2007, "Optimal step nonrigid ICP"). The source shape is always the rest template: replacing it by the last
 estimate drifts.
 
@@ -25,7 +25,7 @@ from ddakf.evaluation.baselines.matching import facing
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh, vertex_normals
 
-LEAST_POINTS = 8  # a frame with fewer moves on as predicted
+LEAST_POINTS = 8  # a frame with fewer is predicted only
 ROTATION_STEPS = 2  # per iteration; they start where the last one ended
 TINY = 1e-20  # m^2
 
@@ -36,7 +36,7 @@ class NicpSettings:
 
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
-        iterations: per frame, all of them.
+        iterations: per frame, always all.
         gate: metres; a correspondence at distance d weighs (1 - (d / gate)^2)^2, and nothing beyond.
         neighbours: nearest points that a correspondence is the mean of.
         momentum: share of the last frame's displacement with which the next one begins.
@@ -54,7 +54,7 @@ TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # half the time 
 
 
 class NonRigidIcp:
-    """See the module. Knows no body and no time: the displacement of a frame is that of the last one, however long it was."""
+    """See the module. Uses no body and no time: the displacement of a frame is that of the last one, whatever their durations."""
 
     def __init__(self, settings: NicpSettings = TUNED):
         self.settings = settings
@@ -80,7 +80,7 @@ class NonRigidIcp:
         x = self._position + self.settings.momentum * (self._position - self._last)
         self._last = self._position
         if len(frame.points) >= max(LEAST_POINTS, self.settings.neighbours):
-            # a tree of many boxes is quick to build, and to leave when nothing is near
+            # an unbalanced tree with loose boxes is quicker to build, and rejects distant queries quickly
             tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
             for _ in range(self.settings.iterations):
                 x = self._iterate(x, tree, frame.sensor_origin)

@@ -1,4 +1,4 @@
-"""Packages that some baselines need and that nobody else does."""
+"""Optional packages: imports that only some baselines need, refused with a reason where they are missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A particle filter in a reduced space: a rigid motion and smooth deformations.
+"""Particle filter in a reduced space: a rigid motion and smooth deformations.
 
 A particle is a turn R, a shift t and amplitudes q of manifold harmonics phi_k (Vallet and Levy 2008, "Spectral geometry
 processing with manifold harmonics"), the smoothest functions on the garment, one in each of the three directions:
@@ -13,8 +13,8 @@ vertex. Where the effective sample size 1 / sum w^2 is below half of the particl
 (Kitagawa 1996). Passes per frame, each with less noise and a sharper likelihood than the one before, make it an annealed one
 (Deutscher, Blake and Reid 2000). The estimate is the weighted mean of all particles, vertex by vertex.
 
-Distances are looked up: the box around the garment is cut into voxels, and each knows the nearest voxel with points, and their
-mean.
+Distances come from a table: the box around the garment is cut into voxels, and each stores the nearest voxel with points and
+their mean.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from ddakf.evaluation.baselines.matching import LEAST_POINTS, VertexNormals, fac
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
-CONSTANT = 1e-9  # an eigenvalue below is that of a constant function
+CONSTANT = 1e-9  # smaller eigenvalues are those of constant functions
 SHIFT = -1e-3  # of the spectrum: the smallest eigenvalues of a matrix that has none below 0
 
 
@@ -53,7 +53,7 @@ class ParticleSettings:
         cooling: factor of noise and sd from pass to pass.
         momentum: share of the last frame's motion with which the next one begins.
         gate: metres.
-        vertices: whose distances count, at most.
+        vertices: most vertices whose distances count.
         voxel: metres.
         seed: of the random numbers.
     """
@@ -78,7 +78,7 @@ TUNED = ParticleSettings()
 
 
 class ParticleFilter:
-    """See the module. Knows no body and no time."""
+    """See the module. Uses no body and no time."""
 
     def __init__(self, settings: ParticleSettings = TUNED):
         self.settings = settings
@@ -118,7 +118,7 @@ class ParticleFilter:
         return float(1 / np.square(self._weight).sum())
 
     def _move_on(self) -> None:
-        """Every particle as the estimate did before."""
+        """Moves every particle as the estimate moved in the last frame."""
         turn, shift, amplitude = self._drift
         self._turn, self._shift, self._amplitude = turn * self._turn, self._shift + shift, self._amplitude + amplitude
 
@@ -146,7 +146,7 @@ class ParticleFilter:
         return elastic + np.minimum(squared, self.settings.gate**2).mean(axis=1)
 
     def _visible(self, vertices: np.ndarray, points: np.ndarray, sensor_origin: np.ndarray | None) -> np.ndarray:
-        """Which of the chosen vertices face the sensor: of the nearest point, where there are several."""
+        """The chosen vertices that face the sensor; with several sensors, that of the nearest point."""
         nearest = np.zeros(len(self._chosen), int)
         if sensor_origin is not None and np.ndim(sensor_origin) == 2:
             nearest = cKDTree(points).query(vertices[self._chosen])[1]
@@ -181,7 +181,7 @@ class ParticleFilter:
 
 
 class NearestPoints:
-    """Squared distances to a cloud, looked up in voxels; what is outside of the box belongs to the voxels at its border.
+    """Squared distances to a cloud, looked up in voxels; places outside the box use the voxels at its border.
 
     Attributes:
         empty: no point is in the box.

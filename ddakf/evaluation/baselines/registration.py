@@ -1,4 +1,4 @@
-"""What the methods without memory have in common: of the frames before, nothing but where the last one ended."""
+"""Registration: base class of the baselines without memory, which know only where the last frame ended."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ddakf.mesh import Mesh
 
 
 class Registration(ABC):
-    """Lays the garment from where it was onto every cloud; one of too few points leaves it there. Knows no body and no time."""
+    """Moves the garment from its last place onto each cloud. A cloud of too few points leaves it there. Uses no body, no time."""
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""

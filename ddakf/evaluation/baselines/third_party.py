@@ -1,8 +1,7 @@
-"""Registration methods of other packages, run where these are installed and never required.
+"""Registration methods of other packages, available where these are installed and never required.
 
-Each gets the cloud and, where it can use it, which vertices face the sensor; what lies between frames is ours: the method starts
-from the last estimate. None is tuned here: the parameters are the packages' own, brought to metres. They know no body and no
-time.
+Each gets the cloud and, if it can use them, the vertices that face the sensor, and starts from the last estimate. None is tuned
+here: the parameters are the packages' own, converted to metres. They use no body and no time.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from ddakf.evaluation.baselines.registration import Registration
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
-GATE = 0.10  # m: a correspondence is nearer
+GATE = 0.10  # m: longest correspondence
 SEED = 0  # of the choice of points
 
 

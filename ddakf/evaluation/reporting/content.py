@@ -1,4 +1,4 @@
-"""What the report holds: the paper's Tables 1 to 7 and Figures 1 to 3, and what is shown beyond them."""
+"""Content of the report: the paper's Tables 1 to 7 and Figures 1 to 3, and tables beyond them."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ NEVER = "No run of any system came back to within 1.5 times its error before the
 
 
 def write(results: dict[str, Result], folder: Path, out: Path) -> None:
-    """Renders what the results can fill.
+    """Renders the tables and figures for which there are results.
 
     Args:
         results: by name.
@@ -66,7 +66,7 @@ def tables_of(results: dict[str, Result], folder: Path, *, brief: bool = False) 
     studies = [*_faust(results, brief), *_cloth(results, brief), *_depth(results)]
     parts = [*studies, *_sweeps(results), *_occlusion(results, brief), *_reliability(results)]
     for table in parts:
-        table.notes += [source.mixed for source in table.sources if source.mixed]
+        table.notes += [source.mixed_runs for source in table.sources if source.mixed_runs]
     return [*parts, not_reproduced.table(results, [path.stem for path in folder.glob("*.npz")])]
 
 
@@ -143,7 +143,7 @@ def _occlusion(results: dict[str, Result], brief: bool) -> list[Table]:
     recovery = paper_tables.by_sequence("recovery", never, result, "recovery_frames")
     counts = []
     for method in ordered(result.methods):
-        runs = [run["recovery_frames"] for cell in result.of(method) for run in cell["runs"]]
+        runs = [run["recovery_frames"] for cell in result.cells_of(method) for run in cell["runs"]]
         counts.append(f"{TITLES.get(method, method)} {len(runs) - runs.count(None)} of {len(runs)}")
     recovery.notes.append(f"Runs that came back: {', '.join(counts)}.")
     if not any(result.pooled(method, "recovery_ratio") for method in result.methods):
@@ -203,7 +203,7 @@ def _drawn(results: dict[str, Result], out: Path) -> list[Picture]:
         paper_figures.ablation(out / "ablation.png", results["ablation"])
         caption = "The default, the default without one of its parts each, and the method as printed; means over the sequences."
         parts.append(Picture("ablation.png", "Ablation", caption, "ablation.json"))
-    if "main" in results and results["main"].of("ddakf"):
+    if "main" in results and results["main"].cells_of("ddakf"):
         paper_figures.calibration(out / "calibration.png", results["main"])
         caption = "Pooled over vertices, frames, sequences, views and runs."
         parts.append(Picture("calibration.png", "Calibration of the claimed uncertainty", caption, "main.json"))

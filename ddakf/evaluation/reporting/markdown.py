@@ -1,4 +1,4 @@
-"""Tables of the report as Markdown, between two marks of a document whose other text is a person's."""
+"""Markdown tables of the report, written between two marks of a document. The text outside the marks stays."""
 
 from __future__ import annotations
 

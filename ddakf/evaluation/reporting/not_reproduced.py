@@ -1,4 +1,4 @@
-"""What the report does not reproduce of the paper, and why, as far as the results tell."""
+"""Table of the paper's results that the report does not reproduce, with the reasons."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WITHOUT_BODY = ("captures", "depth", "scene-flow", "ablation")  # not of all sys
 
 
 def table(results: dict[str, Result], stills: Collection[str]) -> Table:
-    """What is missing.
+    """The table of missing results and their reasons.
 
     Args:
         results: by name.
@@ -45,7 +45,7 @@ def table(results: dict[str, Result], stills: Collection[str]) -> Table:
 
 
 def _faust(result: Result | None) -> list[tuple[str, str]]:
-    """Which subjects were scored."""
+    """The row on the scored subjects, where they are not the paper's."""
     clips = [] if result is None else [re.search(r"s(\d+)_p\d+$", name) for name in result.sequences]
     subjects = sorted({int(clip[1]) for clip in clips if clip})
     if not FAUST_TRAINING_SUBJECTS & set(subjects):

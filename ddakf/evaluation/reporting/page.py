@@ -101,7 +101,7 @@ def _picture(picture: Picture) -> str:
 
 
 def _conditions(result: Result) -> str:
-    """What the sensor did, in words; what it did not do is left out."""
+    """The settings of the sensor in words; settings of no effect are omitted."""
     given = result.meta["conditions"]
     if not any(run.get("rmse_mm") is not None for cell in result.cells for run in cell["runs"]):
         return "a real sensor's frames"

@@ -1,4 +1,4 @@
-"""The paper's figures from results, and those of ablation and calibration, drawn with matplotlib (extra ``evaluation``)."""
+"""Figures of the report, drawn with matplotlib (extra ``evaluation``): the paper's, the ablation, the calibration."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ WITHOUT = {
 
 
 def error_maps(path: Path, still: FrameEstimates, title: str) -> None:
-    """What each system says about a frame, coloured by the distance of each vertex from the truth, on one scale.
+    """The estimates of all systems for one frame, coloured by the distance of each vertex from the truth, on one scale.
 
     Args:
         path: of the picture.
@@ -72,7 +72,7 @@ def over_time(path: Path, result: Result, sequence: str, view: str) -> None:
     drawn = figure(8.0, 5.2)
     above, below = drawn.subplots(2, 1, sharex=True, height_ratios=(2, 1))
     for method in ordered(result.methods):
-        runs = [r for c in result.of(method, lambda c: (c["sequence"], c["view"]) == (sequence, view)) for r in c["runs"]]
+        runs = [r for c in result.cells_of(method, lambda c: (c["sequence"], c["view"]) == (sequence, view)) for r in c["runs"]]
         if not runs:
             continue
         number = np.array(runs[0]["per_frame"]["number"])
@@ -123,7 +123,7 @@ def calibration(path: Path, result: Result) -> None:
     axes.plot([0, 1], [0, 1], color="0.6", linewidth=1, label="calibrated")
     number = 0
     for method in ("ddakf", "paper"):
-        runs = [run for cell in result.of(method) for run in cell["runs"]]
+        runs = [run for cell in result.cells_of(method) for run in cell["runs"]]
         for group in ("observed", "hidden"):
             parts = [run["calibration"][group] for run in runs if group in run["calibration"]]
             if not parts:
@@ -141,7 +141,7 @@ def calibration(path: Path, result: Result) -> None:
 
 
 def _camera(still: FrameEstimates) -> Camera:
-    """From the still's eye, so that the truth fills the panel."""
+    """The camera at the figure's eye whose panel the truth fills."""
     centre = (still.truth.min(axis=0) + still.truth.max(axis=0)).astype(np.float64) / 2
     unit = Camera.looking_at(Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), np.asarray(still.eye, np.float64), centre)
     spot = unit.project(still.truth)

@@ -1,6 +1,6 @@
-"""What the paper prints in its Tables 1 to 7, with its decimals: means with standard deviations, and p-values.
+"""Numbers of the paper's Tables 1 to 7, with its decimals: means with standard deviations, and p-values.
 
-They were measured on data and with implementations that are not public, and are shown beside ours, never mixed with them.
+They were measured on data and with implementations that are not public, and appear beside ours, never mixed with them.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The paper's tables from results: what the paper prints and what was measured here in columns of their own."""
+"""Tables of the report from results. The paper's numbers and the measured ones stand in separate columns."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ DECIMALS = {
     "ms_per_frame": 0,
 }  # fmt: skip
 HIGHER_IS_BETTER = ("iou", "fps")
-TRUTH = {  # what the truth itself has of what is not measured against it
+TRUTH = {  # the truth's own value of metrics that do not compare with it
     "stretch_percent": "stretch_truth_percent", "bend_deg": "bend_truth_deg", "penetration_mm": "penetration_truth_mm",
     "acceleration_variance": "acceleration_variance_truth",
 }  # fmt: skip
-# A frozen, a rigid or a torn garment would win these, or one that was far off already; to call oneself reliable is no merit.
+# A frozen, a rigid or a torn garment would win these, or one that was already wrong. A high reliability alone is no merit.
 UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm", "own_flicker", "recovery_frames",
             "recovery_ratio", "reliability")  # fmt: skip
 PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
@@ -50,7 +50,7 @@ SHORT = (
 
 @dataclass
 class Cell:
-    """What stands in a table: text, what it says when it is pointed at, and how it is set off."""
+    """A cell of a table: its text, its tooltip and its style."""
 
     text: str
     note: str = ""
@@ -97,7 +97,7 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
     for value in values:
         heads += [HEADS[value], "in the paper"] if value in paper else [HEADS[value]]
     pools = {(m, v): result.pooled(m, v, chosen) for m in methods for v in values}
-    best = {v: _best({m: pools[m, v] for m in methods if not result.gone(m, chosen)}, v) for v in values}
+    best = {v: _best({m: pools[m, v] for m in methods if not result.mostly_lost(m, chosen)}, v) for v in values}
     rows = []
     for method in methods:
         row = [Cell(TITLES.get(method, method), result.reason(method))]
@@ -110,7 +110,7 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
         rows.append(_truth(result, values, paper, chosen))
     notes = _notes(rows, [result], methods)
     lost = {method: result.lost(method, chosen) for method in methods}
-    if counts := [f"{TITLES.get(m, m)} {lost[m]} of {len(result.of(m, chosen))}" for m in methods if lost[m]]:
+    if counts := [f"{TITLES.get(m, m)} {lost[m]} of {len(result.cells_of(m, chosen))}" for m in methods if lost[m]]:
         notes.append(f"Lost the garment, sequences x views: {'; '.join(counts)}.")
     for method in methods:
         if size := result.pooled(method, "effective_sample_size", chosen):
@@ -197,12 +197,12 @@ def _test_notes(test: dict) -> list[str]:
 
 
 def _skewed(test: dict) -> bool:
-    """Whether the interval of the effect and the test disagree."""
+    """True if the interval of the effect and the test disagree."""
     return test["effect_low"] < 0 < test["effect_high"] and test["verdict_holm"] in ("better", "worse")
 
 
 def _standing(metric: str, standing: dict) -> str:
-    """Whether DD-AKF is better than every baseline that uses the cloud and was not lost, in a sentence."""
+    """A sentence on the baselines that DD-AKF beats, of those that use the cloud and were not lost."""
 
     def names(methods: list[str]) -> str:
         return ", ".join(TITLES.get(method, method) for method in methods)
@@ -237,7 +237,7 @@ def sweep(
     rows = []
     for level, result in sorted(results.items()):
         pools = {m: result.pooled(m, value) for m in methods}
-        best, row = _best({m: pool for m, pool in pools.items() if not result.gone(m)}, value), [Cell(str(level))]
+        best, row = _best({m: pool for m, pool in pools.items() if not result.mostly_lost(m)}, value), [Cell(str(level))]
         for method in methods:
             row.append(_cell(pools[method], value, result, method, best == method))
             if method in paper_numbers.METHODS:
@@ -259,14 +259,14 @@ def by_sequence(
             return (group(cell["sequence"]), cell["view"]) == (sequence, view)
 
         pools = {m: result.pooled(m, value, chosen) for m in methods}
-        best = _best({m: pool for m, pool in pools.items() if not result.gone(m, chosen)}, value)
+        best = _best({m: pool for m, pool in pools.items() if not result.mostly_lost(m, chosen)}, value)
         rows.append([Cell(Path(sequence).name), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
     heads = [head, "view", *(TITLES.get(m, m) for m in methods)]
     return Table(name, title, heads, rows, _notes(rows, [result], methods), [result])
 
 
 def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Table:
-    """Where DD-AKF does not win: sequence and view down, metrics across, the best system with its mean and DD-AKF's."""
+    """Cases in which another system beats DD-AKF: sequence and view down, metrics across; both means in each cell."""
     values, places = list(values), list(dict.fromkeys((cell["sequence"], cell["view"]) for cell in result.cells))
     found = {(place, value): _ahead(result, place, value) for place in places for value in values}
     heads = [value for value in values if any(found[place, value] for place in places)]
@@ -320,7 +320,8 @@ def _best(pools: dict[str, Pooled | None], value: str) -> str | None:
     """The method with the best mean, of those that apply everywhere; None where less is not better."""
     if value in UNRANKED:
         return None
-    return _first({method: pool.mean for method, pool in pools.items() if pool is not None and pool.cells == pool.of}, value)
+    complete = {method: pool for method, pool in pools.items() if pool is not None and pool.cells == pool.cells_in_all}
+    return _first({method: pool.mean for method, pool in complete.items()}, value)
 
 
 def _first(means: dict[str, float], value: str) -> str | None:
@@ -333,9 +334,9 @@ def _cell(pool: Pooled | None, value: str, result: Result, method: str, best: bo
     if pool is None:
         return Cell("–", result.reason(method), "none")
     text = _number(pool.mean, value) + ("" if pool.sd is None else f" ± {_number(pool.sd, value)}")
-    if pool.cells < pool.of:
+    if pool.cells < pool.cells_in_all:
         text += "*"
-    note = f"{result.name}.json: {pool.runs} runs, mean of {pool.cells} of {pool.of} sequences x views"
+    note = f"{result.name}.json: {pool.runs} runs, mean of {pool.cells} of {pool.cells_in_all} sequences x views"
     return Cell(text, note, "best" if best else "")
 
 

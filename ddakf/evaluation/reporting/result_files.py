@@ -1,4 +1,4 @@
-"""The results of the studies in a folder, and means over what is in them."""
+"""Result files: the results of the studies in a folder, and means over their cells."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class Pooled(NamedTuple):
 
     mean: float
     sd: float | None  # None with one run
-    runs: int  # seeds that all of them have; 0: none, the mean is that over the cells
-    cells: int  # sequences x views that it is the mean of
-    of: int  # that there are
+    runs: int  # seeds that all cells have; 0: none, and the mean is over the cells
+    cells: int  # sequences x views with the value
+    cells_in_all: int  # sequences x views of the method, with or without the value
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,13 @@ class Result:
     def views(self) -> list[str]:
         return list(dict.fromkeys(cell["view"] for cell in self.cells))
 
-    def of(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> list[dict]:
+    def cells_of(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> list[dict]:
         """The cells of a method."""
         return [cell for cell in self.cells if cell["method"] == method and chosen(cell)]
 
     def pooled(self, method: str, value: str, chosen: Callable[[dict], bool] = lambda cell: True) -> Pooled | None:
-        """A value's mean over the cells of a method; None where it never applies."""
-        cells = self.of(method, chosen)
+        """The mean of a value over the cells of a method; None if no run has the value."""
+        cells = self.cells_of(method, chosen)
         by_seed: dict[int, list[float]] = {}
         used = 0
         for cell in cells:
@@ -75,22 +75,22 @@ class Result:
         return Pooled(float(np.mean(means)), sd, len(means), used, len(cells))
 
     def reason(self, method: str) -> str:
-        """Why a method has no numbers, or not everywhere."""
-        sentences = [cell.get("failed") or cell.get("not_applicable") for cell in self.of(method)]
+        """The reason why a method has no numbers in some cells; empty if it has all."""
+        sentences = [cell.get("failed") or cell.get("not_applicable") for cell in self.cells_of(method)]
         return "; ".join(dict.fromkeys(filter(None, sentences)))
 
     def lost(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> int:
-        """Cells in which some run of the method no longer followed the garment."""
-        return sum(any(_lost(cell)) for cell in self.of(method, chosen))
+        """Number of cells in which a run of the method lost the garment."""
+        return sum(any(_lost(cell)) for cell in self.cells_of(method, chosen))
 
-    def gone(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> bool:
-        """Whether the method lost the garment in more than half of its runs."""
-        runs = [lost for cell in self.of(method, chosen) for lost in _lost(cell)]
+    def mostly_lost(self, method: str, chosen: Callable[[dict], bool] = lambda cell: True) -> bool:
+        """True if the method lost the garment in more than half of its runs."""
+        runs = [lost for cell in self.cells_of(method, chosen) for lost in _lost(cell)]
         return 2 * sum(runs) > len(runs)
 
     @property
-    def mixed(self) -> str | None:
-        """Which runs are of which commit, and of how many processes at once, in a sentence; None where all are alike."""
+    def mixed_runs(self) -> str | None:
+        """A sentence on runs of several commits or several numbers of processes; None if all runs are alike."""
         commits: dict[str, dict[str, None]] = {commit: {} for commit in self.meta["commits"]}
         processes = set()
         for cell in self.cells:
@@ -108,7 +108,7 @@ class Result:
 
 
 def _lost(cell: dict) -> list[bool]:
-    """Of the runs with a truth, which no longer followed the garment."""
+    """For each run with a truth, True if it lost the garment."""
     return statistics.lost(run["rmse_mm"] for run in cell["runs"] if run["rmse_mm"] is not None)
 
 

@@ -1,1 +1,1 @@
-"""Garments simulated on a moving body, all from CC0 parts: CLOTH3D-like recordings that anyone can make and share."""
+"""Simulation of garments on a moving body, from CC0 parts: CLOTH3D-like recordings that anyone can make and share."""

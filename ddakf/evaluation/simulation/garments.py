@@ -167,7 +167,7 @@ def _cut(mesh: Mesh, arms: np.ndarray, field: np.ndarray) -> tuple[Mesh, np.ndar
 
 
 class _Outline:
-    """How far the body reaches from its axis: the convex outline of trunk and legs at each height, in every direction."""
+    """Extent of the body around its axis: the convex outline of trunk and legs at each height, in every direction."""
 
     def __init__(self, body: Body):
         from scipy.spatial import ConvexHull

@@ -28,7 +28,7 @@ SIDES = (("l", 1.0), ("r", -1.0))
 
 @dataclass(frozen=True)
 class Style:
-    """What varies from seed to seed.
+    """Parameters of a motion that vary with the seed.
 
     Attributes:
         pace: multiplies frequencies.

@@ -1,4 +1,4 @@
-"""How good a simulated recording is: stretch against the rest shape, depth inside the body, motion; and what is too bad."""
+"""Quality of a simulated recording: stretch against the rest shape, depth inside the body, motion, and their limits."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LIMITS = {
     "inside_share_mean": 0.01,
     "penetration_max_mm": 12.0,
     "displacement_max_mm": 300.0,
-}  # figure: the largest value of a recording that is fit for use
+}  # quality figure: largest allowed value
 
 
 def figures(sequence: Sequence) -> dict[str, float | int | bool]:
@@ -62,7 +62,7 @@ def figures(sequence: Sequence) -> dict[str, float | int | bool]:
 
 
 def check(quality: dict[str, float | int | bool]) -> None:
-    """Refuses a recording that is not fit for use.
+    """Refuses a recording of poor quality.
 
     Raises:
         PoorQuality: names the first figure beyond its limit.

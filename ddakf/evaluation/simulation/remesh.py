@@ -332,6 +332,6 @@ def _normal(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> tuple[float, float, 
 
 
 def _apart(one: tuple[float, float, float], other: tuple[float, float, float]) -> bool:
-    """Whether two directions differ by more than a face may turn."""
+    """True if two directions differ by more than a face may turn."""
     product, squared = (sum(x * y for x, y in zip(a, b, strict=True)) for a, b in ((one, other), (one, one)))
     return product < FLATTEST * (squared * sum(x * x for x in other)) ** 0.5

@@ -1,4 +1,4 @@
-"""One simulated recording: a garment cut, a motion made, the cloth settled and simulated, its quality measured."""
+"""Simulated recording: a cut garment, a motion, the settled and simulated cloth, and its measured quality."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ FEWEST_FRAMES, MOST_FRAMES = 2, 10_000
 
 @dataclass(frozen=True)
 class Order:
-    """What to simulate.
+    """Parameters of a simulated recording.
 
     Attributes:
         garment: of :data:`garments.GARMENTS`.
         motion: of :data:`motions.MOTIONS`.
         n_frames: of the recording.
-        n_vertices: of the garment, about.
+        n_vertices: of the garment, approximately.
         fps: frames per second.
-        seed: varies the garment's measures and the motion; 0 takes both as they are.
+        seed: varies the garment's measures and the motion; 0 leaves both unchanged.
     """
 
     garment: str
@@ -52,7 +52,7 @@ class Order:
 
     @property
     def n_settling(self) -> int:
-        """Frames in the rest pose that are simulated and not kept."""
+        """Number of simulated frames in the rest pose, which are discarded."""
         return round(SETTLING * self.fps)
 
 
@@ -60,7 +60,7 @@ def record(order: Order, progress: Callable[[int, int, str], None] = lambda done
     """Simulates a recording.
 
     Args:
-        order: what to simulate.
+        order: parameters of the recording.
         progress: called as ``progress(done, total, what)`` with frames, those of settling among them.
 
     Returns:
@@ -97,11 +97,11 @@ def _sequence(order: Order, garment: Garment, frames: np.ndarray, body: Body, po
 
 
 def write(target: Path, order: Order, sequence: Sequence, pose: Pose, solver_version: str) -> dict:
-    """Writes a recording that is fit for use, and its quality figures into a ``.json`` of the same name beside it.
+    """Writes a recording of sufficient quality, and its quality figures into a ``.json`` of the same name beside it.
 
     Args:
         target: ends in ``.npz``.
-        order, sequence, pose: what was wanted, and what :func:`record` made of it.
+        order, sequence, pose: the parameters, and the results of :func:`record`.
         solver_version: Newton's, for the note.
 
     Returns:

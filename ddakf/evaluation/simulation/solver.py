@@ -15,17 +15,17 @@ from ddakf.errors import MissingDependency
 from ddakf.evaluation.simulation.garments import Garment
 
 GRAVITY = (0.0, -9.81, 0.0)  # m/s^2
-SKIN_THICKNESS = 0.005  # m between body and cloth that contact keeps: faces are flat where the body is round
-SKIN_REACH = 0.03  # m: how deep inside the body a vertex is still found, and pushed out
+SKIN_THICKNESS = 0.005  # m: contact distance of body and cloth, as faces are flat where the body is round
+SKIN_REACH = 0.03  # m: depth inside the body up to which a vertex is found and pushed out
 SELF_THICKNESS = 0.003  # m between layers
-SELF_REACH = 0.002  # m beyond it in which contacts are looked for
-CONTACT_BUFFER = 128  # contacts of one vertex or edge with the cloth itself: those beyond it are lost
-REACH = 10.0  # m: the box around all that the body will ever reach
+SELF_REACH = 0.002  # m: search distance of contacts beyond it
+CONTACT_BUFFER = 128  # contacts of one vertex or edge with the cloth itself; further ones are ignored
+REACH = 10.0  # m: half side of a box that holds the body in all frames
 
 
 @dataclass(frozen=True)
 class Fabric:
-    """What the cloth is made of.
+    """Material of the cloth.
 
     Attributes:
         density: kg/m^2.
@@ -46,7 +46,7 @@ class Fabric:
 
 @dataclass(frozen=True)
 class Steps:
-    """How finely time is cut: with ten substeps of six iterations, as costly, cloth stretches more.
+    """Time steps of the solver. Ten substeps of six iterations cost the same, and the cloth stretches more.
 
     Attributes:
         substeps: of a frame.
@@ -75,10 +75,10 @@ def simulate(
         garment: on the body's first frame.
         body_vertices: (T, B, 3) metres.
         body_faces: (G, 3) closed, normals outward.
-        pins: (T, V, 3) metres: where the garment's pinned vertices are; the others' rows are not read.
+        pins: (T, V, 3) metres: places of the garment's pinned vertices; the other rows are not read.
         fps: frames per second.
-        fabric: what it is made of.
-        steps: how finely time is cut.
+        fabric: material.
+        steps: time steps.
 
     Yields:
         (V, 3) float32, metres, for every frame after the first.

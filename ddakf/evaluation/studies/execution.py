@@ -1,4 +1,4 @@
-"""Runs the trials of a study that have not been run, with the time that is left."""
+"""Execution of a study: missing trials run in worker processes, with progress; then the result file is written."""
 
 from __future__ import annotations
 
@@ -22,35 +22,38 @@ from ddakf.evaluation.studies.row_log import RowLog
 from ddakf.evaluation.studies.study_plan import StudyPlan
 from ddakf.evaluation.trials.trial import Trial
 
-SPEED_OVER = 3600.0  # s: the time left is judged by the runs of the last hour at most
-ALL = "all"  # for the names of all systems
+SPEED_OVER = 3600.0  # s: window of the runs from which the remaining time is estimated, an hour
+ALL = "all"  # stands for all systems in --again
 
 
-def execute(wanted: list[Trial], journal: RowLog, procs: int, console: Console, again: Collection[str] = ()) -> None:
-    """Runs what the journal lacks, and adds it there as it comes.
+def execute(wanted: list[Trial], row_log: RowLog, procs: int, console: Console, again: Collection[str] = ()) -> None:
+    """Runs the trials that the log lacks, and appends each row when it is finished.
 
     Args:
         wanted: in the order in which they are run.
-        journal: see :class:`~ddakf.evaluation.studies.row_log.RowLog`.
+        row_log: of finished trials, see :class:`~ddakf.evaluation.studies.row_log.RowLog`.
         procs: processes; each computes with one thread.
         console: for progress.
-        again: systems, or :data:`ALL`, whose trials are run again where they are of other code or did not apply.
+        again: systems, or :data:`ALL`, whose trials run again if they are of another commit or did not apply.
     """
-    code = machine.code()
-    kept = [trial for trial in wanted if journal.done(trial) and not (_named(trial, again) and not journal.current(trial, code))]
-    if kept:
-        console.print(f"{len(kept)} of {len(wanted)} runs are in {journal.path}")
-        _say_which_are_older(journal.rows(kept), code, console)
-    if missing := [trial for trial in wanted if trial not in set(kept)]:
-        _run(missing, journal, procs, console, {"commit": code, "processes": procs})
+    code = machine.code_version()
+    def finished(trial: Trial) -> bool:
+        return row_log.done(trial) and (row_log.current(trial, code) or not _chosen(trial, again))
+
+    done_trials = [trial for trial in wanted if finished(trial)]
+    if done_trials:
+        console.print(f"{len(done_trials)} of {len(wanted)} runs are in {row_log.path}")
+        _report_other_commits(row_log.rows(done_trials), code, console)
+    if missing := [trial for trial in wanted if trial not in set(done_trials)]:
+        _run(missing, row_log, procs, console, {"commit": code, "processes": procs})
 
 
-def _named(trial: Trial, systems: Collection[str]) -> bool:
+def _chosen(trial: Trial, systems: Collection[str]) -> bool:
     return ALL in systems or trial.variant in systems
 
 
-def _say_which_are_older(rows: list[dict], code: str, console: Console) -> None:
-    """Results of several versions beside each other are no error, but nobody shall overlook them."""
+def _report_other_commits(rows: list[dict], code: str, console: Console) -> None:
+    """Prints how many rows are of another commit. Results of several commits are valid, but must not go unnoticed."""
     others = [row for row in rows if row.get("commit") != code]
     if not others:
         return
@@ -60,7 +63,7 @@ def _say_which_are_older(rows: list[dict], code: str, console: Console) -> None:
     console.print(f"{len(others)} of them are of other code than {code} ({commits}); --again {systems} runs them again")
 
 
-def _run(missing: list[Trial], journal: RowLog, procs: int, console: Console, origin: dict) -> None:
+def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, origin: dict) -> None:
     columns = (TextColumn("{task.fields[what]:36.36s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left:"), TimeRemainingColumn())  # fmt: skip
     with (
@@ -69,7 +72,7 @@ def _run(missing: list[Trial], journal: RowLog, procs: int, console: Console, or
     ):
         task = bar.add_task("", total=len(missing), what="starting")
         for row in rows:
-            journal.add(origin | row)
+            row_log.add(origin | row)
             bar.update(task, advance=1, what=title(row))
             if not console.is_terminal:  # no bar in a log
                 console.print(_line(bar.tasks[0], title(row)))
@@ -83,20 +86,20 @@ def _line(task: Task, what: str) -> str:
 
 
 def title(row: dict) -> str:
-    """The trial in a few words."""
+    """Short name of a trial."""
     return f"{row['sequence']} {row['view']}{'+body' if row['body'] else ''} {row['variant']}, seed {row['seed']}"
 
 
 def run_study(plan: StudyPlan, out: Path, procs: int, console: Console, again: Collection[str] = ()) -> dict:
-    """Runs what is missing of a checked plan, and what is to be run again, writes its result and returns it."""
-    wanted, journal = plan.trials(), RowLog(out.with_suffix(".rows.jsonl"))
+    """Runs the missing trials of a checked plan and those of ``again``, writes the result file and returns the result."""
+    wanted, row_log = plan.trials(), RowLog(out.with_suffix(".rows.jsonl"))
     try:
-        execute(wanted, journal, procs, console, again)
+        execute(wanted, row_log, procs, console, again)
     except KeyboardInterrupt:
-        done = sum(map(journal.done, wanted))
-        console.print(f"interrupted; {done} of {len(wanted)} runs are in {journal.path}, the same command goes on from there")
+        done = sum(map(row_log.done, wanted))
+        console.print(f"interrupted; {done} of {len(wanted)} runs are in {row_log.path}, the same command goes on from there")
         raise
-    rows = journal.rows(wanted)
+    rows = row_log.rows(wanted)
     meta = {
         "command": "ddakf " + shlex.join(sys.argv[1:]),
         "date": time.strftime("%Y-%m-%d"),
@@ -106,13 +109,13 @@ def run_study(plan: StudyPlan, out: Path, procs: int, console: Console, again: C
         "frames": plan.frames,
         "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"} | plan.unheeded(),
     }
-    result = study_summary.summed_up(rows, meta)
+    result = study_summary.summarise(rows, meta)
     out.write_text(result_json(result))
     return result
 
 
 def result_json(result: dict) -> str:
-    """JSON with a line per cell, so that versions can be compared."""
+    """JSON with a line per cell, so that diffs of two versions are readable."""
     cells = ",\n  ".join(json.dumps(cell) for cell in result["results"])
     parts = [f'"meta": {json.dumps(result["meta"], indent=1)}', f'"results": [\n  {cells}\n ]',
              f'"p_values": {json.dumps(result["p_values"], indent=1)}']  # fmt: skip

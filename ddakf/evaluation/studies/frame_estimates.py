@@ -1,4 +1,4 @@
-"""What the systems say about one frame, for figures that show surfaces."""
+"""Frame estimates: the surfaces that several systems estimate for one frame, and their file for the report."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from ddakf.errors import InvalidFile
 
 @dataclass(frozen=True, eq=False)
 class FrameEstimates:
-    """One frame.
+    """Estimates of several systems for one frame, with the truth.
 
     Attributes:
         meta: the trial's fields without the system, the frame's number, commit, date, machine.
         truth: (V, 3) metres.
         faces: (F, 3).
         estimates: by system, (V, 3) metres.
-        eye: (3,) metres, from where the figure looks.
+        eye: (3,) metres, position of the figure's camera.
     """
 
     meta: dict
@@ -37,10 +37,10 @@ class FrameEstimates:
 
 
 def load_frame_estimates(path: Path) -> FrameEstimates:
-    """Reads a file of :meth:`Still.save`.
+    """Reads a file of :meth:`FrameEstimates.save`.
 
     Raises:
-        InvalidFile: something else.
+        InvalidFile: not such a file.
     """
     try:
         with np.load(path, allow_pickle=False) as file:

@@ -1,4 +1,4 @@
-"""The studies that the paper's tables and figures need, on what data there is."""
+"""Studies for the paper's tables and figures, on the available data."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from ddakf.evaluation.trials.variants import ablations, refinements
 
 SWEPT = "0:61"  # frames of the sweeps
 OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
-CAPTURES = ("samba_dress", "samba_whole")  # no body: a study of their own
-DEPTH = 4  # recordings of a real depth camera
+CAPTURES = ("samba_dress", "samba_whole")  # real captures without a body, which have a study of their own
+DEPTH = 4  # number of recordings of a real depth camera
 
 
 @dataclass(frozen=True)
 class Size:
-    """How much is run.
+    """Size of the studies.
 
     Attributes:
         runs: seeds.
         swept_runs: seeds of the sweeps.
         frames: of every recording in the main study, ``A:B``.
         swept: of every recording in the sweeps.
-        names: of the sequences, where nobody says others; none: all that there are.
-        sweeps: the first and the last level alone, or all.
+        names: default sequences; empty for all available ones.
+        sweeps: True for all levels of the sweeps, False for the first and the last.
         faust: clips at most.
     """
 
@@ -60,7 +60,7 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
         size: :data:`FULL` or :data:`QUICK`.
         names: sequences with a body; None: those of the size, or the sample and the recordings under DDAKF_DATA.
     """
-    bare = tuple(name for name in CAPTURES if name in recording_names())
+    captures = tuple(name for name in CAPTURES if name in recording_names())
     known = names or list(size.names) or [name for name in recording_names() if name not in CAPTURES]
     chosen = tuple(known)
     common = Trial("", surfaces=True)
@@ -80,11 +80,11 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
     for level in drop:
         plans[f"drop-{level}"] = swept(replace(common, drop=level / 100))
     window = OCCLUDE if size.sweeps else (12, 22)
-    if lasting := tuple(name for name in chosen if len(find_recording(name)) > window[1]):  # that are seen again after it
+    if long_enough := tuple(name for name in chosen if len(find_recording(name)) > window[1]):  # that are seen again after it
         frames = OCCLUSION_FRAMES if size.sweeps else size.frames
-        plans["occlusion"] = StudyPlan(lasting, ALL_SYSTEMS, views[:1], size.runs, frames, replace(common, occlude=window))
-    if bare and names is None and size.sweeps:
-        plans["captures"] = StudyPlan(bare, CLOUD_SYSTEMS, ("full", "ring4"), size.runs, size.frames, common)
+        plans["occlusion"] = StudyPlan(long_enough, ALL_SYSTEMS, views[:1], size.runs, frames, replace(common, occlude=window))
+    if captures and names is None and size.sweeps:
+        plans["captures"] = StudyPlan(captures, CLOUD_SYSTEMS, ("full", "ring4"), size.runs, size.frames, common)
     recordings, pairs = depth_recording_names()
     if recordings and names is None and size.sweeps:
         plans["depth"] = StudyPlan(_spread(recordings, DEPTH), CLOUD_SYSTEMS, ("front",), 1, size.frames, common)
@@ -97,7 +97,7 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
 
 
 def _clips(most: int) -> tuple[str, ...]:
-    """So many clips of FAUST, evenly over subjects and poses: of those to be scored, or of all where none of them is at hand."""
+    """At most ``most`` clips of FAUST, evenly over subjects and poses: of the test subjects, or of all if there are none."""
     names = faust_names()
     test = faust_split(name.removeprefix(FAUST) for name in names).test
     return _spread([FAUST + clip for clip in test] or names, most)
@@ -108,8 +108,8 @@ def _spread(names: list[str], most: int) -> tuple[str, ...]:
 
 
 def save_error_maps(size: Size, folder: Path, console, *, again: bool = False) -> None:
-    """Runs the systems up to the frames that Figures 1 and 2 show; what is there of the same frame already is kept, or with
-    ``again`` what is there of the same frame and commit."""
+    """Runs the systems up to the frames of Figures 1 and 2, and saves their estimates. An existing file of the same frame stays;
+    with ``again``, only if it is of the same commit."""
     for name, (view, noise, sequence, number) in ERROR_MAPS.items():
         view, _, body = view.partition("+")
         last = len(find_recording(sequence)) - 1
@@ -118,7 +118,7 @@ def save_error_maps(size: Size, folder: Path, console, *, again: bool = False) -
         path = folder / f"{name}.npz"
         if path.is_file():
             meta = load_frame_estimates(path).meta
-            if Trial.of(meta) == trial and meta["frame"] == number and not (again and meta["commit"] != machine.commit()):
+            if Trial.from_row(meta) == trial and meta["frame"] == number and not (again and meta["commit"] != machine.commit()):
                 continue
         console.print(f"[bold]{name}[/bold]: {sequence}, frame {number}")
         eye = front_camera(find_recording(sequence)).eye
@@ -126,7 +126,7 @@ def save_error_maps(size: Size, folder: Path, console, *, again: bool = False) -
 
 
 def frame_estimates_of(trial: Trial, systems: list[str], number: int, eye: np.ndarray) -> FrameEstimates:
-    """Runs the systems up to one frame; what does not apply, or fails, is left out and named in ``meta``."""
+    """Runs the systems up to one frame. Those that do not apply or fail are left out and listed in ``meta``."""
     estimates, missing = {}, {}
     for system in systems:
         try:

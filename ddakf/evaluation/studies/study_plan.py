@@ -1,4 +1,4 @@
-"""What a study runs: every system on every sequence, in every view, with every seed."""
+"""Plan of a study: every system on every sequence, in every view, with every seed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ddakf.evaluation.trials.recordings import find_recording, tracked_frames
 from ddakf.evaluation.trials.trial import Trial, sensor_of
 from ddakf.files.sequence import Sequence
 
-LEAST_FRAMES = 4  # of a recording: the one that is given, and three, so that there is a second difference
+LEAST_FRAMES = 4  # of a recording: the start frame, and three tracked ones, which have a second difference
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class StudyPlan:
     Attributes:
         sequences: names or paths, see :func:`ddakf.evaluation.trials.recordings.find_recording`.
         systems: names of :func:`ddakf.evaluation.trials.methods.method_factory`.
-        views: ``full``, ``front`` or ``ring4``, with ``+body`` where the systems are told the body of every frame.
+        views: ``full``, ``front`` or ``ring4``, with ``+body`` if the systems get the body of every frame.
         runs: seeds 1 to this many.
         frames: ``A:B``, of the recording; the garment is known in frame A.
-        settings: what all trials have in common: the sensor but for its view.
+        settings: common to all trials: those of the sensor, without its view.
     """
 
     sequences: tuple[str, ...]
@@ -36,7 +36,7 @@ class StudyPlan:
     settings: Trial = field(default_factory=lambda: Trial("", surfaces=True))
 
     def trials(self) -> list[Trial]:
-        """All of them, the seeds outermost: an interrupted study has a little of everything."""
+        """All trials, seeds outermost, so that an interrupted study has some runs of every cell."""
         return [
             self._trial(name, view, seed, system)
             for seed in range(1, self.runs + 1)
@@ -46,7 +46,7 @@ class StudyPlan:
         ]
 
     def unheeded(self) -> dict[str, None]:
-        """Settings that none of the sequences heeds, as None: what real sensors recorded has its own noise."""
+        """Settings without effect on any of the sequences, as None: recordings of real sensors have noise of their own."""
         virtual = any(isinstance(find_recording(name), Sequence) for name in self.sequences)
         return {} if virtual else {"noise": None}
 
@@ -57,7 +57,7 @@ class StudyPlan:
         return replace(self.settings, sequence=name, **own)
 
     def check(self) -> None:
-        """Refuses what cannot be run, before anything is.
+        """Refuses a plan that cannot be run.
 
         Raises:
             InvalidArgument: no such system or view; settings beyond their range; frames that a sequence does not have; an
@@ -83,7 +83,7 @@ class StudyPlan:
 
 
 def _frames(text: str, every: int) -> tuple[int, int | None]:
-    """Where ``A:B`` begins, and how many frames it tracks at most (None: all that there are)."""
+    """The first frame of ``A:B``, and the most frames to track (None for all)."""
     first, colon, last = text.partition(":")
     if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):
         raise InvalidArgument("frames", "A:B, whole numbers or nothing", repr(text))
@@ -101,14 +101,14 @@ def _require_frames(trial: Trial) -> None:
 
 
 def _require_effect(trial: Trial) -> None:
-    """Refuses settings that would do nothing, unnoticed, or fail in every run."""
+    """Refuses settings that have no effect, or would fail in every run."""
     sensor, frames = sensor_of(trial), tracked_frames(trial)
     known = find_recording(trial.sequence)
     if isinstance(known, Pair):
         return
     if not isinstance(known, Sequence):
         sensor.require_no_camera()
-        known.template(frames.start - frames.step)  # or why there is none
+        known.template(frames.start - frames.step)  # raises the reason where there is none
     if sensor.occlude and not any(map(sensor.occludes, frames)):
         window = "{}:{}".format(*sensor.occlude)
         raise InvalidArgument("occlude", f"some of the frames {frames.start} to {frames[-1]} of {trial.sequence}", window)

@@ -1,4 +1,4 @@
-"""A study's rows as its result: per sequence, view and system the runs, their mean and SD, and the tests against DD-AKF."""
+"""Summary of a study's rows: runs, mean and SD per sequence, view and system, and the tests against DD-AKF."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ TESTED = (
     "bend_error_deg", "penetration_mm", "flicker", "acceleration_variance", "residual_mm", "own_flicker", "end_point_error_mm",
 )  # fmt: skip
 HIGHER_IS_BETTER = ("iou",)
-RECOVERED, BEFORE = 1.5, 10
+RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in so many frames before
 
 
-def summed_up(rows: list[dict], meta: dict) -> dict:
+def summarise(rows: list[dict], meta: dict) -> dict:
     """The result of a study.
 
     Args:
@@ -83,7 +83,7 @@ def _cell(sequence: str, view: str, method: str, rows: list[dict]) -> dict:
     for reason in ("failed", "not_applicable"):
         if sentences := sorted({row[reason] for row in rows if reason in row}):
             cell[reason] = "; ".join(sentences)
-    runs = [_run(row) for row in rows if ran(row)]
+    runs = [_run(row) for row in rows if has_result(row)]
     cell["runs"] = runs
     spreads = {name: statistics.spread([run[name] for run in runs]) for name in VALUES}
     cell["mean"] = {name: json_numbers(spread.mean) for name, spread in spreads.items()} if runs else None
@@ -91,7 +91,7 @@ def _cell(sequence: str, view: str, method: str, rows: list[dict]) -> dict:
     return cell
 
 
-def ran(row: dict) -> bool:
+def has_result(row: dict) -> bool:
     return "failed" not in row and "not_applicable" not in row
 
 
@@ -108,13 +108,13 @@ def _run(row: dict) -> dict:
     groups = {name: row[name] for name in ("observed", "hidden") if row.get(name)}
     run["calibration"] = {name: {key: group[key] for key in CALIBRATION} for name, group in groups.items()}
     run |= dict(zip(("recovery_frames", "recovery_ratio"), _recovery(row), strict=True))
-    if row.get("occlude"):  # all others' are in the file of the rows
+    if row.get("occlude"):  # those of all others are in the row log
         run["per_frame"] = {"number": frames["number"]} | {name: frames[name] for name in PER_FRAME if name in frames}
     return run
 
 
 def _recovery(row: dict) -> tuple[int | None, float | None]:
-    """How a run comes back from an occlusion.
+    """Recovery of a run after an occlusion.
 
     Returns:
         Frames after it until the error is within :data:`RECOVERED` times its mean of the :data:`BEFORE` frames before, None where
@@ -139,7 +139,7 @@ def tests(rows: list[dict]) -> dict:
         By ``all`` or a view, and by metric: ``comparisons`` by method, :class:`ddakf.evaluation.statistics.Comparison` with
         Holm's correction over the methods; and ``standing``, :class:`ddakf.evaluation.statistics.Standing`. Empty without DD-AKF.
     """
-    rows = [row for row in rows if ran(row)]
+    rows = [row for row in rows if has_result(row)]
     if not any(row["variant"] == OURS for row in rows):
         return {}
     views = list(dict.fromkeys(map(view_of, rows)))
@@ -172,7 +172,7 @@ def _tests(rows: list[dict]) -> dict:
 
 
 def _units(rows: list[dict], method: str, metric: str) -> dict[tuple[str, str, int], float]:
-    """The mean over seeds of each unit: sequence, view, first frame of the clip."""
+    """The mean over seeds of each unit: sequence, view and first frame of the clip."""
     values = defaultdict(list)
     for row in rows:
         if row["variant"] == method:

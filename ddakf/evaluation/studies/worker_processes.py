@@ -1,4 +1,4 @@
-"""Trials in several processes: one that dies costs its trial alone, and none outlives the process that started them."""
+"""Worker processes for trials. A process that dies loses only its own trial, and none outlives its parent."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SPAWN = get_context("spawn")
 
 
 def rows(wanted: list[Trial], procs: int) -> Iterator[dict]:
-    """The rows of :func:`ddakf.evaluation.trials.runs.run_trial`, as they come.
+    """The rows of :func:`ddakf.evaluation.trials.runs.run_trial`, in the order in which they finish.
 
     Args:
         wanted: trials, begun in this order.
@@ -55,31 +55,31 @@ def rows(wanted: list[Trial], procs: int) -> Iterator[dict]:
 
 @cache
 def prepare() -> None:
-    """One thread, and compiled kernels: no time holds anything else."""
+    """Sets one thread and compiles the kernels, so that times contain neither."""
     threadpool_limits(1)
     warmup.warm()
 
 
 class _Worker:
-    """A process that runs one trial after the other."""
+    """A process that runs trials one after another."""
 
     def __init__(self) -> None:
         self.connection, far = SPAWN.Pipe()
         self.process = SPAWN.Process(target=_work, args=(far,), daemon=True)
         self.dead = False
-        with _deaf():
+        with _ignoring_interrupts():
             self.process.start()
         far.close()
 
     def begin(self, trial: Trial) -> Connection:
-        """Where its row will come."""
+        """Sends a trial, and returns the connection on which its row arrives."""
         self.trial = trial
-        with suppress(ConnectionError):  # dead already: there will be no row
+        with suppress(ConnectionError):  # the process has died: row() reports it
             self.connection.send(trial)
         return self.connection
 
     def row(self) -> dict:
-        """The row that has come; where the process has died instead, one that says so."""
+        """The finished row; if the process has died, a row that says so."""
         try:
             return self.connection.recv()
         except (EOFError, ConnectionError):
@@ -89,9 +89,9 @@ class _Worker:
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """What is started meanwhile ignores Ctrl-C, which a terminal sends to all its processes; this one ends the others."""
-    if threading.current_thread() is not threading.main_thread():  # it gets no signals, and cannot say who does
+def _ignoring_interrupts() -> Iterator[None]:
+    """Processes that start meanwhile ignore Ctrl-C, which a terminal sends to all of them. The parent ends them."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread can set signal handlers
         yield
         return
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)

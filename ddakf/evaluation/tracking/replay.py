@@ -1,4 +1,4 @@
-"""Runs a tracker over a source, in this process or on a server; yields every frame with its result and its time."""
+"""Replay: tracks a source in this process or on a server, and yields every frame with its result and time."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from ddakf.errors import DdakfError, MissingDependency
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.tracking.sources import Source
 
-KEY_VARIABLE = "DDAKF_API_KEY"  # the key that a server asks for
-WAIT = 0.1  # s between looks at whether the stream has ended
+KEY_VARIABLE = "DDAKF_API_KEY"  # environment variable with the server's API key
+WAIT = 0.1  # s between checks for the end of the stream
 
 
 def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[CapturedFrame, object, float]]:
@@ -40,7 +40,7 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
 def remote(
     source: Source, target: str, config: ddakf.Config | None = None, codec: str | None = None
 ) -> Iterator[tuple[CapturedFrame, object, float]]:
-    """Tracks on a server: every frame in order, the next one sent when the last one has been answered.
+    """Tracks on a server: every frame in order, each sent after the result of the one before.
 
     Args:
         source: the frames.
@@ -49,7 +49,7 @@ def remote(
         codec: of the clouds; default the client's.
 
     Yields:
-        Frame, the client's result, and the seconds from handing the frame over to having the result.
+        Frame, the client's result, and the seconds from handing over the frame to its result.
 
     Raises:
         MissingDependency: the client is not installed.
@@ -75,7 +75,7 @@ def remote(
 
 @contextmanager
 def _paced(source: Source, sent: list[CapturedFrame]):
-    """Frames that wait for a permit each, as the client pulls them in a thread of its own; ends with the context."""
+    """Frames that wait for a permit each, since the client pulls them in a thread of its own; they end with the context."""
     permit, ended = threading.Semaphore(1), threading.Event()
 
     def frames() -> Iterator[CapturedFrame]:

@@ -1,4 +1,4 @@
-"""Collects the results of a run frame by frame and sums them up."""
+"""Scoreboard: the results of one run, collected per frame and summarised."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Scoreboard:
     """Results of one run.
 
     Args:
-        garment: whose faces the surface has.
+        garment: gives the faces of the surface.
     """
 
     def __init__(self, garment: Mesh):
@@ -27,12 +27,12 @@ class Scoreboard:
         self._observed, self._hidden = [], []
 
     def add(self, frame: CapturedFrame, result, seconds: float) -> None:
-        """Takes in one frame.
+        """Adds one frame.
 
         Args:
-            frame: that was tracked.
+            frame: the tracked one.
             result: a :class:`ddakf.types.FrameResult`, or a client's result with covariance.
-            seconds: that it took.
+            seconds: of the step.
         """
         self._seconds.append(seconds)
         self._states.append(result.state)
@@ -53,7 +53,7 @@ class Scoreboard:
             self._hidden.append(m[~observed])
 
     def summary(self) -> dict:
-        """The run in numbers; None where nothing was measured. Keys end in their unit.
+        """The run in numbers; None for values that were not measured. Keys end in their unit.
 
         Returns:
             ``frames``; ``states``: share of the frames in each; ``ms_p50``, ``ms_p99``: per frame; ``fps``: 1 /

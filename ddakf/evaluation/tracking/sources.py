@@ -1,4 +1,4 @@
-"""What a tracker is run on: the frames of a sequence seen by a virtual sensor, or those of a real recording."""
+"""Sources of frames for a tracker: a sequence seen by a virtual sensor, or a real recording."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
 
 Start = Literal["truth", "rest", "search"]
-ASTRAY_TURN, ASTRAY_SHIFT = np.pi / 2, 1.0  # rad, m: at most, for a start by search
+DISPLACED_TURN, DISPLACED_SHIFT = np.pi / 2, 1.0  # rad, m: largest displacement of a start by search
 DESCRIPTION = {"full": "scanned all around", "front": "one depth camera", "ring4": "four depth cameras"}
 
 
 class Source(Protocol):
-    """Frames, and how to start a tracker on them.
+    """Frames, and the start of a tracker on them.
 
     Attributes:
-        title: for a person to read.
+        title: name to display.
         garment: template.
-        start: (V, 3) vertices where the garment is, or None when all that is known is the template.
+        start: (V, 3) vertices of the garment at the start, or None if only the template is known.
         body: for the tracker, in the pose of the start, or None.
-        body_faces: to draw the body, or None.
+        body_faces: for drawing the body, or None.
         fps: frames per second.
-        closed: the garment goes around the person, so that it has a back to look at.
+        closed: the garment goes around the person, so that pictures can show its back.
     """
 
     title: str
@@ -53,13 +53,13 @@ class Source(Protocol):
 class SequenceSource:
     """Frames of a sequence with ground truth, seen by a virtual sensor.
 
-    Started at the truth, the first frame is given away and tracking begins with the second; otherwise with the first.
-    Every frame has random numbers of its own, so that a range of frames sees what the whole sequence sees.
+    With a start at the truth, the first frame is the start and tracking begins with the second; otherwise with the first.
+    Every frame has random numbers of its own, so that a range of frames gives the same clouds as the whole sequence.
 
     Args:
-        sequence: the truth. sensor: what sees it. frames: range of frames. start_at: ``truth``: the first frame's
-        vertices; ``rest``: the template as it lies; ``search``: the template turned
-            and moved away at random, for the tracker to find the garment.
+        sequence: the truth. sensor: the virtual sensor. frames: range of frames.
+        start_at: ``truth``: the first frame's vertices; ``rest``: the template in place; ``search``: the template turned and
+            moved away at random, so that the tracker has to find the garment.
         give_body: the tracker gets the body of every frame.
         seed: of the sensor's random numbers.
     """
@@ -88,7 +88,7 @@ class SequenceSource:
     def garment(self) -> Mesh:
         rest = self._first if self.sequence.garment_rest is None else self.sequence.garment_rest
         if self.start_at == "search":
-            rest = _astray(rest, np.random.default_rng(self.seed))
+            rest = _displaced(rest, np.random.default_rng(self.seed))
         return Mesh(rest, self.sequence.garment_faces)
 
     @property
@@ -126,12 +126,12 @@ class SequenceSource:
 
 @dataclass(frozen=True, eq=False)
 class RecordingSource:
-    """Frames of a real sensor. Without a template, the first frame gives one and is not tracked; with one, the tracker
-    searches for it in the first frame.
+    """Frames of a real sensor. Without a template, the first frame gives one and is not tracked. With one, the tracker searches
+    for the garment in the first frame.
 
     Args:
         recording: the frames.
-        sensor: whose limit, loss, noise, outliers, occlusion and frame rate are added; the view is the recording's.
+        sensor: its limit, loss, noise, outliers, occlusion and frame rate are applied; its view is not.
         frames: range of frames.
         garment: template, or None to make it from the recording's first frame.
         seed: of the random numbers.
@@ -182,15 +182,15 @@ class RecordingSource:
 
 
 def open_source(path, sensor: Sensor | None = None, *, fps: float = 30.0, **options) -> Source:
-    """What :func:`source_of` makes of the sequence or recording at a path.
+    """The source of the sequence or recording at a path, see :func:`source_of`.
 
     Args:
         path: see :func:`ddakf.evaluation.datasets.open_dataset`.
-        fps: frames per second of a recording that does not say.
+        fps: frames per second of a recording that does not state them.
         sensor, options: see :func:`source_of`.
 
     Raises:
-        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+        InvalidFile, InvalidArgument, InvalidMesh: a file, an argument or a template that is not valid.
     """
     return source_of(open_dataset(path, fps=fps), sensor, **options)
 
@@ -205,7 +205,7 @@ def source_of(
     template=None,
     seed: int = 1,
 ) -> Source:
-    """What ``ddakf track`` tracks.
+    """The source that ``ddakf track`` tracks.
 
     Args:
         recording: a sequence or a recording.
@@ -215,7 +215,7 @@ def source_of(
         template: mesh file to track in a recording, instead of its first frame.
 
     Raises:
-        InvalidFile, InvalidArgument, InvalidMesh: as they say.
+        InvalidFile, InvalidArgument, InvalidMesh: a file, an argument or a template that is not valid.
     """
     if isinstance(recording, Pair):
         raise InvalidArgument("path", "a sequence or a recording", "a pair of frames")
@@ -231,11 +231,11 @@ def source_of(
     return RecordingSource(recording, plain, chosen, mesh, seed)
 
 
-def _astray(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _displaced(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(V, 3) vertices turned about the vertical through their middle and moved horizontally, at random."""
-    turn = Rotation.from_rotvec([0.0, rng.uniform(-ASTRAY_TURN, ASTRAY_TURN), 0.0])
+    turn = Rotation.from_rotvec([0.0, rng.uniform(-DISPLACED_TURN, DISPLACED_TURN), 0.0])
     middle = vertices.mean(axis=0)
-    return turn.apply(vertices - middle) + middle + rng.uniform(-ASTRAY_SHIFT, ASTRAY_SHIFT, 3) * [1, 0, 1]
+    return turn.apply(vertices - middle) + middle + rng.uniform(-DISPLACED_SHIFT, DISPLACED_SHIFT, 3) * [1, 0, 1]
 
 
 def chosen_frames(text: str, count: int) -> range:

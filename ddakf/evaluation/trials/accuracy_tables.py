@@ -1,4 +1,4 @@
-"""Rows of :mod:`ddakf.evaluation.trials.runs`, pooled and written as Markdown tables."""
+"""Accuracy tables: rows of :mod:`ddakf.evaluation.trials.runs` as Markdown tables."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 
-from ddakf.evaluation.trials.calibration_pools import calibrated, kinds, mean, pooled, view_of, with_mask
+from ddakf.evaluation.trials.calibration_pools import by_kind, calibrated, mean, pooled, view_of, with_mask
 from ddakf.evaluation.trials.methods import BASELINES
 
-WITHIN = 15  # frames in which a run from a random start shall converge
-BACK = 10  # frames in which a run shall be itself again after a disturbance
-# Garments on which sleeves or legs tell where the template's vertices belong; skirts and tank tops turn unnoticed
+CONVERGED_WITHIN = 15  # frames in which a run from a random start must converge
+RECOVERED_WITHIN = 10  # frames in which a run must recover from a disturbance
+# Garments whose sleeves or legs determine the vertices' places. Skirts and tank tops can be turned without a normal error
 ASYMMETRIC = ("sample", "pergamo_005", "sim_tshirt_jump", "samba_whole")
-IN_FULL = ("default", "paper", *BASELINES)  # of the other variants, summaries keep the errors only
+SUMMARISED = ("default", "paper", *BASELINES)  # variants with all metrics in the summary; the others have the errors only
 ACCURACY = (  # heading, key, decimals
     ("normal", "normal_rmse_mm", 1),
     ("first 60", "rmse_mm_first60", 1),
@@ -37,8 +37,8 @@ SHAPE = (
 
 
 def report(rows: list[dict]) -> str:
-    """All tables that the rows can fill."""
-    grid, starts, disturbed = kinds(rows)
+    """All tables for which there are rows."""
+    grid, starts, disturbed = by_kind(rows)
     parts = [
         ("Accuracy", accuracy(grid)),
         ("Shape and contact", shape(grid)),
@@ -117,10 +117,10 @@ def unsegmented(rows: list[dict], variant: str = "default") -> str:
 
 
 def recovered(rows: list[dict]) -> str:
-    """Of the disturbed runs, how many were within 1.5 times the undisturbed run's error after at most 10 frames."""
+    """The number of disturbed runs within 1.5 times the undisturbed run's error after at most 10 frames."""
     lines = []
     for (variant, what), runs in _by(rows, lambda row: (row["variant"].partition("=")[0], row["disturbance"])).items():
-        slow = [row for row in runs if not _soon(row, "rmse_mm", BACK)]
+        slow = [row for row in runs if not _soon(row, "rmse_mm", RECOVERED_WITHIN)]
         taken = sorted(row.get("frames_until_rmse_mm") or np.inf for row in runs)
         lost = sum("lost" in row.get("states", {}) for row in runs)
         exceptions = ", ".join(f"{row['sequence']} {view_of(row)} ({row.get('frames_until_rmse_mm')})" for row in slow)
@@ -131,7 +131,7 @@ def recovered(rows: list[dict]) -> str:
 
 
 def converged(rows: list[dict]) -> str:
-    """Of the runs from random starts, how many converged within 15 frames."""
+    """The number of runs from random starts that converged within 15 frames."""
     lines = []
     for variant in dict.fromkeys(row["variant"] for row in rows):
         runs = [row for row in rows if row["variant"] == variant]
@@ -144,17 +144,17 @@ def converged(rows: list[dict]) -> str:
 
 
 def success(row: dict) -> bool:
-    """A run from a random start converged: in normal RMSE, and in vertex RMSE where sleeves or legs fix the vertices."""
+    """True if a run from a random start converged in normal RMSE, and in vertex RMSE if the garment is asymmetric."""
     return _soon(row, "normal_rmse_mm") and (row["sequence"] not in ASYMMETRIC or _soon(row, "rmse_mm"))
 
 
 def summary(rows: list[dict]) -> dict:
-    """What is worth keeping of a file of rows: means per sequence, view and variant, and the pooled calibration."""
-    grid, starts, disturbed = kinds(rows)
+    """Summary of a file of rows: means per sequence, view and variant, and the pooled calibration."""
+    grid, starts, disturbed = by_kind(rows)
     keys = ("rmse_mm", *(key for _, key, _ in (*ACCURACY, *SHAPE)), "spearman_sigma")
     runs = []
     for (sequence, view, variant), part in _by(grid, lambda row: (row["sequence"], view_of(row), row["variant"])).items():
-        wanted = keys if variant in IN_FULL else ("rmse_mm", "normal_rmse_mm")
+        wanted = keys if variant in SUMMARISED else ("rmse_mm", "normal_rmse_mm")
         means = {key: _rounded(mean(part, key)) for key in wanted}
         runs.append({"sequence": sequence, "view": view, "variant": variant, "runs": len(part)} | means)
     pools = pooled(with_mask(grid, "default"))
@@ -164,12 +164,12 @@ def summary(rows: list[dict]) -> dict:
         "calibration": {group: {name: _rounded(value) for name, value in pool.items()} for group, pool in pools.items()},
         "starts": _counts(starts, lambda row: row["variant"], success),
         "disturbances": _counts(
-            disturbed, lambda row: f"{row['variant']}, {row['disturbance']}", lambda row: _soon(row, "rmse_mm", BACK)
+            disturbed, lambda row: f"{row['variant']}, {row['disturbance']}", lambda row: _soon(row, "rmse_mm", RECOVERED_WITHIN)
         ),
     }
 
 
-def _soon(row: dict, name: str, within: int = WITHIN) -> bool:
+def _soon(row: dict, name: str, within: int = CONVERGED_WITHIN) -> bool:
     taken = row.get(f"frames_until_{name}")
     return taken is not None and taken <= within
 

@@ -19,13 +19,13 @@ def view_of(row: dict) -> str:
 
 
 def mean(rows: list[dict], key: str) -> float | None:
-    """Over the rows that did not fail and have a value."""
+    """Mean over the rows that have a value; None without any."""
     values = [row[key] for row in rows if row.get(key) is not None]
     return float(np.mean(values)) if values else None
 
 
-def kinds(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
-    """Runs of the grid, runs from starts off the truth, and disturbed runs."""
+def by_kind(rows: list[dict]) -> tuple[list[dict], list[dict], list[dict]]:
+    """The rows of the grid, of displaced starts, and of disturbed runs."""
     grid, starts, disturbed = [], [], []
     for row in rows:
         (starts if row["start"] is not None else disturbed if row["disturbance"] is not None else grid).append(row)
@@ -72,7 +72,7 @@ def half_of(rows: Iterable[dict]) -> tuple[list[str], list[str]]:
 
 
 def rescaled(pool: dict, scale: float) -> dict:
-    """A pool of :func:`pooled` as it were with ``scale`` times the claimed standard deviations.
+    """A pool of :func:`pooled` for ``scale`` times the claimed standard deviations.
 
     With m the squared Mahalanobis distances, NEES is mean(m) / scale^2 and the log-likelihood changes by 3 log(scale) + mean(m)
     (1 / scale^2 - 1) / 2, exactly; the shares in ellipsoids are read between those of the probabilities NOMINAL.
@@ -117,7 +117,7 @@ def reliability_curves(
     rows: Iterable[dict], variant: str = "default", scale: Mapping[str, float] | None = None
 ) -> dict[str, tuple[tuple[float, ...], list[float]]]:
     """Nominal probabilities and observed shares by group, for the reliability diagram."""
-    pools = pooled(with_mask(kinds(list(rows))[0], variant))
+    pools = pooled(with_mask(by_kind(list(rows))[0], variant))
     pools = {group: rescaled(pool, (scale or {}).get(group, 1.0)) for group, pool in pools.items()}
     return {group: (NOMINAL_PROBABILITIES, pool["inside"]) for group, pool in pools.items()}
 

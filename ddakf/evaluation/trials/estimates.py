@@ -12,7 +12,7 @@ from ddakf.mesh import Mesh
 
 
 class FrameEstimate(NamedTuple):
-    """What a method says about one frame; the fields after the first are None where it says nothing about them."""
+    """A method's estimate for one frame. Fields that the method does not provide are None."""
 
     vertices: np.ndarray  # (V, 3) m
     covariance: np.ndarray | None = None  # (V, 3, 3) m^2

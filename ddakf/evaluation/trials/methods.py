@@ -1,4 +1,4 @@
-"""The methods that trials compare: variants of the tracker's configuration, and the baselines, all behind one call per frame."""
+"""Methods of the trials: variants of the tracker's configuration and the baselines, behind one call per frame."""
 
 from __future__ import annotations
 
@@ -44,50 +44,50 @@ def configuration(variant: str) -> Config:
     return known[name]
 
 
-def _carried(scored: RecordingLabels) -> Baseline:
+def _carried(labels: RecordingLabels) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
     from ddakf.evaluation.baselines.clothfit.network import Committee, Network
 
     return ClothFit(lambda: Committee((Network.zero(),)))
 
 
-def _clothfit(scored: RecordingLabels) -> Baseline:
+def _clothfit(labels: RecordingLabels) -> Baseline:
     from ddakf.evaluation.baselines.clothfit.method import ClothFit
     from ddakf.evaluation.baselines.clothfit.weights import committee
 
-    return ClothFit(lambda: committee(scored))
+    return ClothFit(lambda: committee(labels))
 
 
 BASELINES: dict[str, Callable[[RecordingLabels], Baseline]] = {
     "clothfit": _clothfit,
     "carried": _carried,
-    "kf": lambda scored: KalmanFilter(),
-    "icp": lambda scored: NonRigidPointToPlane(),
-    "icp-rigid": lambda scored: RigidPointToPlane(),
-    "pf": lambda scored: ParticleFilter(),
-    "opt-ed": lambda scored: EmbeddedDeformation(),
-    "nicp": lambda scored: NonRigidIcp(),
-    "nicp-12": lambda scored: NonRigidIcp(TWELVE_ITERATIONS),
-    "open3d-arap": lambda scored: Open3dArap(),
-    "trimesh-nricp": lambda scored: TrimeshNricp(),
-    "probreg-cpd": lambda scored: ProbregCpd(),
+    "kf": lambda labels: KalmanFilter(),
+    "icp": lambda labels: NonRigidPointToPlane(),
+    "icp-rigid": lambda labels: RigidPointToPlane(),
+    "pf": lambda labels: ParticleFilter(),
+    "opt-ed": lambda labels: EmbeddedDeformation(),
+    "nicp": lambda labels: NonRigidIcp(),
+    "nicp-12": lambda labels: NonRigidIcp(TWELVE_ITERATIONS),
+    "open3d-arap": lambda labels: Open3dArap(),
+    "trimesh-nricp": lambda labels: TrimeshNricp(),
+    "probreg-cpd": lambda labels: ProbregCpd(),
 }
 
 
-def make_baseline(name: str, scored: RecordingLabels = NO_LABELS) -> Baseline:
+def make_baseline(name: str, labels: RecordingLabels = NO_LABELS) -> Baseline:
     """A baseline by its name.
 
     Args:
         name: one of :data:`BASELINES`.
-        scored: what it will be scored on.
+        labels: of the recording that the method is scored on.
 
     Raises:
-        InvalidArgument: none of that name.
-        NotApplicable: it cannot be used here, for want of a package for instance.
+        InvalidArgument: no baseline of that name.
+        NotApplicable: it cannot be used here, for example because a package is missing.
     """
     if name not in BASELINES:
         raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}", repr(name))
-    return BASELINES[name](scored)
+    return BASELINES[name](labels)
 
 
 def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
@@ -106,12 +106,12 @@ def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None
     return step
 
 
-def _baseline(name: str, scored: RecordingLabels, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
-    return start_baseline(make_baseline(name, scored), garment, start, body)
+def _baseline(name: str, labels: RecordingLabels, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
+    return start_baseline(make_baseline(name, labels), garment, start, body)
 
 
 def start_baseline(method: Baseline, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
-    """A baseline at work, started from garment, start (V, 3) in metres and body."""
+    """Starts a baseline from garment, start (V, 3) in metres and body, and returns its step."""
     method.start(garment, start, body)
 
     def step(frame: CapturedFrame) -> FrameEstimate:
@@ -120,14 +120,15 @@ def start_baseline(method: Baseline, garment: Mesh, start: np.ndarray, body: Mes
     return step
 
 
-def method_factory(variant: str, scored: RecordingLabels = NO_LABELS) -> MethodFactory:
-    """What makes a method from garment, start (V, 3) in metres and body: a baseline, or a tracker of a :func:`configuration`.
+def method_factory(variant: str, labels: RecordingLabels = NO_LABELS) -> MethodFactory:
+    """The factory of a method, which takes garment, start (V, 3) in metres and body: a baseline, or a tracker of a
+    :func:`configuration`.
 
     Args:
         variant: name of either.
-        scored: what a baseline will be scored on.
+        labels: of the recording that a baseline is scored on.
 
     Raises:
-        InvalidArgument: no such variant. What is made may raise NotApplicable.
+        InvalidArgument: no such variant. The factory may raise NotApplicable.
     """
-    return partial(_baseline, variant, scored) if variant in BASELINES else partial(_tracker, configuration(variant))
+    return partial(_baseline, variant, labels) if variant in BASELINES else partial(_tracker, configuration(variant))

@@ -1,4 +1,4 @@
-"""Runs on what real sensors saw, without the truth of every vertex: recordings, and pairs of frames with scene flow."""
+"""Recorded runs: trials on real sensors' frames without vertex truth, and on pairs of frames with scene flow."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
     Args:
         make: of the method, see :func:`ddakf.evaluation.trials.methods.method_factory`.
         recording: see :class:`ddakf.evaluation.datasets.Recording`.
-        frames: that are tracked; the template is of the one before.
-        sensor: limit, drop-out, outliers and occlusion; the noise is the recording's own.
+        frames: to track; the template comes from the frame before.
+        sensor: limit, drop-out, outliers and occlusion to add; the recording has noise of its own.
         seed: of its random numbers.
 
     Returns:
         ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm``, ``stretch_pct`` against the template and, where the
-        method says them, ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``;
+        method provides them, ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``;
         ``per_frame``.
 
     Raises:
@@ -78,7 +78,7 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
 
 
 def pair_row(make: MethodFactory, pair: Pair) -> dict:
-    """Follows the surface of one frame into another one far away, which is shown :data:`STEPS` times.
+    """Tracks the surface of a pair's first frame in the second one, which is repeated :data:`PAIR_STEPS` times.
 
     Returns:
         ``end_point_error_mm``, ``within_5cm``, ``residual_mm``, ``stretch_pct``, times; ``per_frame`` of the steps.

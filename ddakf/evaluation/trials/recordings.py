@@ -23,11 +23,11 @@ def recording_names() -> list[str]:
 
 @lru_cache(maxsize=8)
 def find_recording(name: str) -> Sequence | Recording | Pair:
-    """A recording by its name, or what is at a path, see :func:`ddakf.evaluation.datasets.open_dataset`.
+    """A recording by its name or path, see :func:`ddakf.evaluation.datasets.open_dataset`.
 
     Raises:
-        InvalidArgument: neither a name that is known nor a path.
-        InvalidFile: nothing that can be read is at the path.
+        InvalidArgument: neither a known name nor a path.
+        InvalidFile: an unreadable file at the path.
     """
     if name == SAMPLE:
         return data.sample()
@@ -46,7 +46,7 @@ def find_recording(name: str) -> Sequence | Recording | Pair:
 
 
 def faust_names() -> list[str]:
-    """The clips of FAUST under DDAKF_DATA, as :func:`recording` knows them."""
+    """Names of FAUST's clips under DDAKF_DATA, as :func:`find_recording` takes them."""
     archive = _faust()
     return [FAUST + clip for clip in load_faust(archive).clips] if archive else []
 

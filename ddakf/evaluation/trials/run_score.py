@@ -1,4 +1,4 @@
-"""What a run is worth: errors, shape and calibration against the truth, frame by frame and summed up."""
+"""Run score: errors, shape and calibration of a run against the truth, per frame and in summary."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from ddakf.evaluation.trials.estimates import FrameEstimate
 from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
 
-FIRST_FRAMES, LAST_FRAMES = 59, 10  # tracked frames that the means "first60" (frame 0 is given) and "last10" are over
-NOT_AVERAGED = ("cpu_ms", "wall_ms", "state")  # percentiles say more, or there is no mean
+FIRST_FRAMES, LAST_FRAMES = 59, 10  # tracked frames of the means "first60" (frame 0 is the start) and "last10"
+NOT_AVERAGED = ("cpu_ms", "wall_ms", "state")  # their percentiles are reported instead, or they have no mean
 
 
 class RunScore:
-    """What a run's frames are worth against the truth.
+    """Scores of a run's frames against the truth.
 
     Args:
         garment: the template.
         sequence: the truth.
-        surfaces: measure distances between the surfaces and silhouettes too, which takes longer than all else.
+        surfaces: also measure Hausdorff distances and silhouettes, which takes longer than all other metrics.
     """
 
     def __init__(self, garment: Mesh, sequence: Sequence, *, surfaces: bool = False):
@@ -30,20 +30,20 @@ class RunScore:
         has_body = sequence.has_body
         self._inside = metrics.Penetration(Mesh(sequence.body_vertices[0], sequence.body_faces)) if has_body else None
         self._hausdorff = metrics.Hausdorff(garment) if surfaces else None
-        self.memory_mib: float | None = None  # of a frame, where somebody has measured it
+        self.memory_mib: float | None = None  # of one frame, set by the caller who measures it
         self.numbers: list[int] = []
         self.frames: dict[str, list] = defaultdict(list)
         self._estimates: list[np.ndarray] = []
         self._groups = {name: CalibrationSums() for name in ("observed", "hidden")}
 
     def add(self, number: int, estimate: FrameEstimate, cpu_seconds: float, wall_seconds: float) -> None:
-        """Takes in one frame.
+        """Adds one frame.
 
         Args:
             number: of the frame in the recording.
-            estimate: the method's.
-            cpu_seconds: of this thread.
-            wall_seconds: that went by.
+            estimate: of the method.
+            cpu_seconds: of this thread, for the step.
+            wall_seconds: of the step.
 
         Raises:
             ArithmeticError: vertices that are not finite.
@@ -92,7 +92,7 @@ class RunScore:
         return {"spearman_sigma": metrics.spearman(sigma, error), "coverage90": metrics.coverage90(m)}
 
     def summary(self) -> dict:
-        """The run in numbers, as JSON has them; None where nothing was measured. Keys end in their unit.
+        """The run in numbers for JSON; None for metrics that were not measured. Keys end in their unit.
 
         Returns:
             ``frames_tracked``; means over frames of the per-frame values, those of the RMSE also over the first 60 and the
@@ -105,7 +105,7 @@ class RunScore:
         for name in ("rmse_mm", "normal_rmse_mm"):
             summary[f"{name}_first60"] = _mean(self.frames[name][:FIRST_FRAMES])
             summary[f"{name}_last10"] = _mean(self.frames[name][-LAST_FRAMES:])
-        summary |= self._whole(slice(None))
+        summary |= self._sequence_values(slice(None))
         for name in ("cpu_ms", "wall_ms"):
             summary[f"{name}_p50"], summary[f"{name}_p99"] = np.percentile(self.frames[name], [50, 99])
         summary["states"] = dict(Counter(self.frames["state"]))
@@ -115,8 +115,8 @@ class RunScore:
         summary["fps"] = 1e3 / np.mean(self.frames["wall_ms"]) if self.numbers else None
         summary["memory_mib"] = self.memory_mib
         summary["clips"] = self.clips()
-        kept = ("rmse_mm", "normal_rmse_mm", "reliability", "paper_score", "coverage", "penetration_mm", "coverage90")
-        summary["per_frame"] = {"number": self.numbers} | {name: per_frame[name] for name in kept if name in per_frame}
+        saved = ("rmse_mm", "normal_rmse_mm", "reliability", "paper_score", "coverage", "penetration_mm", "coverage90")
+        summary["per_frame"] = {"number": self.numbers} | {name: per_frame[name] for name in saved if name in per_frame}
         summary["per_frame"]["state"] = "".join(state[0] for state in self.frames["state"])
         return {name: json_numbers(value) for name, value in summary.items()}
 
@@ -126,11 +126,12 @@ class RunScore:
         clips = []
         for part in statistics.clips(len(self.numbers)):
             means = {name: _mean(values[part]) for name, values in self.frames.items() if name not in NOT_AVERAGED}
-            clips.append({"first": self.numbers[part.start], "frames": part.stop - part.start} | means | self._whole(part))
+            clip = {"first": self.numbers[part.start], "frames": part.stop - part.start}
+            clips.append(clip | means | self._sequence_values(part))
         return clips
 
-    def _whole(self, part: slice) -> dict[str, float]:
-        """What is no mean of numbers per frame."""
+    def _sequence_values(self, part: slice) -> dict[str, float]:
+        """Metrics of several frames together, which are no means of values per frame."""
         estimates = np.array(self._estimates[part])
         truths = self._sequence.garment_vertices[self.numbers[part]]
         values = {
@@ -145,7 +146,7 @@ class RunScore:
 
 
 class CalibrationSums:
-    """Claimed covariances of one group of vertices against what was, over many frames; and enough to pool several runs."""
+    """Sums over frames of the calibration of one group of vertices, which several runs can pool."""
 
     def __init__(self) -> None:
         self._n, self._nees, self._nll = 0, 0.0, 0.0
@@ -182,19 +183,19 @@ class CalibrationSums:
 
 
 def _mean_by_count(*groups: dict | None, name: str) -> float | None:
-    """The mean of a group's value, weighted by how many there are in each; None without any."""
+    """The mean of a value over groups, weighted by their numbers of vertices; None without any."""
     groups = [group for group in groups if group]
     return sum(group["n"] * group[name] for group in groups) / sum(group["n"] for group in groups) if groups else None
 
 
 def _mean(values: list) -> float | None:
-    """The mean of what is a number: a rank correlation may be undefined in a frame."""
+    """The mean of the finite values: a rank correlation may be undefined in a frame."""
     values = np.array(values, np.float64)
     return float(values[np.isfinite(values)].mean()) if np.isfinite(values).any() else None
 
 
 def json_numbers(value):
-    """Numbers with six significant digits, and None for what is none, for JSON."""
+    """Values for JSON: numbers with six significant digits, None for numbers that are not finite."""
     if isinstance(value, dict):
         return {name: json_numbers(inner) for name, inner in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,7 +1,7 @@
-"""Accuracy, one trial at a time: a recording, a view, a variant of the method; in numbers, frame by frame and summed up.
+"""Runs of trials: each tracks a recording with a method, and returns a row of numbers.
 
-A trial is fully described by its :class:`Trial`: the same trial gives the same clouds and, up to its times, the same row on
-one machine. ``benchmarks/accuracy.py`` runs grids of them.
+The same :class:`ddakf.evaluation.trials.trial.Trial` gives the same clouds and, up to its times, the same row on one machine.
+``benchmarks/accuracy.py`` runs grids of them.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _cloud(name: str, frame: int, seed: int, sensor: Sensor) -> Cloud:
 
 
 def displaced_template(rest: np.ndarray, truth: np.ndarray, number: int) -> np.ndarray:
-    """The template in its rest shape, laid onto the truth rigidly, then turned by 20 degrees about the vertical through its
+    """The template in its rest shape, aligned rigidly with the truth, then turned by 20 degrees about the vertical through its
     centroid, to a random side, and moved by 10 cm in a random horizontal direction.
 
     Args:
@@ -68,11 +68,11 @@ def run_trial(trial: Trial) -> dict:
     """Runs a trial.
 
     Returns:
-        The trial's fields, and what :meth:`Record.summary` gives; with a start off the truth or a disturbance also
-        ``reference_rmse_mm`` and ``reference_normal_rmse_mm``, per frame, of the run from the truth or the undisturbed one,
-        and ``frames_until_rmse_mm`` and ``frames_until_normal_rmse_mm``, after which the error was within
-        :data:`CONVERGED` or :data:`RECOVERED` times that, None for never. Where the method could not go on, ``failed`` with
-        its sentence; where it does not apply, ``not_applicable`` with its own.
+        The trial's fields and those of :meth:`RunScore.summary`. With a displaced start or a disturbance also
+        ``reference_rmse_mm`` and ``reference_normal_rmse_mm``, per frame, of the run from the truth or the undisturbed one, and
+        ``frames_until_rmse_mm`` and ``frames_until_normal_rmse_mm``: frames until the error is within :data:`CONVERGED` or
+        :data:`RECOVERED` times that, None for never. If the method fails, ``failed`` with the error; if it does not apply,
+        ``not_applicable`` with the reason.
 
     Raises:
         InvalidArgument: no such variant, view, disturbance or recording.
@@ -83,36 +83,37 @@ def run_trial(trial: Trial) -> dict:
     try:
         match find_recording(trial.sequence):
             case Sequence():
-                return asdict(trial) | _outcome(trial)
+                return asdict(trial) | _sequence_row(trial)
             case Pair() as pair:
-                return asdict(trial) | pair_row(_maker(trial), pair)
+                return asdict(trial) | pair_row(_factory_without_body(trial), pair)
             case other:
-                return asdict(trial) | recording_row(_maker(trial), other, tracked_frames(trial), sensor_of(trial), trial.seed)
+                factory, sensor = _factory_without_body(trial), sensor_of(trial)
+                return asdict(trial) | recording_row(factory, other, tracked_frames(trial), sensor, trial.seed)
     except NotApplicable as reason:
         return asdict(trial) | {"not_applicable": str(reason)}
-    except Exception as error:  # whatever it is: a study's other methods go on, and its result says what happened
+    except Exception as error:  # any error: the study's other methods go on, and its result reports it
         return asdict(trial) | {"failed": f"{type(error).__name__}: {error}"}
 
 
-def _maker(trial: Trial) -> MethodFactory:
-    """Of the method, on what has no body that it could be told."""
+def _factory_without_body(trial: Trial) -> MethodFactory:
+    """The method's factory, for a recording without a body."""
     if trial.body:
         raise NotApplicable(f"{trial.sequence} has no body that a method could be told")
     return methods.method_factory(trial.variant, labels_of(Path(trial.sequence).stem))
 
 
-def _outcome(trial: Trial) -> dict:
+def _sequence_row(trial: Trial) -> dict:
     if trial.start is not None:
         trial = replace(trial, frames=trial.frames or START_FRAMES)
-        return _compared(_track(trial), _reference(replace(trial, start=None)), CONVERGED)
+        return _compared_summary(_track(trial), _reference(replace(trial, start=None)), CONVERGED)
     if trial.disturbance is not None:
         last = _script(trial).events[-1].last
         trial = replace(trial, frames=trial.frames or last + FRAMES_AFTER)
-        return _compared(_track(trial), _reference(replace(trial, disturbance=None)), RECOVERED, after=trial.first + last)
+        return _compared_summary(_track(trial), _reference(replace(trial, disturbance=None)), RECOVERED, after=trial.first + last)
     return _track(trial).summary()
 
 
-def _compared(record: RunScore, reference: RunScore, factor: float, after: int = -1) -> dict:
+def _compared_summary(record: RunScore, reference: RunScore, factor: float, after: int = -1) -> dict:
     """A run's summary, and how long after frame number ``after`` its errors came within those of another."""
     place = {number: k for k, number in enumerate(reference.numbers)}
     compared = {}
@@ -132,7 +133,7 @@ def _script(trial: Trial) -> Script:
 
 
 def _frames(trial: Trial) -> Iterator[CapturedFrame]:
-    """What arrives."""
+    """The frames that arrive, after the trial's disturbance."""
     sequence, sensor = find_recording(trial.sequence), sensor_of(trial)
 
     def undisturbed() -> Iterator[CapturedFrame]:
@@ -145,14 +146,14 @@ def _frames(trial: Trial) -> Iterator[CapturedFrame]:
 
 
 def estimate_frame(trial: Trial, number: int) -> np.ndarray:
-    """(V, 3) metres, what a trial's method says about a frame of the recording.
+    """(V, 3) metres, the estimate of a trial's method for a frame of the recording.
 
     Raises:
-        InvalidArgument: the trial does not track it. Whatever the method raises.
+        InvalidArgument: the trial does not track the frame. Any error of the method.
     """
     if number not in tracked_frames(trial):
         raise InvalidArgument("frame", f"one of {tracked_frames(trial)}", str(number))
-    step = _started(trial)
+    step = _started_method(trial)
     for frame in _frames(trial):
         vertices = step(frame).vertices
         if frame.number == number:
@@ -160,7 +161,7 @@ def estimate_frame(trial: Trial, number: int) -> np.ndarray:
     return vertices
 
 
-def _started(trial: Trial) -> Method:
+def _started_method(trial: Trial) -> Method:
     sequence = find_recording(trial.sequence)
     truth = sequence.garment_vertices[trial.first].astype(np.float64)
     start = truth if trial.start is None else displaced_template(sequence.template, truth, trial.start)
@@ -172,7 +173,7 @@ def _started(trial: Trial) -> Method:
 
 
 def _track(trial: Trial) -> RunScore:
-    sequence, step = find_recording(trial.sequence), _started(trial)
+    sequence, step = find_recording(trial.sequence), _started_method(trial)
     record = RunScore(Mesh(sequence.template, sequence.garment_faces), sequence, surfaces=trial.surfaces)
     for frame in _frames(trial):
         wall, cpu = time.perf_counter(), time.thread_time()
@@ -184,7 +185,7 @@ def _track(trial: Trial) -> RunScore:
 
 
 def _memory(step: Method, frame: CapturedFrame) -> float | None:
-    """MiB that one more frame takes at most, beyond what was resident before it."""
+    """Peak memory of one more frame, MiB, beyond the resident memory before it."""
     peak = metrics.ResidentPeak()
     step(frame)
     return peak.mib()
@@ -192,5 +193,5 @@ def _memory(step: Method, frame: CapturedFrame) -> float | None:
 
 @lru_cache(maxsize=2)
 def _reference(trial: Trial) -> RunScore:
-    """What several trials in a row are compared with."""
+    """The reference run, cached because several consecutive trials have the same one."""
     return _track(trial)

@@ -10,26 +10,26 @@ PAIR_STEPS = 10  # in which the second frame of a pair is shown: a method that m
 
 @dataclass(frozen=True)
 class Trial:
-    """One run. Flat, as the row that it is the key of: a sensor's settings are repeated here rather than held, since rows that
-    are kept name them so, and a row without some of them is of their defaults then.
+    """One run. The fields are flat, as those of the row whose key the trial is: rows in files name a sensor's settings so, and a
+    row without one of them means its default.
 
     Attributes:
         sequence: ``sample`` or another one that ships (``skirt_walk``), the name of a recording under DDAKF_DATA (``faust_s3_p7``
             of FAUST's clips), or a path.
         view: of :class:`ddakf.evaluation.sensors.virtual_sensor.Sensor`.
-        body: the tracker is told the body of every frame.
+        body: the tracker gets the body of every frame.
         seed: of the sensor's noise.
         variant: see :func:`ddakf.evaluation.trials.methods.method_factory`.
         frames: tracked at most; None for all.
-        first: frame at which the garment is known.
+        first: frame in which the garment is known.
         segmented: only the garment's points.
         points: per cloud at most.
         noise: standard deviation, metres.
-        start: number of a random start off the truth, see :func:`astray`; None starts at the truth.
+        start: number of a random start, see :func:`ddakf.evaluation.trials.runs.displaced_template`; None starts at the truth.
         disturbance: name of one of :data:`ddakf.evaluation.sensors.degradations.DISTURBANCES`, or None.
         drop, outliers, depth_noise, depth_step, fliers, occlude, occluded, every: of
             :class:`ddakf.evaluation.sensors.virtual_sensor.Sensor`.
-        surfaces: distances between the surfaces and silhouettes are measured as well; they take longer than a frame.
+        surfaces: also measure Hausdorff distances and silhouettes, which takes longer than a frame.
     """
 
     sequence: str
@@ -55,8 +55,8 @@ class Trial:
     surfaces: bool = False
 
     @classmethod
-    def of(cls, row: dict) -> Trial:
-        """The trial of a row; fields that the row does not know have their defaults."""
+    def from_row(cls, row: dict) -> Trial:
+        """The trial of a row. Fields that the row lacks have their defaults."""
         known = {field.name: row[field.name] for field in fields(cls) if field.name in row}
         return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in known.items()})
 

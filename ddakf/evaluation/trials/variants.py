@@ -24,7 +24,7 @@ def ablations() -> dict[str, Config]:
 
 
 def refinements() -> dict[str, Config]:
-    """The default without each of what was added beyond the five changes, one at a time."""
+    """The default without each of the additions beyond the five changes, one at a time."""
     default = Config()
     return {
         "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
@@ -35,6 +35,6 @@ def refinements() -> dict[str, Config]:
 
 
 def without_levels() -> Config:
-    """The default with passes over all vertices only: neither rigid clusters nor coarser versions of the garment before."""
+    """The default with passes over all vertices only: without cluster alignment and without the coarser levels."""
     default = Config()
     return replace(default, coarse=replace(default.coarse, iterations=0), pyramid=replace(default.pyramid, iterations=0))

@@ -120,7 +120,7 @@ def test_a_number_of_the_page_is_the_mean_and_deviation_over_the_runs(folder, pa
     runs = [run["rmse_mm"] for run in main.of("ddakf")[0]["runs"]]
     assert f"{np.mean(runs):.1f} ± {np.std(runs, ddof=1):.1f}" in page[1].cells
     pool = main.pooled("ddakf", "rmse_mm")
-    assert (pool.runs, pool.cells, pool.of) == (2, 1, 1)
+    assert (pool.runs, pool.cells, pool.cells_in_all) == (2, 1, 1)
 
 
 def test_the_papers_numbers_are_beside_ours(page):
@@ -310,8 +310,8 @@ def run(rmse: float, commit: str = "old", processes: int = 1, seed: int = 1) -> 
 
 
 def test_results_of_several_commits_say_so_and_those_of_one_do_not():
-    assert result({"icp": [run(3.0)], "ddakf": [run(2.0)]}).mixed is None
-    mixed = result({"icp": [run(3.0)], "kf": [run(4.0)], "ddakf": [run(2.0, "new", 2)]}).mixed
+    assert result({"icp": [run(3.0)], "ddakf": [run(2.0)]}).mixed_runs is None
+    mixed = result({"icp": [run(3.0)], "kf": [run(4.0)], "ddakf": [run(2.0, "new", 2)]}).mixed_runs
     assert mixed == "main.json has runs of several commits: new (ddakf), old (icp, kf); times with 1 and 2 processes at once."
 
 

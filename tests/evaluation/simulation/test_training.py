@@ -47,4 +47,4 @@ def test_the_readme_lists_them_with_their_figures():
 
 @pytest.mark.recordings
 def test_clothfit_may_learn_from_all_of_them():
-    assert set(PATHS) <= {source.what for source in library.sources() if not source.at_hand}
+    assert set(PATHS) <= {source.origin for source in library.sources() if not source.external}

@@ -227,7 +227,7 @@ def test_a_line_without_its_end_is_written_anew_and_not_continued(systems, tmp_p
 @pytest.fixture
 def code(monkeypatch):
     """What the code calls itself from now on."""
-    return lambda name: monkeypatch.setattr(machine, "code", lambda: name)
+    return lambda name: monkeypatch.setattr(machine, "code_version", lambda: name)
 
 
 def test_runs_of_older_code_are_kept_and_named_and_those_of_some_systems_run_again(systems, tmp_path, code):
@@ -368,7 +368,7 @@ def row(system: str, seed: int, rmse: list[float], sequence: str = "a") -> dict:
 
 
 def test_mean_and_deviation_are_over_the_runs():
-    cell = study_summary.summed_up([row("ddakf", 1, [4.0]), row("ddakf", 2, [6.0])], {})["results"][0]
+    cell = study_summary.summarise([row("ddakf", 1, [4.0]), row("ddakf", 2, [6.0])], {})["results"][0]
     assert (cell["mean"]["rmse_mm"], cell["sd"]["rmse_mm"]) == (5.0, pytest.approx(np.sqrt(2), rel=1e-5))
     assert cell["mean"]["iou"] is None
     assert cell["runs"][0]["spearman_reliability_rmse"] == -1
@@ -378,7 +378,7 @@ def test_mean_and_deviation_are_over_the_runs():
 def test_the_unit_of_a_test_is_the_clip_and_the_seeds_are_averaged():
     ours = [row("ddakf", seed, [1.0 + 0.1 * seed, 2.0, 3.0]) for seed in (1, 2)]
     other = [row("icp", seed, [2.0, 3.0, 5.0 + seed]) for seed in (1, 2)]
-    test = study_summary.summed_up(ours + other, {})["p_values"]["all"]["rmse_mm"]["comparisons"]["icp"]
+    test = study_summary.summarise(ours + other, {})["p_values"]["all"]["rmse_mm"]["comparisons"]["icp"]
     assert test["n"] == 3
     assert test["p"] == 0.25, "of the eight ways to flip three signs, two are as extreme"
     assert test["p_smallest"] == 0.25
@@ -388,12 +388,12 @@ def test_the_unit_of_a_test_is_the_clip_and_the_seeds_are_averaged():
 def test_recovery_is_counted_from_the_end_of_the_occlusion_against_what_was_before():
     run = row("ddakf", 1, [1.0]) | {"occlude": [4, 6]}
     run["per_frame"] = {"number": list(range(1, 11)), "rmse_mm": [2.0, 2, 2, 9, 9, 8, 4, 3, 3, 2.5]}
-    summed = study_summary.summed_up([run], {})["results"][0]["runs"][0]
+    summed = study_summary.summarise([run], {})["results"][0]["runs"][0]
     assert summed["recovery_frames"] == 3
     assert summed["recovery_ratio"] == 2.05, "frames 6 to 10 over frames 1 to 3"
     run["per_frame"]["rmse_mm"][5:] = [9.0] * 5
-    assert study_summary.summed_up([run], {})["results"][0]["runs"][0]["recovery_frames"] is None
+    assert study_summary.summarise([run], {})["results"][0]["runs"][0]["recovery_frames"] is None
 
 
 def test_without_ddakf_nothing_is_tested():
-    assert study_summary.summed_up([row("icp", 1, [1.0])], {})["p_values"] == {}
+    assert study_summary.summarise([row("icp", 1, [1.0])], {})["p_values"] == {}

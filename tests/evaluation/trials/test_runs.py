@@ -62,8 +62,8 @@ def test_the_same_trial_gives_the_same_row(rows):
 
 
 def test_a_row_knows_its_trial(rows):
-    assert Trial.of(rows[0]) == SHORT
-    assert Trial.of({"sequence": "sample", "view": "front"}) == Trial("sample", "front")
+    assert Trial.from_row(rows[0]) == SHORT
+    assert Trial.from_row({"sequence": "sample", "view": "front"}) == Trial("sample", "front")
 
 
 def test_every_ablation_differs_from_the_default_where_its_name_says():

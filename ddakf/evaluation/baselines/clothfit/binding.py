@@ -1,4 +1,4 @@
-"""How a garment hangs on the body: smooth skinning to samples of its surface, several to a vertex, weighted by distance."""
+"""Binding of a garment to the body: smooth skinning to several samples of its surface per vertex, weighted by distance."""
 
 from __future__ import annotations
 
@@ -54,8 +54,8 @@ class Skinning:
     offset: np.ndarray
 
     @classmethod
-    def of(cls, weights: sparse.csr_array, places: np.ndarray, samples: np.ndarray) -> Skinning:
-        """Of places (Q, 3) on samples (S, 3), both at the start, metres."""
+    def at_start(cls, weights: sparse.csr_array, places: np.ndarray, samples: np.ndarray) -> Skinning:
+        """The skinning of places (Q, 3) to samples (S, 3), both at the start, metres."""
         count = weights.indptr[1] - weights.indptr[0]
         nearest, centre = weights.indices.reshape(-1, count), weights @ samples
         arms = weights.data.reshape(-1, 1, count) * (samples[nearest] - centre[:, None]).transpose(0, 2, 1)
@@ -65,7 +65,7 @@ class Skinning:
 
     def carry(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Rotations R (Q, 3, 3) and centres c (Q, 3) that minimise sum_j w_j |s_j - c - R (p_j - c_0)|^2, for the samples' places
-        (S, 3) now and p at the start, and where that takes the places (Q, 3); metres."""
+        (S, 3) now and p at the start, and the places (Q, 3) that they give; metres."""
         products = (self.levers @ samples).reshape(-1, 3, 3).transpose(0, 2, 1)
         rotation, centre = best_rotations(products), self.weights @ samples
         return rotation, centre, centre + np.einsum("qab,qb->qa", rotation, self.offset)

@@ -1,4 +1,4 @@
-"""Examples to learn from: stretches of a recording, each carried from its own first frame on as in use."""
+"""Training examples: stretches of a recording, each tracked from its own first frame on as in use."""
 
 from __future__ import annotations
 

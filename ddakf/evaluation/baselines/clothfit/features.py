@@ -1,9 +1,9 @@
-"""What ClothFit's network sees: where a vertex lies by the body, and how the body nearby has moved since; in its local frame.
+"""Features of ClothFit's network, in local axes: a vertex's place on the body, and the motion of the body nearby.
 
 A vertex is bound to the body by smooth skinning (:mod:`.binding`). Its frame is the best rigid motion (R, c) of the body's
 surface around it since the start, and ``carried`` is where that motion takes it. All vectors are given in that frame, as
 R' v, and the network answers with a combination of them (:mod:`.network`): so nothing depends on the axes of the world, on
-which way the body looks, or on left and right. Metres, seconds, y up.
+the direction in which the body looks, or on left and right. Metres, seconds, y up.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Features:
 
     Args:
         garment: its vertices are the rest shape.
-        start: (V, 3) where it is before the first frame, metres.
+        start: (V, 3) its vertices before the first frame, metres.
         body: in the pose of the start.
-        queries: vertices that are asked for; all by default.
+        queries: indices of the vertices to compute; all by default.
     """
 
     def __init__(self, garment: Mesh, start: np.ndarray, body: Mesh, queries: np.ndarray | None = None):
@@ -43,7 +43,7 @@ class Features:
         support = spread(garment.vertices, GARMENT_SAMPLES)
         places, samples = start[np.concatenate([queries, support])], body.vertices[self._samples]
         weights, distance = gaussian_weights(places, samples, BINDING, REACH, REACH_GROWTH)
-        self._skinning = Skinning.of(weights, places, samples)
+        self._skinning = Skinning.at_start(weights, places, samples)
         skin = (weights @ vertex_normals(body.vertices, body.faces)[self._samples])[: self._count]
         offset = self._skinning.offset[: self._count] / LENGTH
         self._still = np.stack([skin, offset, vertex_normals(start, garment.faces)[queries]], axis=1)
@@ -85,7 +85,7 @@ class Features:
         return [*cloth, (self._nearby @ samples - centre) / LENGTH]
 
     def _skin(self, queries: np.ndarray, body: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Normals (Q, 3) of the nearest vertices of the body now, and how far (Q,) outside their planes the queries are."""
+        """Normals (Q, 3) of the nearest vertices of the body now, and the distances (Q,) of the queries outside their planes."""
         _, nearest = cKDTree(body).query(queries)
         normal = vertex_normals(body, self._body_faces)[nearest]
         return normal, np.einsum("qa,qa->q", queries - body[nearest], normal)

@@ -1,4 +1,4 @@
-"""ClothFit at work: the garment rides on the body, and the networks say what it does beyond that. It never sees the cloud."""
+"""ClothFit as a baseline: skinning moves the garment with the body, and networks add an offset. It never uses the cloud."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class ClothFit:
     """Pose-conditioned deformation, learned: see docs/baselines.md.
 
     Args:
-        committee: gives the networks, see :mod:`.network`; asked at a start with a body, as they may have to be trained.
-        settings: what they were trained with, and how their answers are used.
+        committee: returns the networks, see :mod:`.network`; called at a start with a body, as it may train them.
+        settings: of the training and of the use of their answers.
     """
 
     def __init__(self, committee: Callable[[], Committee], settings: AnswerSettings = TUNED):

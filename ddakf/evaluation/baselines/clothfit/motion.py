@@ -1,4 +1,4 @@
-"""How the carried places have moved lately: velocity, acceleration, and what would swing behind if it hung on them."""
+"""Recent motion of the carried places: velocity, acceleration, and damped pendulums that hang on them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MEAN = 0.1  # s: of the mean acceleration's exponential window
 
 
 class Moved(NamedTuple):
-    """Of Q places, in the world."""
+    """Motion of Q places, in world axes."""
 
     elapsed: float  # s since the first frame
     velocity: np.ndarray  # (Q, 3) m/s

@@ -1,9 +1,9 @@
-"""ClothFit's network: a small perceptron for all vertices, which answers in the local frame; some of them decide. NumPy alone.
+"""ClothFit's network: a small perceptron for all vertices with outputs in local axes, and committees of them; NumPy only.
 
 Of the vectors v_k of a vertex it sees what no rotation changes, their inner products, and the scalars; its outputs are the
 coefficients a_k of the offset sum_k a_k v_k. The offset turns with the frame and is mirrored with it (Villar et al. 2021,
 "Scalars are universal", show that any such function can be written so). Vectors that are there when nothing has changed since
-the start count in it by as much as something has, so that a body that stays as it was leaves the garment where it is.
+the start count in it by as much as something has, so that a body that does not move leaves the garment in place.
 """
 
 from __future__ import annotations
@@ -67,14 +67,14 @@ class Network:
         return x @ matrix + bias
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """By the names under which they are saved."""
+        """Arrays by the names under which they are saved."""
         named = {"mean": self.mean, "sd": self.sd}
         for k, (matrix, bias) in enumerate(self.layers):
             named |= {f"matrix{k}": matrix, f"bias{k}": bias}
         return named
 
     @classmethod
-    def of(cls, arrays: dict[str, np.ndarray]) -> Network:
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Network:
         """Inverse of :meth:`arrays`."""
         count = sum(name.startswith("matrix") for name in arrays)
         return cls(arrays["mean"], arrays["sd"], tuple((arrays[f"matrix{k}"], arrays[f"bias{k}"]) for k in range(count)))
@@ -97,14 +97,14 @@ class Committee:
         return LENGTH * mean * (square / np.maximum(square + settings.caution * spread, TINY))[:, None]
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """By the names under which they are saved."""
+        """Arrays by the names under which they are saved."""
         return {f"{k}.{name}": array for k, member in enumerate(self.members) for name, array in member.arrays().items()}
 
     @classmethod
-    def of(cls, arrays: dict[str, np.ndarray]) -> Committee:
+    def from_arrays(cls, arrays: dict[str, np.ndarray]) -> Committee:
         """Inverse of :meth:`arrays`."""
         split: dict[int, dict[str, np.ndarray]] = {}
         for name, array in arrays.items():
             member, _, rest = name.partition(".")
             split.setdefault(int(member), {})[rest] = array
-        return cls(tuple(Network.of(split[k]) for k in sorted(split)))
+        return cls(tuple(Network.from_arrays(split[k]) for k in sorted(split)))

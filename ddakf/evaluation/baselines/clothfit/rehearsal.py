@@ -1,9 +1,9 @@
-"""Rehearsals: coarse simulations that ClothFit learns from, made when it trains, from CC0 parts alone.
+"""Rehearsals: coarse simulations for ClothFit's training, made on demand from CC0 parts.
 
 Every garment of :mod:`ddakf.evaluation.simulation` performs every motion on the body that ships. About 500 vertices, extended
 position-based dynamics in small steps (Macklin et al. 2016, 2019): edges, hinges as springs between their tips, the body's
 nearest vertex as a plane with friction, no self-collision. A frame takes hundredths of a second, where Newton takes seconds for
-the recordings that ship: many motions of rough cloth teach more than a few of fine.
+the recordings that ship: many coarse motions train better than a few fine ones.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ddakf.evaluation.simulation.garments import Garment
 from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh, vertex_normals
 
-FPS, FRAMES, SETTLING, VERTICES = 30.0, 100, 24, 500  # settling: frames in the rest pose, not kept
+FPS, FRAMES, SETTLING, VERTICES = 30.0, 100, 24, 500  # settling: frames in the rest pose, discarded
 SIZES = 2  # cuts of each garment
 SUBSTEPS = 12  # of a frame
 GRAVITY = np.array([0.0, -9.81, 0.0])  # m/s^2
@@ -31,8 +31,8 @@ THICKNESS, REACH, FRICTION = 0.01, 0.1, 0.4  # m; m, within which the body is me
 TINY = 1e-12
 
 
-class Part(NamedTuple):
-    """A rehearsal to make."""
+class Rehearsal(NamedTuple):
+    """Parameters of one rehearsal."""
 
     garment: str
     motion: str
@@ -44,26 +44,26 @@ class Part(NamedTuple):
         return f"{self.garment}_{self.motion}"
 
 
-def parts() -> list[Part]:
+def rehearsals() -> list[Rehearsal]:
     """Every garment with every motion."""
     pairs = product(enumerate(garments.GARMENTS), enumerate(motions.MOTIONS))
-    return [Part(g, m, 1 + (i + j) % SIZES, 1 + i * len(motions.MOTIONS) + j) for (i, g), (j, m) in pairs]
+    return [Rehearsal(g, m, 1 + (i + j) % SIZES, 1 + i * len(motions.MOTIONS) + j) for (i, g), (j, m) in pairs]
 
 
-def rehearse(chosen: list[Part], progress: Callable[[int, int], None] = lambda done, total: None) -> list[Sequence]:
-    """Simulates parts, all at once, which is quicker than one after the other.
+def rehearse(chosen: list[Rehearsal], progress: Callable[[int, int], None] = lambda done, total: None) -> list[Sequence]:
+    """Simulates rehearsals together, which is quicker than one after another.
 
     Args:
-        chosen: what to make.
+        chosen: the rehearsals.
         progress: told of frames, as ``progress(done, total)``.
     """
     body = load_body()
     cuts = {key: garments.make(key[0], body, VERTICES, key[1]) for key in {(part.garment, part.size): 0 for part in chosen}}
-    worn = [cuts[part.garment, part.size] for part in chosen]
+    dressed = [cuts[part.garment, part.size] for part in chosen]
     poses = [motions.make(part.motion, body, FRAMES, FPS, part.style) for part in chosen]
     bodies = [body.skinned(pose) for pose in poses]
-    pins = [body.skinned(pose, body.attach(g.mesh.vertices, g.mesh.faces)) for pose, g in zip(poses, worn, strict=True)]
-    cloth, frames = _Cloth(worn), []
+    pins = [body.skinned(pose, body.attach(g.mesh.vertices, g.mesh.faces)) for pose, g in zip(poses, dressed, strict=True)]
+    cloth, frames = _Cloth(dressed), []
     numbers = [0] * SETTLING + list(range(FRAMES))
     for done, (before, after) in enumerate(pairwise(numbers), 1):
         now = [(b[before], b[after]) for b in bodies]
@@ -71,10 +71,10 @@ def rehearse(chosen: list[Part], progress: Callable[[int, int], None] = lambda d
         progress(done, len(numbers) - 1)
     whole = np.array(frames[-FRAMES:], np.float32)
     return [_sequence(part, g, whole[:, a:b], body, posed)
-            for part, g, a, b, posed in zip(chosen, worn, cloth.first[:-1], cloth.first[1:], bodies, strict=True)]  # fmt: skip
+            for part, g, a, b, posed in zip(chosen, dressed, cloth.first[:-1], cloth.first[1:], bodies, strict=True)]  # fmt: skip
 
 
-def _sequence(part: Part, garment: Garment, vertices: np.ndarray, body: Body, posed: np.ndarray) -> Sequence:
+def _sequence(part: Rehearsal, garment: Garment, vertices: np.ndarray, body: Body, posed: np.ndarray) -> Sequence:
     rest = garment.mesh.vertices.astype(np.float32)
     return Sequence(part.name, vertices, garment.mesh.faces, FPS, rest, posed, body.faces)
 
@@ -82,13 +82,13 @@ def _sequence(part: Part, garment: Garment, vertices: np.ndarray, body: Body, po
 class _Cloth:
     """Several garments that do not meet, as one system of unit masses."""
 
-    def __init__(self, worn: list[Garment]):
-        self.first = np.cumsum([0, *(g.mesh.n_vertices for g in worn)])
-        self._x = np.concatenate([g.mesh.vertices for g in worn])
+    def __init__(self, dressed: list[Garment]):
+        self.first = np.cumsum([0, *(g.mesh.n_vertices for g in dressed)])
+        self._x = np.concatenate([g.mesh.vertices for g in dressed])
         self._v = np.zeros_like(self._x)
-        self._pinned = np.concatenate([g.pinned for g in worn])
-        edges = np.concatenate([g.mesh.edges + a for g, a in zip(worn, self.first, strict=False)])
-        tips = np.concatenate([hinge_tips(g.mesh) + a for g, a in zip(worn, self.first, strict=False)])
+        self._pinned = np.concatenate([g.pinned for g in dressed])
+        edges = np.concatenate([g.mesh.edges + a for g, a in zip(dressed, self.first, strict=False)])
+        tips = np.concatenate([hinge_tips(g.mesh) + a for g, a in zip(dressed, self.first, strict=False)])
         self._springs = [*self._groups(tips, BEND), *self._groups(edges, STRETCH)]
 
     def _groups(self, pairs: np.ndarray, compliance: float) -> list[tuple]:
@@ -103,7 +103,7 @@ class _Cloth:
         return groups
 
     def frame(self, bodies: list[tuple[np.ndarray, np.ndarray]], faces: np.ndarray, pins: np.ndarray) -> np.ndarray:
-        """(V, 3) after a frame in which each garment's body goes from vertices (B, 3) to others, what is pinned to ``pins``."""
+        """(V, 3) after a frame in which each body moves from vertices (B, 3) to others, and pinned vertices to ``pins``."""
         h = 1 / (FPS * SUBSTEPS)
         place, normal, step, turn = self._contacts(bodies, faces)
         pin, pin_step = self._x[self._pinned], (pins[self._pinned] - self._x[self._pinned]) / SUBSTEPS
@@ -157,7 +157,7 @@ def hinge_tips(mesh: Mesh) -> np.ndarray:
 
 
 def colours(pairs: np.ndarray, count: int) -> np.ndarray:
-    """(n,) a number for each of the pairs (n, 2) of ``count`` things, the smallest that no earlier pair with a common one has."""
+    """(n,) greedy colours of the edges (n, 2) of a graph with ``count`` nodes: no two edges at a node have the same colour."""
     taken: list[set[int]] = [set() for _ in range(count)]
     colour = np.zeros(len(pairs), np.int64)
     for k, (a, b) in enumerate(pairs.tolist()):

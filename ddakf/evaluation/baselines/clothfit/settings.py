@@ -1,4 +1,4 @@
-"""What was tuned of ClothFit."""
+"""Settings of ClothFit: of its answers, of the stretches of recordings, and of the training."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class AnswerSettings:
-    """How the network's answers are made; the defaults are the best of ``benchmarks/results/tuning.json``.
+    """Settings of the network's answers; the defaults are the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
         gate: LENGTH of change since the start at which vectors of what is still count by half; trained with it.
@@ -25,7 +25,7 @@ TUNED = AnswerSettings()
 
 @dataclass(frozen=True)
 class Stretches:
-    """How a recording is cut.
+    """Stretches into which a recording is cut.
 
     Attributes:
         count: of stretches, which begin at even distances and overlap.
@@ -44,7 +44,7 @@ class Stretches:
 
 @dataclass(frozen=True)
 class TrainingSettings:
-    """Numbers of the training.
+    """Settings of the training.
 
     Attributes:
         cut: of every recording.
@@ -57,7 +57,7 @@ class TrainingSettings:
         rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
         decay: of the weights (AdamW).
         robust: LENGTH; larger errors count linearly.
-        gate: of :class:`.settings.AnswerSettings`.
+        gate: of :class:`AnswerSettings`.
         seed: of everything.
     """
 

@@ -32,12 +32,12 @@ def torch():
     return torch
 
 
-def committee(own: list[Examples], at_hand: list[Examples], settings: TrainingSettings, progress: Progress) -> Committee:
-    """Trains :attr:`Settings.members` networks, each without its share of the recordings; see :func:`fit`."""
+def committee(own: list[Examples], external: list[Examples], settings: TrainingSettings, progress: Progress) -> Committee:
+    """Trains :attr:`.settings.TrainingSettings.members` networks, each without its share of the recordings; see :func:`fit`."""
     count, whole, members = settings.members, settings.members * (settings.steps + settings.tuning_steps), []
     for member in range(count):
         done = member * (settings.steps + settings.tuning_steps)
-        parts = [[part for k, part in enumerate(group) if k % count != member or len(group) < count] for group in (own, at_hand)]
+        parts = [[part for k, part in enumerate(group) if k % count != member or len(group) < count] for group in (own, external)]
 
         def step(number: int, what: str, done: int = done) -> None:
             progress(done + number, whole, what)
@@ -47,14 +47,14 @@ def committee(own: list[Examples], at_hand: list[Examples], settings: TrainingSe
 
 
 def fit(
-    own: list[Examples], at_hand: list[Examples], settings: TrainingSettings, seed: int, progress: Callable[[int, str], None]
+    own: list[Examples], external: list[Examples], settings: TrainingSettings, seed: int, progress: Callable[[int, str], None]
 ) -> tuple[Network, list[float]]:
     """Trains a network, and then tunes it.
 
     Args:
         own: the project's recordings, to train on.
-        at_hand: others, to tune on; trained on where there are none of the first kind.
-        settings: see :class:`Settings`.
+        external: others, to tune on; trained on where there are none of the first kind.
+        settings: see :class:`.settings.TrainingSettings`.
         seed: of this network.
         progress: is told of every step.
 
@@ -63,7 +63,7 @@ def fit(
     """
     t = torch()
     t.manual_seed(seed)
-    mean, sd = _spread_of_inputs([*own, *at_hand])
+    mean, sd = _spread_of_inputs([*own, *external])
     sizes = INPUTS, settings.hidden, settings.hidden, OUTPUTS
     layers = [t.nn.Linear(a, b) for a, b in pairwise(sizes)]
     t.nn.init.zeros_(layers[-1].weight)
@@ -87,15 +87,15 @@ def fit(
             losses.append(float(loss.detach()))
             progress(len(losses), what)
 
-    phase([own or at_hand], settings.steps, settings.rate, "training")
-    if own and at_hand:
-        phase([own, at_hand], settings.tuning_steps, settings.tuning_rate, "tuning")
+    phase([own or external], settings.steps, settings.rate, "training")
+    if own and external:
+        phase([own, external], settings.tuning_steps, settings.tuning_rate, "tuning")
     arrays = [(layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in layers]
     return Network(mean, sd, tuple(arrays)), losses
 
 
 def _spread_of_inputs(parts: list[Examples]) -> tuple[np.ndarray, np.ndarray]:
-    """(INPUTS,) mean and standard deviation of what the network sees, float32; the latter never 0."""
+    """(INPUTS,) mean and standard deviation of the network's inputs, float32; the latter never 0."""
     count, total, squares = 0, np.zeros(INPUTS), np.zeros(INPUTS)
     for part in parts:
         seen = invariants(part.vectors[::SAMPLED], part.scalars[::SAMPLED]).astype(np.float64)
@@ -106,7 +106,7 @@ def _spread_of_inputs(parts: list[Examples]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _batch(groups: list[list[Examples]], size: int, rng: np.random.Generator) -> Examples:
-    """As many examples from every group, and within it from every recording."""
+    """A batch with equal numbers of examples from every group, and within it from every recording."""
     chosen = []
     for group in groups:
         for part in group:

@@ -1,4 +1,4 @@
-"""Trained weights, kept in the user's cache by what they were made from; made where they are not there."""
+"""Trained weights in the user's cache, keyed by code, settings and data, and trained where they are missing."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ import numpy as np
 
 from ddakf.data import body
 from ddakf.errors import InvalidFile, NotApplicable
-from ddakf.evaluation.baselines.clothfit import binding, features, library, motion, network, rehearsal, training
+from ddakf.evaluation.baselines.clothfit import binding, features, inputs, library, motion, network, rehearsal, training
 from ddakf.evaluation.baselines.clothfit import examples as example_module
 from ddakf.evaluation.baselines.clothfit.examples import examples
 from ddakf.evaluation.baselines.clothfit.inputs import Examples
 from ddakf.evaluation.baselines.clothfit.library import Source
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee
-from ddakf.evaluation.baselines.clothfit.rehearsal import Part, rehearse
+from ddakf.evaluation.baselines.clothfit.rehearsal import Rehearsal, rehearse
 from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings
 from ddakf.evaluation.baselines.clothfit.training import Progress, torch
 from ddakf.evaluation.simulation import garments, motions, remesh
@@ -31,46 +31,45 @@ from ddakf.files.cache import drop_unused, used
 from ddakf.files.sequence import Sequence, load_sequence
 
 DEFAULT = TrainingSettings()
-TOGETHER = 7  # rehearsals simulated at once
-# what examples, and beyond them weights, are made by
-EXAMPLES = binding, example_module, features, motion, rehearsal, body, garments, motions, remesh
+BATCH = 7  # rehearsals simulated together
+# modules whose code determines the examples, and with LEARNING the weights
+EXAMPLES = binding, example_module, features, inputs, motion, rehearsal, body, garments, motions, remesh
 LEARNING = network, training
 
 
 def folder() -> Path:
-    """Where weights are kept: DDAKF_CACHE, or ``ddakf`` in the user's cache folder."""
+    """Folder of the weights: DDAKF_CACHE, or ``ddakf`` in the user's cache folder."""
     chosen = os.environ.get("DDAKF_CACHE")
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
     return Path(chosen) if chosen else Path(home, "ddakf")
 
 
 def key(chosen: list[Source], settings: TrainingSettings) -> str:
-    """Of the code, the settings and the data that weights are made from; what is left out is not among these."""
+    """Cache key: a hash of the code, the settings and the training data."""
     data = [[source.labels.name, source.digest] for source in chosen]
     return _hash([_code((*EXAMPLES, *LEARNING)), asdict(settings), data])
 
 
-def committee(scored: RecordingLabels, settings: TrainingSettings = DEFAULT, among: Iterable[Source] | None = None) -> Committee:
-    """The networks for what is about to be scored: from the cache, or trained, which takes minutes and shows its progress on
-    stderr.
+def committee(labels: RecordingLabels, settings: TrainingSettings = DEFAULT, among: Iterable[Source] | None = None) -> Committee:
+    """The networks for a scored recording: from the cache, or trained, which takes minutes and shows its progress on stderr.
 
     Args:
-        scored: what they must not have learned from.
+        labels: of the scored recording, from which they must not have learned.
         settings: of the training.
-        among: what there is to learn from, :func:`.library.sources` by default.
+        among: available training data, :func:`.library.sources` by default.
 
     Raises:
-        NotApplicable: nothing is left to learn from, or they have to be trained and PyTorch is not installed.
+        NotApplicable: no training data is left, or training is needed and PyTorch is not installed.
     """
-    chosen = library.allowed(scored, library.sources() if among is None else among)
+    chosen = library.without_scored(labels, library.sources() if among is None else among)
     if not chosen:
-        raise NotApplicable(f"clothfit has nothing to learn from once {_named(scored)} is left out")
+        raise NotApplicable(f"clothfit has nothing to learn from once {_listed(labels)} is left out")
     path = folder() / f"clothfit-{key(chosen, settings)}.npz"
-    if (arrays := _kept(path)) is None:
+    if (arrays := _cached(path)) is None:
         torch()  # refuses before any work
-        with _alone():
-            if (arrays := _kept(path)) is None:
-                arrays = _shown(chosen, settings, _named(scored)).arrays()
+        with _training_lock():
+            if (arrays := _cached(path)) is None:
+                arrays = _train_with_bar(chosen, settings, _listed(labels)).arrays()
                 _save(path, arrays)
                 drop_unused(folder().glob("clothfit-*"))
     return _checked(path, arrays)
@@ -80,14 +79,14 @@ def load(path: Path) -> Committee:
     """Reads weights.
 
     Raises:
-        InvalidFile: they are not of these networks.
+        InvalidFile: weights of another network.
     """
     with np.load(path, allow_pickle=False) as archive:
         return _checked(path, {name: archive[name] for name in archive.files})
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Committee:
-    trained = Committee.of(arrays)
+    trained = Committee.from_arrays(arrays)
     for member in trained.members:
         sizes = len(member.mean), member.layers[-1][0].shape[1]
         if sizes != (INPUTS, OUTPUTS):
@@ -98,36 +97,36 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Committee:
 def train(chosen: list[Source], settings: TrainingSettings, progress: Progress) -> Committee:
     """Networks trained on recordings."""
     found = _examples(chosen, settings, progress)
-    own, at_hand = ([found[source.labels.name] for source in chosen if source.at_hand == kind] for kind in (False, True))
-    return training.committee(own, at_hand, settings, progress)
+    own, external = ([found[source.labels.name] for source in chosen if source.external == kind] for kind in (False, True))
+    return training.committee(own, external, settings, progress)
 
 
 def _examples(chosen: list[Source], settings: TrainingSettings, progress: Progress) -> dict[str, Examples]:
-    """By name. They are kept, 2 MB of a rehearsal and 9 MB of a recording at most: networks that leave out something else need
-    most of them again."""
+    """Examples by the name of their source. The cache holds them, at most 2 MB of a rehearsal and 9 MB of a recording, since
+    networks that exclude other recordings need most of them again."""
     paths = {source: _place(source, settings) for source in chosen}
     progress(0, 1, "reading")
-    found = {source: Examples(**arrays) for source, path in paths.items() if (arrays := _kept(path)) is not None}
+    found = {source: Examples(**arrays) for source, path in paths.items() if (arrays := _cached(path)) is not None}
     for source, sequence in _sequences([source for source in chosen if source not in found], progress):
-        cut = settings.rehearsed if isinstance(source.what, Part) else settings.cut
+        cut = settings.rehearsed if isinstance(source.origin, Rehearsal) else settings.cut
         found[source] = examples(sequence, cut, settings.seed)
         _save(paths[source], found[source]._asdict())
     return {source.labels.name: found[source] for source in chosen}
 
 
 def _sequences(missing: list[Source], progress: Progress) -> Iterator[tuple[Source, Sequence]]:
-    """What is read, one by one, and what is rehearsed, some together."""
-    for done, source in enumerate(read := [source for source in missing if isinstance(source.what, Path)]):
+    """The missing sources with their sequences: files are read one by one, rehearsals simulated in batches."""
+    for done, source in enumerate(read := [source for source in missing if isinstance(source.origin, Path)]):
         progress(done, len(read), f"following {source.labels.name}")
-        yield source, load_sequence(source.what)
-    rehearsed = [source for source in missing if isinstance(source.what, Part)]
-    for first in range(0, len(rehearsed), TOGETHER):
-        some = rehearsed[first : first + TOGETHER]
+        yield source, load_sequence(source.origin)
+    rehearsed = [source for source in missing if isinstance(source.origin, Rehearsal)]
+    for first in range(0, len(rehearsed), BATCH):
+        some = rehearsed[first : first + BATCH]
 
         def frames(done: int, total: int, before: int = first, now: int = len(some)) -> None:
             progress(before * total + now * done, len(rehearsed) * total, "rehearsing")
 
-        yield from zip(some, rehearse([source.what for source in some], frames), strict=True)
+        yield from zip(some, rehearse([source.origin for source in some], frames), strict=True)
 
 
 def _place(source: Source, settings: TrainingSettings) -> Path:
@@ -144,15 +143,15 @@ def _hash(values: list) -> str:
 
 
 def _save(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Whoever reads meanwhile finds all or nothing."""
+    """Writes atomically: a concurrent reader finds the whole file or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=path.parent, prefix="clothfit-", suffix=".part", delete=False) as file:
         np.savez(file, **arrays)
     os.replace(file.name, path)
 
 
-def _kept(path: Path) -> dict[str, np.ndarray] | None:
-    """What was saved, or None; it is in use from now on, and whoever drops the file meanwhile does not hurt who has it open."""
+def _cached(path: Path) -> dict[str, np.ndarray] | None:
+    """The saved arrays, or None. Reading marks the file as used; another process may delete it while it is open."""
     try:
         file = path.open("rb")
     except FileNotFoundError:
@@ -163,8 +162,9 @@ def _kept(path: Path) -> dict[str, np.ndarray] | None:
 
 
 @contextmanager
-def _alone() -> Iterator[None]:
-    """While no other process trains, where the system has locks: most of what they do is the same, and a gigabyte each."""
+def _training_lock() -> Iterator[None]:
+    """Lock against concurrent training, where the system has file locks. Processes would repeat most of the work, each with a
+    gigabyte of memory."""
     try:
         import fcntl
     except ImportError:
@@ -176,11 +176,11 @@ def _alone() -> Iterator[None]:
         yield
 
 
-def _named(scored: RecordingLabels) -> str:
-    return ", ".join(filter(None, scored)) or "nothing"
+def _listed(labels: RecordingLabels) -> str:
+    return ", ".join(filter(None, labels)) or "nothing"
 
 
-def _shown(chosen: list[Source], settings: TrainingSettings, without: str) -> Committee:
+def _train_with_bar(chosen: list[Source], settings: TrainingSettings, without: str) -> Committee:
     """Trains with a progress bar."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn

@@ -9,7 +9,7 @@ from tests.evaluation.baselines.clothfit.scene import BODY, GARMENT, bent, turn
 
 def skinning(count=12):
     weights, _ = gaussian_weights(GARMENT.vertices, BODY.vertices, count, 0.04, 0.5)
-    return Skinning.of(weights, GARMENT.vertices, BODY.vertices)
+    return Skinning.at_start(weights, GARMENT.vertices, BODY.vertices)
 
 
 def test_spread_takes_each_point_far_from_those_before():

@@ -90,5 +90,5 @@ def test_members_that_agree_are_believed_and_those_that_differ_less():
 
 
 def test_arrays_there_and_back():
-    again = Committee.of(committee().arrays())
+    again = Committee.from_arrays(committee().arrays())
     assert np.array_equal(again.offsets(some_inputs(), SETTINGS), committee().offsets(some_inputs(), SETTINGS))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.evaluation.baselines.clothfit import rehearsal
-from ddakf.evaluation.baselines.clothfit.rehearsal import Part, colours, hinge_tips, parts, rehearse
+from ddakf.evaluation.baselines.clothfit.rehearsal import Rehearsal, colours, hinge_tips, rehearsals, rehearse
 from ddakf.evaluation.metrics import Penetration
 from ddakf.mesh import Mesh
 
@@ -25,7 +25,7 @@ def test_pairs_of_a_colour_share_nothing():
 
 
 def test_every_garment_has_every_motion_once():
-    assert len({part[:2] for part in parts()}) == len(parts()) == 28
+    assert len({part[:2] for part in rehearsals()}) == len(rehearsals()) == 28
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def short():
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (("FRAMES", 20), ("SETTLING", 10), ("VERTICES", 250)):
             patch.setattr(rehearsal, name, value)
-        yield rehearse([Part("tshirt", "dance", 0, 3), Part("skirt", "walk", 0, 4)])
+        yield rehearse([Rehearsal("tshirt", "dance", 0, 3), Rehearsal("skirt", "walk", 0, 4)])
 
 
 def test_cloth_keeps_its_lengths_and_stays_outside(short):

@@ -59,8 +59,8 @@ def test_progress_counts_both_phases_of_all_members(late):
 def test_each_member_does_without_its_share(monkeypatch):
     heard = []
 
-    def fit(own, at_hand, settings, seed, progress):
-        heard.append((own, at_hand, seed))
+    def fit(own, external, settings, seed, progress):
+        heard.append((own, external, seed))
         return Network.zero(), []
 
     monkeypatch.setattr(training, "fit", fit)

@@ -53,7 +53,7 @@ def test_the_key_tells_data_and_settings_apart(two_sources):
     keys = {weights.key(chosen, settings) for chosen in (two_sources, two_sources[:1]) for settings in (TINY, TrainingSettings())}
     assert len(keys) == 4
     before = weights.key(two_sources, TINY)
-    two_sources[0].what.write_bytes(two_sources[0].what.read_bytes() + b"\0")
+    two_sources[0].origin.write_bytes(two_sources[0].origin.read_bytes() + b"\0")
     assert weights.key(two_sources, TINY) != before
 
 
