@@ -208,16 +208,6 @@ def readme_table(report: dict) -> str:
     return "\n".join([*lines, "", source])
 
 
-def changes_table(report: dict) -> str:
-    """What each change of the default brings."""
-    views = list(dict.fromkeys(row["view"] for row in report["changes"]))
-    lines = [f"| | {' | '.join(f'{view}: RMSE, normal (mm)' for view in views)} |", "|---|" + "---|" * len(views)]
-    for name in dict.fromkeys(row["config"] for row in report["changes"]):
-        cells = [_change(row) for row in report["changes"] if row["config"] == name]
-        lines.append(f"| {name} | {' | '.join(', '.join(filter(None, cell[:2])) for cell in cells)} |")
-    return "\n".join(lines)
-
-
 def payload_table(report: dict) -> str:
     """Sizes, times and errors of what a frame may hold."""
     clouds, images = report["codecs"], report["images"]
@@ -246,7 +236,6 @@ def payload_table(report: dict) -> str:
 # Of each document: the name of its table, what makes it, and the parts that this needs.
 TABLES = {
     "README.md": ("numbers", readme_table, ("frame", "open3d", "service")),
-    "docs/algorithm.md": ("changes", changes_table, ("changes",)),
     "docs/protocol.md": ("payloads", payload_table, ("codecs", "images")),
 }
 
