@@ -62,7 +62,7 @@ class Tracker:
             raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
-        self._model = model.build(garment, self.config.physics.thickness)
+        self._model = model.build(garment, self.config)
         self._contact = None if body is None else BodyContact(body, self.config.predict.carry_reach)
         self.reset()
 

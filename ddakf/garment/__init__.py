@@ -1,1 +1,1 @@
-"""The garment: its topology, rest shape, clusters and decimated levels."""
+"""Garment constants: topology, rest shape, clusters, patches, aggregates and decimated levels."""

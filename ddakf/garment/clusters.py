@@ -1,4 +1,4 @@
-"""The coarse level of a garment: clusters of vertices that move rigidly, and the seams between them."""
+"""Clusters of a garment: pieces of vertices that move rigidly in cluster alignment, and the seams between them."""
 
 from __future__ import annotations
 
@@ -6,42 +6,40 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.config import Discretisation
 from ddakf.mesh import Mesh
-
-FOLLOWED = 4  # clusters that a vertex follows
-SAMPLES = 1200  # vertices that are measured at the coarse level
-PROBED = 4  # of so many of them one tells whether coarse passes are made
 
 
 class Clusters(NamedTuple):
     """K clusters of a garment's V vertices."""
 
-    nearest: np.ndarray  # (V, N) int32 clusters that a vertex follows
-    share: np.ndarray  # (V, N) by how much, rows sum to one
+    nearest: np.ndarray  # (V, N) int32 clusters whose motion a vertex blends
+    share: np.ndarray  # (V, N) weights of the blend, rows sum to one
     seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
-    ends: np.ndarray  # (G, 2) int32 clusters that touch, both ways
-    weakening: float  # of the seams' stiffness: share of the energy of a uniform strain that they overstate
-    sample: np.ndarray  # (S,) int32 vertices that are measured
-    probe: np.ndarray  # (S / PROBED,) int32 of them, those that are measured first
+    ends: np.ndarray  # (G, 2) int32 neighbouring clusters, both ways
+    weakening: float  # factor on the seams' stiffness: true over overstated energy of a uniform strain
+    sample: np.ndarray  # (S,) int32 vertices that cluster alignment measures
+    probe: np.ndarray  # (S / probe_stride,) int32 of these, measured first: they decide whether clusters are aligned
 
 
-def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
-    """The clusters around seeds.
+def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray, config: Discretisation) -> Clusters:
+    """Clusters around seed vertices.
 
     Args:
         mesh: the garment at rest.
-        distance: (K, V) along the surface from each seed, metres; infinite where there is no way.
+        distance: (K, V) along the surface from each seed, metres; infinite from another piece of the garment.
         ends: (2E, 2) vertices of each entry of the one-rings.
+        config: number of blended clusters and of measured vertices.
     """
     n, k = mesh.n_vertices, len(distance)
-    followed = min(FOLLOWED, k)
+    followed = min(config.followed_clusters, k)
     order = np.argsort(distance, axis=0, kind="stable")
     nearest = order[:followed].T
     near = np.take_along_axis(distance.T, nearest, axis=1)
-    # falls to zero at the first seed that is not followed, so that no vertex jumps where that changes
+    # weights fall to zero at the first seed that is not blended, so that no vertex jumps where the set of seeds changes
     reach = np.take_along_axis(distance, order[followed][None], axis=0)[0] if k > followed else 2.0 * near[:, -1]
     reach = np.where(np.isfinite(reach), reach, 2.0 * near[:, 0])
-    # a piece of the garment without a seed is nobody's neighbour: it follows the first cluster, all of it alike
+    # a piece of the garment without a seed has no neighbour: all of it follows the first cluster
     lonely = ~np.isfinite(near[:, 0])
     near[lonely], reach[lonely] = np.inf, 1.0
     share = np.square(np.maximum(1.0 - near / (reach + 1e-6)[:, None], 0.0))
@@ -49,7 +47,7 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
     cluster = nearest[:, 0]
     across = np.flatnonzero((cluster[ends[:, 0]] != cluster[ends[:, 1]]) & (ends[:, 0] < ends[:, 1]))
     seam = np.column_stack([ends[across], across]).astype(np.int32)
-    sample = np.lexsort((near[:, 0], cluster))[:: max(1, n // SAMPLES)].astype(np.int32)
+    sample = np.lexsort((near[:, 0], cluster))[:: max(1, n // config.cluster_samples)].astype(np.int32)
     return Clusters(
         nearest.astype(np.int32),
         share / share.sum(axis=1, keepdims=True),
@@ -57,12 +55,12 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray) -> Clusters:
         np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32),
         _weakening(mesh.vertices, cluster, ends, seam),
         np.sort(sample),
-        np.sort(sample[::PROBED]),
+        np.sort(sample[:: config.probe_stride]),
     )
 
 
 def _weakening(vertices: np.ndarray, cluster: np.ndarray, ends: np.ndarray, seam: np.ndarray) -> float:
-    """Energy of a uniform strain over all edges, over that of its approximation by clusters that keep their shape.
+    """Energy of a uniform strain over all edges, divided by its approximation with rigid clusters.
 
     Rigid clusters put the whole strain into the seams (over-correction of piecewise constant coarse spaces, Braess 1995,
     "Towards algebraic multigrid for elliptic problems of second order").
@@ -70,5 +68,5 @@ def _weakening(vertices: np.ndarray, cluster: np.ndarray, ends: np.ndarray, seam
     size = np.bincount(cluster)
     centre = np.column_stack([np.bincount(cluster, vertices[:, a]) for a in range(3)]) / np.maximum(size, 1)[:, None]
     fine = 0.5 * np.square(vertices[ends[:, 1]] - vertices[ends[:, 0]]).sum()
-    coarse = np.square(centre[cluster[seam[:, 1]]] - centre[cluster[seam[:, 0]]]).sum()
-    return float(min(1.0, fine / coarse)) if coarse > 0 else 1.0
+    rigid = np.square(centre[cluster[seam[:, 1]]] - centre[cluster[seam[:, 0]]]).sum()
+    return float(min(1.0, fine / rigid)) if rigid > 0 else 1.0

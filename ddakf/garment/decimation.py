@@ -1,4 +1,4 @@
-"""A coarser mesh on some of the vertices of a garment, and where the others lie on it."""
+"""Decimation: a mesh on some vertices of a garment, and the position of the other vertices on it."""
 
 from __future__ import annotations
 
@@ -13,11 +13,9 @@ from ddakf.errors import InvalidMesh
 from ddakf.kernels import pyramid as kernels
 from ddakf.mesh import Mesh
 
-LEAST = 250  # vertices of a coarser mesh
 
-
-class Thinned(NamedTuple):
-    """A mesh of W of the V vertices of another."""
+class Decimated(NamedTuple):
+    """A mesh on W of the V vertices of another."""
 
     mesh: Mesh
     vertex: np.ndarray  # (W,) in [0, V)
@@ -25,16 +23,17 @@ class Thinned(NamedTuple):
     share: np.ndarray  # (V, 3) its barycentric coordinates there
 
 
-def thin(mesh: Mesh, graph: csr_array, away: np.ndarray) -> Thinned | None:
-    """About a quarter of the vertices, joined where their geodesic Voronoi regions meet; None where those are too few.
+def decimate(mesh: Mesh, graph: csr_array, away: np.ndarray, least: int) -> Decimated | None:
+    """A mesh of about a quarter of the vertices, joined where their geodesic Voronoi regions meet.
 
-    The vertices are an independent set, chosen along the boundaries first, so that these stay where they are. In a
-    garment of one piece their numbering does not matter.
+    The vertices are an independent set, chosen along the boundaries first, so that boundaries keep their place. In a
+    garment of one piece the numbering of the vertices has no influence.
 
     Args:
         mesh: of V vertices.
         graph: (V, V) lengths of its edges, metres.
         away: (V,) distances from one of its vertices, metres: the order in which vertices are chosen.
+        least: vertices below which there is no such mesh; None is returned then.
     """
     chosen = np.empty(mesh.n_vertices, bool)
     kernels.choose_independent(np.lexsort((away, ~mesh.boundary_vertices)), graph.indptr, graph.indices, chosen)
@@ -44,23 +43,23 @@ def thin(mesh: Mesh, graph: csr_array, away: np.ndarray) -> Thinned | None:
     if len(faces) == 0:
         return None
     try:
-        coarse, kept = Mesh.cleaned(mesh.vertices[seeds], faces)
-    except InvalidMesh:  # nothing is left of a mesh of specks
+        smaller, used = Mesh.cleaned(mesh.vertices[seeds], faces)
+    except InvalidMesh:  # cleaning a mesh of specks leaves no face
         return None
-    if coarse.n_vertices < LEAST:
+    if smaller.n_vertices < least:
         return None
-    vertex = seeds[kept]
+    vertex = seeds[used]
     corner, share = np.empty((mesh.n_vertices, 3), np.int32), np.empty((mesh.n_vertices, 3))
     start = np.zeros(len(vertex) + 1, np.int64)
-    start[1:] = np.cumsum(np.bincount(coarse.faces.ravel(), minlength=len(vertex)))
-    around = np.argsort(coarse.faces.ravel(), kind="stable") // 3
+    start[1:] = np.cumsum(np.bincount(smaller.faces.ravel(), minlength=len(vertex)))
+    around = np.argsort(smaller.faces.ravel(), kind="stable") // 3
     owner = _owners(mesh, graph, vertex)
-    kernels.find_corners(mesh.vertices, coarse.vertices, coarse.faces, start, around, owner, corner, share)
-    return Thinned(coarse, vertex, corner, share)
+    kernels.find_corners(mesh.vertices, smaller.vertices, smaller.faces, start, around, owner, corner, share)
+    return Decimated(smaller, vertex, corner, share)
 
 
 def _owners(mesh: Mesh, graph: csr_array, seeds: np.ndarray) -> np.ndarray:
-    """(V,) number of the seed that is nearest along the surface; through the air, in a piece without one."""
+    """(V,) number of the seed that is nearest along the surface, or through the air in a piece without a seed."""
     distance, _, source = dijkstra(graph, indices=seeds, min_only=True, return_predecessors=True)
     number = np.zeros(mesh.n_vertices, np.int64)
     number[seeds] = np.arange(len(seeds))

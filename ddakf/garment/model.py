@@ -1,4 +1,4 @@
-"""What is constant about a garment: topology, rest shape and the constants of its energies."""
+"""Model of a garment: topology, rest shape, subdivision, and the constants of its energies."""
 
 from __future__ import annotations
 
@@ -9,33 +9,29 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial.distance import cdist
 
+from ddakf.config import Config, Discretisation
 from ddakf.garment import clusters, decimation
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
 
-CLUSTERS, PATCHES, AGGREGATES = 80, 48, 40  # of the coarse passes; of the recursion of the error; of the solver's coarse level
-VERTICES_PER_CLUSTER = 8  # at least, on average
-VERTICES_PER_AGGREGATE = 32
-LIKENESS_LENGTH = 0.2  # m: parts of a garment this far apart move alike
-
 
 class Model(NamedTuple):
-    """A garment as the stages see it. V vertices, F faces, E edges."""
+    """Constants of a garment for all stages. V vertices, F faces, E edges."""
 
     mesh: Mesh
     faces: np.ndarray  # (F, 3) int32
     start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
     neighbour: np.ndarray  # (2E,) uint32, ascending in each row
     edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
-    cluster: np.ndarray  # (V,) int32 in [0, K): patches of about equal size, which move rigidly in the coarse passes
+    cluster: np.ndarray  # (V,) int32 in [0, K): cluster of each vertex, a piece that moves rigidly in cluster alignment
     n_clusters: int
-    aggregate: np.ndarray  # (V,) int32 in [0, A): larger ones, the coarse level of the solver
+    aggregate: np.ndarray  # (V,) int32 in [0, A): aggregate of each vertex, a group of the solver's preconditioner
     n_aggregates: int
-    patch: np.ndarray  # (V,) int32 in [0, L): larger ones, whose error is carried from frame to frame
-    likeness: np.ndarray  # (L, L) float32 correlation of how patches move: exp(-1/2 (distance at rest / LIKENESS_LENGTH)^2)
-    clusters: clusters.Clusters  # the same, for the coarse passes
+    patch: np.ndarray  # (V,) int32 in [0, L): patch of each vertex, a region whose error covariance frames carry on
+    likeness: np.ndarray  # (L, L) float32 correlation of the patches' motion: exp(-1/2 (distance at rest / correlation_length)^2)
+    clusters: clusters.Clusters  # blending weights, seams and samples of cluster alignment
     rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
-    rest_length: np.ndarray  # (2E,) float32 m, of the same
+    rest_length: np.ndarray  # (2E,) float32 m, its length
     crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     area: float  # m^2
@@ -43,14 +39,14 @@ class Model(NamedTuple):
     edge_length: float  # m, mean
     stretch: stretch.StretchConstants
     shear: shear.ShearConstants
-    strain: strain.StrainConstants  # both at once
+    strain: strain.StrainConstants  # stretch and shear at once
     bend: bend.BendConstants
     collision: collision.CollisionConstants
-    coarser: Coarser | None  # a version with fewer vertices, and so on; None: it has few already
+    coarser: Coarser | None  # the next level of the pyramid, which has its own; None: the last level
 
 
 class Coarser(NamedTuple):
-    """A coarser version of a garment: W of its V vertices."""
+    """The next level of the pyramid: a decimated garment of W of the V vertices."""
 
     model: Model
     vertex: np.ndarray  # (W,) in [0, V)
@@ -58,8 +54,15 @@ class Coarser(NamedTuple):
     share: np.ndarray  # (V, 3) its barycentric coordinates there
 
 
-def build(mesh: Mesh, thickness: float) -> Model:
-    """The constants of a garment whose rest shape is ``mesh``, kept ``thickness`` metres from the body."""
+def build(mesh: Mesh, config: Config | None = None) -> Model:
+    """Model of a garment.
+
+    Args:
+        mesh: the garment at rest.
+        config: subdivision, distance from the body and bending; ``Config()`` if None.
+    """
+    config = Config() if config is None else config
+    pieces = config.discretisation
     ends = np.concatenate([mesh.edges, mesh.edges[:, ::-1]])
     order = np.lexsort((ends[:, 1], ends[:, 0]))
     edges = ends[order]
@@ -68,11 +71,12 @@ def build(mesh: Mesh, thickness: float) -> Model:
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     vertex_area = np.bincount(mesh.faces.ravel(), np.repeat(area, 3), mesh.n_vertices)
     graph = _graph(edges, mesh)
-    distance = _distances(graph, mesh, CLUSTERS)
+    distance = _distances(graph, mesh, pieces)
     cluster = distance.argmin(axis=0).astype(np.int32)
-    patch = distance[:PATCHES].argmin(axis=0).astype(np.int32)
-    aggregate = distance[: min(AGGREGATES, max(1, mesh.n_vertices // VERTICES_PER_AGGREGATE))].argmin(axis=0).astype(np.int32)
-    thinned = decimation.thin(mesh, graph, distance[0])
+    patch = distance[: pieces.patches].argmin(axis=0).astype(np.int32)
+    aggregates = min(pieces.aggregates, max(1, mesh.n_vertices // pieces.aggregate_vertices))
+    aggregate = distance[:aggregates].argmin(axis=0).astype(np.int32)
+    decimated = decimation.decimate(mesh, graph, distance[0], pieces.level_vertices)
     rest_edge = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]
     return Model(
         mesh=mesh,
@@ -85,8 +89,8 @@ def build(mesh: Mesh, thickness: float) -> Model:
         aggregate=aggregate,
         n_aggregates=int(aggregate.max()) + 1,
         patch=patch,
-        likeness=_likeness(mesh.vertices, patch),
-        clusters=clusters.build(mesh, distance, edges),
+        likeness=_likeness(mesh.vertices, patch, pieces.correlation_length),
+        clusters=clusters.build(mesh, distance, edges, pieces),
         rest_edge=rest_edge.astype(np.float32),
         rest_length=np.linalg.norm(rest_edge, axis=1).astype(np.float32),
         crossing=crossings(edges, patch),
@@ -97,14 +101,14 @@ def build(mesh: Mesh, thickness: float) -> Model:
         stretch=stretch.build(mesh),
         shear=shear.build(mesh),
         strain=strain.build(mesh),
-        bend=bend.build(mesh),
-        collision=collision.build(mesh, thickness),
-        coarser=None if thinned is None else Coarser(build(thinned.mesh, thickness), *thinned[1:]),
+        bend=bend.build(mesh, config.physics.bend_height),
+        collision=collision.build(mesh, config.physics.thickness),
+        coarser=None if decimated is None else Coarser(build(decimated.mesh, config), *decimated[1:]),
     )
 
 
 def crossings(edges: np.ndarray, patch: np.ndarray) -> np.ndarray:
-    """(C, 3) int32: of the (2E, 2) ends of the one-rings' entries those from patch to patch, and the two patches."""
+    """(C, 3) int32: each of the (2E, 2) one-ring entries that joins two patches, and the two patches."""
     entry = np.flatnonzero(patch[edges[:, 0]] != patch[edges[:, 1]])
     return np.column_stack([entry, patch[edges[entry]]]).astype(np.int32)
 
@@ -116,21 +120,24 @@ def _graph(edges: np.ndarray, mesh: Mesh) -> csr_array:
     return coo_array((length, (edges[:, 0], edges[:, 1])), (mesh.n_vertices, mesh.n_vertices)).tocsr()
 
 
-def _distances(graph: csr_array, mesh: Mesh, count: int) -> np.ndarray:
-    """(K, V) along the surface from each of K seeds, metres: the vertex farthest from the middle, then always the one farthest
-    from the seeds before it. In a garment of one piece their numbering does not matter."""
+def _distances(graph: csr_array, mesh: Mesh, config: Discretisation) -> np.ndarray:
+    """(K, V) along the surface from each of K seeds, metres.
+
+    The first seed is the vertex farthest from the middle, each later one the vertex farthest from the seeds before it. In a
+    garment of one piece the numbering of the vertices has no influence.
+    """
     n = mesh.n_vertices
     away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
     nearest, distances = np.full(n, np.inf), [dijkstra(graph, indices=int(np.argmax(away)))]
     np.minimum(nearest, distances[-1], out=nearest)
-    for _ in range(min(count, max(1, n // VERTICES_PER_CLUSTER)) - 1):
+    for _ in range(min(config.clusters, max(1, n // config.cluster_vertices)) - 1):
         distances.append(dijkstra(graph, indices=int(np.argmax(nearest))))
         np.minimum(nearest, distances[-1], out=nearest)
     return np.array(distances)
 
 
 def _boundary(mesh: Mesh) -> np.ndarray:
-    """(H, 3) vertices of open boundaries, each with the one before and the one after it in the sense in which its faces run."""
+    """(H, 3) vertices of open boundaries, each with the one before and the one after it in its faces' direction."""
     edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]])
     forward, backward = edges @ [mesh.n_vertices, 1], edges @ [1, mesh.n_vertices]
     backward.sort()
@@ -142,8 +149,8 @@ def _boundary(mesh: Mesh) -> np.ndarray:
     return np.stack([vertex, before[vertex], after[vertex]], axis=1).astype(np.int32)
 
 
-def _likeness(vertices: np.ndarray, patch: np.ndarray) -> np.ndarray:
-    """(L, L) float32."""
+def _likeness(vertices: np.ndarray, patch: np.ndarray, length: float) -> np.ndarray:
+    """(L, L) float32 correlation of the motion of patches, of a correlation length in metres."""
     size = np.bincount(patch)
     centre = np.column_stack([np.bincount(patch, vertices[:, a]) for a in range(3)]) / size[:, None]
-    return np.exp(-0.5 * cdist(centre, centre, "sqeuclidean") / LIKENESS_LENGTH**2).astype(np.float32)
+    return np.exp(-0.5 * cdist(centre, centre, "sqeuclidean") / length**2).astype(np.float32)

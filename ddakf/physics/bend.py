@@ -12,11 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.config import Physics
 from ddakf.kernels import bend as kernels
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization, allocate
-
-MIN_HEIGHT_SHARE = 0.1  # the gradient grows as 1 / height; below this share of the rest height it is held back
 
 
 class BendConstants(NamedTuple):
@@ -28,8 +27,13 @@ class BendConstants(NamedTuple):
     weight: np.ndarray  # (C,) dimensionless
 
 
-def build(mesh: Mesh) -> BendConstants:
-    """Constants of a garment."""
+def build(mesh: Mesh, height_share: float = Physics.bend_height) -> BendConstants:
+    """Constants of a garment.
+
+    Args:
+        mesh: the garment at rest.
+        height_share: the gradient grows as 1 / height of a face; below this share of the rest height it is limited.
+    """
     stencil = _hinges(mesh.faces)
     x0, x1, x2, x3 = (mesh.vertices[stencil[:, s]] for s in range(4))
     edge = x1 - x0
@@ -39,13 +43,13 @@ def build(mesh: Mesh) -> BendConstants:
     sine = np.einsum("ca,ca->c", np.cross(n1, n2), edge) / np.sqrt(length_squared)
     rest_angle = np.arctan2(sine, np.einsum("ca,ca->c", n1, n2))
     weight = 6.0 * length_squared / double_area.sum(axis=1)
-    return BendConstants(stencil, rest_angle, (MIN_HEIGHT_SHARE * double_area) ** 2, weight)
+    return BendConstants(stencil, rest_angle, (height_share * double_area) ** 2, weight)
 
 
 def linearize(positions: np.ndarray, constants: BendConstants, out: Linearization | None = None) -> Linearization:
     """Residuals (rad) and Jacobians at positions (V, 3) metres.
 
-    Exact where both faces keep more than a tenth of their rest area; below, the Jacobian is held back, and a collapsed
+    Exact where both faces have more than ``height_share`` of their rest area. Below, the Jacobian is limited, and a collapsed
     edge or face has none. ``out``, a former result for the same constants, is overwritten and returned.
     """
     lin = allocate(constants.stencil, constants.weight) if out is None else out
@@ -54,7 +58,7 @@ def linearize(positions: np.ndarray, constants: BendConstants, out: Linearizatio
 
 
 class Hinges(NamedTuple):
-    """Bending summed up over the hinges, for the fused update."""
+    """Sum of bending over the hinges, for the fused update."""
 
     force: np.ndarray  # (V, 4) minus the gradient, padded
     blocks: np.ndarray  # (V, 3, 3) a block-diagonal bound of the Gauss-Newton matrix

@@ -15,7 +15,7 @@ from tests.stages.scenes import FPS, about, inner_body, rms, scan, tube
 
 MESH = tube()
 BODY = inner_body(MESH)
-GARMENT = model.build(MESH, 0.003)
+GARMENT = model.build(MESH)
 CONFIG = ConstantVelocity()
 FRONT = MESH.vertices[:, 2] > 0
 PER_VERTEX, SLIPPING = MESH.n_vertices / len(GARMENT.likeness) / INDEPENDENT  # variance of a vertex over that of a patch

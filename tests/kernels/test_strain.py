@@ -33,7 +33,7 @@ def dense(x, garment):
 @pytest.mark.parametrize("flat", [False, True], ids=["random", "collapsed"])
 @pytest.mark.parametrize("name", MESHES)
 def test_force_and_blocks_are_those_of_the_jacobians(name, flat):
-    garment, rng = model.build(MESHES[name], 0.003), np.random.default_rng(0)
+    garment, rng = model.build(MESHES[name]), np.random.default_rng(0)
     n = garment.mesh.n_vertices
     x = garment.mesh.vertices + rng.normal(scale=0.003, size=(n, 3))
     if flat:

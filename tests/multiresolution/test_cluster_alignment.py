@@ -18,7 +18,7 @@ from tests.stages.scenes import about, inner_body, rms, scan, tube
 
 CONFIG = Config()
 MESH = tube(around=36, along=20, spacing=0.02)
-GARMENT = model.build(MESH, CONFIG.physics.thickness)
+GARMENT = model.build(MESH, CONFIG)
 
 
 def moved_by(rotation, shift) -> np.ndarray:
@@ -66,7 +66,7 @@ def test_parts_without_a_seam_follow_their_own_clusters():
     for k, seed in enumerate((0, 70, n, n + 70)):
         part = slice(0, n) if seed < n else slice(n, 2 * n)
         from_seed[k, part] = np.linalg.norm(two.vertices[part] - two.vertices[seed], axis=1)
-    c = clusters.build(two, from_seed, ends)
+    c = clusters.build(two, from_seed, ends, CONFIG.discretisation)
     assert (c.share[:n][c.nearest[:n] >= 2] == 0.0).all()
     np.testing.assert_allclose(c.share.sum(axis=1), 1.0)
 
@@ -169,7 +169,7 @@ def test_a_garment_of_more_pieces_than_clusters_is_tracked():
         np.concatenate([MESH.vertices, corners.reshape(-1, 3)]),
         np.concatenate([MESH.faces, n + np.arange(270).reshape(-1, 3)]),
     )
-    shares = model.build(soup, 0.003).clusters.share
+    shares = model.build(soup).clusters.share
     assert np.isfinite(shares).all()
     np.testing.assert_allclose(shares.sum(axis=1), 1.0)
     tracker = Tracker(soup, config=dataclasses.replace(CONFIG, start=dataclasses.replace(CONFIG.start, search=False)))

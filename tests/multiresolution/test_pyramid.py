@@ -18,7 +18,7 @@ from tests.stages.scenes import about, inner_body, rms, scan, tube
 
 CONFIG = Config()
 MESH = tube(around=60, along=40, spacing=0.01)
-GARMENT = model.build(MESH, CONFIG.physics.thickness)
+GARMENT = model.build(MESH, CONFIG)
 COARSER = GARMENT.coarser
 
 
@@ -73,12 +73,12 @@ def test_what_all_vertices_have_in_common_is_interpolated_exactly():
 def test_the_numbering_of_the_vertices_does_not_matter():
     order = np.random.default_rng(0).permutation(MESH.n_vertices)
     number = np.argsort(order)
-    other = model.build(Mesh(MESH.vertices[order], number[MESH.faces]), CONFIG.physics.thickness).coarser
+    other = model.build(Mesh(MESH.vertices[order], number[MESH.faces]), CONFIG).coarser
     np.testing.assert_array_equal(np.sort(order[other.vertex]), np.sort(COARSER.vertex))
 
 
 def test_a_small_garment_has_no_coarser_version():
-    assert model.build(tube(), 0.003).coarser is None
+    assert model.build(tube()).coarser is None
 
 
 def test_pieces_without_a_coarser_version_follow_the_nearest():
@@ -87,7 +87,7 @@ def test_pieces_without_a_coarser_version_follow_the_nearest():
     corners = rng.normal(scale=0.3, size=(20, 1, 3)) + rng.normal(scale=0.02, size=(20, 3, 3))
     n = MESH.n_vertices
     faces = np.concatenate([MESH.faces, n + np.arange(60).reshape(-1, 3)])
-    coarser = model.build(Mesh(np.concatenate([MESH.vertices, corners.reshape(-1, 3)]), faces), 0.003).coarser
+    coarser = model.build(Mesh(np.concatenate([MESH.vertices, corners.reshape(-1, 3)]), faces)).coarser
     shift = np.tile([0.1, 0.0, -0.2], (len(coarser.vertex), 1))
     moved = spread(coarser, np.zeros((n + 60, 3)), shift)
     np.testing.assert_allclose(moved, np.broadcast_to(shift[0], moved.shape), atol=1e-12)

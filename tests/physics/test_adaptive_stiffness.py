@@ -15,7 +15,7 @@ from tests.physics.shapes import sheet
 from tests.stages.scenes import FPS, about, scan, tube
 
 MESH = sheet(9, 9)
-GARMENT = model.build(MESH, 0.003)
+GARMENT = model.build(MESH)
 EVERYWHERE = np.ones(MESH.n_vertices, bool)
 CONFIG = Config()
 NUMBERS = CONFIG.physics

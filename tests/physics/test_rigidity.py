@@ -17,7 +17,7 @@ from tests.physics.shapes import sheet
 from tests.stages import dense
 from tests.stages.scenes import about, linearized, measured, rms, tube
 
-GARMENTS = {"sheet": model.build(sheet(), 0.003), "tube": model.build(tube(along=5), 0.003)}
+GARMENTS = {"sheet": model.build(sheet()), "tube": model.build(tube(along=5))}
 SHEET, TUBE = GARMENTS.values()
 ONLY = dataclasses.replace(
     Config().physics, stretch=0.0, shear=0.0, bend=0.0, collision=0.0, rest_rigidity=6e3, motion_rigidity=3e4
@@ -179,7 +179,7 @@ def test_a_followed_transform_is_the_best_between_ring_and_rotation(seed, share)
 
 def test_the_more_is_followed_the_less_an_even_strain_costs_and_an_uneven_one_still_does():
     """Twelve per cent along the sheet, everywhere alike or in half of it: the step between the halves is resisted."""
-    garment = model.build(sheet(9), 0.003)
+    garment = model.build(sheet(9))
     vertices = garment.mesh.vertices
     even = vertices * [1.12, 1.0, 1.0]
     middle = np.median(vertices[:, 0])

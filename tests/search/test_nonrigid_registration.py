@@ -15,7 +15,7 @@ from ddakf.search.nonrigid_registration import Target, rows
 from tests.stages.scenes import about, rms, scan, tube
 
 TUBE = tube()
-MODEL = model.build(TUBE, 0.003)
+MODEL = model.build(TUBE)
 
 
 def bent(vertices, angle):

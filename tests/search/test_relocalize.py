@@ -20,7 +20,7 @@ from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
 SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
-SHIRT_MODEL = model.build(SHIRT, 0.003)
+SHIRT_MODEL = model.build(SHIRT)
 TUBE = tube()
 
 
@@ -84,7 +84,7 @@ def headings(found):
 def test_placements_have_different_headings_and_the_nearest_of_equals_comes_first():
     flat = flat_tube(0.6)
     target = Target.of(scan(flat.vertices @ turn(20).T + [0.5, 0.0, 0.2], flat), None)
-    found = headings(places(flat.vertices, model.build(flat, 0.003), target, turn_sd=5.0))
+    found = headings(places(flat.vertices, model.build(flat), target, turn_sd=5.0))
     assert found[0] == pytest.approx(20, abs=8)
     assert any(abs(heading + 160) < 8 for heading in found[1:])
     apart = np.abs(np.subtract.outer(found, found)) % 360
@@ -94,7 +94,7 @@ def test_placements_have_different_headings_and_the_nearest_of_equals_comes_firs
 def test_a_round_garment_keeps_its_heading():
     round_one = flat_tube(1.0)
     target = Target.of(scan(round_one.vertices @ turn(20).T + [0.5, 0.0, 0.2], round_one), None)
-    assert abs(headings(places(round_one.vertices, model.build(round_one, 0.003), target))[0]) < 25
+    assert abs(headings(places(round_one.vertices, model.build(round_one), target))[0]) < 25
 
 
 def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
@@ -135,7 +135,7 @@ def prior_at(position):
     return random_state(position, np.random.default_rng(0))
 
 
-MODEL = model.build(TUBE, 0.003)
+MODEL = model.build(TUBE)
 UNTURNED = rigidity.identity(TUBE.n_vertices)
 DT = 1 / FPS
 

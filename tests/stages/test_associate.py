@@ -29,7 +29,7 @@ def wavy(seed, n=24, spacing=0.025) -> Mesh:
 
 
 def prepared(mesh, points, sensor=None, config=CONFIG):
-    garment = model.build(mesh, 0.003)
+    garment = model.build(mesh)
     return garment, preprocess(points, sensor, mesh.vertices, garment.area, config)
 
 

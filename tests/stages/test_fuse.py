@@ -37,7 +37,7 @@ FAR = 10.0  # m, a gate that bounds nothing
 def scene(seed, config=CONFIG, body=False, seen=0.7, planes=True):
     """A problem whose terms all pull: a prior off the rest shape, planes off the prior, some vertices in the body."""
     rng = np.random.default_rng(seed)
-    garment = model.build(MESH, THICKNESS)
+    garment = model.build(MESH)
     position = MESH.vertices + rng.uniform(-0.002, 0.002, (V, 3))
     prior = random_state(position, rng)
     normal = np.array([0.0, 0.0, 1.0]) + rng.normal(scale=0.3, size=(V, 3))

@@ -22,7 +22,7 @@ def sheet(n=16, spacing=0.02) -> Mesh:
 
 
 def hem_of(mesh, points, position):
-    garment = model.build(mesh, 0.003)
+    garment = model.build(mesh)
     cloud = preprocess(points, None, position, garment.area, CONFIG)
     return garment, associated(position, cloud, garment, GATE, CONFIG.associate).hem
 
@@ -54,7 +54,7 @@ def test_cloth_that_goes_on_has_no_end():
 
 def test_a_vertex_that_is_not_seen_has_no_end():
     mesh = sheet()
-    garment = model.build(mesh, 0.003)
+    garment = model.build(mesh)
     behind = np.array([0.15, 0.15, -2.0])
     cloud = preprocess(scan(mesh.vertices, mesh, 6000, 0.002), behind, mesh.vertices, garment.area, CONFIG)
     assert not associated(mesh.vertices, cloud, garment, GATE, CONFIG.associate).hem.weight.any()
@@ -68,7 +68,7 @@ def test_a_closed_surface_has_no_boundary():
 
 def test_each_boundary_vertex_lies_between_its_neighbours():
     mesh = tube()
-    boundary = model.build(mesh, 0.003).boundary
+    boundary = model.build(mesh).boundary
     assert len(boundary) == 2 * 24
     pairs = {tuple(pair) for pair in np.sort(mesh.edges, axis=1)}
     for vertex, before, after in boundary:

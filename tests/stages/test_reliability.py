@@ -167,7 +167,7 @@ def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
 
 def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
     mesh = tube()
-    garment, points = model.build(mesh, 0.003), scan(mesh.vertices, mesh).astype(float)
+    garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
     limb = np.random.default_rng(0).uniform(0, 1, (len(points) // 8, 3)) * [0.4, 0.1, 0.1] + mesh.vertices.max(axis=0) + 0.1
     seen = np.concatenate([points, limb])
     found, tracked = (
@@ -184,7 +184,7 @@ def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
 
 def test_strain_is_that_of_the_edges():
     mesh = tube()
-    garment = model.build(mesh, 0.003)
+    garment = model.build(mesh)
     for stretched in (1.0, 1.2):
         rings, edges = np.empty(mesh.n_vertices), (garment.start, garment.neighbour, garment.rest_length)
         mean = kernels.strains(stretched * mesh.vertices, *edges, rings)

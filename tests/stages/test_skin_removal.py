@@ -20,7 +20,7 @@ def tube(radius: float, low: float, high: float, around: int = 40, along: int = 
 
 
 BODY, GARMENT = tube(0.20, -0.5, 0.5), tube(0.205, -0.2, 0.2)
-MODEL = model.build(GARMENT, 0.003)
+MODEL = model.build(GARMENT)
 
 
 def skin(points, contact, off=skin_removal.ON_CLOTH):

@@ -179,7 +179,7 @@ class Solved(NamedTuple):
 
 def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     rng = np.random.default_rng(seed)
-    garment, n = model.build(mesh, 0.003), mesh.n_vertices
+    garment, n = model.build(mesh), mesh.n_vertices
     alone = np.arange(n, dtype=np.int32)  # nothing is averaged
     ends = np.column_stack([np.repeat(alone, np.diff(garment.start.astype(int))), garment.neighbour])
     garment = garment._replace(patch=alone, crossing=model.crossings(ends, alone), likeness=likeness(mesh.vertices))
@@ -346,7 +346,7 @@ def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_no
 
 
 def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
-    garment = model.build(MESHES["larger sheet"], 0.003)
+    garment = model.build(MESHES["larger sheet"])
     seen = garment.mesh.vertices[:, 0] < 0.03
     room = uncertainty._room(seen, None, None, garment)
     order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
@@ -361,7 +361,7 @@ def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_c
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_distances_along_the_cloth_are_those_of_shortest_paths(seed, most):
     rng = np.random.default_rng(seed)
-    garment = model.build(MESHES["tube"], 0.003)
+    garment = model.build(MESHES["tube"])
     n = garment.mesh.n_vertices
     seen = rng.random(n) < rng.choice([0.0, 0.02, 0.5])
     distance = np.empty(n)

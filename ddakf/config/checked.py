@@ -1,0 +1,31 @@
+"""Range checks of configuration fields."""
+
+from __future__ import annotations
+
+import dataclasses
+import typing
+from dataclasses import field
+
+from ddakf.errors import InvalidConfig
+
+
+def bounded(default: float, low: float, high: float) -> typing.Any:
+    """A numeric field whose value must lie in [low, high]."""
+    return field(default=default, metadata={"range": (low, high)})
+
+
+class Checked:
+    """Base of the configuration classes: checks every :func:`bounded` field when an object is made."""
+
+    def __post_init__(self) -> None:
+        for f in dataclasses.fields(self):
+            if isinstance(f.default, bool) and not isinstance(getattr(self, f.name), bool):
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "true or false", repr(getattr(self, f.name)))
+            if "range" not in f.metadata:
+                continue
+            low, high = f.metadata["range"]
+            value = getattr(self, f.name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", f"a number in [{low:g}, {high:g}]", repr(value))
+            if isinstance(f.default, int) and not isinstance(value, int):
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "an integer", repr(value))

@@ -1,0 +1,30 @@
+"""Configuration of stage E: stiffness of the cloth, body contact, rigidity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from ddakf.config.checked import Checked, bounded
+from ddakf.physics.fabric import Fabric
+
+
+@dataclass(frozen=True)
+class Physics(Checked):
+    """Stiffness of the pseudo-measurements: information is lambda k w, and lambda is 1 outside recovery."""
+
+    stretch: float = bounded(1.0e6, 0, 1e12)  # 1/m^2 per unit strain^2
+    shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
+    strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: a larger strain counts as an error of the model
+    strain_sd: float = bounded(0.03, 1e-4, 1e3)  # strain of a typical face, above which stretch and shear soften
+    strain_memory: float = bounded(0.08, 1e-3, 1e3)  # s, time constant with which the garment's own strain is learned
+    bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
+    bend_height: float = bounded(0.1, 1e-3, 1)  # share of a face's rest height below which bending forces stop growing
+    collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
+    thickness: float = bounded(0.003, 0, 0.1)  # m, distance from the body that collision enforces
+    gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
+    self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
+    motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
+    rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
+    uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened
+    strain_followed: float = bounded(0.95, 0, 0.99)  # share of a one-ring's strain that its rest shape then follows
+    fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)
