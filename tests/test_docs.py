@@ -156,6 +156,13 @@ def test_no_link_is_dead(document):
             assert anchor in headings(linked), f"{document.name}: {target} has no such heading"
 
 
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_lines_are_broken_at_100_characters(document):
+    text = CODE.sub("", document.read_text())
+    long = [line for line in text.splitlines() if len(line) > 100 and not re.match(r"#|\s*(\||!?\[)", line)]
+    assert not long, f"{document.name}: {long[0][:80]}"
+
+
 def test_the_commands_of_the_documents_exist():
     text = "\n".join(document.read_text() for document in DOCUMENTS)
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
