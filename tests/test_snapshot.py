@@ -159,12 +159,12 @@ def test_flipped_bits_are_refused(bits):
         Tracker.restore(bytes(damaged))
 
 
-@pytest.mark.parametrize("bit", range(0, 8 * 20))
-def test_flipped_bits_of_the_head_are_refused(bit):
-    damaged = bytearray(DATA)
-    damaged[bit // 8] ^= 1 << bit % 8
-    with pytest.raises(InvalidSnapshot):
-        Tracker.restore(bytes(damaged))
+def test_a_flipped_bit_of_the_head_is_refused():
+    for bit in range(8 * 20):
+        damaged = bytearray(DATA)
+        damaged[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(InvalidSnapshot):
+            Tracker.restore(bytes(damaged))
 
 
 @given(st.binary(max_size=300))
