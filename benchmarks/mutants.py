@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import ast
+import contextlib
 import copy
 import importlib.abc
 import importlib.machinery
@@ -197,7 +198,7 @@ def chosen_tests(mutant: Mutant, seconds: dict[str, float], executed: dict, budg
 
 
 def load() -> None:
-    """Everything but the stages: libraries, and the kernels in machine code."""
+    """Loads everything but the stages: libraries, and the kernels in machine code."""
     import hypothesis  # noqa: F401
     import pytest  # noqa: F401
     import pytest_asyncio  # noqa: F401
@@ -211,7 +212,7 @@ def load() -> None:
 
 
 def child(mutant: Mutant, tests: Sequence[str]) -> None:
-    """The status of this process: 0 where all tests pass."""
+    """Runs the tests in this process and ends it, with status 0 where all pass."""
     import pytest
 
     os.setsid()
@@ -286,11 +287,13 @@ def main(argv: list[str] | None = None) -> int:
         plan.append((mutant, tests, sum(seconds[test] for test in tests)))
     load()
     done = []
-    for outcome in outcomes(plan, arguments.processes):
-        done.append(outcome)
-        if outcome.result in ("survived", "not executed"):
-            mutant = outcome.mutant
-            print(f"{outcome.result}: {mutant.path}:{mutant.lines[0]}: {mutant.change} ({outcome.tests} tests)", flush=True)
+    with contextlib.suppress(KeyboardInterrupt):  # the sample is in random order: what is done is a sample too
+        for outcome in outcomes(plan, arguments.processes):
+            done.append(outcome)
+            mutant, place = outcome.mutant, f"{len(done)}/{len(plan)}"
+            if outcome.result in ("survived", "not executed"):
+                line = f"{mutant.path}:{mutant.lines[0]}: {mutant.change}"
+                print(f"{place} {outcome.result}: {line} ({outcome.tests} tests)", flush=True)
     count = {result: sum(o.result == result for o in done) for result in ("killed", "timeout", "survived", "not executed")}
     share = (count["killed"] + count["timeout"]) / max(len(done), 1)
     print(f"{share:.1%} of {len(done)} mutants killed: {count}")
