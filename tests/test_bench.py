@@ -20,7 +20,7 @@ def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
     command = [sys.executable, ROOT / "benchmarks/bench.py", "--quick", "--out", folder, "--name", "quick"]
     environment = {name: value for name, value in os.environ.items() if name != "DDAKF_DATA"}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=110, check=False)
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, ended.stderr
     assert "one frame" in ended.stdout
     return json.loads((folder / "quick.json").read_text())

@@ -133,13 +133,13 @@ def test_every_class_of_the_configuration_has_a_stage():
 
 def test_the_tables_are_what_the_code_says():
     check = [sys.executable, ROOT / "benchmarks/reference.py", "--check"]
-    ended = subprocess.run(check, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(check, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
 def test_the_quoted_measurements_are_those_of_the_result_file():
     check = [sys.executable, ROOT / "benchmarks/report.py", "--check"]
-    ended = subprocess.run(check, capture_output=True, text=True, timeout=60, check=False)
+    ended = subprocess.run(check, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, "run python benchmarks/report.py --write" + ended.stderr
     assert json.loads((ROOT / "benchmarks/results/bench.json").read_text())["size"] != "quick"
 
@@ -184,7 +184,7 @@ def test_the_readmes_python_is_right():
     for block in blocks:
         compile(block, "README.md", "exec")
     run = [sys.executable, "-W", "error", "-c", blocks[0]]
-    ended = subprocess.run(run, capture_output=True, text=True, timeout=100, check=False)
+    ended = subprocess.run(run, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, ended.stderr
     assert ended.stdout.count("tracking") == 4
 

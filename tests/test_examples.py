@@ -25,7 +25,7 @@ def test_there_is_an_expectation_for_every_example():
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
 def test_an_example_runs_as_it_stands(example, tmp_path):
-    ended = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=110, check=False)
+    ended = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, ended.stderr
     assert SAYS[example.stem] in ended.stdout
     assert list(tmp_path.iterdir()) == [], "an example writes only where it is told to"

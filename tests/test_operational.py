@@ -17,7 +17,7 @@ def run(script: str, out: Path, *arguments: str) -> tuple[dict, int]:
     """The part of the result file, and the exit status."""
     command = [sys.executable, ROOT / f"benchmarks/{script}.py", "--out", out, *arguments]
     environment = {name: value for name, value in os.environ.items() if not name.startswith("DDAKF_")}
-    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=110, check=False)
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode in (0, 1), ended.stderr
     return json.loads(out.read_text())[script], ended.returncode
 

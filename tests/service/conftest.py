@@ -28,7 +28,7 @@ from ddakf_service.server import Addresses, Server
 from ddakf_service.settings import Settings
 from postgres import NoPostgres, Postgres
 
-TIMEOUT = 30.0  # seconds, of every call
+TIMEOUT = 60.0  # seconds, of every call
 T = TypeVar("T")
 
 

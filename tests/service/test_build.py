@@ -9,7 +9,7 @@ from ddakf_service.build import commit_of
 
 def git(folder: Path, *arguments: str) -> str:
     command = ["git", "-c", "user.name=n", "-c", "user.email=e@example.org", *arguments]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, timeout=30).stdout.strip()
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True, timeout=250).stdout.strip()
 
 
 @pytest.fixture

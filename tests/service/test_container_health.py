@@ -20,7 +20,7 @@ HEALTHY = Path(__file__).parents[2] / "docker/healthy"
 
 def status(port: int | str, **environment: str) -> int:
     variables = {**os.environ, "DDAKF_HTTP_PORT": str(port), **environment}
-    return subprocess.run([sys.executable, HEALTHY], env=variables, capture_output=True, timeout=60, check=False).returncode
+    return subprocess.run([sys.executable, HEALTHY], env=variables, capture_output=True, timeout=250, check=False).returncode
 
 
 class Readiness(http.server.BaseHTTPRequestHandler):

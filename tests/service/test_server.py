@@ -24,7 +24,7 @@ from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_run
 
 def serve(*arguments: str, **options) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "ddakf_service", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=250, check=False, **options)
 
 
 @pytest.fixture

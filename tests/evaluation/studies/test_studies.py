@@ -321,7 +321,7 @@ class Started:
 
     def resumed(self) -> dict:
         before = self.rows.read_bytes()
-        subprocess.run(self.command, check=True, capture_output=True, timeout=120)
+        subprocess.run(self.command, check=True, capture_output=True, timeout=250)
         assert self.rows.read_bytes().startswith(before[: before.rindex(b"\n") + 1])
         return json.loads(self.out.read_text())["results"][0]
 
@@ -330,7 +330,7 @@ class Started:
 def test_an_interrupted_study_goes_on_where_it_was(tmp_path, procs):
     started = Started(tmp_path, procs, 8)
     os.killpg(started.process.pid, signal.SIGINT)
-    _, said = started.process.communicate(timeout=60)
+    _, said = started.process.communicate(timeout=250)
     assert started.process.returncode == 130
     assert "of 8 runs are in" in said
     assert "Traceback" not in said
@@ -342,7 +342,7 @@ def test_an_interrupted_study_goes_on_where_it_was(tmp_path, procs):
 def test_a_killed_study_leaves_no_process(tmp_path):
     started = Started(tmp_path, 2, 8)
     started.process.kill()
-    started.process.communicate(timeout=60)
+    started.process.communicate(timeout=250)
     assert started.all_ended()
 
 

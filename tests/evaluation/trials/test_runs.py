@@ -233,7 +233,7 @@ def test_the_command_goes_on_where_it_ended(tmp_path):
                "--out", tmp_path / "rows.jsonl"]  # fmt: skip
 
     def call(*more):
-        ended = subprocess.run([*command, *more], capture_output=True, text=True, timeout=110, check=False)
+        ended = subprocess.run([*command, *more], capture_output=True, text=True, timeout=250, check=False)
         assert ended.returncode == 0, ended.stderr
         return ended
 

@@ -21,7 +21,7 @@ METHODS = {m.name: m for m in pb.DESCRIPTOR.services_by_name["TrackingService"].
 
 def keys_command(data_dir: Path, *arguments: str) -> str:
     command = [sys.executable, "-m", "ddakf.commands.cli", "keys", "--data-dir", str(data_dir), *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=250)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

@@ -130,7 +130,7 @@ async def test_a_file_that_stays_broken_is_told_of_once(tmp_path, monkeypatch, c
 )
 def test_files_that_cannot_be_used_are_refused_by_name(flags, named):
     command = [sys.executable, "-m", "ddakf_service", "--data-dir", "none", "--http-port", "0", "--grpc-port", "0", *flags]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 2
     assert named in done.stderr
 

@@ -19,7 +19,7 @@ from websockets.asyncio.client import connect
 from ..conftest import TIMEOUT, frame_of, request_of, serving
 
 COUNTED = ("ddakf_", "google.", "grpc", "_asyncio", "uvicorn", "websockets", "starlette", "prometheus_client", "socket", "_io")
-PATIENCE = 8.0  # seconds
+PATIENCE = 60.0  # seconds
 
 
 async def in_order(stub, call, name):

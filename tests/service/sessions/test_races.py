@@ -190,7 +190,7 @@ async def test_a_session_waits_for_a_worker_with_room(server, pool):
     while ("restore", "some") not in pool.calls:
         await asyncio.sleep(0)
     pool.full = False
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while not session.has_worker:
             await asyncio.sleep(0.01)
     assert server._catalog.readable("sessions/some") is session

@@ -14,7 +14,7 @@ from ddakf_service.observability.metrics import Metrics
 from ddakf_service.store.database import Database
 from ddakf_service.store.session_record import SessionRecord
 
-PATIENCE = 20.0  # seconds
+PATIENCE = 60.0  # seconds
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])

@@ -60,7 +60,7 @@ async def test_closing_frees_a_sender_that_is_held_back():
     sender = asyncio.create_task(mailbox.put(frame(2), 0.0))
     await asyncio.sleep(0)
     mailbox.close()
-    await asyncio.wait_for(sender, 1)
+    await asyncio.wait_for(sender, 30)
 
 
 @pytest.mark.parametrize("rate", [0.5, 10.0, 90.0])
