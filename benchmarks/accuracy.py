@@ -1,7 +1,7 @@
 """Accuracy on recordings: ``python benchmarks/accuracy.py [--sequences ...] [--views full front+body] [--variants ...]``.
 
-Runs a grid of trials, one JSON row each, into a file that a later call goes on with; ``--table`` prints what a file holds.
-Recordings are found through DDAKF_DATA; the bundled sample is always there.
+Runs a grid of trials and writes one JSON row each into a file, from which a later call resumes; ``--table`` prints the tables of
+a file. Recordings come from DDAKF_DATA and the bundled sample.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ VARIANTS = ("default", *BASELINES, "paper", *ablations(), *refinements())
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Runs what is missing; returns the exit status."""
+    """Runs the missing trials; returns the exit status."""
     arguments = _parser().parse_args(argv)
     if arguments.table:
         print(accuracy_tables.report(read(arguments.out)))
@@ -51,7 +51,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def grid(arguments) -> list[Trial]:
-    """Sequence x view x seed x variant; what makes no difference is left out."""
+    """Sequence x view x seed x variant, without trials of the same result."""
     wanted = []
     for name, view, seed in itertools.product(arguments.sequences or recording_names(), arguments.views, arguments.seeds):
         view, _, body = view.partition("+")
@@ -59,14 +59,14 @@ def grid(arguments) -> list[Trial]:
             continue
         for variant in arguments.variants:
             if variant in BASELINES and variant != "clothfit" if body else variant == "no-carrying":
-                continue  # the ones know no body, the other knows it only to be carried by it
+                continue  # registration ignores the body, and a carried garment has no meaning without one
             trial = _trial(arguments, name, view, bool(body), seed, variant)
             wanted += [replace(trial, disturbance=script.name) for script in DISTURBANCES] if arguments.disturbances else [trial]
     return wanted
 
 
 def starts(arguments) -> list[Trial]:
-    """Random starts, over the sequences by turns, in random frames; the first view and the first seed count."""
+    """Random starts in random frames, alternating between the sequences; only the first view and the first seed are used."""
     chosen, wanted = arguments.sequences or recording_names(), []
     view, _, body = arguments.views[0].partition("+")
     for number in range(arguments.starts):
@@ -81,12 +81,12 @@ def starts(arguments) -> list[Trial]:
 
 
 def read(path: Path) -> list[dict]:
-    """The rows of a file; none where there is no file yet."""
+    """The rows of a file; none without a file."""
     return RowLog(path).rows()
 
 
 def lines(report: dict) -> str:
-    """JSON with a line per entry of a list, which a person can read and a later version be compared with."""
+    """JSON with a line per entry of a list, for reading and for diffs of versions."""
     parts = []
     for name, value in report.items():
         text = "[\n  " + ",\n  ".join(map(json.dumps, value)) + "\n ]" if isinstance(value, list) else json.dumps(value)
@@ -124,7 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--first-frame", action="store_true", help="start them in frame 0 instead of random frames")
     parser.add_argument("--procs", type=int, default=1, help="processes")
     parser.add_argument("--again", nargs="+", default=[], metavar="VARIANT",
-                        help="run these, or all, again where their rows are of another commit")  # fmt: skip
+                        help="run these, or all, again if their rows are of another commit")  # fmt: skip
     parser.add_argument("--out", type=Path, default=OUT, help=f"file of the rows (default {OUT.relative_to(ROOT)})")
     ending = parser.add_mutually_exclusive_group()
     ending.add_argument("--table", action="store_true", help="print the tables of --out, and run nothing")

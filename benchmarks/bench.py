@@ -1,7 +1,7 @@
 """Speed beside accuracy, on one thread: ``python benchmarks/bench.py [--quick | --full] [--only PART ...]``.
 
-Every part writes what it measured under its name into ``benchmarks/results/NAME.json``, with the machine named. Compare
-ratios inside one run; milliseconds of two runs only where the machine was otherwise idle.
+Every part writes its measurements under its name into ``benchmarks/results/NAME.json``, with a description of the machine.
+Compare ratios inside one run, and milliseconds of two runs only if the machine was otherwise idle.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUM
 
 @dataclass(frozen=True)
 class Settings:
-    """How much is measured; the defaults take a few minutes."""
+    """Size of the measurements; the defaults take a few minutes."""
 
     points: int = 10_000
     frames: int = 149  # of each sequence, at most

@@ -1,11 +1,11 @@
 """Calibration: ``python benchmarks/calibration.py [--fit] [--views front full+body ...] [--seeds ...]``.
 
-Runs the default on all recordings, prints coverage, NEES and log-likelihoods by group, for the half of the recordings that the
-two constants are fitted on, for the other half, by view and by recording, and draws the reliability diagram. With ``--fit`` it
-begins anew and also finds the two constants, ``Uncertainty.observed_scale`` and ``unseen_scale``, on the first half, such that
-the 90 % ellipsoids hold 90 % in the mean over recordings; table and diagram are with them then, and go into
-``benchmarks/results`` and ``docs``. The constants scale what is claimed and hardly touch what is tracked: one run of every trial
-is enough. Recordings are those that ship and those found through DDAKF_DATA.
+Runs the default on all recordings, prints coverage, NEES and log-likelihoods by group, and draws the reliability diagram. The
+table has the half of the recordings on which the two constants are fitted, the other half, each view and each recording. With
+``--fit`` all trials run anew, and the constants ``Uncertainty.observed_scale`` and ``unseen_scale`` are fitted on the first half,
+such that the 90 % ellipsoids hold 90 % in the mean over recordings. Table and diagram then use them, and go into
+``benchmarks/results`` and ``docs``. The constants scale the claimed covariances and hardly change the estimate, so that one run
+of every trial is enough. Recordings are those that ship and those of DDAKF_DATA.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ OBSERVED, *HIDDEN = calibration_pools.GROUPS
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Measures, and fits if asked to; returns the exit status."""
+    """Measures, and fits with ``--fit``; returns the exit status."""
     arguments = _parser().parse_args(argv)
     if arguments.fit:
         arguments.out.unlink(missing_ok=True)  # rows of another tracker
@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def grid(arguments, names: list[str]) -> list[Trial]:
-    """Sequence x view x seed; the body only where there is one."""
+    """Sequence x view x seed; views with the body only for sequences that have one."""
     views = [view.partition("+") for view in arguments.views]
     return [
         Trial(name, view, bool(body), seed, "default", arguments.frames)
@@ -98,14 +98,14 @@ def ellipsoid_scale(inside: npt.ArrayLike) -> float:
     """Factor on the standard deviations with which the ellipsoids of probability WANTED would hold as much.
 
     Args:
-        inside: shares of the vertices in the ellipsoids of the probabilities NOMINAL.
+        inside: shares of the vertices in the ellipsoids of the probabilities NOMINAL_PROBABILITIES.
     """
     probability = np.interp(WANTED, inside, NOMINAL_PROBABILITIES)
     return float(np.sqrt(chi2.ppf(probability, 3) / chi2.ppf(WANTED, 3)))
 
 
 def report(rows: list[dict], factors: dict[str, float], constants: dict[str, float]) -> dict:
-    """What ``benchmarks/results`` keeps."""
+    """The content of the file in ``benchmarks/results``."""
     half, other = calibration_pools.half_of(rows)
     parts = [
         {key: float(f"{value:.4g}") if isinstance(value, float) else value for key, value in part.items()}
@@ -123,7 +123,7 @@ def report(rows: list[dict], factors: dict[str, float], constants: dict[str, flo
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", action="store_true", help="begin anew, find the constants too, and keep the result")
+    parser.add_argument("--fit", action="store_true", help="run all trials anew, fit the constants, and save the result")
     parser.add_argument("--sequences", nargs="+", metavar="NAME", help="default: all that ship, and those of DDAKF_DATA")
     parser.add_argument("--views", nargs="+", default=list(VIEWS), metavar="VIEW", help=f"default: {' '.join(VIEWS)}")
     parser.add_argument("--seeds", nargs="+", type=int, default=[1], metavar="SEED", help="of the noise (default 1)")

@@ -1,11 +1,11 @@
-"""What can go wrong goes wrong: ``python benchmarks/chaos.py [--seconds 150] [--seed 1]``.
+"""Chaos test: sessions under injected faults. ``python benchmarks/chaos.py [--seconds 150] [--seed 1]``.
 
-Clients stream the sample through the client library and through a proxy of our own, while on a schedule drawn from the seed
-workers are killed, connections are cut, readers stall, the file system of the checkpoints is filled, the database is stopped,
-and the whole server is killed and started again. Afterwards every session has to be alive, its state tracking, and its error as
-undisturbed: over the last seconds at most 1.2 times, or 1 mm above, what the same frames have without any of this. Exit status 1
-otherwise. What the machine cannot do (no PostgreSQL, not root for a file system of limited size) is left out and named.
-Writes benchmarks/results/chaos.json.
+Clients stream the sample through the client library and a proxy. On a schedule drawn from the seed, workers are killed,
+connections are cut, readers stall, the file system of the checkpoints is filled, the database is stopped, and the whole server
+is killed and started again. Afterwards every session has to be alive, its state tracking, and its error as without faults: over
+the last seconds at most 1.2 times, or 1 mm above, that of the same frames without faults. Exit status 1 otherwise. Faults that
+the machine cannot produce (no PostgreSQL, no root for a file system of limited size) are skipped and listed. Writes
+benchmarks/results/chaos.json.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from ddakf import data
 from ddakf.evaluation import machine, metrics
 
 RESULT = Path(__file__).parent / "results" / "chaos.json"
-QUIET = 10.0  # seconds at the end without any trouble, over whose last half errors are compared
-EVERY = (4.0, 8.0)  # seconds between troubles
+QUIET = 10.0  # seconds without faults at the end, over whose last half errors are compared
+EVERY = (4.0, 8.0)  # seconds between faults
 RATIO, SLACK_MM = 1.2, 1.0
 DISK = "24m"  # of the file system that the checkpoints are on
 console = Console(stderr=True, highlight=False)
@@ -71,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 class Fleet:
-    """The server under test, always on the same ports, and what may be done to it."""
+    """The server under test, always on the same ports, and the faults of its processes."""
 
     def __init__(self, folder: Path, disk: Path | None, database: Postgres | None, workers: int):
         self.grpc_port, self.http_port = _free_port(), _free_port()
@@ -120,13 +120,13 @@ class Proxy:
         return f"{host}:{port}"
 
     def cut(self) -> None:
-        """Every connection ends at once, without a word."""
+        """Closes every connection at once without a message."""
         for pair in list(self._pairs):
             for writer in pair:
                 writer.transport.abort()
 
     async def stall(self, seconds: float) -> None:
-        """Nothing that the server says arrives, and it notices by full buffers alone."""
+        """Stops forwarding the server's bytes, so that only its buffers fill up."""
         self._flowing.clear()
         await asyncio.sleep(seconds)
         self._flowing.set()
@@ -167,8 +167,8 @@ class Proxy:
 
 
 @dataclass
-class Seen:
-    """What one client saw: frame index to error in mm, notices, and what made it give up."""
+class ClientLog:
+    """Log of one client: error in mm by frame index, notices, and the error that ended it."""
 
     error: dict[int, float] = field(default_factory=dict)
     state: str = ""
@@ -185,7 +185,7 @@ async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     address = await proxy.start()
     log: list[str] = []
     streams = [asyncio.create_task(_stream(a, run, address, a.seconds, f"chaos-{k}")) for k in range(a.clients)]
-    await _trouble(a, fleet, proxy, log)
+    await _faults(a, fleet, proxy, log)
     seen = await asyncio.gather(*streams)
     await proxy.stop()
     rows = [_judged(a, k, 2 * len(run.clouds), calm, one) for k, one in enumerate(seen)]
@@ -194,9 +194,9 @@ async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     return {"seconds": a.seconds, "seed": a.seed, "troubles": log, "left_out": left_out, "sessions": rows, "failed": failed}
 
 
-async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds: float, session_id: str) -> Seen:
+async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds: float, session_id: str) -> ClientLog:
     """One client, at its frames' pace, for so many seconds."""
-    seen, sequence = Seen(), run.sequence
+    seen, sequence = ClientLog(), run.sequence
     begun = time.monotonic()
 
     async def frames() -> AsyncIterator[Frame]:
@@ -218,7 +218,7 @@ async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds:
                     truth = sequence.garment_vertices[1 + _place(k, len(run.clouds))]
                     seen.error[k] = metrics.rmse_mm(result.vertices, truth)
                     seen.state = result.state
-    except Exception as error:  # whatever it is, this client has given up, which the verdict says
+    except Exception as error:  # any error ends this client, and the verdict reports it
         seen.gave_up = f"{type(error).__name__}: {error}"
     return seen
 
@@ -229,7 +229,7 @@ def _place(k: int, n: int) -> int:
     return min(place, 2 * n - 1 - place)
 
 
-async def _trouble(a: argparse.Namespace, fleet: Fleet, proxy: Proxy, log: list[str]) -> None:
+async def _faults(a: argparse.Namespace, fleet: Fleet, proxy: Proxy, log: list[str]) -> None:
     """The schedule."""
     random_ = random.Random(a.seed)
     kinds: dict[str, Callable] = {
@@ -273,7 +273,7 @@ async def _kill_server(fleet: Fleet) -> None:
 
 
 async def _fill(disk: Path) -> None:
-    """For a few seconds nothing can be written there."""
+    """Fills the file system for a few seconds, so that writes fail."""
     ballast = disk / "ballast"
     with contextlib.suppress(OSError), ballast.open("wb") as file:
         while True:
@@ -289,7 +289,7 @@ async def _stop_database(database: Postgres) -> None:
     await asyncio.to_thread(database.start)
 
 
-def _judged(a: argparse.Namespace, number: int, period: int, calm: Seen, seen: Seen) -> dict:
+def _judged(a: argparse.Namespace, number: int, period: int, calm: ClientLog, seen: ClientLog) -> dict:
     """The errors of the last seconds against those of the same places without trouble, of so many frames there and back."""
     first = round((a.seconds - QUIET / 2) * a.rate)
     pairs = [(error, calm.error[k % period]) for k, error in seen.error.items() if k >= first and k % period in calm.error]
@@ -308,7 +308,7 @@ def _counted(notices: list[str]) -> str:
 
 @contextlib.contextmanager
 def _postgres():
-    """None where there can be no PostgreSQL."""
+    """A PostgreSQL, or None if the machine cannot run one."""
     try:
         database = Postgres()
     except NoPostgres as error:
@@ -324,7 +324,7 @@ def _postgres():
 
 @contextlib.contextmanager
 def _small_disk(folder: Path):
-    """A file system that can be filled without harm; None where none can be mounted."""
+    """A file system that can be filled without harm; None if none can be mounted."""
     place = folder / "disk"
     place.mkdir()
     command = ["mount", "-t", "tmpfs", "-o", f"size={DISK}", "tmpfs", str(place)]

@@ -1,4 +1,4 @@
-"""A fresh process: seconds of ``import ddakf`` and of the first tracked frame, as JSON; ``python benchmarks/cold.py POINTS``."""
+"""Cold start: seconds of ``import ddakf`` and of the first tracked frame, as JSON; ``python benchmarks/cold.py POINTS``."""
 
 import json
 import resource

@@ -1,4 +1,4 @@
-"""What FAUST's clips are like: how fast, and how much edges stretch on the way, beside moving every vertex in a straight line.
+"""Statistics of FAUST's clips: speed and stretch of the interpolated paths, compared with straight paths of the vertices.
 
     python benchmarks/faust.py [PATH] [--json benchmarks/results/faust.json]
 

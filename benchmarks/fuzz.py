@@ -1,8 +1,8 @@
-"""Feeds damaged input to everything that reads bytes from outside: ``python benchmarks/fuzz.py [--inputs 100000] [--only T]``.
+"""Fuzzing: damaged input for every reader of external bytes. ``python benchmarks/fuzz.py [--inputs 100000] [--only T]``.
 
 Each target runs in a process of its own with little memory and a limit on the CPU time of one input, under two engines:
-mutations of valid input drawn by hypothesis, and, where it is installed, atheris, which follows what Python code they reach. A
-refusal by an error of the product is an answer; anything else, a hang or a dead process is a finding, whose input is kept. The
+mutations of valid input drawn by hypothesis, and, if it is installed, atheris, which follows the Python code that they reach. A
+refusal by an error of the product is an answer. Anything else, a hang or a dead process is a finding, whose input is saved. The
 target "http" is schemathesis on the OpenAPI document of a service of its own.
 """
 
@@ -34,7 +34,7 @@ REPORT_EVERY = 0.5  # s
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Fuzzes, prints a table, and returns 1 where something was found."""
+    """Fuzzes, prints a table, and returns 1 if there are findings."""
     arguments = _parser().parse_args(argv)
     if arguments.child:
         return child(arguments)
@@ -71,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def run_child(arguments, target: str, engine: str, inputs: int, advance) -> dict:
-    """One target under one engine in a process; what came out of it."""
+    """Runs one target under one engine in a process; returns its report."""
     current = arguments.out / f"{target.replace(' ', '-')}-{engine}.input"
     command = [sys.executable, __file__, "--child", target, "--engine", engine, "--inputs", str(inputs)]
     command += ["--seed", str(arguments.seed), "--out", str(arguments.out)]
@@ -180,7 +180,7 @@ class Trial:
 
 
 def changes():
-    """What hypothesis draws mutations from."""
+    """Strategy from which hypothesis draws mutations."""
     from hypothesis import strategies as st
 
     places = st.floats(0, 1, exclude_max=True)
@@ -208,7 +208,7 @@ def by_hypothesis(trial: Trial, seeds: list[bytes], arguments) -> None:
 
 
 def by_atheris(trial: Trial, seeds: list[bytes], arguments) -> None:
-    """Mutations by libFuzzer, kept where they reach new code; it ends the process itself."""
+    """Mutations by libFuzzer, which saves those that reach new code, and ends the process itself."""
     import atheris
 
     def run(data: bytes) -> None:
@@ -295,7 +295,7 @@ def _address_space() -> int:
 
 
 def http(arguments) -> bool:
-    """Whether schemathesis found no answer of 500 and above, and none that the OpenAPI document does not describe."""
+    """True if schemathesis found no status of 500 and above, and no answer outside the OpenAPI document."""
     from ddakf_service.commands.service_process import ServiceProcess
 
     service = ServiceProcess(["--workers", "1"], log=arguments.out / "service.log")

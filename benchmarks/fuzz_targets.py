@@ -1,4 +1,4 @@
-"""What is fuzzed: everything that reads bytes from outside, each with valid examples to start from and the errors it may raise.
+"""Fuzz targets: readers of external bytes, each with valid examples to mutate and the errors that it may raise.
 
 A target takes any bytes. The first ones of a codec's are the sizes that the message around the payload declares.
 """
@@ -43,7 +43,7 @@ class Target(NamedTuple):
 
 
 def all_targets() -> dict[str, Callable[[], Target]]:
-    """How each is made, by its name; making one may take a second."""
+    """Factories of the targets by name; one may take a second."""
     clouds = {f"cloud {name}": lambda name=name: _cloud(name) for name in codec.CODECS}
     images = {f"image {name}": lambda name=name: _image(name) for name in codec.DEPTH_CODECS}
     return {

@@ -1,4 +1,4 @@
-"""What is tracked: the bundled sample or recordings, seen by a virtual sensor, at the garment size that is asked for."""
+"""Inputs of the benchmarks: the bundled sample or recordings, seen by a virtual sensor, with a chosen garment size."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class Run:
     Attributes:
         name: for the report.
         sequence: the truth of frames 0 to len(clouds).
-        clouds: what the sensor saw.
-        body: the tracker is told the body of every frame.
+        clouds: of the sensor.
+        body: the tracker gets the body of every frame.
     """
 
     name: str
@@ -82,7 +82,7 @@ def sequences() -> Iterator[Sequence]:
 
 
 def resampled(sequence: Sequence, vertices: int) -> Sequence:
-    """The same garment and motion with about another number of vertices."""
+    """The same garment and motion with approximately another number of vertices."""
     count = sequence.garment_vertices.shape[1]
     if vertices < count:
         return _coarsened(sequence, vertices)
@@ -146,6 +146,6 @@ def _replaced(sequence: Sequence, change, faces: np.ndarray) -> Sequence:
 
 
 def shortened(sequence: Sequence, frames: int) -> Sequence:
-    """Its first frames, so that a garment of many vertices is not refined in all of them."""
+    """The first frames of a sequence, since refining all frames of a large garment is slow."""
     bodies = None if sequence.body_vertices is None else sequence.body_vertices[: frames + 1]
     return replace(sequence, garment_vertices=sequence.garment_vertices[: frames + 1], body_vertices=bodies)

@@ -1,9 +1,8 @@
-"""How long a session stands still: ``python benchmarks/kill.py [--kills 5] [--vertices 2500 20000] [--rate 10] ...``.
+"""Session interruption by a killed worker: ``python benchmarks/kill.py [--kills 5] [--vertices 2500 20000] [--rate 10] ...``.
 
-A client streams the sample; again and again, whenever a spare worker is warm, the worker that has its session is killed with
-SIGKILL, and the time is taken until the first answer to a frame that the next worker has tracked. Exit status 1 where that
-is ever longer than 2 s, or the stream ends. Writes benchmarks/results/kill.json, with the load average of each size: whoever
-has the cores meanwhile makes it longer.
+A client streams the sample. Whenever a spare worker is warm, the worker of its session is killed with SIGKILL, and the time is
+taken until the first answer to a frame that the next worker has tracked. Exit status 1 if that is ever longer than 2 s, or if
+the stream ends. Writes benchmarks/results/kill.json, with the load average of each size, since other load lengthens the times.
 """
 
 from __future__ import annotations
@@ -57,7 +56,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 async def _row(a: argparse.Namespace, script: traffic.Script, process: ServiceProcess) -> dict:
-    record, random_, killed = traffic.Record(), random.Random(a.seed), []
+    record, random_, killed = traffic.StreamLog(), random.Random(a.seed), []
     async with traffic.channel_to(process.grpc) as channel:
         stub = TrackingServiceStub(channel)
         name = await traffic.created(stub, script)
@@ -95,7 +94,7 @@ async def _until(condition, playing: asyncio.Task) -> None:
             await asyncio.sleep(0.05)
 
 
-def _stood(record: traffic.Record, killed: list[float]) -> list[float]:
+def _stood(record: traffic.StreamLog, killed: list[float]) -> list[float]:
     """Seconds from each kill to the first answer behind the notice that the session goes on."""
     stood = []
     for kill, (resumed, _) in zip(killed, record.resumed, strict=False):
@@ -119,7 +118,7 @@ def _has_spare(process: ServiceProcess) -> bool:
 
 
 def _oldest_worker(process: ServiceProcess) -> int:
-    """The one that takes frames; the spare is younger."""
+    """The worker that takes frames; the spare one is younger."""
     workers = [pid for pid in traffic.Usage(process.pid).tree() if pid != process.pid]
     return min(workers, key=traffic.started)
 

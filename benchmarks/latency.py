@@ -1,8 +1,8 @@
-"""What predicting to the time of display brings: ``python benchmarks/latency.py [--frames 60] [--write]``.
+"""Error of results predicted to the time of display: ``python benchmarks/latency.py [--frames 60] [--write]``.
 
-Each result of the tracker is compared with the truth some milliseconds after its frame, as it came and as
-``Tracker.predicted`` moves it on. Truth between two frames lies on the line between them. Recordings are found through
-DDAKF_DATA; the bundled sample is always there.
+Each result of the tracker is compared with the truth some milliseconds after its frame, unchanged and moved on by
+``Tracker.predicted``. The truth between two frames is interpolated linearly. Recordings come from DDAKF_DATA and the bundled
+sample.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULT, DOCUMENT = ROOT / "benchmarks/results/latency.json", ROOT / "docs/protocol.md"
 DELAYS = (0.03, 0.06, 0.09, 0.12)  # s from the capture of a frame to its display
 POINTS = 5_000
-FIRST = 5  # frames at the start that do not count: velocities are not known yet
+FIRST = 5  # frames at the start that are excluded: velocities are not known yet
 CHI2_90 = 6.2514  # of three degrees of freedom
 
 

@@ -1,4 +1,4 @@
-"""The tracker alone: one frame stage by stage, scaling, and growth of memory."""
+"""Benchmark of the library alone: one frame stage by stage, scaling, and growth of memory."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def scaling(settings) -> dict:
 
 
 def memory(settings) -> dict:
-    """What a frame allocates: the most that is in use at once beyond what was before, and what stays, of Python and NumPy."""
+    """Allocations of a frame by Python and NumPy: the peak beyond the memory in use before, and the memory that stays."""
     run = inputs.run_of(data.sample(), settings.memory_frames, "full", settings.points)
     tracker, peak, kept = run.tracker(), [], []
     tracemalloc.start()

@@ -1,8 +1,8 @@
-"""A load generator: ``python benchmarks/load.py [--clients N] [--rate FPS] [--vertices V] [--points M] [--codec NAME] ...``.
+"""Load generator: ``python benchmarks/load.py [--clients N] [--rate FPS] [--vertices V] [--points M] [--codec NAME] ...``.
 
-Streams the bundled sample from several clients on schedule to a service of its own, or to one that runs, and prints what was
-sustained: frames answered, dropped and refused, latency from the moment a frame was due to its answer, CPU, and the error of
-what came back. Generator and service share the machine. Writes benchmarks/results/load.json unless ``--out`` says otherwise.
+Streams the bundled sample from several clients on schedule to a service of its own, or to a running one, and prints the
+sustained load: frames answered, dropped and refused, latency from the moment a frame was due to its answer, CPU, and the error of
+the results. Generator and service share the machine. Writes benchmarks/results/load.json unless ``--out`` says otherwise.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 async def _load(a: argparse.Namespace, script: traffic.Script, address: str, usage: traffic.Usage | None) -> dict:
-    records = [traffic.Record() for _ in range(a.clients)]
+    records = [traffic.StreamLog() for _ in range(a.clients)]
     async with contextlib.AsyncExitStack() as stack:
         stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
         names = await asyncio.gather(*(traffic.created(stub, script) for stub in stubs))
@@ -77,7 +77,7 @@ async def _progress(seconds: float) -> None:
             await asyncio.sleep(0.25)
 
 
-def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.Record], elapsed: float, cores) -> dict:
+def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.StreamLog], elapsed: float, cores) -> dict:
     skipped = round(WARM * a.rate)
     latency = 1e3 * np.concatenate([np.array(r.latency[min(skipped, len(r.latency) // 2) :]) for r in records])
     rmse = np.concatenate([np.array(r.rmse) for r in records])

@@ -1,4 +1,4 @@
-"""A PostgreSQL of one's own, for tests and chaos: Debian's binaries, a cluster in a temporary folder, a free loopback port."""
+"""Temporary PostgreSQL for tests and the chaos test: Debian's binaries, a temporary folder, a free loopback port."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PATIENCE = 30.0  # seconds for a start or a stop
 
 
 class NoPostgres(Exception):
-    """Why there can be none on this machine."""
+    """PostgreSQL cannot run on this machine; the message has the reason."""
 
 
 class Postgres:
@@ -47,7 +47,7 @@ class Postgres:
 
     @property
     def url(self) -> str:
-        """Of the database that every cluster has."""
+        """URL of the database that every cluster has."""
         return self._url("postgres")
 
     def new_database(self, name: str) -> str:
@@ -72,7 +72,7 @@ class Postgres:
             time.sleep(0.05)
 
     def stop(self) -> None:
-        """At once: connections are cut."""
+        """Stops at once and cuts the connections."""
         if self._process is not None:
             self._process.send_signal(signal.SIGQUIT)
             self._process.wait(_PATIENCE)

@@ -1,4 +1,4 @@
-"""Beside Open3D: a whole frame, the tracker's and the non-rigid ICP's, against its preprocessing alone; outlier filters."""
+"""Comparison with Open3D: frames of the tracker and the non-rigid ICP against its preprocessing; outlier filters."""
 
 from __future__ import annotations
 
@@ -107,7 +107,8 @@ def _open3d_preprocessing(o3d, points: np.ndarray) -> None:
 
 
 def outliers(settings) -> dict:
-    """10 % of the points replaced by uniform ones around the garment: how many each filter removes, and what it loses."""
+    """10 % of the points replaced by uniform ones around the garment: the share that each filter removes, and the good
+    points that it loses."""
     try:
         o3d, why = import_open3d(), None
     except MissingDependency as missing:
@@ -121,17 +122,17 @@ def outliers(settings) -> dict:
         "ddakf, k-NN (paper)": lambda points, near: preprocess(points, None, near, area, knn).index,
     }
     if o3d:
-        filters[f"Open3D ({NEIGHBOURS}, {RATIO:g})"] = lambda points, near: _open3d_kept(o3d, points)
+        filters[f"Open3D ({NEIGHBOURS}, {RATIO:g})"] = lambda points, near: _open3d_inliers(o3d, points)
     tallies = {name: [] for name in filters}
     for number, cloud, _ in run.frames():
         rng = np.random.default_rng([inputs.SEED, number, 1])
         points, bad = with_outliers(cloud.points, 0.1, rng)
         near = sequence.garment_vertices[number].astype(np.float64)
-        for name, kept_by in filters.items():
+        for name, inliers_of in filters.items():
             begun = time.perf_counter()
-            kept = np.zeros(len(points), bool)
-            kept[kept_by(points, near)] = True
-            tallies[name].append((1e3 * (time.perf_counter() - begun), (~kept[bad]).mean(), (~kept[~bad]).mean()))
+            inlier = np.zeros(len(points), bool)
+            inlier[inliers_of(points, near)] = True
+            tallies[name].append((1e3 * (time.perf_counter() - begun), (~inlier[bad]).mean(), (~inlier[~bad]).mean()))
     rows = [
         {
             "filter": name,
@@ -151,6 +152,6 @@ def with_outliers(points: np.ndarray, share: float, rng: np.random.Generator) ->
     return np.where(bad[:, None], rng.uniform(low, high, points.shape), points).astype(np.float32), bad
 
 
-def _open3d_kept(o3d, points: np.ndarray) -> np.ndarray:
+def _open3d_inliers(o3d, points: np.ndarray) -> np.ndarray:
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points.astype(np.float64)))
     return np.asarray(cloud.remove_statistical_outlier(NEIGHBOURS, RATIO)[1])

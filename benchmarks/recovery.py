@@ -1,12 +1,11 @@
-"""How often a garment is found: started at the wrong place and shape, or displaced while it was out of sight.
+"""Relocalization rates: wrong starts, and garments displaced while out of sight.
 
     python benchmarks/recovery.py [starts] [losses] [--cases 100] [--json benchmarks/results/recovery.json]
 
 **Starts.** The template in its rest shape, laid on the garment of the first frame, moved by 10 cm and turned by 20 degrees
-about the vertical (ddakf.evaluation.trials.runs.displaced_template).
-Converged: within 15 frames the normal RMSE is at most 1.2 x that of the
-run that was started at the truth on the same clouds, and stays there; where the garment has sleeves or legs, the vertex
-RMSE as well.
+about the vertical (ddakf.evaluation.trials.runs.displaced_template). Converged: within 15 frames the normal RMSE is at most 1.2
+times that of the run started at the truth on the same clouds, and stays there; for garments with sleeves or legs also the
+vertex RMSE.
 
 **Losses.** A garment is tracked for 10 frames from a random one, disappears for 0.3 to 2.5 seconds (empty clouds, while it
 goes on moving), and reappears displaced by up to 1 m horizontally and turned by up to 45 degrees about the vertical. Found:
@@ -44,7 +43,7 @@ from ddakf.files.sequence import Sequence
 from ddakf.search.relocalize import SETTLING
 
 COSTS = ("ms_searched", "times_searched", "times_settling")
-FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: at most, of a garment that reappears
+FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: largest displacement of a garment that reappears
 AWAY = (0.3, 2.5)  # s
 LEAD_IN = 10  # frames tracked before a loss
 GOOD = 15.0  # mm: an error below it counts as found
@@ -151,7 +150,7 @@ def cost(sure: Track, lost: Track) -> dict[str, float]:
 
 
 def compared(name: str, view: str, seed: int, sure: Track, other: Track) -> dict:
-    """Whether the other track is at most twice as wrong as the one that started at the truth."""
+    """The judgement of a loss: True if the track has at most twice the error of the one started at the truth."""
     (normal_0, vertex_0), (normal, vertex) = sure.judged(), other.judged()
     error, least = (normal, normal_0) if name in WITHOUT_HEADING else (vertex, vertex_0)
     return {

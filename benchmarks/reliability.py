@@ -1,11 +1,11 @@
-"""How well the reliability of frames and vertices ranks the error, on the fixed list of degraded runs
+"""Rank correlation of the reliability of frames and vertices with the error, on the fixed list of degraded runs
 (ddakf.evaluation.sensors.degradations).
 
     python benchmarks/reliability.py [--procs 2] [--json benchmarks/results/reliability.json]
-    python benchmarks/reliability.py --fit        # the two laws of ddakf/reliability.py, fitted on all recordings
+    python benchmarks/reliability.py --fit        # the two laws of ddakf/stages/reliability.py, fitted on all recordings
 
-"left out" scores every recording by laws that were fitted on the others: what to expect of a new one. Without DDAKF_DATA there
-is the bundled sample alone.
+"left out" scores every recording by laws fitted on the others, as an estimate for a new one. Without DDAKF_DATA only the bundled
+sample is used.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from ddakf.stages import reliability
 from ddakf.stages.reliability import Evidence, Law, VertexEvidence
 
 WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
-WORST = 0.3  # m: an error beyond it is lost, and how far beyond says nothing
-LEAST = 1e-4  # m: so small an error of a vertex is luck
+WORST = 0.3  # m: larger errors are clipped: the track is lost
+LEAST = 1e-4  # m: smaller errors of a vertex are chance
 LEVEL = 1 / 3  # weight of a run's mean error in the fit; deviations within the run count fully
 RIDGE = 0.01
-VERTICES = 100  # of a frame that are kept
+VERTICES = 100  # saved of a frame
 SETTINGS = ddakf.Config().reliability
 
 
@@ -45,7 +45,7 @@ SETTINGS = ddakf.Config().reliability
 
 @contextmanager
 def watched(verdicts: list):
-    """Stage G keeps every verdict in the list."""
+    """Records every verdict of stage G in the list."""
     judge = reliability.judge
 
     def keeping(*arguments):
@@ -60,12 +60,12 @@ def watched(verdicts: list):
 
 
 def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, np.ndarray]:
-    """Of every frame that arrived its errors, and what the tracker said of it; T frames."""
+    """Errors and the tracker's scores of every frame that arrived; T frames."""
     tracker = ddakf.Tracker(source.garment, body=source.body)
     tracker.reset(source.start)
     sequence, rows, verdicts = source.sequence, [], []
     inside = metrics.Penetration(ddakf.Mesh(sequence.body_vertices[0], sequence.body_faces)) if sequence.has_body else None
-    kept = np.random.default_rng(0).permutation(source.garment.n_vertices)[:VERTICES]
+    saved = np.random.default_rng(0).permutation(source.garment.n_vertices)[:VERTICES]
     with watched(verdicts):
         for frame, degraded in run.script.apply(frames, run.seed):
             result = tracker.step(
@@ -80,14 +80,14 @@ def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, 
                 "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
                 "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
                 "score": result.reliability, "paper": result.paper_score,
-                "evidence": verdict.evidence, "vertex_evidence": np.stack([e[kept] for e in verdict.vertex_evidence], axis=1),
-                "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[kept],
+                "evidence": verdict.evidence, "vertex_evidence": np.stack([e[saved] for e in verdict.vertex_evidence], axis=1),
+                "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[saved],
             })  # fmt: skip
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
 
 
 def group(job: tuple[str, str, bool]) -> list[dict]:
-    """All scripts, and none, on one view of one sequence."""
+    """Runs of one view of one sequence: every script, and none."""
     name, view, give_body = job
     sequence = next(s for s in sequences() if s.name == name)
     source = SequenceSource(sequence, Sensor(view), range(min(FRAMES + 1, len(sequence))), give_body=give_body)
@@ -101,9 +101,9 @@ def group(job: tuple[str, str, bool]) -> list[dict]:
     return out
 
 
-def all_runs(names: list[str] | None, views: list[str], procs: int, kept: Path | None) -> list[dict]:
-    """All that is asked for; what the file ``kept`` holds already is not run again."""
-    runs = load(kept) if kept and kept.exists() else []
+def all_runs(names: list[str] | None, views: list[str], procs: int, saved: Path | None) -> list[dict]:
+    """All wanted runs; those in the file ``saved`` are not run again."""
+    runs = load(saved) if saved and saved.exists() else []
     done = {place(run) for run in runs}
     chosen = [s for s in sequences() if names is None or s.name in names]
     size = {s.name: s.garment_vertices.shape[1] for s in chosen}
@@ -112,8 +112,8 @@ def all_runs(names: list[str] | None, views: list[str], procs: int, kept: Path |
     with multiprocessing.get_context("spawn").Pool(procs) if procs > 1 and jobs else nullcontext() as pool:
         for more in pool.imap_unordered(group, jobs) if pool else map(group, jobs):
             runs += more
-            if kept:
-                save(kept, runs)
+            if saved:
+                save(saved, runs)
     return runs
 
 
@@ -174,7 +174,7 @@ def ranking(runs: list[dict], score: str, what: str) -> dict[str, float] | None:
 
 
 def figures(runs: list[dict], score: str = "score") -> dict:
-    """What is asked of a score: of the degraded runs, and of the clean ones where it says so."""
+    """Figures of a score on the degraded runs, and on the clean ones where the name has it."""
     clean = {place(run): run for run in runs if run["script"] == CLEAN.name}
     degraded = [run for run in runs if run["script"] != CLEAN.name]
     bodies = [run for run in degraded if np.isfinite(run["penetration"]).all()]
@@ -210,7 +210,7 @@ def figures(runs: list[dict], score: str = "score") -> dict:
 
 
 def vertex_figures(runs: list[dict]) -> dict:
-    """Rank correlation with the error of the vertices within each frame; and what a value means: the error at it."""
+    """Rank correlation with the error of the vertices within each frame; and the error at each value."""
     ranked, views = [], []
     for run in runs:
         a, b = (rankdata(values, axis=1) for values in (-run["vertex_score"], run["vertex_error"]))
@@ -286,7 +286,7 @@ def fitted_vertices(runs: list[dict]) -> Law:
 
 
 def rescored(runs: list[dict], law: Law, vertex_law: Law) -> list[dict]:
-    """The runs as these laws score them. The vertices' spread is that of the ones that were kept."""
+    """The runs as these laws score them. The vertices' spread is that of the saved ones."""
     out = []
     for run in runs:
         error = law(run["evidence"].T)
@@ -301,7 +301,7 @@ def rescored(runs: list[dict], law: Law, vertex_law: Law) -> list[dict]:
 
 
 def left_out(runs: list[dict]) -> list[dict]:
-    """Every recording as laws score it that were fitted on the others."""
+    """Scores of every recording by laws fitted on the others."""
     out = []
     for name in dict.fromkeys(run["sequence"] for run in runs):
         others = [run for run in runs if run["sequence"] != name]

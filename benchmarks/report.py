@@ -209,7 +209,7 @@ def readme_table(report: dict) -> str:
 
 
 def payload_table(report: dict) -> str:
-    """Sizes, times and errors of what a frame may hold."""
+    """Sizes, times and errors of the payloads of a frame."""
     clouds, images = report["codecs"], report["images"]
     lines = [
         f"| {clouds[0]['points']:,} points | bytes | per point | encode ms | decode ms | largest error mm |",
@@ -233,7 +233,7 @@ def payload_table(report: dict) -> str:
     return "\n".join([*lines, "", f"Milliseconds are medians on {place}."])
 
 
-# Of each document: the name of its table, what makes it, and the parts that this needs.
+# By document: the name of its table, its function, and the parts that it needs.
 TABLES = {
     "README.md": ("numbers", readme_table, ("frame", "open3d", "service")),
     "docs/protocol.md": ("payloads", payload_table, ("codecs", "images")),
@@ -252,7 +252,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("path", type=Path, nargs="?", default=RESULT)
     parser.add_argument("--write", action="store_true", help="write the tables of the documents whose parts it has")
-    parser.add_argument("--check", action="store_true", help="fail where these tables are not this result's")
+    parser.add_argument("--check", action="store_true", help="fail if the tables are not those of this result")
     arguments = parser.parse_args()
     report = json.loads(arguments.path.read_text())
     documents = [name for name, (_, _, parts) in TABLES.items() if all(part in report for part in parts)]

@@ -1,10 +1,10 @@
-"""Hours in minutes: ``python benchmarks/soak.py [--seconds 600] [--cycles 1000] [--clients 2]``.
+"""Soak test: ``python benchmarks/soak.py [--seconds 600] [--cycles 1000] [--clients 2]``.
 
-A few clients stream without a pause while others connect, create a session, track a few frames, and leave: in order, by half
-closing, by cancelling, or with the socket simply gone. Memory (anonymous pages) and open descriptors of the server and of
-each worker, the spare one included, are read all the while; they begin once it is warm. Exit status 1 where the memory at the
-end is more than 3 % above that after the warm-up, a descriptor is left over, a session is, a process came or went, or a stream
-ended with an error. Writes benchmarks/results/soak.json.
+A few clients stream without a pause. Others connect, create a session, track a few frames, and leave: in order, by half closing,
+by cancelling, or by closing the socket. Memory (anonymous pages) and open descriptors of the server and of
+each worker, including the spare one, are read throughout, from the end of the warm-up. Exit status 1 if the memory at the end is
+more than 3 % above that after the warm-up, if a descriptor or a session is left over, if a process started or ended, or if a
+stream ended with an error. Writes benchmarks/results/soak.json.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 async def _soak(a: argparse.Namespace, script: traffic.Script, address: str, usage: traffic.Usage) -> dict:
-    records = [traffic.Record() for _ in range(a.clients)]
-    cycles, readings = traffic.Record(), []
+    records = [traffic.StreamLog() for _ in range(a.clients)]
+    cycles, readings = traffic.StreamLog(), []
     async with contextlib.AsyncExitStack() as stack:
         stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
         names = [await traffic.created(stub, script) for stub in stubs]
@@ -69,7 +69,7 @@ async def _soak(a: argparse.Namespace, script: traffic.Script, address: str, usa
         ]
         done = [0]
         await asyncio.gather(
-            *steady, _come_and_leave(a, script, address, cycles, done), _read(a.seconds, usage, readings, done, a.cycles)
+            *steady, _short_clients(a, script, address, cycles, done), _read(a.seconds, usage, readings, done, a.cycles)
         )
         await asyncio.sleep(2 * DEPARTURE + 2.0)  # the sessions of those whose socket went expire
         descriptors = usage.descriptors()
@@ -77,7 +77,7 @@ async def _soak(a: argparse.Namespace, script: traffic.Script, address: str, usa
     return _judged(a, records, cycles, done[0], readings, idle_descriptors, descriptors, len(left) - a.clients)
 
 
-async def _come_and_leave(a: argparse.Namespace, script, address: str, record: traffic.Record, done: list[int]) -> None:
+async def _short_clients(a: argparse.Namespace, script, address: str, record: traffic.StreamLog, done: list[int]) -> None:
     """All cycles, evenly over the time."""
     begun = time.monotonic()
     for k in range(a.cycles):
@@ -174,7 +174,7 @@ def _growth(seconds: float, readings) -> dict[int, tuple[float, float]]:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=600.0)
-    parser.add_argument("--cycles", type=int, default=1_000, help="clients that come and leave")
+    parser.add_argument("--cycles", type=int, default=1_000, help="clients that connect and leave")
     parser.add_argument("--clients", type=int, default=2, help="that stream all the time")
     parser.add_argument("--rate", type=float, default=15.0, help="frames per second of these")
     parser.add_argument("--vertices", type=int, default=1_000)

@@ -1,4 +1,4 @@
-"""Through a real service with the Python client: what it adds to the library's time, several clients, and the codecs."""
+"""Streaming benchmark: overhead of a service with the Python client, several clients, and the codecs."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def service(workers: int) -> Iterator[str]:
 
 
 def through_a_service(settings) -> dict:
-    """What the service adds, and several clients at once."""
+    """Overhead of the service, and several concurrent clients."""
     with service(settings.workers) as address:
         return {"overhead": _overhead(settings, address), "clients": _clients(settings, address)}
 
@@ -99,7 +99,7 @@ def _truths(run: inputs.Run) -> np.ndarray:
 
 
 def _clients(settings, address: str) -> dict:
-    """Several clients, each sending the sample at its 30 frames per second in realtime flow."""
+    """Several clients, each sending the sample at its 30 frames per second with the backpressure policy realtime."""
     run = inputs.run_of(data.sample(), settings.client_frames, "full", settings.points)
     with ThreadPoolExecutor(settings.clients) as pool:
         answers = list(pool.map(lambda _: _paced(address, run), range(settings.clients)))
@@ -198,7 +198,7 @@ def _image(lens: depths.Intrinsics, width: int, height: int) -> tuple[np.ndarray
 
 
 def _timed(repeats: int, call) -> tuple[object, dict]:
-    """What a call returns, and the percentiles of its milliseconds once it has been made."""
+    """The return value of a call, and percentiles of its milliseconds after a first call."""
     times, outcome = [], call()  # which imports, and starts processes
     for _ in range(repeats):
         begun = time.perf_counter()

@@ -1,7 +1,7 @@
-"""What the operational benchmarks share: frames encoded ahead, clients that send them on schedule, and what a server takes.
+"""Traffic of the operational benchmarks: pre-encoded frames, clients that send them on schedule, and the server's resources.
 
-The clients speak the contract itself, so that neither encoding nor a client library's own work counts as the server's. All of
-them live in one event loop.
+The clients speak the contract itself, so that neither encoding nor a client library counts as the server's work. All of them
+run in one event loop.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 
 class Script:
-    """A garment and its frames, encoded once; they are played to the end and back again for as long as anyone likes.
+    """A garment and its frames, encoded once; they are played forth and back without an end.
 
     Args:
-        vertices: about so many of the garment; None: the sample's own.
+        vertices: approximate number of the garment's; None for the sample's own.
         points: of each frame.
         view: of the virtual sensor.
         codec: a name of ``ddakf_api.codec.CODECS``.
@@ -93,8 +93,8 @@ class Script:
 
 
 @dataclass
-class Record:
-    """What one client saw.
+class StreamLog:
+    """Log of one client's stream.
 
     Attributes:
         latency: seconds of each answered frame, from when it was due: a late send counts as the service's delay.
@@ -144,7 +144,7 @@ async def created(stub: TrackingServiceStub, script: Script, limits: pb.SessionL
 
 
 async def play(
-    stub: TrackingServiceStub, name: str, script: Script, rate: float, seconds: float, record: Record, *,
+    stub: TrackingServiceStub, name: str, script: Script, rate: float, seconds: float, record: StreamLog, *,
     flow: pb.FlowMode = pb.FLOW_MODE_REALTIME, first: int = 1, accuracy_every: int = 10, delay: float = 0.0,
 ) -> None:  # fmt: skip
     """Sends frames on schedule for so many seconds, and reads until the last answer.
@@ -213,7 +213,7 @@ def spare_workers(process: ServiceProcess) -> int:
 
 
 class Usage:
-    """What a process and its descendants take, from /proc."""
+    """Memory, CPU time and descriptors of a process and its descendants, from /proc."""
 
     def __init__(self, pid: int):
         self._pid = pid
@@ -234,7 +234,7 @@ class Usage:
         return sum(sum(map(int, stat[11:13])) for pid in self.tree() if (stat := _stat(pid))) / _TICKS
 
     def memory(self) -> dict[int, int]:
-        """What each has allocated, bytes: its anonymous pages. Pages of files come and go with whoever else maps them."""
+        """Allocated bytes of each: its anonymous pages. Pages of files depend on other processes that map them."""
         return {pid: size for pid in self.tree() if (size := _anonymous(pid))}
 
     def descriptors(self) -> dict[int, int]:

@@ -1,10 +1,10 @@
-"""How the baselines' settings were chosen: ``python benchmarks/tuning.py [--only NAME ...]``, about three quarters of an hour.
+"""Tuning of the baselines' settings: ``python benchmarks/tuning.py [--only NAME ...]``, about three quarters of an hour.
 
-Every baseline but the learned one, which has clips of its own, is tuned on the same clips, by its error alone: from the first
-value of each of its axes on, one axis after the other, the best value is kept (coordinate search). All tries are written to
-``benchmarks/results/tuning.json``, which a later call with ``--only`` completes; the defaults of the settings are the ones
-chosen there, and a test compares them. The score is the geometric mean over the clips of the RMSE, so that every clip counts
-alike. DD-AKF runs beside them as it is, untuned here. Recordings are found through DDAKF_DATA.
+Every baseline but the learned one, which has clips of its own, is tuned on the same clips by its error alone. A
+coordinate search starts with the first value of each axis, and chooses the best value of one axis after another. All tries go
+into ``benchmarks/results/tuning.json``, which a later call with ``--only`` completes. The defaults of the settings are the ones
+chosen there, and a test compares them. The score is the geometric mean over the clips of the RMSE, so that every clip has the
+same weight. DD-AKF runs beside them with its defaults. Recordings come from DDAKF_DATA.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ class Clip(NamedTuple):
 
 
 def clips(frames: int) -> Iterator[Clip]:
-    """What all but the learned method is tuned on."""
+    """Clips on which all methods but the learned one are tuned."""
     for name, view in CLIPS:
         yield _clip(name, view, frames)
 
 
 def learned_clips(frames: int) -> Iterator[Clip]:
-    """What the learned method is tuned on: the recordings that ship for learning; their bodies, no clouds."""
+    """Clips on which the learned method is tuned: the training recordings that ship; bodies without clouds."""
     for path in sorted(data.TRAINING.glob("*.npz")):
         yield _learned_clip(path.stem, frames)
 
@@ -83,8 +83,8 @@ class Search(NamedTuple):
     clips: Callable[[int], Iterator[Clip]] = clips
 
 
-def of(method: type) -> Callable[[Any, RecordingLabels], Baseline]:
-    """Of a method that does not care what will be scored."""
+def without_labels(method: type) -> Callable[[Any, RecordingLabels], Baseline]:
+    """The factory of a method that ignores the labels of the scored recording."""
     return lambda settings, scored: method(settings)
 
 
@@ -96,26 +96,26 @@ def clothfit(settings: AnswerSettings, scored: RecordingLabels) -> ClothFit:
 
 
 SEARCHES = {
-    "kf": Search(of(KalmanFilter), KalmanSettings, {
+    "kf": Search(without_labels(KalmanFilter), KalmanSettings, {
         "measurement_sd": (0.1, 0.03, 0.3), "acceleration_density": (0.3, 0.1, 1.0), "gate": (0.05, 0.1, 0.15),
         "facing": (True, False),
     }),
-    "icp": Search(of(NonRigidPointToPlane), IcpSettings, {
+    "icp": Search(without_labels(NonRigidPointToPlane), IcpSettings, {
         "iterations": (12, 8), "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8),
     }),
-    "icp-rigid": Search(of(RigidPointToPlane), RigidSettings, {
+    "icp-rigid": Search(without_labels(RigidPointToPlane), RigidSettings, {
         "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
     }),
-    "pf": Search(of(ParticleFilter), ParticleSettings, {
+    "pf": Search(without_labels(ParticleFilter), ParticleSettings, {
         "amplitude_sd": (0.002, 0.001, 0.004), "harmonics": (3, 5), "elasticity": (10.0, 3.0, 30.0),
         "likelihood_sd": (0.0005, 0.00025, 0.001), "shift_sd": (0.005, 0.0025), "turn_sd": (0.015, 0.0075),
         "momentum": (0.8, 0.5, 1.0), "passes": (3, 1, 5),
     }),
-    "opt-ed": Search(of(EmbeddedDeformation), EmbeddedSettings, {
+    "opt-ed": Search(without_labels(EmbeddedDeformation), EmbeddedSettings, {
         "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
         "regularisation": (1.0, 0.3, 3.0), "smoothness": (1.0, 0.3, 3.0), "gate": (0.10, 0.05),
     }),
-    "nicp": Search(of(NonRigidIcp), NicpSettings, {"stiffness": (24.0, 16.0)}),
+    "nicp": Search(without_labels(NonRigidIcp), NicpSettings, {"stiffness": (24.0, 16.0)}),
     "clothfit": Search(clothfit, AnswerSettings, {
         "gate": (1.0, 0.0), "caution": (2.0, 0.0, 0.5, 1.0, 4.0, 8.0), "smoothing": (2, 0, 4),
     }, learned_clips),
@@ -128,7 +128,7 @@ NAMES = *UNTUNED, *SEARCHES
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Searches what is asked for; returns the exit status."""
+    """Searches the settings of the wanted methods; returns the exit status."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")

@@ -76,7 +76,8 @@ def test_a_search_keeps_the_best_value_of_every_axis(tuning, monkeypatch):
         return {"rmse_mm": abs(settings.gate - 0.2) + abs(settings.measurement_sd - 0.3), "normal_rmse_mm": 0.0}
 
     axes = {"gate": (0.05, 0.2, 0.3), "measurement_sd": (0.1, 0.3), "facing": (True, False)}
-    monkeypatch.setitem(tuning.SEARCHES, "kf", tuning.Search(tuning.of(KalmanFilter), KalmanSettings, axes, tuning.learned_clips))
+    search = tuning.Search(tuning.without_labels(KalmanFilter), KalmanSettings, axes, tuning.learned_clips)
+    monkeypatch.setitem(tuning.SEARCHES, "kf", search)
     monkeypatch.setattr(tuning, "score", score)
     found = tuning.search("kf", 3)
     assert found["chosen"] == asdict(KalmanSettings(gate=0.2, measurement_sd=0.3, facing=True))
