@@ -158,7 +158,8 @@ def fields() -> str:
     """Every field of every stage's configuration as comma-separated values; of a variant that extends another, its own fields."""
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(("stage", "field", "default", "least", "most", "unit, meaning", "reason"))
+    rows.writerow(("stage", "field", "default", "paper", "least", "most", "unit, meaning", "reason"))
+    printed = _values(Config.paper())
     for stage, variants in _variants().items():
         for variant in variants:
             base = next((other for other in variants if other in variant.__mro__[1:]), None)
@@ -169,8 +170,19 @@ def fields() -> str:
                 bounds = (_shown(bound) for bound in field.metadata.get("range", ("", "")))
                 meaning, *given = re.split(r"; (?=(?:tuned|chosen|fitted)\b)", comments.get(field.name, ""), maxsplit=1)
                 reason = given[0] if given else _reason(variant, field.name, variants)
-                rows.writerow((_stage_name(stage), name, value, *bounds, meaning, reason))
+                rows.writerow((_stage_name(stage), name, value, printed.get(name, ""), *bounds, meaning, reason))
     return out.getvalue()
+
+
+def _values(config) -> dict[str, str]:
+    """Values of a configuration and of its stages by ``Class.field``."""
+    values = {}
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        values[f"{type(config).__name__}.{field.name}"] = _shown(value)
+        if dataclasses.is_dataclass(value) and not isinstance(value, Fabric):
+            values |= _values(value)
+    return values
 
 
 def _reason(variant: type, name: str, variants: tuple[type, ...]) -> str:
@@ -293,23 +305,6 @@ def derived_table() -> str:
     return "\n".join([*lines, *(f"| {name} | {value} | {source} |" for name, value, source in rows)])
 
 
-def presets_table() -> str:
-    """Where the presets differ."""
-    default, paper = Config(), Config.paper()
-    lines = ["| stage | `Config()` | `Config.paper()` |", "|---|---|---|"]
-    for field in dataclasses.fields(Config):
-        a, b = getattr(default, field.name), getattr(paper, field.name)
-        if a == b:
-            continue
-        if type(a) is type(b):
-            differing = [f.name for f in dataclasses.fields(a) if getattr(a, f.name) != getattr(b, f.name)]
-            shown = (", ".join(f"`{name}={_shown(getattr(v, name))}`" for name in differing) for v in (a, b))
-        else:
-            shown = (f"`{type(v).__name__}`" for v in (a, b))
-        lines.append(f"| `{field.name}` | {' | '.join(shown)} |")
-    return "\n".join(lines)
-
-
 def fabrics_table() -> str:
     """The fabric presets."""
     names = [field.name for field in dataclasses.fields(Fabric)]
@@ -360,7 +355,6 @@ def errors_table() -> str:
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
     "open constants": ("configuration.md", open_constants_table),
     "derived": ("configuration.md", derived_table),
-    "presets": ("configuration.md", presets_table),
     "fabrics": ("configuration.md", fabrics_table),
     "settings": ("operations.md", settings_table),
     "metrics": ("operations.md", metrics_table),
