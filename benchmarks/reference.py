@@ -195,82 +195,6 @@ def _reason(variant: type, name: str, variants: tuple[type, ...]) -> str:
     return f"as {first}"
 
 
-def open_constants_table() -> str:
-    """What the paper names without a value."""
-    default, paper = Config(), Config.paper()
-    rows = [
-        ("alpha (2.3)", "smoothing of R, share of the old value", default.adapt.alpha, paper.adapt.alpha, "adapt.alpha"),
-        ("epsilon (2.3)", "added to R's sample, m²", default.adapt.epsilon, paper.adapt.epsilon, "adapt.epsilon"),
-        (
-            "tau (2.5)",
-            "Mahalanobis gate on d²",
-            f"{gate_threshold(default.robust.gate_probability, 1):.2f} (1 dimension)",
-            f"{gate_threshold(paper.robust.gate_probability, 3):.2f} (3 dimensions)",
-            "robust.gate_probability, chi-square quantile",
-        ),
-        ("Tukey's constant (2.5)", "in standard deviations", default.robust.cutoff, paper.robust.cutoff, "robust.cutoff"),
-        (
-            "tau (2.6)",
-            "score below which lambda is raised",
-            f"{default.reliability.recovery_below:g} on the product's score, until {default.reliability.recovery_above:g}",
-            f"{paper.reliability.threshold:g} on s_k",
-            "reliability.recovery_below, reliability.threshold",
-        ),
-        (
-            "lambda (2.6)",
-            "factor on the physics in recovery, 1 otherwise",
-            default.reliability.recovery_lambda,
-            paper.reliability.recovery_lambda,
-            "reliability.recovery_lambda",
-        ),
-        (
-            "Q (2.2)",
-            "white acceleration, m/s²",
-            default.predict.acceleration,
-            paper.predict.acceleration,
-            "predict.acceleration",
-        ),
-        (
-            "R_min, R_max (2.7)",
-            "as standard deviations, mm",
-            f"{1e3 * default.adapt.lowest_sd:g}, {1e3 * default.adapt.highest_sd:g}",
-            f"{1e3 * paper.adapt.lowest_sd:g}, {1e3 * paper.adapt.highest_sd:g}",
-            "adapt.lowest_sd, adapt.highest_sd",
-        ),
-        (
-            "R_0 (2.3)",
-            "as standard deviation, mm",
-            f"{1e3 * default.adapt.initial_sd:g}",
-            f"{1e3 * paper.adapt.initial_sd:g}",
-            "adapt.initial_sd",
-        ),
-        (
-            "R_phys (2.4)",
-            "covariance of the pseudo-measurement",
-            "1/(lambda k w) of each constraint",
-            "H_phys: gain (P_pp⁻¹ + H)⁻¹",
-            "no field",
-        ),
-        (
-            "longest step of the physics (2.4)",
-            "mm",
-            "none",
-            f"{1e3 * paper.fuse.longest_correction:g}",
-            "fuse.longest_correction",
-        ),
-        (
-            "k of the outlier filter (2.1)",
-            "neighbours, ratio",
-            "16, 2, for suspects alone",
-            f"{paper.preprocess.neighbours}, {paper.preprocess.ratio:g}",
-            "preprocess.neighbours, preprocess.ratio",
-        ),
-    ]
-    lines = ["| constant (section) | what it is | `Config()` | `Config.paper()` | field |", "|---|---|---|---|---|"]
-    lines += [f"| {name} | {what} | {_shown(a)} | {_shown(b)} | {_code(field)} |" for name, what, a, b, field in rows]
-    return "\n".join(lines)
-
-
 def derived_table() -> str:
     """Numbers that follow from the configuration."""
     config, paper = Config(), Config.paper()
@@ -288,6 +212,11 @@ def derived_table() -> str:
             "eigenvalues of R, paper",
             f"{1e6 * paper.adapt.lowest_sd**2:g} to {1e6 * paper.adapt.highest_sd**2:g} mm²",
             "lowest_sd², highest_sd²",
+        ),
+        (
+            "tau (2.5), gate on d²: default, paper",
+            f"{gate_threshold(config.robust.gate_probability, 1):.2f}, {gate_threshold(paper.robust.gate_probability, 3):.2f}",
+            "gate_probability, chi-square with 1, 3 degrees of freedom",
         ),
         ("s_k in the steady state", f"{math.exp(-1):.3f}", "exp(-1)"),
         (
@@ -353,7 +282,6 @@ def errors_table() -> str:
 
 
 TABLES: dict[str, tuple[str, Callable[[], str]]] = {
-    "open constants": ("configuration.md", open_constants_table),
     "derived": ("configuration.md", derived_table),
     "fabrics": ("configuration.md", fabrics_table),
     "settings": ("operations.md", settings_table),

@@ -41,9 +41,10 @@ def stage_table() -> list[Row]:
     table = text.partition("| stage | paper | module |")[2].partition("\n\n")[0].splitlines()[2:]
     rows = []
     for line in table:
-        stage, paper, modules, config, section = (cell.strip() for cell in line.strip("|").split("|"))
+        stage, paper, modules, config = (cell.strip() for cell in line.strip("|").split("|"))
+        letter, section = stage[1:].partition("]")[0], LINK.findall(stage)[0]
         names = (link.removeprefix("../ddakf/").removesuffix(".py") for link in LINK.findall(modules))
-        rows += [Row(stage, paper, name, re.findall(r"`(\w+)`", config), LINK.findall(section)[0]) for name in names]
+        rows += [Row(letter, paper, name, re.findall(r"`(\w+)`", config), section) for name in names]
     return rows
 
 

@@ -43,9 +43,8 @@ def test_what_was_chosen_has_the_least_error_of_all_tries(tuning):
         assert method["score"]["settings"].items() <= method["chosen"].items()
 
 
-def test_the_document_shows_the_table_of_the_record(tuning):
+def test_the_document_names_the_learned_methods_settings_and_error():
     text = " ".join((ROOT / "docs/baselines.md").read_text().split())
-    assert " ".join(tuning.table(REPORT).split()) in text
     learned = REPORT["methods"]["clothfit"]
     assert "*gate* (change needed before still vectors count) {gate:g}, ".format(**learned["chosen"]) in text
     assert "(reduction by spread) {caution:g}, rounds of *smoothing* {smoothing}, ".format(**learned["chosen"]) in text
