@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 STAGES = {"predict", "preprocess", "coarse", "pyramid", "associate", "robust", "adapt", "physics", "fuse"}
 STAGES |= {"uncertainty", "reliability", "total"}

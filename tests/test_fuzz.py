@@ -13,6 +13,8 @@ import hypothesis
 import pytest
 from hypothesis import strategies as st
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 TARGETS = fuzz_targets.all_targets()
 

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -35,7 +37,6 @@ def test_load_is_counted(tmp_path):
     assert part["rmse_mm"] > 0
 
 
-@pytest.mark.slow
 def test_nothing_is_left_of_clients_that_come_and_leave(tmp_path):
     arguments = ("--seconds", "10", "--cycles", "24", "--clients", "1", "--rate", "5", "--vertices", "400", "--points", "1000")
     part, _ = run("soak", tmp_path / "soak.json", *arguments)
@@ -46,7 +47,6 @@ def test_nothing_is_left_of_clients_that_come_and_leave(tmp_path):
     # ten seconds say nothing about growth: a worker's memory has not settled by then
 
 
-@pytest.mark.slow
 def test_sessions_outlive_what_goes_wrong(tmp_path):
     arguments = ("--seconds", "32", "--clients", "1", "--frames", "20", "--rate", "5", "--points", "1000", "--workers", "1")
     part, status = run("chaos", tmp_path / "chaos.json", *arguments)
@@ -55,7 +55,6 @@ def test_sessions_outlive_what_goes_wrong(tmp_path):
     assert status == 0
 
 
-@pytest.mark.slow
 def test_a_session_goes_on_after_each_kill_of_its_worker(tmp_path):
     size = ("--vertices", "400", "--points", "1000", "--rate", "5")
     part, status = run("kill", tmp_path / "kill.json", "--kills", "2", *size)

@@ -3,12 +3,15 @@
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.slow
+
 PROGRAM = """
 import importlib, pkgutil
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from ddakf import Config, Tracker, kernels
-from ddakf.commands import warmup
 from ddakf.commands import warmup
 
 modules = [importlib.import_module(f"ddakf.kernels.{m.name}") for m in pkgutil.iter_modules(kernels.__path__)]

@@ -15,6 +15,8 @@ from ddakf_service.auth.tls import Tls
 
 from .auth.certificates import Authority
 
+pytestmark = pytest.mark.slow
+
 HEALTHY = Path(__file__).parents[2] / "docker/healthy"
 
 

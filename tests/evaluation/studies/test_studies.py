@@ -27,6 +27,8 @@ from ddakf.evaluation.trials import methods, recordings
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.files import io
 
+pytestmark = pytest.mark.slow
+
 SMALL = Trial("", points=800, surfaces=True)
 QUIET = Console(quiet=True)
 TIMES = {"wall_ms_p50", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99", "fps", "memory_mib", "processes"}

@@ -20,6 +20,8 @@ from ddakf.evaluation.trials.methods import BASELINES
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.evaluation.trials.variants import ablations, refinements
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[3]
 SHORT = Trial("sample", frames=4, points=3000)
 TIMES = {"cpu_ms_p50", "cpu_ms_p99", "wall_ms_p50", "wall_ms_p99", "fps"}

@@ -21,6 +21,8 @@ from ddakf_client import connect
 from ..conftest import TIMEOUT, eventually
 from .conftest import As, call, keys_command, metadata, new_key
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):
     key = new_key(guarded.data, "passing", "read")

@@ -20,6 +20,8 @@ from ddakf_service.auth.tls import Tls
 from ..conftest import TIMEOUT, eventually, running
 from .certificates import Authority
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def encrypted(tmp_path_factory):

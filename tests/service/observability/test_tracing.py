@@ -16,6 +16,8 @@ from ..conftest import TIMEOUT
 pytest.importorskip("opentelemetry.sdk")
 from .collector import Collector, attributes_of
 
+pytestmark = pytest.mark.slow
+
 FRAME = pb.Frame(sequence_number=5, capture_time=0.5, point_cloud=pb.PointCloud(point_count=77))
 
 

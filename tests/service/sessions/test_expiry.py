@@ -19,6 +19,8 @@ from ddakf_service.store.store import Store
 
 from ..conftest import TIMEOUT, Talk, eventually, frame_of, request_of
 
+pytestmark = pytest.mark.slow
+
 
 def why(api, name: str) -> str:
     """Why a session has expired; nothing while it lives."""

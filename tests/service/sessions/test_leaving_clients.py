@@ -18,6 +18,8 @@ from websockets.asyncio.client import connect
 
 from ..conftest import TIMEOUT, frame_of, request_of, serving
 
+pytestmark = pytest.mark.slow
+
 COUNTED = ("ddakf_", "google.", "grpc", "_asyncio", "uvicorn", "websockets", "starlette", "prometheus_client", "socket", "_io")
 PATIENCE = 60.0  # seconds
 

@@ -16,6 +16,8 @@ from ddakf.errors import InvalidConfig
 from ..conftest import TIMEOUT
 from .conftest import record
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_second_server_is_refused_until_the_first_lets_go(tmp_path):
     first = DataFolder(tmp_path / "data")

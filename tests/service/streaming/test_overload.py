@@ -19,6 +19,8 @@ from websockets.sync.client import connect as connect_websocket
 
 from ..conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_free, make_sheet, request_of, running
 
+pytestmark = pytest.mark.slow
+
 LARGE = make_sheet(50, 0.01)
 
 

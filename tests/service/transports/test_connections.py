@@ -15,6 +15,8 @@ from websockets.exceptions import InvalidStatus
 from ..conftest import Api, eventually, frame_of, make_sheet, request_of, running
 from .websockets_client import START, handshake, line
 
+pytestmark = pytest.mark.slow
+
 ORIGIN = "https://example.org"
 
 

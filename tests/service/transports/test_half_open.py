@@ -17,6 +17,8 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ..conftest import TIMEOUT, frame_of, request_of, serving
 
+pytestmark = pytest.mark.slow
+
 
 class Line:
     """A proxy that never closes a connection; ``dead`` it forwards nothing, and after ``swift`` bytes to the server it drips."""

@@ -10,6 +10,8 @@ from ddakf.evaluation.baselines.clothfit.network import Network, basis, invarian
 from ddakf.evaluation.baselines.clothfit.settings import Stretches
 from tests.evaluation.baselines.clothfit.scene import swaying
 
+pytestmark = pytest.mark.slow
+
 CUT = Stretches(count=2, frames=30, every=2, vertices=80, shortest=20)
 TINY = settings.TrainingSettings(CUT, CUT, members=2, hidden=16, steps=150, tuning_steps=20, batch=256, rate=1e-2)
 
