@@ -14,7 +14,7 @@ from typing import NamedTuple
 from ddakf.evaluation.datasets.faust import CLIP
 from ddakf.files.sequence import Sequence, read_names
 
-FAUST_TRAINING_SUBJECTS = frozenset(range(8))
+FAUST_TRAINING_SUBJECTS = frozenset(range(8))  # as in the paper, which tests on the other two
 BODY = "whole body"
 # Words of a garment's or a sequence's name. CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.
 # The recordings of some origins have one garment only.

@@ -1,4 +1,4 @@
-"""Who is trained on what: categories and motions by name, and no fold scores what it trains on."""
+"""Splits: categories and motions by name, and no overlap of training and test."""
 
 import numpy as np
 import pytest

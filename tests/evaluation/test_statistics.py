@@ -1,4 +1,4 @@
-"""Tests and intervals against values by hand, against SciPy, and against how often they should be right."""
+"""Tests and intervals against values by hand, against SciPy, and against their nominal rates."""
 
 import json
 

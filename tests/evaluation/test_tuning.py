@@ -1,4 +1,4 @@
-"""The baselines' defaults are the ones that the recorded search chose, and the document shows what it reached."""
+"""The baselines' defaults are the ones that the recorded search chose, and the document shows its results."""
 
 import json
 import sys

@@ -34,7 +34,7 @@ from ddakf.mesh import Mesh
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
 TYPICAL_ROTATION = 2.0  # eigenvalue of Rot's Hessian at a rotation, likewise
 PRIOR = 1e-6  # keeps unknowns that nothing determines where they are
-SOLVER_STEPS, SOLVER_TOLERANCE = 12, 0.1
+SOLVER_STEPS, SOLVER_TOLERANCE = 12, 0.1  # of conjugate gradients in one Gauss-Newton step: the next step corrects the rest
 STARTING_STEPS, STARTING_WEIGHT = 10, 100.0  # of Gauss-Newton, and of the vertices of the start in them
 STILL = 5e-4  # m: a frame is done when its vertices move less, RMS
 

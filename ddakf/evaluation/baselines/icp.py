@@ -16,7 +16,7 @@ from ddakf.mesh import Mesh
 
 DAMPING = 0.01  # of a correspondence, per vertex: keeps vertices without points and neighbours in place
 TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the preconditioner
-SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.1
+SOLVER_STEPS, SOLVER_TOLERANCE = 8, 0.1  # of conjugate gradients in one iteration: the next one corrects the rest
 
 
 @dataclass(frozen=True)

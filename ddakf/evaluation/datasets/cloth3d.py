@@ -21,7 +21,7 @@ from ddakf.evaluation.datasets.smpl import load_smpl
 from ddakf.files.io import read_mesh
 from ddakf.files.sequence import Sequence
 
-FPS = 30.0
+FPS = 30.0  # as published
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # from z up
 LARGEST = 1e6  # metres and radians: beyond, single precision says nothing any more
 MODELS = {0: "model_f.npz", 1: "model_m.npz"}  # by gender, in a folder of models

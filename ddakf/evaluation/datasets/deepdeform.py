@@ -26,7 +26,7 @@ from ddakf.files.depth import without_fliers
 from ddakf.mesh import Mesh
 
 MM = 1e-3  # metres
-FPS = 30.0
+FPS = 30.0  # rate of the frame numbers in file names
 REACH = 0.3  # m: the target is the largest surface in the source object's bounding box, enlarged by this on every side
 FLOW = re.compile(r"(?P<object>\w+?)_(?P<source>\d+)_(?P<target>\d+)\.sflow")
 

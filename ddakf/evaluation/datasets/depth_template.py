@@ -14,7 +14,7 @@ from ddakf.mesh import Mesh
 
 JUMP = 0.06  # m: neighbouring pixels farther apart in depth than this belong to different surfaces
 SMOOTHING_RADIUS = 3  # pixels: evens out the depth steps of a structured-light sensor, 22 mm at 2.8 m
-SMOOTHING_PASSES = 2
+SMOOTHING_PASSES = 2  # of the template; a cloud has one
 SMALLEST_SHARE = 0.05  # of the vertices: smaller components are left out
 
 

@@ -23,8 +23,8 @@ from ddakf.files.sequence import UNREADABLE, Sequence, why
 from ddakf.mesh import Mesh
 
 POSES = 10  # of every subject; the first one is neutral
-NEUTRAL = 0
-FPS = 30.0
+NEUTRAL = 0  # pose from which clips start
+FPS = 30.0  # of the clips; FAUST itself is static
 MOVING, RESTING = 30, 6  # frames after the neutral one in which a clip moves, and then stands still
 REGISTRATION, SCAN = re.compile(r"tr_reg_(\d{3})\.ply"), re.compile(r"tr_scan_(\d{3})\.ply")
 CLIP = re.compile(r"s(\d+)_p(\d+)")

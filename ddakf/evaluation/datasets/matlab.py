@@ -18,14 +18,14 @@ import numpy as np
 from ddakf.errors import InvalidFile
 
 HEADER = 128  # bytes
-VERSION = 0x0100
+VERSION = 0x0100  # of the format, in the header
 ORDERS = {b"IM": "<", b"MI": ">"}
 MOST_BYTES = 1 << 30  # of an array, unpacked
 MATRIX, PACKED = 14, 15  # kinds of elements
-INT8, INT32, UINT32 = 1, 5, 6
+INT8, INT32, UINT32 = 1, 5, 6  # kinds of elements
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}  # kinds of elements
 NUMERIC = range(6, 16)  # classes of arrays
-COMPLEX = 0x0800
+COMPLEX = 0x0800  # flag of an array of complex numbers
 
 
 def read_arrays(path, names: Collection[str]) -> dict[str, np.ndarray]:

@@ -28,6 +28,7 @@ BEHIND, BESIDE = 150.0, 55.0  # degrees from the sensor's side
 MOST_FRAMES = 75  # of an animation
 AMBIENT = 0.62  # share of the light that comes from everywhere: shading must not be mistaken for colour
 
+# Colours are RGB. Points are red, which the scale of the uncertainty does not contain
 WHITE, BACKGROUND, INK, PALE_INK = (255, 255, 255), (244, 245, 247), (35, 38, 46), (110, 114, 124)
 BODY, POINT = (186, 188, 194), (226, 60, 24)
 # Viridis (van der Walt and Smith, CC0): perceptually uniform, readable without colour vision, and free of red

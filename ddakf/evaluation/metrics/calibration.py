@@ -10,7 +10,7 @@ from ddakf.evaluation.metrics.vertex_error import difference
 
 NOMINAL_PROBABILITIES = tuple(round(0.05 * k, 2) for k in range(1, 20)) + (0.99,)  # probabilities of the reliability diagram
 CHI2_3_90 = 6.2514  # 0.9 quantile of the chi-square distribution with 3 degrees of freedom
-LOG_2PI = float(np.log(2 * np.pi))
+LOG_2PI = float(np.log(2 * np.pi))  # of the normalisation of a Gaussian
 
 
 def squared_mahalanobis(estimate: np.ndarray, truth: np.ndarray, covariance: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ View = Literal["full", "front", "ring4"]
 
 DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, horizontally
 FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
-INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
+INTRINSICS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)  # nearly the first Kinect's
 FLIER_JUMP = 0.03  # m: see ddakf.files.depth.without_fliers
 BACKGROUND = 1.0  # m: distance from the garment's first centroid to the wall that edge fliers mix with
 OUTLIER_MARGIN = 0.3  # m: outliers fill the cloud's bounding box, enlarged by this on every side

@@ -20,12 +20,12 @@ from ddakf.mesh import Mesh, vertex_normals
 
 GAP = 0.009  # m between body and cloth, at least
 ARM_JOINTS = ("upperarm", "lowerarm", "hand")
-FEWEST_VERTICES, MOST_VERTICES = 200, 10_000
+FEWEST_VERTICES, MOST_VERTICES = 200, 10_000  # allowed range
 LEVEL_HEIGHT = 0.01  # m between the levels of the outline
 N_DIRECTIONS = 96  # of the outline
 BELOW_SHOULDER, BLEND = 0.13, 0.08  # m: where cloth begins to hang free, and over which height
 CHAFING_ROUNDS = 10  # of pushing out of the body
-SMOOTHINGS = 12
+SMOOTHINGS = 12  # averages of a vertex with its neighbours: the body's details vanish
 NECK_UP = np.array([0.0, 0.85, 0.53])  # normal of the neckline's plane, lower in front
 ROUNDING = 0.01  # m, of the neckline's corners
 

@@ -23,7 +23,7 @@ SAMPLES_PER_FRAME = 4  # a motion is made so much finer, smoothed, and then take
 SMOOTHING = 0.02  # s, of the places of the root and the joint angles
 ARMS_DOWN = 20.0  # degrees from the rest pose's A, which leaves the arms clear of the trunk
 FOOT_BLEND = 0.01  # m within which the lower foot hands over to the other one
-SIDES = (("l", 1.0), ("r", -1.0))
+SIDES = (("l", 1.0), ("r", -1.0))  # letter in the names of joints, sign of x
 
 
 @dataclass(frozen=True)

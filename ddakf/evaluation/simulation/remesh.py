@@ -16,7 +16,7 @@ from ddakf.errors import InvalidMesh
 from ddakf.mesh import Mesh, vertex_normals
 
 LONGEST, SHORTEST = 4 / 3, 4 / 5  # of the target length
-ROUNDS = 6
+ROUNDS = 6  # of splits, collapses, flips and smoothing
 SMOOTHING = 0.5  # share of the way to the mean of the neighbours
 FLATTEST = 0.5  # cosine of the largest angle by which a collapse or a flip may turn a face
 TRIANGLES_PER_SQUARE = 4 / np.sqrt(3)  # of the edge length, in an equilateral tiling

@@ -18,7 +18,7 @@ from ddakf.files.sequence import Sequence
 
 SETTLING = 0.8  # s in the rest pose before the first frame
 LICENCE = "CC0 1.0: body by MakeHuman (CC0), garment, motion and simulation by ddakf"
-FEWEST_FRAMES, MOST_FRAMES = 2, 10_000
+FEWEST_FRAMES, MOST_FRAMES = 2, 10_000  # allowed range: one step at least, and memory
 
 
 @dataclass(frozen=True)

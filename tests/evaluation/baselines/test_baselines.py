@@ -1,4 +1,4 @@
-"""What every baseline owes: it follows, it stays where nothing is seen, and it is not fooled by what it cannot see."""
+"""Properties of every baseline: it follows the garment, stays in place without points, and ignores hidden surfaces."""
 
 import sys
 

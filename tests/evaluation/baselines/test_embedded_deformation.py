@@ -1,4 +1,4 @@
-"""The deformation graph is Sumner's: weights, terms and derivatives, on shapes whose answers are known."""
+"""The deformation graph is Sumner's: weights, terms and derivatives, on shapes with known answers."""
 
 import numpy as np
 import pytest

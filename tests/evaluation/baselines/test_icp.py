@@ -1,4 +1,4 @@
-"""The non-rigid step minimises the energy that it says."""
+"""The non-rigid step minimises its stated energy."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Adapters of other packages: they say what is missing, and follow where it is there."""
+"""Methods of other packages name a missing package, and follow the garment where it is installed."""
 
 import sys
 

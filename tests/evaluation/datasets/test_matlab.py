@@ -1,4 +1,4 @@
-"""MATLAB files: what SciPy writes is read as SciPy reads it, and no damaged file does more than be refused."""
+"""MATLAB files: files that SciPy writes give the same arrays, and damaged files are refused."""
 
 import struct
 import tracemalloc

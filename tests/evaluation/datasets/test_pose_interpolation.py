@@ -1,4 +1,4 @@
-"""Interpolation between poses: the ends are met, rigid parts stay rigid, limbs turn as one however far."""
+"""Interpolation between poses: the ends are met, rigid parts stay rigid, limbs turn as one through any angle."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Pictures: the right things are where they should be, in the right colours; animations keep the true speed."""
+"""Pictures: contents have the right places and colours; animations keep the true speed."""
 
 import builtins
 

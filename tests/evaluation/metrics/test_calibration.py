@@ -1,4 +1,4 @@
-"""Claimed covariances against values computed by hand, and against what they would be."""
+"""Calibration metrics against values by hand, and against calibrated samples."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""A cube by hand."""
+"""Penetration into a cube, by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Orders by hand."""
+"""Rank statistics by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Memory that is known to be taken."""
+"""Resident memory of known allocations."""
 
 import numpy as np
 import pytest

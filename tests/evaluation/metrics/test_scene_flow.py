@@ -1,4 +1,4 @@
-"""Flows by hand."""
+"""Scene flow by hand."""
 
 import numpy as np
 import pytest

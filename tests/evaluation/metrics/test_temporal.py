@@ -1,4 +1,4 @@
-"""Motion by hand."""
+"""Temporal metrics by hand."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The report: what stands in it is what the results say, and what is missing is said."""
+"""The report shows the numbers of the results, and names what is missing."""
 
 from __future__ import annotations
 

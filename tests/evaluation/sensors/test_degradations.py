@@ -1,4 +1,4 @@
-"""Degradations: what a script does to a stream, when, and that it does the same every time."""
+"""Degradations: effect and window of a script on a stream, reproducibly."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Virtual sensors: points lie on what the camera can see, occlusion is real, and every option does what it says."""
+"""Virtual sensors: points lie on visible surfaces, occlusion is exact, and every option has its stated effect."""
 
 from dataclasses import replace
 

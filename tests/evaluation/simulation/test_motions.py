@@ -1,4 +1,4 @@
-"""Motions start at rest in the rest pose, are continuous, keep the feet on the ground, and do what their names say."""
+"""Motions start at rest in the rest pose, are continuous, keep the feet on the ground, and match their names."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""The whole way, on Newton where it is installed: cut, settle, simulate, measure, write, read; and what is refused before."""
+"""The whole simulation, if Newton is installed: cut, settle, simulate, measure, write, read; and refused parameters."""
 
 import json
 

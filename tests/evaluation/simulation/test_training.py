@@ -1,4 +1,4 @@
-"""The recordings that ship for learning: complete, fit for use by the limits of today, and as their README says."""
+"""The training recordings that ship: complete, within the quality limits, and as in their README."""
 
 import json
 import re

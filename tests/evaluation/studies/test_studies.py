@@ -1,4 +1,4 @@
-"""Studies: refused before they begin, resumed where they ended, summed up by hand-checked rules."""
+"""Studies: bad plans are refused, interrupted ones resumed, and summaries follow rules checked by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The summary of a run, on results whose numbers are known."""
+"""The summary of a run, on results with known numbers."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Sources: frames carry what a tracker may see and what only the judge knows; a range sees what the whole sees."""
+"""Sources: frames hold the tracker's input and the truth; a range has the same clouds as the whole."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is said of a method where no vertex has a truth: by hand, with methods whose faults are known."""
+"""Recorded runs without vertex truth: scores by hand, of methods with known errors."""
 
 import re
 import shutil

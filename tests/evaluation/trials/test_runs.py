@@ -1,4 +1,4 @@
-"""Trials: one row of numbers each, the same from run to run, and pooled as if they had been one."""
+"""Runs of trials: reproducible rows, and pools equal to those of one run."""
 
 import json
 import subprocess

@@ -16,7 +16,7 @@ from ddakf.evaluation.baselines.clothfit.inputs import ACCELERATION, CLOTH, CLOT
 from ddakf.evaluation.baselines.clothfit.motion import Motion
 from ddakf.mesh import Mesh, vertex_normals
 
-DOWN = np.array([0.0, -1.0, 0.0])
+DOWN = np.array([0.0, -1.0, 0.0])  # y up
 BODY_SAMPLES, GARMENT_SAMPLES = 1500, 500  # spread over the surfaces
 BINDING, REACH, REACH_GROWTH = 16, 0.03, 0.4  # samples of the body that carry a vertex; m and 1: see gaussian_weights
 NEARBY, NEARBY_REACH = 96, 0.12  # samples of the body whose motion against its frame a vertex sees; m

@@ -15,7 +15,7 @@ import numpy as np
 from ddakf.evaluation.baselines.clothfit.inputs import LENGTH, SCALARS, STILL, VECTORS, Inputs
 from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 
-TINY = 1e-12
+TINY = 1e-12  # against division by 0
 UPPER = np.triu_indices(len(VECTORS))
 INPUTS, OUTPUTS = len(UPPER[0]) + len(SCALARS), len(VECTORS)
 

@@ -28,7 +28,7 @@ GRAVITY = np.array([0.0, -9.81, 0.0])  # m/s^2
 DRAG = 0.6  # 1/s
 STRETCH, BEND = 3e-7, 3e-4  # m/N per kg: compliances, of unit masses
 THICKNESS, REACH, FRICTION = 0.01, 0.1, 0.4  # m; m, within which the body is met; no unit
-TINY = 1e-12
+TINY = 1e-12  # m: against division by 0
 
 
 class Rehearsal(NamedTuple):

@@ -1,4 +1,4 @@
-"""The inputs turn with everything, and see what they say they see."""
+"""Features turn with the scene, and measure what their names say."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What is scored is not learned from: neither it, nor its garment, nor its motion."""
+"""The library excludes the scored recording, its garment and its motion from training."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What swings on a carried place obeys its equation of motion, whatever the frame rate."""
+"""Pendulums on a carried place obey their equation of motion at any frame rate."""
 
 import numpy as np
 import pytest

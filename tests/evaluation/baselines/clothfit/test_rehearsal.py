@@ -1,4 +1,4 @@
-"""Rehearsed cloth hangs on the body, keeps its lengths, and is the same every time."""
+"""Rehearsed cloth hangs on the body, keeps its lengths, and is reproducible."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Training lowers the error on what it sees, and is the same again."""
+"""Training lowers the training error, and is reproducible."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Weights are kept by what they were made from, and come back as they were."""
+"""Weights are cached by code, settings and data, and load unchanged."""
 
 import os
 import sys
