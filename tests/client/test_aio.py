@@ -67,6 +67,7 @@ async def test_errors_of_frames_and_of_the_server(service, mesh, frames):
             await collected(session.track(frames(3)))
 
 
+@pytest.mark.parametrize("bad_frame", ["ragged points", "code that fails"], indirect=True)
 async def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):
     made, (bad, field) = frames(3), bad_frame
     made[1] = bad
