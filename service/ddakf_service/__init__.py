@@ -1,1 +1,1 @@
-"""Garment tracking as a service: sessions over gRPC and REST, computed in worker processes."""
+"""Garment tracking as a service: sessions over gRPC, REST and WebSocket, tracked in worker processes."""

@@ -1,4 +1,4 @@
-"""``python -m ddakf_service`` is ``ddakf serve``."""
+"""Main program ``python -m ddakf_service``, the same as ``ddakf serve``."""
 
 import argparse
 import sys

@@ -1,4 +1,4 @@
-"""What this program was made from: the commit that a build wrote down, or the one of the checkout it runs in."""
+"""Build: the commit of this program, from a file written by the build or from the git checkout."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 
 _HERE = Path(__file__).parent
 WRITTEN = _HERE / "BUILD"
-"""Written by a build (setup.py); not there in a checkout."""
+"""Written by the build (setup.py); absent in a checkout."""
 _SHOWN = 12  # characters of a commit
 
 
 @functools.cache
 def build() -> str:
-    """Commit, shortened; empty where nobody knows."""
+    """The commit, shortened; empty when it is not known."""
     try:
         return WRITTEN.read_text().strip()
     except OSError:
@@ -21,7 +21,7 @@ def build() -> str:
 
 
 def commit_of(checkout: Path) -> str:
-    """The commit that is checked out in a folder, read without git; empty where it is no checkout."""
+    """The commit of a checkout, read without git; empty for another folder."""
     try:
         git = checkout / ".git"
         if git.is_file():  # a worktree

@@ -1,4 +1,4 @@
-"""What the server tells about itself."""
+"""Server info: versions, codecs and limits for the handshake."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .workers.encode import RESULT_ENCODINGS
 
 
 def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
-    """The handshake's answer: versions, codecs, limits."""
+    """The response of the handshake."""
     return pb.ServerInfo(
         api_version=API_VERSION,
         server_version=ddakf.__version__,

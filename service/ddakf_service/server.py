@@ -1,4 +1,4 @@
-"""The service: startup, main loop, shutdown."""
+"""Server: startup, main loop and shutdown of the service."""
 
 from __future__ import annotations
 
@@ -33,11 +33,11 @@ from .workers.pool import Limits, Progress
 log = logging.getLogger(__name__)
 
 _LOOPBACK = ("127.0.0.1", "::1", "localhost")
-_STATUS_GRACE = 0.5  # seconds that ended streams have to deliver their status
+_STATUS_GRACE = 0.5  # seconds for ended streams to deliver their status
 
 
 class Addresses(NamedTuple):
-    """Where the service listens."""
+    """Addresses of the service."""
 
     host: str
     grpc_port: int
@@ -94,14 +94,14 @@ class Server:
         self._health_update: asyncio.Future | None = None
 
     async def run(self, progress: Progress, ready: Callable[[Addresses], None]) -> None:
-        """Serves until SIGTERM or SIGINT; a second one ends the process at once.
+        """Serves until SIGTERM or SIGINT; a second signal ends the process at once.
 
         Args:
-            progress: told about the warm-up.
-            ready: told the addresses, once sessions are taken.
+            progress: called during the warm-up.
+            ready: called with the addresses when the server accepts sessions.
 
         Raises:
-            InvalidConfig: a port cannot be had.
+            InvalidConfig: a port is not available.
             WorkerStartFailed: a worker cannot track.
         """
         loop = asyncio.get_running_loop()
@@ -126,17 +126,17 @@ class Server:
             await self._shut_down()
 
     def stop(self) -> None:
-        """Begins an orderly shutdown."""
+        """Starts an orderly shutdown."""
         self._stopping.set()
 
     async def _load_keys(self) -> None:
-        """Loads the keys, and says who gets in without one."""
+        """Loads the keys and logs a warning when nobody or everybody has access."""
         await self._keys.start()
         if not _anonymous(self._settings):
             if not len(self._keys):
-                log.warning("calls need a key, and there is none yet: ddakf keys create NAME --scope stream")
+                log.warning("calls need a key, but no key exists: ddakf keys create NAME --scope stream")
         elif self._settings.host not in _LOOPBACK:
-            log.warning("whoever reaches %s may use this service: it does not ask for keys", self._settings.host)
+            log.warning("anyone who can reach %s may use this service: it needs no keys", self._settings.host)
 
     async def _start_pool(self, progress: Progress) -> None:
         await self._pool.start(progress)
@@ -152,8 +152,8 @@ class Server:
         await self._sessions.drain(self._settings.drain_grace)
 
     async def _shut_down(self) -> None:
-        async with contextlib.AsyncExitStack() as shutdown:  # each of them ends, from the last on, whatever becomes of another
-            for last, *of in (
+        async with contextlib.AsyncExitStack() as shutdown:  # each one runs, the last first, even when another fails
+            for stop, *arguments in (
                 (asyncio.to_thread, self._tracer.close),
                 (asyncio.to_thread, self._store.close),
                 (self._pool.stop,),
@@ -161,7 +161,7 @@ class Server:
                 (self._http.stop,),
                 (self._grpc.stop, _STATUS_GRACE),
             ):
-                shutdown.push_async_callback(last, *of)
+                shutdown.push_async_callback(stop, *arguments)
         log.info("stopped")
 
     def _on_signal(self) -> None:
@@ -188,11 +188,11 @@ class Server:
         self._health_update = asyncio.ensure_future(self._publish_health())
 
     async def _publish_health(self) -> None:
-        await self._grpc.serving(not self._not_ready())  # of this moment, should there have been another change meanwhile
+        await self._grpc.serving(not self._not_ready())  # read here, because it may have changed since the call
 
 
 def _anonymous(settings: Settings) -> bool:
-    """Whether calls are let in without a key."""
+    """Whether calls without a key are admitted."""
     return not settings.require_keys and (settings.allow_anonymous or settings.host in _LOOPBACK)
 
 

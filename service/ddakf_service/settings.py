@@ -1,4 +1,4 @@
-"""Settings of the service: flags over environment over file over defaults."""
+"""Settings of the service: flags override the environment, which overrides a file, which overrides the defaults."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ddakf.errors import InvalidConfig
 ENV_PREFIX = "DDAKF_"
 CONFIG_VARIABLE = ENV_PREFIX + "CONFIG"
 
-# More workers than this gain nothing that a user of an unconfigured server asked for, and each holds its own memory.
+# A user of an unconfigured server gains nothing from more workers, and each takes memory.
 DEFAULT_MAX_WORKERS = 4
 
 
@@ -47,7 +47,7 @@ _Origin = Annotated[str, AfterValidator(_origin)]
 
 
 class Settings(BaseSettings):
-    """Everything that an operator can set. Each field is also the flag, the key in the file and ``DDAKF_<FIELD>``."""
+    """All settings. Each field is also a flag, a key of the file and the variable ``DDAKF_<FIELD>``."""
 
     model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, extra="forbid", frozen=True, validate_default=True)
 
@@ -57,24 +57,22 @@ class Settings(BaseSettings):
     cors_origins: Annotated[tuple[_Origin, ...], NoDecode, BeforeValidator(_split)] = Field(
         (), description="origins of pages that may use the HTTP port, separated by commas; * for any"
     )
-    request_timeout: float = Field(60.0, gt=0, description="seconds in which a request has to come: over HTTP headers and body")
-    keepalive: float = Field(20.0, gt=0, description="seconds between pings of a WebSocket client, and for its answer")
+    request_timeout: float = Field(60.0, gt=0, description="seconds for a request to arrive; over HTTP headers and body")
+    keepalive: float = Field(20.0, gt=0, description="seconds between pings of a WebSocket client, and for the pong")
     workers: int = Field(
         default_factory=_default_workers,
         ge=1,
         le=256,
         description=f"worker processes; the default is one per core, at most {DEFAULT_MAX_WORKERS}",
     )
-    spare_workers: int = Field(1, ge=0, le=16, description="warm processes that take the place of a lost worker at once")
+    spare_workers: int = Field(1, ge=0, le=16, description="warm processes in reserve that replace a lost worker at once")
     recycle_frames: int = Field(0, ge=0, description="frames after which a worker is replaced in order; 0: never")
     recycle_memory_bytes: int = Field(
         6 << 30, ge=0, description="bytes in memory at which a worker is replaced in order; 0: never"
     )
 
     max_sessions: int = Field(64, ge=1, description="sessions at a time")
-    max_memory_bytes: int = Field(
-        4 << 30, ge=1 << 20, description="estimated bytes of a worker's sessions, above which it takes no more"
-    )
+    max_memory_bytes: int = Field(4 << 30, ge=1 << 20, description="estimated bytes of the sessions of one worker")
     max_message_bytes: int = Field(64 << 20, ge=1 << 16, le=1 << 30, description="largest request, bytes")
     max_points: int = Field(500_000, ge=1, description="points in one frame")
     max_image_pixels: int = Field(1 << 21, ge=1, le=1 << 26, description="pixels of a depth image")
@@ -83,26 +81,26 @@ class Settings(BaseSettings):
     max_body_vertices: int = Field(100_000, ge=3, description="vertices of a body")
 
     default_flow: Literal["realtime", "lossless"] = Field(
-        "realtime", description="flow of sessions that do not ask: realtime drops old frames, lossless keeps all"
+        "realtime", description="default flow mode: realtime drops old frames, lossless tracks all"
     )
-    lossless_queue: int = Field(8, ge=1, le=1024, description="frames that wait in a lossless session before reading stops")
-    max_watchers: int = Field(16, ge=0, le=1024, description="readers of one session beside its client")
-    max_frame_rate: float = Field(0.0, ge=0, description="frames per second of a session; 0: as many as can be tracked")
+    lossless_queue: int = Field(8, ge=1, le=1024, description="queued frames of a lossless session before reading stops")
+    max_watchers: int = Field(16, ge=0, le=1024, description="watchers per session")
+    max_frame_rate: float = Field(0.0, ge=0, description="frames per second of a session; 0: not limited")
     idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
     departure_timeout: float = Field(
-        60.0, gt=0, description="seconds that a session waits for its client once its stream has ended; at most idle_timeout"
+        60.0, gt=0, description="seconds that a session waits for its client after its stream ends; at most idle_timeout"
     )
-    max_lifetime: float = Field(0.0, ge=0, description="seconds after its creation at which a session ends; 0: none")
-    reader_timeout: float = Field(30.0, gt=0, description="seconds that a client may not read its answers before its stream ends")
-    frame_timeout: float = Field(30.0, gt=0, description="seconds that one frame may take before its worker is replaced")
-    warm_timeout: float = Field(900.0, gt=0, description="seconds that a worker may take to compile and to track its first frame")
-    drain_grace: float = Field(5.0, ge=0, description="seconds that clients have to leave after the notice of a shutdown")
-    successor: str = Field("", description="host:port that clients are told at a shutdown; empty: this server")
+    max_lifetime: float = Field(0.0, ge=0, description="seconds from the creation to the end of a session; 0: not limited")
+    reader_timeout: float = Field(30.0, gt=0, description="a stream ends when its client reads nothing for so many seconds")
+    frame_timeout: float = Field(30.0, gt=0, description="seconds per frame before its worker counts as hung and is replaced")
+    warm_timeout: float = Field(900.0, gt=0, description="seconds for a worker to compile and to track its first frame")
+    drain_grace: float = Field(5.0, ge=0, description="seconds for clients to leave after the notice of a shutdown")
+    successor: str = Field("", description="host:port for clients to connect to after a shutdown; empty: this server")
 
     data_dir: str = Field(
         default_factory=_default_data_dir,
         min_length=1,
-        description="folder of what outlives the process, one server's own; none: nothing does",
+        description="folder of the durable state, for one server only; none: in memory",
     )
     database_url: str = Field(
         "",
@@ -111,22 +109,22 @@ class Settings(BaseSettings):
     )
     checkpoint_url: str = Field("", description="checkpoints: an fsspec URL, file:///... or s3://...; empty: in data_dir")
     checkpoint_every: int = Field(30, ge=1, description="frames between two checkpoints of a session")
-    checkpoint_keep: int = Field(2, ge=1, le=100, description="checkpoints that are kept of each session")
-    history_days: float = Field(30.0, gt=0, description="days for which history and ended sessions are kept")
+    checkpoint_keep: int = Field(2, ge=1, le=100, description="stored checkpoints per session")
+    history_days: float = Field(30.0, gt=0, description="retention of history and of ended sessions, days")
     server_id: str = Field(
         default_factory=socket.gethostname,
         min_length=1,
         max_length=255,
-        description="name of this server among those of one database, its own: it restores the sessions of its name alone",
+        description="unique name of this server in its database: it restores only the sessions of this name",
     )
 
-    allow_anonymous: bool = Field(False, description="calls without a key are allowed on addresses other than loopback, too")
-    require_keys: bool = Field(False, description="calls need a key on loopback as well, for a proxy that runs there")
-    max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key that says no other number")
+    allow_anonymous: bool = Field(False, description="calls without a key are allowed also on addresses other than loopback")
+    require_keys: bool = Field(False, description="calls need a key also on loopback, for a proxy on the same machine")
+    max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key without a quota of its own")
     max_streams_per_key: int = Field(64, ge=1, description="streams and watchers of a key at a time")
     tls_certificate: str = Field("", description="PEM file with the certificate chain; empty: no encryption")
     tls_key: str = Field("", description="PEM file with its private key")
-    tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate of theirs")
+    tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate signed by one")
 
     trace_sample: float = Field(
         0.01, ge=0, le=1, description="share of the frames whose spans are exported where OTEL_EXPORTER_OTLP_ENDPOINT is set"
@@ -136,12 +134,12 @@ class Settings(BaseSettings):
 
     @classmethod
     def settings_customise_sources(cls, settings_cls, init_settings, **_):
-        # load() merges the layers itself, because it also reports which one each value came from.
+        # load() merges the layers itself, because it also reports the layer of each value.
         return (init_settings,)
 
 
 class Origin(NamedTuple):
-    """Where a value came from: "flag", "environment", "file" or "default", and its name there."""
+    """Layer of a value ("flag", "environment", "file" or "default") and its name there."""
 
     layer: str
     name: str
@@ -154,14 +152,14 @@ def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None 
     """Reads all layers.
 
     Args:
-        flags: values given on the command line, by field name.
-        config_file: a TOML file; without it the one that ``DDAKF_CONFIG`` names, if any.
+        flags: values of the command line, by field name.
+        config_file: a TOML file; defaults to the file that ``DDAKF_CONFIG`` names, if any.
 
     Returns:
-        the settings, and for each field where its value came from.
+        the settings, and the layer of each field.
 
     Raises:
-        InvalidConfig: naming the setting, what was expected and what came.
+        InvalidConfig: with the setting, the expected and the given value.
     """
     path = config_file or os.environ.get(CONFIG_VARIABLE)
     layers = {
@@ -182,7 +180,7 @@ def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None 
 
 
 def shown(name: str, value: Any) -> str:
-    """A value as text, without the password, key or token that a URL may hold."""
+    """A value as text, without the password, key or token of a URL."""
     if not name.endswith("_url"):
         return str(value)
     return _SECRET.sub(lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", str(value))

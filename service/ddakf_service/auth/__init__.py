@@ -1,1 +1,1 @@
-"""Authentication and authorisation: keys with scopes, the guard before every call, TLS."""
+"""Authentication and authorisation: keys with scopes, the guard of every call, TLS."""

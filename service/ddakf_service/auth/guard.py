@@ -1,6 +1,6 @@
-"""The one place where a call is let through or refused, for gRPC, REST and WebSocket alike.
+"""Guard: admits or rejects every call of gRPC, REST and WebSocket by its key and scopes.
 
-What is not named in a table here needs the scope ``admin``: a new call is closed until somebody opens it.
+A call that no table here names needs the scope ``admin``, so a new call is closed by default.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope
 
 _SERVICE = "/" + pb.DESCRIPTOR.services_by_name["TrackingService"].full_name + "/"
-OPEN: frozenset[Scope] = frozenset()  # nobody is asked for a key
+OPEN: frozenset[Scope] = frozenset()  # no key needed
 READ, STREAM, ADMIN = (frozenset({scope}) for scope in (Scope.READ, Scope.STREAM, Scope.ADMIN))
-READ_OWN = frozenset({Scope.READ, Scope.STREAM})  # those who stream may read what is theirs
+READ_OWN = frozenset({Scope.READ, Scope.STREAM})  # a key with the scope stream reads its own sessions
 GRPC_SCOPES: dict[str, frozenset[Scope]] = {
     _SERVICE + "GetServerInfo": OPEN,
     "/grpc.health.v1.Health/Check": OPEN,
@@ -28,58 +28,60 @@ GRPC_SCOPES: dict[str, frozenset[Scope]] = {
     **{_SERVICE + name: STREAM for name in ("CreateSession", "RestoreSession", "Track")},
     **{_SERVICE + name + "Session": STREAM for name in ("Update", "Reset", "Delete", "Snapshot")},
 }
-"""By method the scopes of which one is enough."""
+"""Sufficient scopes by method; one of them is enough."""
 
 OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v1/info", "/docs", "/docs/oauth2-redirect", "/redoc", "/openapi.json"})
 _FORWARDING = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
 
 
 class Guard:
-    """Finds out who calls, and whether they may.
+    """Identifies the caller and checks the scopes.
 
     Args:
-        keys: those in force.
-        anonymous: calls without a key are anyone's, and allowed everything.
-        local: but only those of this machine, not what a proxy forwards, nor a page whose name was made to point here.
+        keys: the valid keys.
+        anonymous: calls without a key are allowed everything.
+        local: restricts ``anonymous`` to calls of this machine: none that a proxy forwards, and no web page whose host name
+            was made to resolve to this machine.
     """
 
     def __init__(self, keys: KeyRing, *, anonymous: bool, local: bool):
         self._keys, self._anonymous, self._local = keys, anonymous, local
 
-    async def admit(self, presented: str | None, enough: frozenset[Scope], headers: Mapping[str, str]) -> Principal:
-        """Who presents this key, if they have one of the scopes that are enough; what is theirs is known to the sessions.
+    async def admit(self, presented_key: str | None, sufficient: frozenset[Scope], headers: Mapping[str, str]) -> Principal:
+        """The principal of a call. The catalog of sessions checks ownership.
 
         Args:
-            presented: the key; None: no key.
+            presented_key: None: no key.
+            sufficient: scopes, of which one is enough.
             headers: of the call, in lower case.
 
         Raises:
-            Unauthenticated: no key where one is needed, or one that is not known, even where none is needed.
-            PermissionDenied: the key's scopes do not include this.
+            Unauthenticated: a key is needed, or the presented key is unknown (even where no key is needed).
+            PermissionDenied: the key has no sufficient scope.
         """
-        if presented is None:
-            elsewhere = _elsewhere(headers) if self._local else ""
-            if not enough or (self._anonymous and not elsewhere):
+        if presented_key is None:
+            remote = _remote_origin(headers) if self._local else ""
+            if not sufficient or (self._anonymous and not remote):
                 return ANONYMOUS
-            raise Unauthenticated(f"a key is needed{elsewhere}: send it as 'authorization: Bearer KEY'")
-        principal = await self._keys.principal(presented)
-        if enough and not any(principal.allows(scope) for scope in enough):
-            raise PermissionDenied(f"this needs a key with the scope {' or '.join(sorted(enough))}")
+            raise Unauthenticated(f"a key is needed{remote}: send it as 'authorization: Bearer KEY'")
+        principal = await self._keys.principal(presented_key)
+        if sufficient and not any(principal.allows(scope) for scope in sufficient):
+            raise PermissionDenied(f"this needs a key with the scope {' or '.join(sorted(sufficient))}")
         return principal
 
 
-def _elsewhere(headers: Mapping[str, str]) -> str:
-    """Why a call that comes over loopback may be of somebody elsewhere; empty: it is not."""
+def _remote_origin(headers: Mapping[str, str]) -> str:
+    """Reason why a call over loopback may come from another machine; empty: it does not."""
     if proxied := next((name for name in _FORWARDING if name in headers), ""):
         return f", as a proxy has forwarded this ({proxied})"
     host = headers.get("host", "")
-    if not host or "origin" in headers:  # of a page that says whose it is; see OriginCheck
+    if not host or "origin" in headers:  # a page with an origin; see OriginCheck
         return ""
     return "" if is_own_name(host) else f", as this was sent to {host[:80]!r} (allow_anonymous lets it in)"
 
 
 def bearer_key(value: str | None) -> str | None:
-    """The key of an authorization header; what is none is presented as it is, and refused as unknown."""
+    """The key of an authorization header. Any other value is returned unchanged and later rejected as unknown."""
     if value is None:
         return None
     kind, _, key = value.partition(" ")
@@ -87,8 +89,8 @@ def bearer_key(value: str | None) -> str | None:
 
 
 def http_scopes(scope) -> frozenset[Scope]:
-    """The scopes of which one is enough: reading is for GET and for watchers, what changes something for those who stream."""
-    path = scope["path"].rstrip("/\n") or "/"  # the patterns of routes let one line feed pass at the end
+    """Sufficient scopes of an HTTP or WebSocket call: GET and watchers need to read, changes need ``stream``."""
+    path = scope["path"].rstrip("/\n") or "/"  # route patterns accept a trailing line feed
     if path in OPEN_PATHS:
         return OPEN
     sessions = path == "/v1/sessions" or path.startswith(("/v1/sessions/", "/v1/sessions:"))
@@ -99,12 +101,12 @@ def http_scopes(scope) -> frozenset[Scope]:
         return ADMIN
     if scope["type"] == "websocket":
         return READ_OWN if path.endswith("/watch") else STREAM
-    # whoever has a snapshot can have the session elsewhere
+    # a snapshot is enough to restore the session elsewhere
     return READ_OWN if reading and not path.endswith("/snapshot") else STREAM
 
 
 def is_own_name(host: str) -> bool:
-    """Whether a Host header has an address or "localhost", rather than a name that anybody may have made to point here."""
+    """Whether a Host header is an address or "localhost". Any other name may have been made to resolve to this machine."""
     try:
         name = urlsplit("//" + host).hostname or ""
         return name == "localhost" or bool(ipaddress.ip_address(name))

@@ -1,4 +1,4 @@
-"""Keys in the database of the service."""
+"""Key database: API keys in the service's database."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .principal import Scope
 
 
 class DatabaseKeyStore:
-    """A :class:`~.keys.KeyStore` in a database that is open; raises ``Unavailable`` while that cannot be reached."""
+    """A :class:`~.keys.KeyStore` in an open database; raises ``Unavailable`` while it cannot be reached."""
 
     def __init__(self, database: Database):
         self._database = database
 
     def all(self) -> Iterable[Key]:
-        """All, oldest first."""
+        """All keys, oldest first."""
         rows = self._database.read_now(lambda c: c.execute(sa.select(api_keys).order_by(api_keys.c.create_time)).all())
         return [_key(row) for row in rows]
 

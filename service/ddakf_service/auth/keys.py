@@ -1,7 +1,7 @@
-"""API keys: made once, shown once, kept as hashes.
+"""API keys: created and shown once, stored as hashes.
 
-A key is ``ddakf_ID_SECRET``: the id finds it, the secret has 256 random bits. So many cannot be guessed or enumerated, which is
-why one SHA-256 of the secret is enough at rest; slow hashes are for what people choose.
+A key is ``ddakf_ID_SECRET``: the id selects the stored key, the secret has 256 random bits. They cannot be guessed, so one
+SHA-256 protects the stored secret; a slow hash is for passwords that people choose.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ log = logging.getLogger(__name__)
 
 PREFIX = "ddakf"
 _PATTERN = re.compile(rf"{PREFIX}_([0-9a-f]{{12}})_([A-Za-z0-9_-]{{43}})")
-_REFRESH = 5.0  # seconds until a change of the keys is noticed
-_UNKNOWN_REFRESH = 0.5  # seconds between looks for a key that is not known yet
-_NOBODY = bytes(32)
+_REFRESH = 5.0  # seconds between reads of the stored keys
+_UNKNOWN_KEY_REFRESH = 0.5  # seconds between reads on behalf of unknown keys
+_EMPTY_DIGEST = bytes(32)
 
 
 @dataclass(frozen=True)
 class Key:
-    """A key as it is stored.
+    """A stored key.
 
     Attributes:
-        id: 12 hexadecimal digits, the middle of the key.
+        id: 12 hexadecimal digits, the middle part of the key.
         digest: SHA-256 of the secret.
-        name: whom it is for.
-        created, revoked: seconds since the epoch; revoked None: in force.
+        name: purpose or holder.
+        created, revoked: seconds since 1970; revoked None: valid.
     """
 
     id: str
@@ -56,20 +56,20 @@ class Key:
 
 
 class KeyStore(Protocol):
-    """Where keys are kept; blocking."""
+    """Storage of keys; its methods block."""
 
     def all(self) -> Iterable[Key]:
-        """All, the revoked ones too."""
+        """All keys, with the revoked ones."""
 
     def add(self, key: Key) -> None:
-        """Keeps a new one."""
+        """Stores a new key."""
 
     def revoke(self, key_id: str, at: float) -> bool:
-        """Whether there was one in force."""
+        """Revokes a key; False without a valid key of this id."""
 
 
 def generate(name: str, scopes: Iterable[Scope], created: float, max_sessions: int = 0) -> tuple[Key, str]:
-    """A new key as it is stored, and as its holder gets it."""
+    """A new key: as stored, and as text for its holder."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
     key = Key(key_id, _digest(secret), name, frozenset(scopes), created, max_sessions)
     return key, f"{PREFIX}_{key_id}_{secret}"
@@ -80,25 +80,25 @@ def _digest(secret: str) -> bytes:
 
 
 class KeyRing:
-    """The keys in force, in memory; a change in the store is followed within some seconds.
+    """The valid keys in memory; follows changes of the store within some seconds.
 
     Args:
-        store: where they are kept.
-        on_revoked: told the ids of all keys that were in force since the start and are not any more, each time they are read.
+        store: the stored keys.
+        on_revoked: called after each read with the ids of all keys revoked since the start.
     """
 
     def __init__(self, store: KeyStore, on_revoked: Callable[[Set[str]], None]):
         self._store, self._on_revoked = store, on_revoked
         self._keys: dict[str, Key] = {}
-        self._seen: set[str] = set()
-        self._read = False
-        self._began = -_REFRESH  # when that was tried last (monotonic clock)
-        self._loading: asyncio.Lock = asyncio.Lock()
+        self._known_ids: set[str] = set()
+        self._loaded = False
+        self._load_started = -_REFRESH  # time of the last attempt (monotonic clock, seconds)
+        self._load_lock: asyncio.Lock = asyncio.Lock()
         self._task: asyncio.Task | None = None
 
     async def start(self) -> None:
-        """Loads the keys and keeps following them."""
-        async with self._loading:
+        """Loads the keys and starts to follow their changes."""
+        async with self._load_lock:
             await self._load()
         self._task = asyncio.create_task(self._follow())
 
@@ -108,22 +108,22 @@ class KeyRing:
             with contextlib.suppress(asyncio.CancelledError):
                 await self._task
 
-    async def principal(self, presented: str) -> Principal:
-        """Whose key this is.
+    async def principal(self, presented_key: str) -> Principal:
+        """The principal of a key.
 
         Raises:
-            Unauthenticated: nobody's, or a revoked one's. Which of the two is not said.
-            Unavailable: the keys could not be read yet.
+            Unauthenticated: the key is unknown or revoked; the message does not tell which.
+            Unavailable: the keys have not been read yet.
         """
-        matched = _PATTERN.fullmatch(presented)
+        matched = _PATTERN.fullmatch(presented_key)
         key_id, secret = matched.groups() if matched else ("", "")
         if matched and key_id not in self._keys:
-            await self._look()  # perhaps it is new
-            if not self._read:
+            await self._load_unknown()  # the key may be new
+            if not self._loaded:
                 raise Unavailable("the keys cannot be read now; try again later", retry_after=_REFRESH)
         key = self._keys.get(key_id)
-        # the comparison takes as long for unknown keys as for known ones
-        right = hmac.compare_digest(_digest(secret), key.digest if key else _NOBODY)
+        # the comparison takes the same time for unknown keys
+        right = hmac.compare_digest(_digest(secret), key.digest if key else _EMPTY_DIGEST)
         if key is None or not right:
             raise Unauthenticated("the key is not known, or not any more")
         return key.principal
@@ -135,27 +135,27 @@ class KeyRing:
         while True:
             await asyncio.sleep(_REFRESH)
             try:
-                async with self._loading:
+                async with self._load_lock:
                     await self._load()
-            except Exception:  # without this the next revoked key would be in force for ever
-                log.exception("a change of the keys could not be followed")
+            except Exception:  # the loop must go on: a key revoked later would stay valid
+                log.exception("the keys could not be read again")
 
-    async def _look(self) -> None:
-        """Reads the keys, unless others have since this was asked; not more often than every so often, however many ask."""
+    async def _load_unknown(self) -> None:
+        """Reads the keys, unless another call has done so since; at most every :data:`_UNKNOWN_KEY_REFRESH` seconds."""
         asked = monotonic()
-        async with self._loading:
-            if self._began < asked:
-                await asyncio.sleep(self._began + _UNKNOWN_REFRESH - asked)
+        async with self._load_lock:
+            if self._load_started < asked:
+                await asyncio.sleep(self._load_started + _UNKNOWN_KEY_REFRESH - asked)
                 await self._load()
 
     async def _load(self) -> None:
-        """What is known stays in force while the store cannot be read. The caller holds the lock."""
-        self._began = monotonic()
+        """Reads the keys. They stay valid while the store cannot be read. The caller holds the lock."""
+        self._load_started = monotonic()
         try:
             keys = await asyncio.to_thread(lambda: list(self._store.all()))
-        except Exception as error:  # of any database driver
+        except Exception as error:  # of any driver
             log.warning("the keys could not be read: %s", type(error).__name__)
             return
-        self._keys, self._read = {key.id: key for key in keys if key.revoked is None}, True
-        self._seen |= self._keys.keys()
-        self._on_revoked(self._seen - self._keys.keys())
+        self._keys, self._loaded = {key.id: key for key in keys if key.revoked is None}, True
+        self._known_ids |= self._keys.keys()
+        self._on_revoked(self._known_ids - self._keys.keys())

@@ -1,4 +1,4 @@
-"""Whoever makes a call, and what they may do with sessions."""
+"""Principal: the caller's key id and scopes, and the access that they give to a session."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 
 class Scope(enum.StrEnum):
-    """What a key allows.
+    """Permission of a key.
 
-    STREAM: sessions of one's own, created, streamed to, changed and deleted. READ: sessions, statistics and history of
-    everyone, metrics. ADMIN: everything, on everyone's sessions.
+    STREAM: create, stream to, change and delete the key's own sessions. READ: sessions, statistics and history of all keys,
+    and metrics. ADMIN: everything, on all sessions.
     """
 
     STREAM = "stream"
@@ -21,12 +21,12 @@ class Scope(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Principal:
-    """Who makes a call.
+    """The caller.
 
     Attributes:
-        id: of the key; sessions belong to it. Empty: nobody in particular.
+        id: of the key, the owner of its sessions; empty: no key.
         scopes: of the key.
-        max_sessions: that it may have at a time; 0: the server's bound alone.
+        max_sessions: quota of the key; 0: the server's setting.
     """
 
     id: str
@@ -37,16 +37,16 @@ class Principal:
         return scope in self.scopes or Scope.ADMIN in self.scopes
 
     def may_read(self, owner: str | None) -> bool:
-        """A session of ``owner``; None: it was made where no key was asked for."""
+        """Whether the caller may read a session. ``owner`` None: it was created without a key."""
         return self.allows(Scope.READ) or (self.id == owner and self.allows(Scope.STREAM))
 
     def may_change(self, owner: str | None) -> bool:
-        """As :meth:`may_read`."""
+        """Whether the caller may use and change a session; ``owner`` as in :meth:`may_read`."""
         return Scope.ADMIN in self.scopes or (self.id == owner and self.allows(Scope.STREAM))
 
 
 ANONYMOUS = Principal("", frozenset(Scope))
-"""Anyone, where no key is asked for."""
+"""Any caller, where no key is needed."""
 
 current_principal: ContextVar[Principal] = ContextVar("current_principal", default=ANONYMOUS)
-"""Set by the guards for the length of a call."""
+"""Caller of the present call, set by the guards."""

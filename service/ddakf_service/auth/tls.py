@@ -1,4 +1,4 @@
-"""Certificates from files, read again when they change: new connections get the new ones, open ones go on."""
+"""TLS: certificates from files, read again after a change; open connections continue."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ddakf.errors import InvalidConfig
 
 log = logging.getLogger(__name__)
 
-_INTERVAL = 1.0  # seconds between looks at the files
+_INTERVAL = 1.0  # seconds between checks of the files
 
 
 class Tls(NamedTuple):
-    """Files of PEM; with ``client_ca`` a client needs a certificate that it has signed."""
+    """PEM files. With ``client_ca`` a client needs a certificate signed by it."""
 
     certificate: Path
     key: Path
@@ -26,10 +26,10 @@ class Tls(NamedTuple):
 
     @classmethod
     def of(cls, certificate: str, key: str, client_ca: str) -> Tls | None:
-        """From settings, empty ones left out; None: no encryption.
+        """From settings, where an empty text means not given. None: no encryption.
 
         Raises:
-            InvalidConfig: one is given without the other, cannot be read, or they do not fit together.
+            InvalidConfig: a file is missing, cannot be read, or does not match the others.
         """
         if not (certificate or key or client_ca):
             return None
@@ -41,10 +41,10 @@ class Tls(NamedTuple):
         return tls
 
     def context(self) -> ssl.SSLContext:
-        """Of an HTTP server, from the files as they are now.
+        """TLS context of an HTTP server, from the present files.
 
         Raises:
-            InvalidConfig: a file cannot be used.
+            InvalidConfig: a file is invalid.
         """
         for name, path in zip(("tls_certificate", "tls_key", "tls_client_ca"), self, strict=True):
             if path is not None and not _readable(path):
@@ -58,8 +58,8 @@ class Tls(NamedTuple):
             raise InvalidConfig("tls_certificate", "a PEM certificate with its key", got) from None
         if self.client_ca:
             context.verify_mode = ssl.CERT_REQUIRED
-            # No session is resumed: one brings no certificate, so the clients of an authority that is gone would come in for
-            # hours. Of TLS 1.2 that cannot be had.
+            # No session resumption: it carries no certificate, so clients of a removed authority would be admitted for hours.
+            # TLS 1.2 cannot disable it.
             context.minimum_version = ssl.TLSVersion.TLSv1_3
             context.num_tickets = 0
             try:
@@ -70,11 +70,11 @@ class Tls(NamedTuple):
         return context
 
     def modification_times(self) -> tuple[int, ...]:
-        """Changes when a file does."""
+        """Modification times of the files."""
         return tuple(path.stat().st_mtime_ns for path in self if path is not None)
 
     def grpc_credentials(self) -> grpc.ServerCredentials:
-        """That look at the files at every handshake."""
+        """gRPC credentials that check the files at every handshake."""
         seen = [self.modification_times()]
 
         def fetch() -> grpc.ServerCertificateConfiguration | None:
@@ -82,7 +82,7 @@ class Tls(NamedTuple):
                 now = self.modification_times()
                 if now == seen[0]:
                     return None
-                self.context()  # a half-written pair is not taken
+                self.context()  # raises for a half-written pair
                 changed = self._grpc_configuration()
                 seen[0] = now
                 return changed
@@ -92,26 +92,26 @@ class Tls(NamedTuple):
         return grpc.dynamic_ssl_server_credentials(self._grpc_configuration(), fetch, self.client_ca is not None)
 
     async def follow(self, context: ssl.SSLContext) -> None:
-        """Makes the context of a listening server answer as the files are; runs until it is cancelled.
+        """Keeps the context of a listening server up to date with the files; runs until it is cancelled.
 
-        A context only ever gains authorities, so that another one takes its place at each handshake.
+        Authorities cannot be removed from a context, so each handshake gets the newest context.
         """
-        current, seen, told = [context], self.modification_times(), ""
+        current, seen, reported = [context], self.modification_times(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
             await asyncio.sleep(_INTERVAL)
             try:
                 now = await asyncio.to_thread(self.modification_times)
                 if now == seen:
-                    told = ""
+                    reported = ""
                     continue
                 current[0] = await asyncio.to_thread(self.context)
             except (InvalidConfig, OSError) as error:
-                if str(error) != told:  # a broken file may stay for days
-                    told = str(error)
+                if str(error) != reported:  # logged once per error: a broken file may stay for days
+                    reported = str(error)
                     log.warning("the changed certificate is not used: %s", error)
                 continue
-            seen, told = now, ""
+            seen, reported = now, ""
             log.info("the certificate was read again", extra={"certificate": str(self.certificate)})
 
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:

@@ -1,1 +1,1 @@
-"""The commands ``ddakf serve``, ``ddakf keys`` and ``ddakf demo``."""
+"""Commands: ``ddakf serve``, ``ddakf keys``, ``ddakf demo``."""

@@ -1,4 +1,4 @@
-"""What ``ddakf demo`` does: a service, a virtual depth camera, a client, a table and pictures."""
+"""Command ``ddakf demo``: a service, a virtual depth camera, a client, a table and pictures."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _RATE_WINDOW = 30  # results over which the live frame rate is shown
 
 @dataclass(frozen=True)
 class Run:
-    """What the client saw: results and, for each, the number of its frame from 0; the stream's duration in seconds."""
+    """Results of the client, the frame number of each from 0, and the stream's duration in seconds."""
 
     results: list[Result]
     frames: list[int]
@@ -43,7 +43,7 @@ class Run:
 
 
 def demonstrate(args: argparse.Namespace) -> int:
-    """Returns the exit status; leaves no process behind unless it is asked to."""
+    """Runs the demo and returns the exit status. Ends the service, except with ``--keep``."""
     sequence = data.sample()
     count = len(sequence) if args.frames is None else args.frames
     if not 1 <= count <= len(sequence):
@@ -56,9 +56,9 @@ def demonstrate(args: argparse.Namespace) -> int:
     try:
         clouds = _prepare(console, service, sequence, count, args.view)
         run = _stream(console, service.grpc, sequence, clouds)
-        table = _figures(sequence, clouds, run)
-        _show(console, table, args.json)
-        _paint(console, args, sequence, clouds, run)
+        table = _summary(sequence, clouds, run)
+        _print_summary(console, table, args.json)
+        _save_pictures(console, args, sequence, clouds, run)
         done = True
     except ServiceFailed as error:
         console.print(f"ddakf demo: {error}", highlight=False, soft_wrap=True)
@@ -70,13 +70,13 @@ def demonstrate(args: argparse.Namespace) -> int:
         if not (args.keep and done):
             service.stop()
     if args.keep:
-        line = f"The service goes on: gRPC {service.grpc}, REST {service.http}; kill {service.pid} stops it."
+        line = f"The service keeps running: gRPC {service.grpc}, REST {service.http}; kill {service.pid} stops it."
         console.print(line, highlight=False, soft_wrap=True)
     return 0
 
 
 def _prepare(console: Console, service: ServiceProcess, sequence: Sequence, count: int, view: str) -> list[Cloud]:
-    """Waits for the service; meanwhile sees all frames ahead, so that the camera's simulation takes no time later."""
+    """Waits for the service. Meanwhile renders all frames, so that the simulated camera takes no time during tracking."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[name]}"))
     with Progress(*columns, console=console) as bar, ThreadPoolExecutor(1) as renderer:
         compiling = bar.add_task("compiling kernels", total=None, name="")
@@ -120,7 +120,7 @@ def _track(console: Console, session: Session, sequence: Sequence, clouds: list[
     start = time.monotonic()
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("tracking", total=len(clouds), rate=0.0, reliability=0.0)
-        for result in session.track(_paced(sequence, clouds), covariance=True):
+        for result in session.track(_frames_in_real_time(sequence, clouds), covariance=True):
             results.append(result)
             arrivals.append(time.monotonic())
             recent = arrivals[-_RATE_WINDOW:]
@@ -129,8 +129,8 @@ def _track(console: Console, session: Session, sequence: Sequence, clouds: list[
     return Run(results, [result.sequence - 1 for result in results], arrivals[-1] - start)
 
 
-def _paced(sequence: Sequence, clouds: list[Cloud]) -> Iterator[Frame]:
-    """Frames at the times at which the camera takes them."""
+def _frames_in_real_time(sequence: Sequence, clouds: list[Cloud]) -> Iterator[Frame]:
+    """Frames at the camera's capture times."""
     start = time.monotonic()
     for number, cloud in enumerate(clouds):
         timestamp = sequence.timestamp(number)
@@ -139,8 +139,8 @@ def _paced(sequence: Sequence, clouds: list[Cloud]) -> Iterator[Frame]:
         yield Frame(cloud.points, timestamp, cloud.sensor_origin, body)
 
 
-def _figures(sequence: Sequence, clouds: list[Cloud], run: Run) -> dict[str, float]:
-    """The table: name with unit to value."""
+def _summary(sequence: Sequence, clouds: list[Cloud], run: Run) -> dict[str, float]:
+    """Values of the table by name with unit."""
     latency = 1e3 * np.array([result.latency for result in run.results])
     tracker = 1e3 * np.array([result.timings["total"] for result in run.results])
     pairs = [(result, sequence.garment_vertices[frame]) for result, frame in zip(run.results, run.frames, strict=True)]
@@ -160,18 +160,18 @@ def _figures(sequence: Sequence, clouds: list[Cloud], run: Run) -> dict[str, flo
     }
 
 
-def _show(console: Console, figures: dict[str, float], as_json: bool) -> None:
+def _print_summary(console: Console, summary: dict[str, float], as_json: bool) -> None:
     if as_json:
-        sys.stdout.write(json.dumps(figures, indent=2) + "\n")
+        sys.stdout.write(json.dumps(summary, indent=2) + "\n")
         return
     table = Table("figure", "value", box=None, header_style="bold")
     table.columns[1].justify = "right"
-    for name, value in figures.items():
+    for name, value in summary.items():
         table.add_row(name, str(value) if isinstance(value, int) else f"{value:.2f}")
     console.print(table)
 
 
-def _paint(console: Console, args: argparse.Namespace, sequence: Sequence, clouds: list[Cloud], run: Run) -> None:
+def _save_pictures(console: Console, args: argparse.Namespace, sequence: Sequence, clouds: list[Cloud], run: Run) -> None:
     shots = [
         pictures.Shot(
             points=clouds[frame].points,

@@ -1,4 +1,4 @@
-"""What ``ddakf keys`` does: keys are made, listed and revoked in the database, whether a service runs or not."""
+"""Command ``ddakf keys``: creates, lists and revokes keys in the database, with or without a running service."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ _LONGEST_NAME = 256
 
 
 def run(args: argparse.Namespace) -> int:
-    """Returns the exit status."""
+    """Runs the command and returns the exit status."""
     flags = {name: value for name in ("data_dir", "database_url") if (value := getattr(args, f"setting_{name}")) is not None}
     settings = load(flags, args.config)[0]
     url = database_url(settings)
     if url == IN_MEMORY:
-        raise InvalidConfig("data_dir", "a folder, or a database_url, for keys to be kept in", "none")
+        raise InvalidConfig("data_dir", "a folder, or a database_url, to store keys", "none")
     if not settings.database_url:
         make_folder(Path(settings.data_dir).expanduser())
     database = Database(url, Metrics())

@@ -1,4 +1,4 @@
-"""What ``ddakf serve`` does: settings, the service in the foreground, progress and addresses."""
+"""Command ``ddakf serve``: settings, the service in the foreground, progress and addresses."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 
 
 def serve(args: argparse.Namespace) -> int:
-    """Runs until a signal; returns the exit status."""
+    """Runs the service until a signal and returns the exit status."""
     flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
     try:
         settings, origins = load(flags, args.config)
@@ -47,7 +47,7 @@ def serve(args: argparse.Namespace) -> int:
 
 def _serve(settings: Settings, as_json: bool, with_parent: bool) -> int:
     configure_logging(settings.log_level, settings.log_format)
-    # The workers read these, so that their lines look like the server's.
+    # The workers read these, so that their log lines have the server's format.
     os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
     announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
@@ -106,7 +106,7 @@ class ConsoleAnnouncer:
 
 
 class JsonAnnouncer:
-    """The same as one JSON object per line, for a program."""
+    """Progress and addresses as one JSON object per line, for a program."""
 
     def progress(self, done: int, total: int, name: str) -> None:
         self._write(event="compiling", done=done, total=total, name=name)
@@ -123,7 +123,7 @@ class JsonAnnouncer:
 
 
 class LogAnnouncer:
-    """The same among the lines of a log that programs read, so that the output holds nothing else."""
+    """Progress and addresses as lines of a JSON log, so that the output contains nothing else."""
 
     def progress(self, done: int, total: int, name: str) -> None:
         log.info("compiling kernels", extra={"done": done, "total": total, "kernel": name})
@@ -159,6 +159,6 @@ def _print_settings(settings: Settings, origins: Mapping[str, Origin], as_json: 
 
 
 def _shown(settings: Settings, name: str):
-    """A value as it may be seen by anybody."""
+    """A value without secrets."""
     value = getattr(settings, name)
     return shown(name, value) if isinstance(value, str) else value

@@ -8,7 +8,7 @@ from ..settings import Settings, flag_of
 
 
 def add_serve_arguments(parser: argparse.ArgumentParser) -> None:
-    """The arguments of ``serve`` on a parser of one's own."""
+    """Adds the arguments of ``serve`` to a parser."""
     parser.add_argument("--config", metavar="FILE", help="a TOML file with settings (environment: DDAKF_CONFIG)")
     parser.add_argument("--print-config", action="store_true", help="show the settings and where each is from, and end")
     parser.add_argument("--json", action="store_true", help="progress, addresses and settings as JSON lines")

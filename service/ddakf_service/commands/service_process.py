@@ -1,4 +1,4 @@
-"""The service as a child process: started on free loopback ports, stopped in order, never left behind."""
+"""Service process: the service as a child process on free loopback ports, ended with its parent."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ _STOP_PATIENCE = 20.0  # seconds for an orderly shutdown, drain included
 
 
 class ServiceFailed(RuntimeError):
-    """The child ended before it was ready; the message is the end of its log."""
+    """The service ended before it was ready; the message is the last line of its log."""
 
 
 class ServiceProcess:
-    """A service of one's own.
+    """A service as a child process.
 
     Args:
-        arguments: of ``ddakf serve``, beyond the ports. Without ``--data-dir`` it has a folder that goes with it, or, where
-            it is kept, none.
-        log: file for its log.
-        keep: it shall outlive this process.
+        arguments: of ``ddakf serve``, in addition to the ports. Without ``--data-dir`` the service uses a temporary folder,
+            or with ``keep`` none.
+        log: log file.
+        keep: the service outlives this process.
 
     Attributes:
-        grpc: "host:port". http: "http://host:port". Both set by :meth:`wait_until_ready`.
+        grpc: "host:port". http: "http://host:port". :meth:`wait_until_ready` sets both.
     """
 
     def __init__(self, arguments: Sequence[str] = (), *, log: Path, keep: bool = False):
@@ -43,12 +43,12 @@ class ServiceProcess:
         command = [sys.executable, "-m", "ddakf_service", "--json", "--grpc-port", "0", "--http-port", "0", *arguments]
         with log.open("wb") as log_file:
             self._process = subprocess.Popen(
-                # The pipe to its standard input closes with this process, however that ends.
+                # The pipe to its standard input closes at any end of this process, also a kill.
                 command if keep else [*command, "--with-parent"],
                 stdin=subprocess.DEVNULL if keep else subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log_file,
-                # A Ctrl-C here must not reach it before its clients have left.
+                # Ctrl-C must not reach the service before its clients have left.
                 start_new_session=True,
             )
 
@@ -57,10 +57,10 @@ class ServiceProcess:
         return self._process.pid
 
     def wait_until_ready(self, progress: Progress = lambda done, total, name: None) -> None:
-        """Returns when sessions are taken.
+        """Returns when the service accepts sessions.
 
         Raises:
-            ServiceFailed: it ended instead.
+            ServiceFailed: the service ended.
         """
         with self._process.stdout as lines:
             for line in lines:
@@ -69,16 +69,16 @@ class ServiceProcess:
                     self.grpc, self.http = event["grpc"], event["http"]
                     return
                 progress(event["done"], event["total"], event["name"])
-        raise ServiceFailed(f"the service ended with status {self._process.wait()}: {self._last_words()}")
+        raise ServiceFailed(f"the service ended with status {self._process.wait()}: {self._last_log_line()}")
 
     def stop(self, number: int = signal.SIGTERM) -> int:
-        """Ends it, the workers included, and returns its exit status."""
+        """Ends the service with its workers and returns the exit status."""
         if self._process.poll() is None:
             self._process.send_signal(number)
         return self.wait()
 
     def wait(self) -> int:
-        """Returns the exit status; kills what does not end in time."""
+        """Waits for the end and returns the exit status; kills the process group after 20 seconds."""
         try:
             return self._process.wait(_STOP_PATIENCE)
         except subprocess.TimeoutExpired:
@@ -90,6 +90,6 @@ class ServiceProcess:
             if self._folder:
                 self._folder.cleanup()
 
-    def _last_words(self) -> str:
+    def _last_log_line(self) -> str:
         lines = self._log.read_text(errors="replace").strip().splitlines()
         return lines[-1] if lines else "its log is empty"

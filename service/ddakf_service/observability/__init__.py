@@ -1,1 +1,1 @@
-"""Observability: logs, Prometheus metrics and OpenTelemetry spans."""
+"""Observability: logs, Prometheus metrics, OpenTelemetry spans."""

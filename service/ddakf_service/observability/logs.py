@@ -1,4 +1,4 @@
-"""Logs: one line of text or one JSON object per event, with the id of its session."""
+"""Logs: one line of text or one JSON object per event, with its session's id."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 import time
 from contextvars import ContextVar
 
-# Set by whoever works for a session, so that every line logged meanwhile carries its id.
+# Id of the session that the present task works for; every log line carries it.
 current_session: ContextVar[str] = ContextVar("current_session", default="-")
 
 
@@ -16,14 +16,14 @@ _PLAIN_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctim
 
 
 def configure_logging(level: str, format: str) -> None:
-    """Sends all logs to standard error as ``text`` or ``json`` lines, from ``level`` upward."""
+    """Writes all logs from ``level`` upward to standard error as ``text`` or ``json`` lines."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonFormatter() if format == "json" else TextFormatter())
     handler.addFilter(_add_session)
     root = logging.getLogger()
     root.handlers[:] = [handler]
     root.setLevel(level.upper())
-    # The service says itself when it starts and stops; OpenTelemetry would warn of every span that finds no room.
+    # The service logs its own start and stop. OpenTelemetry would warn of every dropped span.
     for chatty, lowest in (("uvicorn", logging.WARNING), ("alembic", logging.WARNING), ("opentelemetry", logging.ERROR)):
         logging.getLogger(chatty).setLevel(max(lowest, root.level))
 

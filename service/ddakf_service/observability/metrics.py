@@ -1,4 +1,4 @@
-"""Logs (one line per event, with the session's id) and the Prometheus metrics of the service."""
+"""Prometheus metrics of the service."""
 
 from __future__ import annotations
 
@@ -7,67 +7,66 @@ import functools
 from ddakf_api.v1 import tracking_pb2 as pb
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
 
-_CACHED_LABELS = 512  # labels that are looked up once: stages by codec and flow; clients may send any number as a codec
+_CACHED_LABELS = 512  # cached label lookups; bounded, because clients may send any number as a codec
 _LATENCY_BUCKETS = (0.001, 0.002, 0.005, 0.01, 0.015, 0.02, 0.033, 0.05, 0.066, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0)
 _STAGE_BUCKETS = (0.0001, 0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.033, 0.066, 0.1, 0.5, 1.0)
 
 
 class Metrics:
-    """What ``/metrics`` exports; the meaning of each is in its description here. Labels are few and bounded: never a
-    session's id."""
+    """The metrics of ``/metrics``, each with its description. Labels have few values: never a session's id."""
 
     def __init__(self):
-        disable_created_metrics()  # a second time series for each, which nobody reads
+        disable_created_metrics()  # an unused second time series for each counter
         self.registry = CollectorRegistry()
         add = {"registry": self.registry}
         self.frames = Counter("ddakf_frames_total", "Frames by outcome", ["outcome"], **add)
-        by_way = ["codec", "flow"]
+        by_codec = ["codec", "flow"]
         self.frame_seconds = Histogram(
-            "ddakf_frame_seconds", "From the arrival of a frame to its result", by_way, buckets=_LATENCY_BUCKETS, **add
+            "ddakf_frame_seconds", "Time from the arrival of a frame to its result", by_codec, buckets=_LATENCY_BUCKETS, **add
         )
         self.stage_seconds = Histogram(
-            "ddakf_frame_stage_seconds", "Time of a part of that", ["stage", *by_way], buckets=_STAGE_BUCKETS, **add
+            "ddakf_frame_stage_seconds", "Time of one stage of a frame", ["stage", *by_codec], buckets=_STAGE_BUCKETS, **add
         )
         self.reliability = Histogram(
             "ddakf_frame_reliability", "Reliability of a frame", buckets=[i / 10 for i in range(1, 11)], **add
         )
-        self.sessions = Gauge("ddakf_sessions", "Sessions that exist", **add)
+        self.sessions = Gauge("ddakf_sessions", "Live sessions", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
-        self.watchers = Gauge("ddakf_watchers", "Readers of sessions beside their clients", **add)
-        self.workers_ready = Gauge("ddakf_workers_ready", "Workers that take frames", **add)
+        self.watchers = Gauge("ddakf_watchers", "Watchers of sessions", **add)
+        self.workers_ready = Gauge("ddakf_workers_ready", "Workers that accept frames", **add)
         self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were lost and replaced", **add)
-        self.store_up = Gauge("ddakf_store_up", "Whether a part of the store works: 1 or 0", ["part"], **add)
+        self.store_up = Gauge("ddakf_store_up", "1 if a part of the store works, else 0", ["part"], **add)
         self.store_errors = Counter("ddakf_store_errors_total", "Failed attempts to reach or write the store", ["part"], **add)
         self.store_dropped = Counter(
-            "ddakf_store_dropped_total", "Rows of history that found no room while the database did not work", **add
+            "ddakf_store_dropped_total", "Rows dropped from a full queue while the database failed", **add
         )
         self.checkpoint_seconds = Histogram(
             "ddakf_checkpoint_seconds", "Time to write a checkpoint", buckets=_LATENCY_BUCKETS, **add
         )
-        self.checkpoint_bytes = Counter("ddakf_checkpoint_bytes_total", "Bytes of checkpoints that were written", **add)
-        self.workers_spare = Gauge("ddakf_workers_spare", "Warm workers that wait to take the place of a lost one", **add)
+        self.checkpoint_bytes = Counter("ddakf_checkpoint_bytes_total", "Bytes of written checkpoints", **add)
+        self.workers_spare = Gauge("ddakf_workers_spare", "Warm workers in reserve", **add)
         self.workers_recycled = Counter("ddakf_workers_recycled_total", "Workers that were replaced in order", **add)
-        self.recoveries = Counter("ddakf_session_recoveries_total", "Times that a session went on from a checkpoint", **add)
+        self.recoveries = Counter("ddakf_session_recoveries_total", "Restores of sessions after the loss of their worker", **add)
         ProcessCollector(registry=self.registry)
         for outcome in ("applied", "dropped", "late", "rejected", "failed"):
             self.frames.labels(outcome)
-        # What every frame asks for, a dozen times.
+        # Cached lookups: every frame needs a dozen.
         self._applied = self.frames.labels("applied")
-        self._whole = functools.lru_cache(_CACHED_LABELS)(self.frame_seconds.labels)
-        self._stage = functools.lru_cache(_CACHED_LABELS)(self.stage_seconds.labels)
+        self._frame_seconds = functools.lru_cache(_CACHED_LABELS)(self.frame_seconds.labels)
+        self._stage_seconds = functools.lru_cache(_CACHED_LABELS)(self.stage_seconds.labels)
 
     def observe(self, result: pb.Result, codec: str, flow: str) -> None:
         """Counts an applied frame; see :func:`codec_of` and :func:`flow_of`."""
         self._applied.inc()
-        self._whole(codec, flow).observe(result.timings["server"])
+        self._frame_seconds(codec, flow).observe(result.timings["server"])
         self.reliability.observe(result.reliability)
         for stage, seconds in result.timings.items():
             if stage != "server":
-                self._stage(stage, codec, flow).observe(seconds)
+                self._stage_seconds(stage, codec, flow).observe(seconds)
 
 
 def codec_of(frame: pb.Frame) -> str:
-    """How a frame's measurements are encoded, as a label: "morton_zstd", "depth_png", ..., or "none"."""
+    """Codec of a frame's measurement as a label: "morton_zstd", "depth_png", ..., or "none"."""
     kind = frame.WhichOneof("payload")
     if kind == "point_cloud":
         return _label(pb.PointCodec, frame.point_cloud.codec, pb.POINT_CODEC_MORTON_ZSTD, "POINT_CODEC_")
@@ -78,7 +77,7 @@ def codec_of(frame: pb.Frame) -> str:
 
 
 def flow_of(mode: pb.FlowMode) -> str:
-    """A flow mode as a label: "realtime" or "lossless"."""
+    """Flow mode as a label: "realtime" or "lossless"."""
     return _label(pb.FlowMode, mode, pb.FLOW_MODE_REALTIME, "FLOW_MODE_")
 
 

@@ -1,7 +1,7 @@
-"""OpenTelemetry spans of frames: one per sampled frame, with a child per part of its way through the server.
+"""OpenTelemetry spans: one per sampled frame, with a child span per stage.
 
-Exported over OTLP/HTTP where ``OTEL_EXPORTER_OTLP_ENDPOINT`` is set; the SDK is imported only then. All other variables of
-OpenTelemetry (headers, service name, batch sizes) mean what they mean elsewhere.
+They are exported over OTLP/HTTP if ``OTEL_EXPORTER_OTLP_ENDPOINT`` is set; only then is the SDK imported. OpenTelemetry's
+other variables (headers, service name, batch sizes) apply as usual.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ STAGES = (
     *("predict", "preprocess", "coarse", "pyramid"),
     *("associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability"),
 )
-_NO_SPANS = {"total", "server"}  # sums of the others
+_NO_SPANS = {"total", "server"}  # sums of other timings
 _SECOND = 1_000_000_000
 _LAST_EXPORT = 2.0  # seconds
 
 
 class Tracer(Protocol):
-    """Told about every frame; never waits."""
+    """Receiver of every frame; never waits."""
 
     def applied(self, session_id: str, frame: pb.Frame, result: pb.Result, codec: str, flow: str) -> None:
-        """A frame was tracked; its result has all its timings."""
+        """Records a tracked frame, whose result has all timings."""
 
     def refused(self, session_id: str, frame: pb.Frame, error: ServiceError, seconds: float) -> None:
-        """A frame was not tracked, ``seconds`` after its arrival."""
+        """Records a frame that was rejected ``seconds`` after its arrival."""
 
     def close(self) -> None:
-        """Exports what waits; blocks for some seconds at most."""
+        """Exports the queued spans; blocks for some seconds at most."""
 
 
 class NoTracer:
-    """Where nobody collects spans."""
+    """Discards every frame; used without a collector."""
 
     def applied(self, session_id, frame, result, codec, flow) -> None:
         pass
@@ -59,11 +59,11 @@ class NoTracer:
 
 
 class OtlpTracer:
-    """Exports the spans of a share of the frames, from a thread of its own; drops them while it cannot keep up.
+    """Exports the spans of a share of the frames in a thread of its own; drops spans under load.
 
     Args:
         sample: share of the frames, 0 to 1.
-        server_id: told as ``service.instance.id``.
+        server_id: exported as ``service.instance.id``.
     """
 
     def __init__(self, sample: float, server_id: str):
@@ -112,7 +112,7 @@ class OtlpTracer:
         span.end(end)
 
     def close(self) -> None:
-        # The provider would wait half a minute for a collector that does not answer.
+        # The provider would wait half a minute for an unresponsive collector.
         patience = threading.Timer(_LAST_EXPORT, self._exporter.shutdown)
         patience.start()
         self._provider.shutdown()
@@ -120,10 +120,10 @@ class OtlpTracer:
 
 
 def tracer_for(sample: float, server_id: str) -> Tracer:
-    """The tracer that the environment asks for.
+    """The tracer selected by the environment.
 
     Raises:
-        InvalidConfig: it asks for one, and OpenTelemetry is not installed.
+        InvalidConfig: an endpoint is set, but OpenTelemetry is not installed.
     """
     wanted = next((name for name in ENDPOINT_VARIABLES if os.environ.get(name)), None)
     if wanted is None or sample == 0:
@@ -136,9 +136,9 @@ def tracer_for(sample: float, server_id: str) -> Tracer:
 
 
 def frame_spans(timings: Mapping[str, float], begin: int) -> Iterable[tuple[str, int, int]]:
-    """Name, start and end (nanoseconds) of what a frame went through, one after the other from ``begin`` on.
+    """Name, start and end (nanoseconds) of a frame's child spans, in sequence from ``begin``.
 
-    A stage that runs in several passes is one part, as long as all its passes.
+    A stage of several passes is one span, as long as all its passes.
     """
     known = ("queue", "decode", *STAGES)
     others = sorted(set(timings) - set(known) - _NO_SPANS - {"encode"})
@@ -150,7 +150,7 @@ def frame_spans(timings: Mapping[str, float], begin: int) -> Iterable[tuple[str,
 
 
 def _span(seconds: float) -> tuple[int, int]:
-    """Start and end of what ends now, nanoseconds since 1970."""
+    """Start and end of a span that ends now, nanoseconds since 1970."""
     end = time.time_ns()
     return end - int(seconds * _SECOND), end
 

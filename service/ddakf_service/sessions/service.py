@@ -102,7 +102,7 @@ class Sessions:
         async with self._tracker_access.exclusive(session):
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
-                    f"{session.name} has been changed meanwhile: its etag is {session.revision}, not {change.etag[:80]}",
+                    f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",
                     field="etag",
                 )
             if paths & {"config_json", "fabric"}:

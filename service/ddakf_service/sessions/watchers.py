@@ -1,4 +1,4 @@
-"""Watchers: read-only readers of a session's responses beside its client.
+"""Watchers: read-only readers of a session's responses, in addition to its client.
 
 A session has one hub, :class:`Watchers`. It appends every response, one shared object, to the queue of each watcher. A full
 queue drops its oldest result. Nothing here waits, so a slow watcher delays neither the tracker nor another watcher.

@@ -76,7 +76,7 @@ class Checkpoints:
     """The checkpoints of one server's sessions, written by one thread.
 
     Only the newest snapshot of a session is queued. After a failed write it stays in memory until a newer one replaces it or
-    a write succeeds, so that a session survives a lost worker even on a full disk.
+    a write succeeds. A session therefore survives a lost worker even on a full disk.
 
     Args:
         url: for fsspec: ``file:///folder``, ``s3://bucket/prefix``, ``memory://...``.

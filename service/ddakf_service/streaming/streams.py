@@ -1,4 +1,4 @@
-"""Streams of a server: opened, taken over, left; watchers beside them."""
+"""Streams of a server: opening, takeover and leaving of streams, and watchers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _END_TIMEOUT = 5.0  # seconds that an ending stream may take
 
 
 class Streams:
-    """At most one stream per session, and watchers beside it."""
+    """At most one stream per session, and any number of watchers within their quota."""
 
     def __init__(self, components: SessionComponents, recorder: FrameRecorder):
         self._pool, self._settings, self._admission = components.pool, components.settings, components.admission

@@ -27,11 +27,12 @@ class HttpGuard:
             await self._app(scope, receive, send)
             return
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        presented = bearer_key(headers.get("authorization"))
-        if presented is None and scope["type"] == "websocket":
-            presented = next((p.removeprefix(_SUBPROTOCOL) for p in scope["subprotocols"] if p.startswith(_SUBPROTOCOL)), None)
+        presented_key = bearer_key(headers.get("authorization"))
+        if presented_key is None and scope["type"] == "websocket":
+            keys = (p.removeprefix(_SUBPROTOCOL) for p in scope["subprotocols"] if p.startswith(_SUBPROTOCOL))
+            presented_key = next(keys, None)
         try:
-            principal = await self._guard.admit(presented, http_scopes(scope), headers)
+            principal = await self._guard.admit(presented_key, http_scopes(scope), headers)
         except ServiceError as error:
             await _refuse(scope, receive, send, error)
             return

@@ -118,7 +118,8 @@ def optional_array(message, field: str, max_items: int) -> np.ndarray | None:
 def _unproject(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]:
     """World points (N, 3) of a depth image, metres, without flying pixels behind edges; and the camera's centre (3,)."""
     if frame.sensors:
-        raise InvalidFrame(field="sensors", expected="none beside a depth image, which has its pose", got=str(len(frame.sensors)))
+        expected = "none with a depth image, which has its own pose"
+        raise InvalidFrame(field="sensors", expected=expected, got=str(len(frame.sensors)))
     image = codec.decode_depth(frame.depth_image, max_pixels=limits.max_image_pixels)
     lens = depths.Intrinsics(*image.intrinsics)
     keep = depths.without_fliers(image.depth, depths.largest_step(image.depth, min(lens.fx, lens.fy)))

@@ -57,7 +57,7 @@ def require_known_encodings(options: pb.ResultOptions) -> None:
 
 
 def result_message(frame: pb.Frame, result: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
-    """The message to a frame, without what only the server knows: counters and queueing time."""
+    """The result of a frame, without the server's counters and queueing time."""
     vertex_encoding = options.vertex_encoding or _VERTEX_ENCODINGS[0]
     step = _vertex_step(garment) if vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16 else None
     message = pb.Result(

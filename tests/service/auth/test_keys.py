@@ -29,7 +29,7 @@ async def test_before_the_keys_are_read_nobody_is_told_that_theirs_is_unknown(mo
     with pytest.raises(Unavailable, match="the keys cannot be read now"):
         await ring.principal(presented)
     store.there = True
-    monkeypatch.setattr(keys, "_UNKNOWN_REFRESH", 0.0)
+    monkeypatch.setattr(keys, "_UNKNOWN_KEY_REFRESH", 0.0)
     with pytest.raises(Unauthenticated):
         await ring.principal(presented)
 

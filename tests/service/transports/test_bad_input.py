@@ -286,7 +286,7 @@ def test_a_bad_body_is_refused_in_a_sentence(http, body, sentence):
 
 def test_text_that_is_no_json_is_refused_in_a_sentence(http):
     message = http.post("/v1/sessions", content=b"{").json()["error"]["message"]
-    assert message.startswith("body: expected JSON, got text that is none: EOF while parsing")
+    assert message.startswith("body: expected JSON, got invalid text: EOF while parsing")
 
 
 @pytest.mark.parametrize(

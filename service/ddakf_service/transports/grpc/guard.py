@@ -21,9 +21,9 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
         if handler is None:
             return None
         headers = dict(details.invocation_metadata or ())
-        enough = GRPC_SCOPES.get(details.method, ADMIN)
+        sufficient = GRPC_SCOPES.get(details.method, ADMIN)
         try:
-            principal = await self._guard.admit(bearer_key(headers.get("authorization")), enough, headers)
+            principal = await self._guard.admit(bearer_key(headers.get("authorization")), sufficient, headers)
         except ServiceError as error:
             return _refusing(error)
         current_principal.set(principal)

@@ -1,7 +1,7 @@
-"""What a browser's page may do here: pages of foreign origins nothing, unless the setting ``cors_origins`` names them.
+"""Cross-origin rules: web pages of foreign origins are rejected, unless the setting ``cors_origins`` names them.
 
-Without this check every page that somebody visits could speak to the service of their own machine: a browser sends simple
-requests and opens WebSockets across origins, and CORS keeps the page only from reading the answers of the former.
+Without this check any visited page could call the service on the visitor's machine: a browser sends simple requests and opens
+WebSockets across origins, and CORS only prevents the page from reading the responses of the former.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .errors import error_response
 
 ANY = "*"
 _DOCUMENTATION = ("/docs", "/redoc")
-_NOTHING = "default-src 'none'; frame-ancestors 'none'"
-# What FastAPI's documentation pages load, and no more.
+_DEFAULT_POLICY = "default-src 'none'; frame-ancestors 'none'"
+# The sources that FastAPI's documentation pages load.
 _DOCUMENTATION_POLICY = (
     "default-src 'none'; frame-ancestors 'none'; connect-src 'self' ws: wss:; "
     "script-src https://cdn.jsdelivr.net 'unsafe-inline'; "
@@ -38,8 +38,8 @@ _HEADERS = {
 }
 
 
-def add_origins(app: FastAPI, allowed: Sequence[str]) -> None:
-    """Refuses foreign origins on every route, and answers the allowed ones as CORS asks."""
+def add_origin_check(app: FastAPI, allowed: Sequence[str]) -> None:
+    """Rejects foreign origins on every route; adds CORS headers for the allowed ones."""
     if allowed:
         app.add_middleware(
             CORSMiddleware,
@@ -52,7 +52,7 @@ def add_origins(app: FastAPI, allowed: Sequence[str]) -> None:
 
 
 class OriginCheck:
-    """Answers requests and WebSocket handshakes of foreign origins with 403. Who sends no origin is no browser's page."""
+    """Answers requests and WebSocket handshakes of foreign origins with 403. A call without an origin is no web page's."""
 
     def __init__(self, app: ASGIApp, allowed: frozenset[str]):
         self._app, self._allowed = app, allowed
@@ -71,7 +71,7 @@ class OriginCheck:
 
 
 def _is_own(origin: str, host: str) -> bool:
-    """Whether a page is of this server itself. By a name it might also be of one whose name was made to point here."""
+    """Whether a page comes from this server. A host name does not count: any name may be made to resolve to this machine."""
     try:
         return urlsplit(origin).netloc == host.lower() and is_own_name(host)
     except ValueError:
@@ -79,7 +79,7 @@ def _is_own(origin: str, host: str) -> bool:
 
 
 class SecurityHeaders:
-    """Adds to every HTTP answer what keeps browsers from guessing, framing, keeping and leaking."""
+    """Adds security headers to every HTTP response: no content sniffing, framing, caching or referrer."""
 
     def __init__(self, app: ASGIApp):
         self._app = app
@@ -90,7 +90,7 @@ class SecurityHeaders:
                 headers = MutableHeaders(raw=message.setdefault("headers", []))
                 for name, value in _HEADERS.items():
                     headers.setdefault(name, value)
-                policy = _DOCUMENTATION_POLICY if scope["path"].startswith(_DOCUMENTATION) else _NOTHING
+                policy = _DOCUMENTATION_POLICY if scope["path"].startswith(_DOCUMENTATION) else _DEFAULT_POLICY
                 headers["Content-Security-Policy"] = policy
                 if scope["scheme"] in ("https", "wss"):
                     headers["Strict-Transport-Security"] = "max-age=31536000"

@@ -1,4 +1,4 @@
-"""Errors of every kind as answers of one form."""
+"""REST errors: one response form for all kinds of errors."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from .validation import invalid_argument
 
 
 class ErrorBody(BaseModel):
-    """What went wrong, in one sentence and in parts."""
+    """An error as one sentence and as fields."""
 
     name: str
     field: str
     expected: str
     got: str
     message: str
-    retry_after: float = Field(0.0, description="seconds after which trying again makes sense; 0: not said")
+    retry_after: float = Field(0.0, description="seconds until a retry makes sense; 0: not known")
 
 
 class ErrorOut(BaseModel):
@@ -39,36 +39,36 @@ class ErrorOut(BaseModel):
 
 
 def error_response(error: Exception) -> JSONResponse:
-    """The answer to a call that failed."""
+    """The response to a failed call."""
     detail = to_detail(error)
     headers = {"Retry-After": str(math.ceil(detail.retry_after))} if detail.retry_after else None
     return JSONResponse(ErrorOut.of(detail).model_dump(), class_of(error).http_status, headers=headers)
 
 
 def add_error_handlers(app: FastAPI) -> None:
-    """Has whatever a route raises, and what the framework refuses by itself, answered as ``ErrorOut``."""
+    """Answers errors of the routes and of the framework as ``ErrorOut``."""
 
-    async def known(request: Request, error: Exception) -> JSONResponse:
+    async def service_error(request: Request, error: Exception) -> JSONResponse:
         return error_response(error)
 
-    async def invalid(request: Request, error: RequestValidationError | ValidationError) -> JSONResponse:
+    async def invalid_request(request: Request, error: RequestValidationError | ValidationError) -> JSONResponse:
         return error_response(invalid_argument(error))
 
-    async def refused(request: Request, error: HTTPException) -> JSONResponse:
+    async def http_error(request: Request, error: HTTPException) -> JSONResponse:
         phrase = HTTPStatus(error.status_code).phrase
         detail = pb.ErrorDetail(name=phrase.replace(" ", ""), message=f"{request.method} {request.url.path}: {phrase}")
         headers = dict(error.headers or {})
-        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names those of one route alone
+        if error.status_code == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of one route only
             matching = (route for route in app.routes if route.matches(request.scope)[0] is not Match.NONE)
             headers["Allow"] = ", ".join(sorted({method for route in matching for method in route.methods or ()}))
         return JSONResponse(ErrorOut.of(detail).model_dump(), error.status_code, headers=headers)
 
-    async def unexpected(request: Request, error: Exception) -> JSONResponse:
+    async def unexpected_error(request: Request, error: Exception) -> JSONResponse:
         return error_response(error)
 
-    app.add_exception_handler(ServiceError, known)
-    app.add_exception_handler(DdakfError, known)
-    app.add_exception_handler(RequestValidationError, invalid)
-    app.add_exception_handler(ValidationError, invalid)
-    app.add_exception_handler(HTTPException, refused)
-    app.add_exception_handler(Exception, unexpected)
+    app.add_exception_handler(ServiceError, service_error)
+    app.add_exception_handler(DdakfError, service_error)
+    app.add_exception_handler(RequestValidationError, invalid_request)
+    app.add_exception_handler(ValidationError, invalid_request)
+    app.add_exception_handler(HTTPException, http_error)
+    app.add_exception_handler(Exception, unexpected_error)

@@ -1,4 +1,4 @@
-"""A session's history as JSON."""
+"""REST history: a session's history as JSON, and its request."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _YEAR_10000 = 253_402_300_800  # seconds since 1970, UTC
 
 
 class HistorySample(BaseModel):
-    """What happened in the seconds from its start to the next sample's."""
+    """Frames from the start of this sample to the start of the next."""
 
     start_time: datetime
     frames_applied: int
@@ -37,7 +37,7 @@ class StateChange(BaseModel):
 
 
 class HistoryOut(BaseModel):
-    """Samples in order of time, none for spans without frames; the first change of state may lie before the first of them."""
+    """Samples in order of time, none for spans without frames. The first change of state may precede the first sample."""
 
     name: str
     resolution: float = Field(description="seconds per sample")
@@ -63,10 +63,10 @@ class HistoryOut(BaseModel):
 def history_request(
     session_id: str, start: datetime | None, end: datetime | None, resolution: float, max_samples: int
 ) -> pb.GetSessionHistoryRequest:
-    """The contract's request.
+    """The request as a message of the contract.
 
     Raises:
-        InvalidArgument: a time before 1970, or of a year that is none in UTC.
+        InvalidArgument: a time before 1970 or after the year 9999 in UTC.
     """
     request = pb.GetSessionHistoryRequest(name=f"sessions/{session_id}", resolution=resolution, max_samples=max_samples)
     for field, name, moment in (("start_time", "from", start), ("end_time", "to", end)):

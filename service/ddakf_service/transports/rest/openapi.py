@@ -1,4 +1,4 @@
-"""The OpenAPI document: what FastAPI cannot see, because bodies are read and checked by hand."""
+"""OpenAPI document: request bodies and error responses that FastAPI cannot derive, because the routes read bodies themselves."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ _RETRY_AFTER = {"Retry-After": {"description": "seconds", "schema": {"type": "in
 _REFERENCE = "#/components/schemas/{model}"
 
 
-def errors(*classes: type[ServiceError]) -> dict[int | str, dict[str, Any]]:
-    """The ``responses`` of an operation that may end with these errors."""
+def error_responses(*classes: type[ServiceError]) -> dict[int | str, dict[str, Any]]:
+    """The ``responses`` of an operation that may raise these errors."""
     responses: dict[int | str, dict[str, Any]] = {}
     for error in classes:
         response = responses.setdefault(error.http_status, {"model": ErrorOut, "description": ""})
@@ -29,7 +29,7 @@ def errors(*classes: type[ServiceError]) -> dict[int | str, dict[str, Any]]:
 
 
 def json_body(model: type[BaseModel], *, required: bool = True, **examples: dict) -> dict[str, Any]:
-    """``openapi_extra`` of an operation with this body, and examples of it by name."""
+    """``openapi_extra`` of an operation with this body and named examples of it."""
     content = {
         "schema": {"$ref": _REFERENCE.format(model=model.__name__)},
         "examples": {name: {"value": value} for name, value in examples.items()},
@@ -38,19 +38,19 @@ def json_body(model: type[BaseModel], *, required: bool = True, **examples: dict
 
 
 def binary_body(description: str) -> dict[str, Any]:
-    """``openapi_extra`` of an operation that takes bytes."""
+    """``openapi_extra`` of an operation with a binary body."""
     content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
-def binary_answer(description: str) -> dict[int | str, dict[str, Any]]:
-    """The ``responses`` of an operation that answers bytes."""
+def binary_response(description: str) -> dict[int | str, dict[str, Any]]:
+    """The ``responses`` of an operation that returns bytes."""
     content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
     return {200: {"description": description, "content": content}}
 
 
-def document_of(app: FastAPI) -> dict[str, Any]:
-    """FastAPI's document with the schemas of the bodies."""
+def openapi_document(app: FastAPI) -> dict[str, Any]:
+    """FastAPI's document, extended with the schemas of the bodies."""
     if app.openapi_schema is None:
         document = FastAPI.openapi(app)
         _, schemas = models_json_schema([(model, "validation") for model in _BODIES], ref_template=_REFERENCE)

@@ -1,4 +1,4 @@
-"""What REST is asked: JSON and queries as the contract's messages, with the same names."""
+"""REST requests: JSON bodies and queries as messages of the contract, with the same names."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _BASE64 = {"contentEncoding": "base64", "pattern": "^([A-Za-z0-9+/]{4})*([A-Za-z
 _FABRICS = {"enum": ["", *PRESETS]}
 
 
-class _FirstWrong:
-    """Of a list: its first wrong row is the error. Otherwise each one is, of a kilobyte. (pydantic's FailFast has no hash,
-    which unions want.)"""
+class _FailFast:
+    """Makes a list stop at its first invalid row; otherwise each one yields an error of a kilobyte. (pydantic's FailFast has
+    no hash, which unions need.)"""
 
     def __get_pydantic_core_schema__(self, source, handler):
         return {**handler(source), "fail_fast": True}
 
 
-Rows = Annotated[list[tuple[float, float, float]], _FirstWrong()]
-IndexRows = Annotated[list[tuple[int, int, int]], _FirstWrong()]
+Rows = Annotated[list[tuple[float, float, float]], _FailFast()]
+IndexRows = Annotated[list[tuple[int, int, int]], _FailFast()]
 
 _FLOATS = {"float32": pb.ARRAY_ENCODING_FLOAT32, "float64": pb.ARRAY_ENCODING_FLOAT64}
 _INTEGERS = {"uint32": pb.ARRAY_ENCODING_UINT32}
@@ -65,13 +65,13 @@ class MeshIn(_Strict):
 
 
 class LimitsIn(_Strict):
-    """Bounds of a session; what is left out, or more than the server allows, becomes the server's."""
+    """Limits of a session. An omitted limit, or one beyond the server's, becomes the server's."""
 
     max_points: int = Field(0, ge=0, le=2**32 - 1, description="points per frame")
     max_frame_rate: float = Field(0.0, ge=0, description="frames per second")
     idle_timeout: float = Field(0.0, ge=0, description="seconds without a frame after which the session expires")
     max_lifetime: float = Field(0.0, ge=0, description="seconds after its creation at which the session expires")
-    max_frames_in_flight: int = Field(0, ge=0, le=2**32 - 1, description="frames that may wait in lossless flow")
+    max_frames_in_flight: int = Field(0, ge=0, le=2**32 - 1, description="queued frames in lossless flow")
     departure_timeout: float = Field(0.0, ge=0, description="seconds that a session waits for a client that left its stream")
 
     def to_message(self) -> pb.SessionLimits:
@@ -83,13 +83,13 @@ class CreateSession(_Strict):
 
     garment: MeshIn = Field(description="the garment in its rest shape")
     body: MeshIn | None = Field(None, description="the body in its pose at the start")
-    config: dict[str, Any] | None = Field(None, description="the tracker's configuration; what is left out keeps its default")
+    config: dict[str, Any] | None = Field(None, description="the tracker's configuration; an omitted field keeps its default")
     fabric: str = Field("", max_length=64, description="a fabric preset by name", json_schema_extra=_FABRICS)
     labels: dict[str, str] = Field(default_factory=dict, description="free key-value pairs")
     limits: LimitsIn = Field(default_factory=LimitsIn)
     session_id: str = Field("", description="4-63 of [a-z0-9-] beginning with a letter; empty: the server chooses")
     request_id: str = Field("", max_length=256, description="makes a repeated call harmless")
-    clean: bool = Field(False, description="repair the garment rather than refuse it, and answer the vertex map")
+    clean: bool = Field(False, description="repair the garment instead of rejecting it, and return the vertex map")
     api_version: str = Field("1.0", description="version of the contract that the client speaks")
 
     def to_message(self) -> pb.CreateSessionRequest:
@@ -112,13 +112,13 @@ class CreateSession(_Strict):
 
 
 class UpdateSession(_Strict):
-    """Changes of a session; what is left out stays as it is, unless the mask names it."""
+    """Changes of a session. An omitted field stays unchanged, unless the mask names it."""
 
     labels: dict[str, str] = Field(default_factory=dict, description="all of them")
     config: dict[str, Any] | None = Field(None, description="the tracker's configuration")
     fabric: str = Field("", max_length=64, description="a fabric preset by name", json_schema_extra=_FABRICS)
     limits: LimitsIn = Field(default_factory=LimitsIn, description="all of them")
-    etag: str = Field("", max_length=64, description="of the session that this changes; another one is refused")
+    etag: str = Field("", max_length=64, description="etag of the session to change; a different one is rejected")
 
     def to_message(self, name: str, update_mask: str) -> pb.UpdateSessionRequest:
         names = [path.strip() for path in update_mask.split(",")] if update_mask else sorted(self.model_fields_set - {"etag"})
@@ -136,7 +136,7 @@ class UpdateSession(_Strict):
 
 
 class ResetSession(_Strict):
-    """Where the tracker starts again."""
+    """Initial state of a reset tracker."""
 
     vertices: Rows | PackedFloats | None = Field(None, description="(V, 3) metres; null: the rest shape")
     velocities: Rows | PackedFloats | None = Field(None, description="(V, 3) metres per second; null: none")
@@ -150,7 +150,7 @@ class ResetSession(_Strict):
 
 
 class RestoreSession(LimitsIn):
-    """A session from a snapshot, which is the body."""
+    """Query of a restore; the snapshot is the request body."""
 
     model_config = ConfigDict(strict=False)  # a query has only text
 
@@ -179,7 +179,7 @@ def states_from(names: list[str]) -> list[int]:
 
 
 def key_value(text: str) -> tuple[str, str]:
-    """A label of a query."""
+    """A label of a query, as key and value."""
     key, separator, value = text.partition("=")
     if not separator:
         raise InvalidArgument(field="label", expected="key=value", got=repr(text[:80]))
@@ -206,5 +206,5 @@ def _packed(value, field: str, list_encoding: str, encodings: dict[str, int]) ->
         return pb.PackedArray(encoding=encodings[list_encoding], data=data)
     try:
         return pb.PackedArray(encoding=encodings[value.encoding], data=base64.b64decode(value.data, validate=True))
-    except ValueError as error:  # of binascii, or because the text is no ASCII
+    except ValueError as error:  # not base64, or not ASCII
         raise InvalidArgument(field=f"{field}.data", expected="base64", got=str(error)) from None

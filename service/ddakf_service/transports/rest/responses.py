@@ -1,4 +1,4 @@
-"""What REST answers: the contract's messages as JSON, with the same names, enumerations in lower case."""
+"""REST responses: the contract's messages as JSON, with the same names and enumerations in lower case."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def state_name(state: int) -> str:
 
 
 class Limits(BaseModel):
-    """Bounds in force; 0 of a rate or a lifetime: not bounded."""
+    """Effective limits; a rate or a lifetime of 0 is not limited."""
 
     max_points: int
     max_frame_rate: float
@@ -38,14 +38,14 @@ class Limits(BaseModel):
 
 
 class Statistics(BaseModel):
-    """As of the last frame."""
+    """Counters, and numbers of the last frame."""
 
     frames_applied: int
-    frames_dropped: int = Field(description="overtaken by a newer frame in realtime flow")
-    frames_late: int = Field(description="not tracked, because their deadline had passed")
+    frames_dropped: int = Field(description="displaced by a newer frame in realtime flow, or above the frame rate")
+    frames_late: int = Field(description="not tracked because their deadline passed")
     frames_rejected: int = Field(description="answered with an error")
-    frames_lost: int = Field(description="applied frames that were forgotten when the session went on from a checkpoint")
-    recoveries: int = Field(description="times that it did so")
+    frames_lost: int = Field(description="applied frames that were lost when the session was restored from a checkpoint")
+    recoveries: int = Field(description="number of such restores")
     frame_rate: float = Field(description="frames applied per second over the last few seconds")
     reliability: float = Field(description="in [0, 1]; high means low error")
     paper_score: float
@@ -79,9 +79,9 @@ class SessionOut(BaseModel):
     labels: dict[str, str]
     state: StateName
     create_time: datetime
-    expire_time: datetime | None = Field(None, description="when it expires if nothing more comes")
-    checkpoint_time: datetime | None = Field(None, description="of the checkpoint that it would go on from")
-    config: dict[str, Any] = Field(description="the whole configuration in force")
+    expire_time: datetime | None = Field(None, description="time of expiry without further frames")
+    checkpoint_time: datetime | None = Field(None, description="time of the newest checkpoint")
+    config: dict[str, Any] = Field(description="the full effective configuration")
     fabric: str
     limits: Limits
     statistics: Statistics
@@ -132,10 +132,10 @@ class SessionList(BaseModel):
 
 
 class Readiness(BaseModel):
-    """Whether sessions are taken, and what else does not work."""
+    """Readiness for sessions, and problems of other parts."""
 
     status: Literal["ready", "degraded"]
-    problems: list[str] = Field(description="one sentence for each part that does not work; tracking goes on")
+    problems: list[str] = Field(description="one sentence for each failing part; tracking continues")
 
 
 class Info(BaseModel):

@@ -1,4 +1,4 @@
-"""REST: health, readiness, sessions, metrics, OpenAPI. The same meaning, names and errors as over gRPC."""
+"""REST routes: health, readiness, sessions, metrics, OpenAPI; with the meaning, names and errors of gRPC."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ from ...sessions.service import Sessions
 from ...settings import Settings
 from ...store.store import Store
 from ..rest import bodies
-from .cross_origin import add_origins
+from .cross_origin import add_origin_check
 from .errors import add_error_handlers
 from .history import HistoryOut, history_request
-from .openapi import binary_answer, binary_body, document_of, errors, json_body
+from .openapi import binary_body, binary_response, error_responses, json_body, openapi_document
 from .requests import (
     EXAMPLE_ID,
     KEY_VALUES,
@@ -60,10 +60,10 @@ from .responses import Info, Readiness, SessionList, SessionOut, Statistics
 
 _OCTETS = "application/octet-stream"
 
-_NAMED = errors(SessionNotFound, SessionExpired, InvalidArgument)
-_IN_WORKER = {**_NAMED, **errors(WorkerLost)}
-_JSON = errors(MessageTooLarge, DeadlineExceeded)
-_CREATED = errors(
+_SESSION_ERRORS = error_responses(SessionNotFound, SessionExpired, InvalidArgument)
+_WORKER_ERRORS = {**_SESSION_ERRORS, **error_responses(WorkerLost)}
+_BODY_ERRORS = error_responses(MessageTooLarge, DeadlineExceeded)
+_CREATION_ERRORS = error_responses(
     *(VersionMismatch, SessionExists, SessionNotFound, SessionExpired, MessageTooLarge, InvalidArgument),
     *(ResourceExhausted, Draining, DeadlineExceeded),
 )
@@ -74,7 +74,7 @@ def _example(value: object) -> dict:
 
 
 class _SessionIdConvertor(Convertor[str]):
-    """What stands between ``/v1/sessions/`` and the next slash or the colon of a custom method."""
+    """Path element after ``/v1/sessions/``, up to the next slash or the colon of a custom method."""
 
     regex = "[^/:]+"
 
@@ -119,21 +119,21 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
     """The application.
 
     Args:
-        not_ready: why the server takes no sessions now, in a few words; empty when it does.
+        not_ready: returns the reason why the server accepts no sessions; empty: it does.
     """
     app = FastAPI(
         title="ddakf",
         version=ddakf.__version__,
         description=DESCRIPTION,
-        responses=errors(Unauthenticated, PermissionDenied),
+        responses=error_responses(Unauthenticated, PermissionDenied),
     )
     add_error_handlers(app)
-    add_origins(app, settings.cors_origins)
+    add_origin_check(app, settings.cors_origins)
     _add_server_routes(app, sessions, settings, metrics, not_ready, store)
     _add_collection_routes(app, sessions, settings)
     _add_session_routes(app, sessions, settings)
     _add_state_routes(app, sessions, settings)
-    app.openapi = lambda: document_of(app)
+    app.openapi = lambda: openapi_document(app)
     return app
 
 
@@ -142,14 +142,14 @@ def _add_server_routes(
 ) -> None:
     @app.get("/healthz", tags=["health"])
     async def healthz() -> dict[str, str]:
-        """The process lives and its event loop turns."""
+        """The process is alive and its event loop runs."""
         return {"status": "ok"}
 
-    @app.get("/readyz", tags=["health"], responses=errors(Unavailable))
+    @app.get("/readyz", tags=["health"], responses=error_responses(Unavailable))
     async def readyz() -> Readiness:
-        """Sessions are taken: every worker has compiled its kernels and tracked a frame, and no stop has begun.
+        """The server accepts sessions: every worker has compiled its kernels and tracked a frame, and no stop has begun.
 
-        A database or a disk that does not work makes the server "degraded", not unready: it tracks."""
+        A failing database or disk makes the server "degraded", not unready: tracking continues."""
         if reason := not_ready():
             raise Unavailable(reason)
         problems = store.problems()
@@ -173,7 +173,7 @@ def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings)
         "/v1/sessions",
         tags=["sessions"],
         status_code=201,
-        responses=_CREATED,
+        responses=_CREATION_ERRORS,
         openapi_extra=json_body(
             CreateSession,
             named={"session_id": EXAMPLE_ID, "garment": TRIANGLE, "fabric": "cotton", "labels": {"scene": "stage"}},
@@ -182,10 +182,10 @@ def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings)
     )
     async def create_session(request: Request, response: Response) -> SessionOut:
         """Creates a session; frames are then streamed to it over gRPC or a WebSocket."""
-        message = await bodies.parsed(request, settings, lambda body: CreateSession.model_validate_json(body).to_message())
+        message = await bodies.parse_json(request, settings, lambda body: CreateSession.model_validate_json(body).to_message())
         return _created(await sessions.create(message), response)
 
-    @app.get("/v1/sessions", tags=["sessions"], response_model=SessionList, responses=errors(InvalidArgument))
+    @app.get("/v1/sessions", tags=["sessions"], response_model=SessionList, responses=error_responses(InvalidArgument))
     async def list_sessions(
         page_size: _PageSize = 0,
         page_token: Annotated[str, Query(description="next_page_token of the page before")] = "",
@@ -195,25 +195,25 @@ def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings)
         """Lists sessions, oldest first."""
         request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=states_from(state))
         request.labels.update(key_value(text) for text in label)
-        return await _written(SessionList.of, sessions.list(request))
+        return await _json_response(SessionList.of, sessions.list(request))
 
 
 def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
     """The standard methods of one session, and its history."""
 
-    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], response_model=SessionOut, responses=_NAMED)
+    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], response_model=SessionOut, responses=_SESSION_ERRORS)
     async def get_session(
         session_id: SessionId,
         view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
     ) -> Response:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
         wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
-        return await _written(SessionOut.of, await sessions.get(f"sessions/{session_id}", wanted))
+        return await _json_response(SessionOut.of, await sessions.get(f"sessions/{session_id}", wanted))
 
     @app.patch(
         "/v1/sessions/{session_id:session}",
         tags=["sessions"],
-        responses={**_IN_WORKER, **_JSON, **errors(FailedPrecondition)},
+        responses={**_WORKER_ERRORS, **_BODY_ERRORS, **error_responses(FailedPrecondition)},
         openapi_extra=json_body(
             UpdateSession,
             labels={"labels": {"scene": "stage", "take": "2"}},
@@ -229,9 +229,10 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
             Query(description="fields, separated by commas; empty: those in the body", openapi_examples=_example("labels")),
         ] = "",
     ) -> SessionOut:
-        """Changes labels, limits, configuration and fabric. What the mask names and the body lacks goes back to its default."""
+        """Changes labels, limits, configuration and fabric. A field that the mask names and the body lacks is reset to its
+        default."""
         name = f"sessions/{session_id}"
-        message = await bodies.parsed(
+        message = await bodies.parse_json(
             request, settings, lambda body: UpdateSession.model_validate_json(body).to_message(name, update_mask)
         )
         return SessionOut.of(await sessions.update(message))
@@ -240,7 +241,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         "/v1/sessions/{session_id:session}/history",
         tags=["sessions"],
         response_model=HistoryOut,
-        responses={**_NAMED, **errors(Unavailable)},
+        responses={**_SESSION_ERRORS, **error_responses(Unavailable)},
     )
     async def get_session_history(
         session_id: SessionId,
@@ -251,18 +252,18 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     ) -> Response:
         """Reliability, coverage, latency, frames by outcome and changes of state over time, of a live or a past session."""
         request = history_request(session_id, start, end, resolution, max_samples)
-        return await _written(HistoryOut.of, await sessions.history(request))
+        return await _json_response(HistoryOut.of, await sessions.history(request))
 
-    @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_NAMED)
+    @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_SESSION_ERRORS)
     async def delete_session(session_id: SessionId) -> None:
         """Ends a session and its stream."""
         await sessions.delete(f"sessions/{session_id}")
 
 
 def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
-    """What concerns the tracker of a session."""
+    """The methods on the tracker of a session."""
 
-    @app.get("/v1/sessions/{session_id:session}/statistics", tags=["state"], responses=_NAMED)
+    @app.get("/v1/sessions/{session_id:session}/statistics", tags=["state"], responses=_SESSION_ERRORS)
     async def statistics(session_id: SessionId) -> Statistics:
         """Counters, and the numbers of the last frame."""
         return Statistics.of((await sessions.get(f"sessions/{session_id}")).statistics)
@@ -270,13 +271,13 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
     @app.post(
         "/v1/sessions/{session_id:session}:reset",
         tags=["state"],
-        responses={**_IN_WORKER, **_JSON},
+        responses={**_WORKER_ERRORS, **_BODY_ERRORS},
         openapi_extra=json_body(ResetSession, required=False, rest={}, there={"vertices": TRIANGLE["vertices"]}),
     )
     async def reset_session(session_id: SessionId, request: Request) -> SessionOut:
-        """Starts the tracker again, from given vertices or from the rest shape; without a body from the latter."""
+        """Resets the tracker to given vertices, or without a body to the rest shape."""
         name = f"sessions/{session_id}"
-        message = await bodies.parsed(
+        message = await bodies.parse_json(
             request, settings, lambda body: ResetSession.model_validate_json(body or b"{}").to_message(name)
         )
         return SessionOut.of(await sessions.reset(message))
@@ -285,10 +286,10 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
         "/v1/sessions/{session_id:session}/snapshot",
         tags=["state"],
         response_class=Response,
-        responses={**_IN_WORKER, **binary_answer("the tracker's state, versioned and opaque")},
+        responses={**_WORKER_ERRORS, **binary_response("the tracker's state, versioned and opaque")},
     )
     async def snapshot_session(session_id: SessionId) -> Response:
-        """The whole state of the tracker, exact to the bit on the next frame."""
+        """The full state of the tracker; a restored tracker's next frame is equal to the bit."""
         data = (await sessions.snapshot(f"sessions/{session_id}")).data
         return Response(data, media_type=_OCTETS, headers={"Content-Disposition": 'attachment; filename="ddakf.snapshot"'})
 
@@ -296,11 +297,11 @@ def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> N
         "/v1/sessions:restore",
         tags=["state"],
         status_code=201,
-        responses={**_CREATED, **errors(InvalidSnapshot, InvalidArgument)},
-        openapi_extra=binary_body("what GET /v1/sessions/{session_id}/snapshot answered, of this server or another"),
+        responses={**_CREATION_ERRORS, **error_responses(InvalidSnapshot, InvalidArgument)},
+        openapi_extra=binary_body("response of GET /v1/sessions/{session_id}/snapshot, of this server or another"),
     )
     async def restore_session(request: Request, response: Response, query: Annotated[RestoreSession, Query()]) -> SessionOut:
-        """A new session that goes on from a snapshot."""
+        """Creates a session from a snapshot."""
         data = await bodies.read(request, settings.max_message_bytes, settings.request_timeout)
         return _created(await sessions.restore(query.to_message(data)), response)
 
@@ -310,8 +311,8 @@ def _created(session: pb.Session, response: Response) -> SessionOut:
     return SessionOut.of(session)
 
 
-async def _written(of: Callable[[Message], BaseModel], message: Message) -> Response:
-    """An answer that may be large, made in a thread: a hundred thousand vertices or ten thousand samples take a tenth of a
-    second, for which no stream should wait."""
+async def _json_response(of: Callable[[Message], BaseModel], message: Message) -> Response:
+    """A large response, serialised in a thread: a hundred thousand vertices or ten thousand samples take a tenth of a second,
+    and no stream should wait for that."""
     text = await asyncio.to_thread(lambda: of(message).model_dump_json())
     return Response(text, media_type="application/json")

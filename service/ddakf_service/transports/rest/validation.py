@@ -1,4 +1,4 @@
-"""What pydantic found wrong with a request, as field, expected and got."""
+"""Validation errors of pydantic as field, expected and got."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from ddakf_api.errors import InvalidArgument
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
-_LONGEST = 80  # characters of a value that is shown
-# By the type of pydantic's error; with what its context holds filled in.
+_MAX_SHOWN = 80  # characters of a value in a message
+# Expected values by type of pydantic's error; formatted with its context.
 _EXPECTED = {
     "extra_forbidden": "no field of this name",
     "missing": "a value",
@@ -38,15 +38,15 @@ _EXPECTED = {
 
 
 def invalid_argument(error: RequestValidationError | ValidationError) -> InvalidArgument:
-    """The first thing that is wrong, in the words that other errors use."""
+    """The first error, in the form of the service's other errors."""
     first = error.errors()[0]
     kind, value, context = first["type"], first.get("input"), first.get("ctx", {})
     location = [part for part in first["loc"] if part not in ("query", "path", "body")]
     field = ".".join(itertools.takewhile(_is_field, map(str, location))) or "body"
-    if kind == "extra_forbidden":  # a name that is the client's, of whatever letters
+    if kind == "extra_forbidden":  # the name comes from the client and may have any letters
         field = ".".join(map(str, location))
     if kind == "json_invalid":
-        return InvalidArgument(field=field, expected="JSON", got=f"text that is none: {context.get('error', 'not readable')}")
+        return InvalidArgument(field=field, expected="JSON", got=f"invalid text: {context.get('error', 'not readable')}")
     in_union = any(not _is_field(str(part)) for part in location)
     if in_union and kind == "list_type":
         return InvalidArgument(field=field, expected="a list of triples, or an object of encoding and data", got=_shown(value))
@@ -58,7 +58,7 @@ def invalid_argument(error: RequestValidationError | ValidationError) -> Invalid
 
 
 def _is_field(part: str) -> bool:
-    """Whether a part of pydantic's location is a field or index, rather than the name of a type of a union."""
+    """Whether an element of pydantic's location is a field or an index, rather than a type of a union."""
     return (part.islower() and "[" not in part) or part.isdigit()
 
 
@@ -67,4 +67,4 @@ def _shown(value) -> str:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
         text = repr(value)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."

@@ -11,7 +11,7 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
     """uvicorn's protocol with another keepalive.
 
     A client that answers no ping is disconnected even with unread data, which an orderly close would wait for. The ping is
-    repeated instead when the client has sent anything since, or when it reads its responses while backpressure of a lossless
+    repeated instead in two cases: the client has sent data since, or it reads its responses while backpressure of a lossless
     session holds back the frames in front of its pong.
     """
 
