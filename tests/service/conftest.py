@@ -1,4 +1,4 @@
-"""One running service for all tests of it, over real sockets, with real worker processes."""
+"""One running service for all tests, over real sockets, with real worker processes."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def make_sheet(side: int = 12, spacing: float = 0.02) -> Sheet:
 
 
 class Api:
-    """The bare calls, for what the client library would not send."""
+    """Direct calls, for requests that the client library does not send."""
 
     def __init__(self, target: str):
         self.channel = grpc.insecure_channel(target, [("grpc.max_receive_message_length", 1 << 27)])
@@ -83,7 +83,7 @@ class Api:
 
 
 def frame_of(sheet: Sheet, number: int, *, shift=(0.0, 0.0, 0.0), codec_name: str = "morton-zstd") -> pb.Frame:
-    """The sheet itself as a cloud, frame `number` of 30 per second."""
+    """The sheet itself as a cloud, frame `number` at 30 frames per second."""
     cloud = codec.encode(sheet.vertices + np.asarray(shift), codec_name).cloud
     return pb.Frame(sequence_number=number, capture_time=number / 30, point_cloud=cloud)
 
@@ -93,7 +93,7 @@ def request_of(frame: pb.Frame) -> pb.TrackRequest:
 
 
 class Talk:
-    """An open stream: what is sent is decided while the answers come. With the context its requests end."""
+    """An open stream whose requests depend on its responses. The requests end with the context."""
 
     def __init__(self, api: Api, name: str, **start):
         self._requests = queue.Queue()
@@ -110,7 +110,7 @@ class Talk:
         self._requests.put(request_of(frame))
 
     def ask(self, frame: pb.Frame) -> list[pb.TrackResponse]:
-        """What comes back up to the answer to this frame."""
+        """The responses up to the one to this frame."""
         self.send(frame)
         seen = []
         while not (seen and seen[-1].WhichOneof("message") in ("result", "frame_error")):
@@ -118,12 +118,12 @@ class Talk:
         return seen
 
     def await_arrival(self) -> None:
-        """Returns once the server has taken all that was sent, answered or not: no answer may be on its way."""
+        """Returns when the server has read all requests; no response may be pending."""
         self._requests.put(pb.TrackRequest(ping=pb.Ping(token=1)))
         assert next(self.answers).pong.token == 1
 
     def end(self) -> None:
-        """No more is sent, and nothing is left to be answered."""
+        """Ends the requests; no response may be pending."""
         self._requests.put(None)
         assert list(self.answers) == []
 
@@ -152,7 +152,7 @@ def children(pid: int) -> list[int]:
 
 @contextlib.contextmanager
 def held(pids: Sequence[int]) -> Iterator[None]:
-    """Processes that do nothing inside this context."""
+    """Context in which processes are stopped."""
     for pid in pids:
         os.kill(pid, signal.SIGSTOP)
     try:
@@ -163,7 +163,7 @@ def held(pids: Sequence[int]) -> Iterator[None]:
 
 
 def is_running(pid: int) -> bool:
-    """Whether a process exists and is no zombie."""
+    """Whether a process exists and is not a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
@@ -181,7 +181,7 @@ def eventually(what: Callable[[], T], seconds: float = TIMEOUT) -> T:
 
 @contextlib.contextmanager
 def running(arguments: Sequence[str], folder: Path) -> Iterator[ServiceProcess]:
-    """A ready service, which has to end in order; its log is "service.log" in the folder."""
+    """A ready service, which must end in order; its log is "service.log" in the folder."""
     process = ServiceProcess(arguments, log=folder / "service.log")
     try:
         process.wait_until_ready()
@@ -193,7 +193,7 @@ def running(arguments: Sequence[str], folder: Path) -> Iterator[ServiceProcess]:
 
 @contextlib.asynccontextmanager
 async def serving(**settings) -> AsyncIterator[Addresses]:
-    """A ready service in this process, but for its one worker."""
+    """A ready service in this process, with one worker process."""
     everything = {"workers": 1, "grpc_port": 0, "http_port": 0, "data_dir": "none", **settings}
     server, ready = Server(Settings(**everything)), asyncio.Future()
     running = asyncio.create_task(server.run(lambda *_: None, ready.set_result))
@@ -217,7 +217,7 @@ def service(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def postgres():
-    """A running PostgreSQL; who stops it starts it again."""
+    """A running PostgreSQL. A test that stops it must start it again."""
     try:
         cluster = Postgres()
     except NoPostgres as error:

@@ -1,4 +1,4 @@
-"""The commit that the server names is the one that git names."""
+"""Build: the server's commit is the one that git reports."""
 
 import subprocess
 from pathlib import Path

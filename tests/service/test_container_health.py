@@ -1,4 +1,4 @@
-"""The image's health check, as the image runs it, against a service, against TLS, and against nothing."""
+"""Health check of the image, against a service, against TLS, and without a service."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ class Quiet(http.server.ThreadingHTTPServer):
     daemon_threads = True
 
     def handle_error(self, *_):
-        """Handshakes fail here on purpose."""
+        """Failed handshakes are expected here."""
 
 
 @pytest.fixture
 def encrypted(tmp_path):
-    """Starts a server of the service's TLS; returns its port."""
+    """Starts a server with the service's TLS and returns its port."""
     authority, servers = Authority("own"), []
     files = [tmp_path / name for name in ("server.pem", "server.key", "clients.pem")]
     for path, pem in zip(files, (*authority.issue("server"), authority.pem), strict=True):

@@ -1,4 +1,4 @@
-"""Starting, failing workers, draining, ending: real processes, real signals."""
+"""Server: start, failing workers, drain, end; with real processes and signals."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def serve(*arguments: str, **options) -> subprocess.CompletedProcess:
 
 @pytest.fixture
 def own_service(tmp_path):
-    """A service that a test may end."""
+    """A service that the test may end."""
     arguments = ["--workers", "1", "--spare-workers", "0", "--drain-grace", "3"]
     process = ServiceProcess(arguments, log=tmp_path / "service.log")
     process.wait_until_ready()
@@ -206,7 +206,7 @@ def test_a_service_that_cannot_start_says_why(tmp_path):
 
 
 async def test_what_ends_badly_keeps_nothing_else_from_its_end(tmp_path, monkeypatch):
-    """What waits to be written is, and the folder is free."""
+    """Queued rows are written, and the folder is released."""
     settings = Settings(workers=1, spare_workers=0, grpc_port=0, http_port=0, data_dir=str(tmp_path))
     server = Server(settings)
 

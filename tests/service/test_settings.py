@@ -1,4 +1,4 @@
-"""Flags win over the environment, it over the file, it over the defaults; what is wrong is named."""
+"""Settings: flags override the environment, which overrides the file and the defaults; errors name the setting."""
 
 import pytest
 from ddakf_service.settings import Settings, load, shown

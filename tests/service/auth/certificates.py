@@ -1,4 +1,4 @@
-"""Certificates of one's own."""
+"""Certificates for the tests of TLS."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Authority:
         self.pem = self.certificate.public_bytes(serialization.Encoding.PEM)
 
     def issue(self, name: str) -> tuple[bytes, bytes]:
-        """PEM of a certificate and of its key."""
+        """A certificate and its key as PEM."""
         key = ec.generate_private_key(ec.SECP256R1())
         subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
         certificate = self._signed(subject, key.public_key(), authority=False)

@@ -1,4 +1,4 @@
-"""A service that asks for keys, shared by all tests of it, and its callers."""
+"""A service that needs keys, shared by the tests, and its callers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def new_key(data_dir: Path, name: str, *scopes: str, **options) -> str:
 
 @pytest.fixture(scope="package")
 def guarded(tmp_path_factory):
-    """A service that asks for keys, its data folder, and a key of each kind."""
+    """A service that needs keys, its data folder, and a key of each kind."""
     folder = tmp_path_factory.mktemp("guarded")
     data = folder / "data"
     keys = {name: new_key(data, name, name) for name in ("stream", "read", "admin")}
@@ -67,7 +67,7 @@ def call(service, method: str, key: str | None):
 
 
 class As:
-    """The calls of whoever has a key."""
+    """Calls with a key."""
 
     def __init__(self, service, key: str):
         self._channel = grpc.insecure_channel(service.grpc)
@@ -84,7 +84,7 @@ class As:
         return called
 
     def begin(self, method: str, request) -> grpc.Call:
-        """A call that stays open, once its first answer is there."""
+        """A call that stays open, after its first answer."""
         call = getattr(self._stub, method)(request, timeout=TIMEOUT, metadata=self._metadata)
         next(call)
         return call

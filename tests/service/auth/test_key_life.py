@@ -1,4 +1,4 @@
-"""A key's life: made, used, revoked."""
+"""Life of a key: created, used, revoked."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):
 
 
 def test_secrets_are_nowhere_but_with_their_holders(guarded):
-    """Neither in the log, at its most talkative, nor in the database."""
+    """Neither in the log at its lowest level nor in the database."""
     call(guarded, "ListSessions", guarded.keys["read"])
     httpx.get(guarded.http + "/v1/sessions", headers={"authorization": f"Bearer {guarded.keys['read']}"})
     kept = guarded.log.read_bytes() + b"".join(path.read_bytes() for path in guarded.data.rglob("*") if path.is_file())

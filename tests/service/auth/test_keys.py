@@ -1,4 +1,4 @@
-"""The ring of known keys, in front of a store that comes, goes and changes."""
+"""The key ring, in front of a store that fails, recovers and changes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ddakf_service.auth.principal import Scope
 
 
 class UnreachableKeys:
-    """A database that is away, until it is ``there``."""
+    """A key store that fails until it is ``there``."""
 
     def __init__(self):
         self.there, self.looks, self.kept = False, 0, []

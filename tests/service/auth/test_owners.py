@@ -1,4 +1,4 @@
-"""A session belongs to the key that made it; of another's nothing is said."""
+"""Ownership: a session belongs to the key that created it; other keys learn nothing of it."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_key_has_as_many_sessions_as_it_may(guarded):
 
 
 def test_a_key_has_as_many_streams_and_watchers_as_it_may(guarded):
-    """Four: any more is refused, a stream of its own may be taken over, and other keys do not notice."""
+    """The quota is four: a fifth is rejected, a takeover of the key's own stream is allowed, other keys are unaffected."""
     mine, admin = As(guarded, "stream"), As(guarded, "admin")
     name, other = mine.create().name, mine.create().name
     watching = pb.WatchSessionRequest(name=name, api_version=API_VERSION)
@@ -100,7 +100,7 @@ def test_a_key_has_as_many_streams_and_watchers_as_it_may(guarded):
 
 
 def tell_apart(who: As, name: str, nobody: str) -> list[str]:
-    """What the calls of a key answer about a name, where that is not what they answer about a name that never was."""
+    """Calls of a key whose answer differs between this name and a name that never existed."""
 
     def answers(about: str) -> list[str]:
         found = []

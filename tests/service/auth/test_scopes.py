@@ -1,4 +1,4 @@
-"""Who gets in: every call of every transport needs a key, and of the key its scope."""
+"""Scopes: every call of every transport needs a key, and the key a sufficient scope."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def test_a_line_feed_at_the_end_of_a_path_does_not_change_its_scope(guarded):
 
 
 def test_a_refused_call_of_grpc_is_not_read(guarded):
-    """What would be too large for anybody is refused for the want of a key, before it has come."""
+    """A call without a key is rejected for that before its oversized request has arrived."""
     sent = bytes(65 << 20)
     with grpc.insecure_channel(guarded.grpc) as channel:
         for kind, request in ((channel.unary_unary, sent), (channel.stream_stream, iter([sent]))):

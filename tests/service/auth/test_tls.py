@@ -25,7 +25,7 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def encrypted(tmp_path_factory):
-    """A service with TLS that asks clients for certificates."""
+    """A service with TLS that requires client certificates."""
     folder = tmp_path_factory.mktemp("tls")
     authority = Authority("first")
     install(folder, authority, "server")
@@ -109,7 +109,7 @@ async def test_a_file_that_stays_broken_is_told_of_once(tmp_path, monkeypatch, c
     following = asyncio.create_task(files.follow(files.context()))
 
     async def told(count: int) -> list[str]:
-        """The warnings, a few looks after there are so many."""
+        """The warnings, some checks after this many have appeared."""
         async with asyncio.timeout(TIMEOUT):
             while len(looks) < 5 or len(looks[-5]) < count:
                 await asyncio.sleep(0.01)
@@ -138,7 +138,7 @@ def test_files_that_cannot_be_used_are_refused_by_name(flags, named):
 
 
 def test_a_session_of_tls_outlives_no_authority(encrypted):
-    """A client that shows its certificate once is asked for it again by each connection."""
+    """Each new connection of a client needs its certificate again."""
     certificate, key = encrypted.authority.issue("client")
     (encrypted.folder / "r.pem").write_bytes(certificate)
     (encrypted.folder / "r.key").write_bytes(key)

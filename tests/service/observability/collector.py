@@ -32,7 +32,7 @@ class Collector:
         return [s for r in self._requests for resource in r.resource_spans for scope in resource.scope_spans for s in scope.spans]
 
     def resource(self) -> dict[str, str]:
-        """Attributes of who sent the first spans."""
+        """Resource attributes of the first spans."""
         attributes = self._requests[0].resource_spans[0].resource.attributes
         return {attribute.key: attribute.value.string_value for attribute in attributes}
 

@@ -1,4 +1,4 @@
-"""Logs say which session they are about, as text or JSON, and keep what was said with them."""
+"""Logs carry the session's id and the extra fields, as text or JSON."""
 
 import json
 import logging
@@ -9,7 +9,7 @@ from ddakf_service.observability.logs import configure_logging, current_session
 
 @pytest.fixture
 def logged(capsys):
-    """Configures logging in a format, and returns what gives the last line; everything is as before afterwards."""
+    """Configures logging in a format and returns a function for the last line; restores logging afterwards."""
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
 

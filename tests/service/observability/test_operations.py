@@ -1,4 +1,4 @@
-"""What operators look at: health, readiness, reflection, metrics, OpenAPI, limits."""
+"""Operations: health, readiness, reflection, metrics, OpenAPI, limits."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_dropped_frames_are_counted(api, http, sheet):
 
 
 def test_the_documented_metrics_are_those_that_are_exported(http):
-    """Names, types and labels, both ways; process metrics apart, which are Prometheus' own."""
+    """Names, types and labels, both ways; except Prometheus' own process metrics."""
     text = (Path(__file__).parents[3] / "docs/operations.md").read_text()
     table = text.partition("<!-- metrics: begin -->")[2].partition("<!-- metrics: end -->")[0]
     documented = {}

@@ -1,4 +1,4 @@
-"""Spans say where the time of a frame went; without a collector there is nothing to import."""
+"""Spans divide the time of a frame; without a collector OpenTelemetry is not imported."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_the_sample_is_the_share_of_frames(collector):
 
 
 def test_a_collector_that_is_away_holds_nobody_up(monkeypatch):
-    """More spans than are kept for it are neither waited for nor an error."""
+    """More spans than the queue holds cause neither a wait nor an error."""
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:9")
     tracer = tracer_for(1.0, "here")
     for _ in range(5000):

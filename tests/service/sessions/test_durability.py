@@ -1,4 +1,4 @@
-"""What survives: killed workers, a killed server, an orderly restart. Real processes, real signals, real files."""
+"""Durability: killed workers, a killed server, an orderly restart, with real processes, signals and files."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def has_spare(service) -> bool:
 
 
 class Restartable:
-    """A service that comes back with its data and its ports."""
+    """A service that restarts with its data and its ports."""
 
     def __init__(self, folder):
         with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
@@ -49,13 +49,13 @@ class Restartable:
         self.process.wait_until_ready()
 
     def registered(self, name: str) -> list[pb.Session]:
-        """What a server that comes back would find of a session."""
+        """The session as a restarted server would load it."""
         with contextlib.closing(sqlite3.connect(self._data / "ddakf.sqlite")) as database:
             rows = database.execute("SELECT message FROM sessions WHERE id = ?", [name.removeprefix("sessions/")]).fetchall()
         return [pb.Session.FromString(message) for (message,) in rows]
 
     def checkpointed(self, name: str) -> int:
-        """Applied frames of the newest checkpoint that is written."""
+        """Applied frames of the newest written checkpoint."""
         with contextlib.closing(sqlite3.connect(self._data / "ddakf.sqlite")) as database:
             ((uid,),) = database.execute("SELECT uid FROM sessions WHERE id = ?", [name.removeprefix("sessions/")])
         newest = max((self._data / "checkpoints").glob(f"*/{uid:016x}/*.checkpoint"))
@@ -68,7 +68,7 @@ class Restartable:
 
 @pytest.fixture(scope="module")
 def durable(tmp_path_factory):
-    """A service whose workers tests may kill."""
+    """A service whose workers the tests may kill."""
     with running(["--workers", "1", "--checkpoint-every", "4"], tmp_path_factory.mktemp("durable")) as service:
         yield service
 
@@ -85,7 +85,7 @@ def worker_of(service) -> int:
 
 
 def test_the_sessions_of_a_killed_worker_go_on(durable, sheet):
-    """Their streams stay open; what was tracked since the checkpoint is forgotten, and said to be."""
+    """Their streams stay open; frames since the checkpoint are lost, and a notice says so."""
     eventually(lambda: has_spare(durable), WARM)
     api = Api(durable.grpc)
     names = [api.create(sheet).name for _ in range(3)]
@@ -130,7 +130,7 @@ def test_the_frame_that_a_killed_worker_had_is_tracked_again(durable, sheet):
 
 
 def test_without_a_spare_frames_wait_and_who_asks_is_told(restartable, sheet):
-    """The only worker dies, and the next one takes longer to start than clients are patient."""
+    """The only worker dies, and the next one takes longer to start than the timeout of clients."""
     api, service = Api(restartable.process.grpc), restartable.process
     name = api.create(sheet).name
     talk = Talk(api, name)
@@ -223,7 +223,7 @@ def test_sessions_of_a_killed_server_go_on_after_its_restart(restartable, sheet)
 
 @pytest.mark.parametrize(("number", "lost"), [(signal.SIGKILL, 2), (signal.SIGTERM, 0)])
 def test_the_client_library_comes_back_by_itself(restartable, sheet, number, lost):
-    """The server ends in the middle of a stream and is started again; the client's loop goes on."""
+    """The server ends in the middle of a stream and restarts; the client's loop continues."""
     notices, sequences, restarted = [], [], threading.Event()
 
     def frames():
@@ -233,7 +233,7 @@ def test_the_client_library_comes_back_by_itself(restartable, sheet, number, los
             yield Frame(sheet.vertices, i / 30)
 
     def tracked_and_written() -> bool:
-        """All that was sent, and the checkpoint of the sixteenth."""
+        """All sent frames are tracked, and the checkpoint of the sixteenth is written."""
         applied = [found.statistics.frames_applied for found in restartable.registered(session.name)]
         return applied == [18] and restartable.checkpointed(session.name) == 16
 
@@ -254,7 +254,7 @@ def test_the_client_library_comes_back_by_itself(restartable, sheet, number, los
 
 
 def test_a_frame_that_was_tracked_while_its_stream_ended_is_known_to_the_next_stream(restartable, sheet):
-    """The grace of a stop is over while a frame is in the worker: it is tracked and kept, but has no answer any more."""
+    """The grace of a stop ends while a frame is in the worker: the frame is tracked and counted, without a response."""
     api = Api(restartable.process.grpc)
     name = api.create(sheet).name
     talk = Talk(api, name, flow=pb.FLOW_MODE_LOSSLESS)
@@ -280,7 +280,7 @@ def test_a_frame_that_was_tracked_while_its_stream_ended_is_known_to_the_next_st
 
 
 def test_an_orderly_restart_forgets_nothing(restartable, sheet):
-    """Tracked through the restart and without one: the same to the bit."""
+    """Tracking with and without a restart gives the same bits."""
     api = Api(restartable.process.grpc)
     names = [api.create(sheet).name for _ in range(2)]
     for name in names:

@@ -1,4 +1,4 @@
-"""How long sessions live: idle ones, ones that their client has left, ones that have had their time."""
+"""Expiry: idle sessions, sessions left by their client, sessions at the end of their lifetime."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 
 
 def why(api, name: str) -> str:
-    """Why a session has expired; nothing while it lives."""
+    """Reason of a session's expiry; empty while it is live."""
     try:
         api.get(name)
     except SessionExpired as error:
@@ -46,7 +46,7 @@ def test_an_idle_session_expires(api, http, sheet):
 
 
 def test_a_session_that_its_client_has_left_waits_and_expires(api, sheet):
-    """While a stream is open, or before there was one, the departure window does not run."""
+    """The departure timeout does not run while a stream is open, or before the first one."""
     limits = pb.SessionLimits(departure_timeout=2)
     left, waiting, open_still = (api.create(sheet, limits=limits).name for _ in range(3))
     talk = Talk(api, open_still)

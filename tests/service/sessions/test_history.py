@@ -1,5 +1,4 @@
-"""What happened in sessions, over gRPC and REST, from a service whose database is a PostgreSQL that comes and goes; and the
-spans that it exports meanwhile."""
+"""History over gRPC and REST from a service on a PostgreSQL that stops and restarts, and the exported spans."""
 
 from __future__ import annotations
 
@@ -45,7 +44,7 @@ def service(tmp_path_factory, arguments, collector):
 
 
 def track(api: Api, name: str, sheet, first: int, count: int) -> list[pb.TrackResponse]:
-    """The answers to frames from number `first` on, behind a bad one."""
+    """The responses to frames from number `first` on, after an invalid one."""
     bad = frame_of(sheet, first)
     bad.point_cloud.data = b"?"
     frames = [bad, *(frame_of(sheet, number) for number in range(first, first + count))]
@@ -119,7 +118,7 @@ def test_unknown_sessions_have_none(api, http, session):
 
 @pytest.mark.parametrize("session_id", ["a\0b", "\0", "x" * 5000, "\ud7ff", "A"])
 def test_what_can_be_no_name_is_not_found(api, http, session_id):
-    """A PostgreSQL takes no such text."""
+    """PostgreSQL rejects such a text."""
     for method, request in (
         ("GetSession", pb.GetSessionRequest(name=f"sessions/{session_id}")),
         ("GetSessionHistory", pb.GetSessionHistoryRequest(name=f"sessions/{session_id}")),
@@ -187,7 +186,7 @@ def test_frames_are_exported_as_spans(api, session, sheet, collector):
 
 
 def test_a_database_that_goes_away_stops_nothing_and_misses_nothing(api, http, service, sheet, postgres):
-    """Frames before, while it is away, and after: all are tracked, and all are in the history in the end."""
+    """Frames before, during and after an outage of the database: all are tracked, and all are in the history at the end."""
     name = api.create(sheet).name
     answers = track(api, name, sheet, 1, 5)
     postgres.stop()
@@ -217,7 +216,7 @@ def test_a_database_that_goes_away_stops_nothing_and_misses_nothing(api, http, s
 
 
 def test_the_history_goes_on_after_a_restart(api, sheet, service, arguments, tmp_path):
-    """Of a session that lives on and of one that has ended. The last test: it ends the service of the others."""
+    """History of a live session and of an ended one. The last test: it ends the shared service."""
     ended, alive = api.create(sheet).name, api.create(sheet).name
     for name in (ended, alive):
         track(api, name, sheet, 1, 5)

@@ -1,4 +1,4 @@
-"""Clients come and go in every way that there is: nothing of them is left in the server."""
+"""Clients leave in every possible way; the server keeps nothing of them."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ async def visit_by_websocket(addresses, sheet) -> None:
 
 
 def counts() -> Counter[str]:
-    """Live objects by type, of the service, its messages and what it speaks through; and coroutines, by name."""
+    """Live objects of the service, its messages and its transports by type, and coroutines by name."""
     found = Counter()
     for thing in gc.get_objects():
         kind = type(thing)
@@ -96,13 +96,13 @@ def counts() -> Counter[str]:
 
 
 def held() -> Counter[str]:
-    """Of those what may be large."""
+    """The potentially large ones among the counts."""
     small = ("ddakf_api.errors.", "ddakf_api.v1.tracking_pb2.ErrorDetail")  # which gRPC keeps with what it has aborted
     return Counter({name: n for name, n in counts().items() if name.startswith("ddakf_") and not name.startswith(small)})
 
 
 async def settled(addresses, look) -> Counter[str]:
-    """What is there once the sessions are gone and nothing moves."""
+    """The counts after all sessions have ended and nothing changes."""
     async with grpc.aio.insecure_channel(addresses.grpc) as channel:
         while (await TrackingServiceStub(channel).ListSessions(pb.ListSessionsRequest())).sessions:
             await asyncio.sleep(0.05)
@@ -114,7 +114,7 @@ async def settled(addresses, look) -> Counter[str]:
 
 
 async def left(addresses, look, first: Counter[str]) -> Counter[str]:
-    """What is there beyond what was first, or still is when a slow disk has had its time, too."""
+    """Objects beyond the first counts, after time for a slow disk."""
     now = await settled(addresses, look) - first
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(PATIENCE):
@@ -126,7 +126,7 @@ async def left(addresses, look, first: Counter[str]) -> Counter[str]:
 
 @contextlib.contextmanager
 def without_collector():
-    """Cycles stay, as they do in a server of many objects until hundreds of megabytes may hang on them."""
+    """Without the garbage collector reference cycles stay, as in a large server before its next collection."""
     gc.collect()
     gc.disable()
     try:

@@ -1,4 +1,4 @@
-"""What happens to a session while something else does. The pool is one of a few lines; everything else is the service's."""
+"""Concurrent events of a session, with a small fake pool; everything else is the service's."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ START = pb.Start(name="sessions/some", api_version=API_VERSION)
 
 
 class Pool:
-    """Notes what is opened and closed; ``busy`` keeps calls of a session waiting."""
+    """Records opened and closed sessions; ``busy`` blocks calls of a session."""
 
     def __init__(self):
         self.calls = []
@@ -70,7 +70,7 @@ async def store():
 
 @pytest.fixture
 async def server(pool, store):
-    """All sessions of a server, of which one is there: "some"."""
+    """The sessions of a server, with one session: "some"."""
     server = service.Sessions(pool, Settings(data_dir="none"), Metrics(), store)
     await server.load()
     await create(server)
@@ -182,7 +182,7 @@ async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
 
 
 async def test_a_session_waits_for_a_worker_with_room(server, pool):
-    """As the others have the memory until the lost worker is replaced."""
+    """Other sessions use the memory until the lost worker is replaced."""
     session = server._catalog.readable("sessions/some")
     await server._durability.checkpoint_now(session)
     pool.full = True

@@ -1,4 +1,4 @@
-"""Sessions over gRPC and REST: the same life, the same meaning."""
+"""Session operations over gRPC and REST, with the same meaning."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_updating_labels_and_limits(api, session):
 
 
 def test_another_configuration_and_fabric_while_frames_are_tracked(api, session, sheet):
-    """The tracker goes on where it is: the frame number and the time of the last frame still count."""
+    """The tracker continues: frame number and time of the last frame still count."""
 
     def update(**change):
         return api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, **change)))

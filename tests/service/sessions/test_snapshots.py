@@ -1,4 +1,4 @@
-"""Snapshots over gRPC: what they restore, and which are refused."""
+"""Snapshots over gRPC: restore, and rejected snapshots."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
 
 @pytest.fixture(scope="module")
 def small_service(tmp_path_factory):
-    """Takes the sheet as garment and as body, and nothing larger."""
+    """A service whose limits the sheet just meets as garment and as body."""
     limits = ["--max-vertices", "144", "--max-faces", "242", "--max-body-vertices", "144", "--workers", "1"]
     with running(limits, tmp_path_factory.mktemp("small")) as service:
         yield Api(service.grpc)
 
 
 def torus(side: int) -> ddakf.Mesh:
-    """More faces than a sheet of as many vertices."""
+    """A mesh with more faces than a sheet of as many vertices."""
     i, j = (index.ravel() for index in np.meshgrid(np.arange(side), np.arange(side), indexing="ij"))
     u, v = 2 * np.pi * i / side, 2 * np.pi * j / side
     vertices = np.stack([(1 + 0.3 * np.cos(v)) * np.cos(u), (1 + 0.3 * np.cos(v)) * np.sin(u), 0.3 * np.sin(v)], axis=1)

@@ -1,4 +1,4 @@
-"""Watchers of a session: they see what the client is answered, and cannot hold it up."""
+"""Watchers see the client's responses and cannot delay them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ARRAYS = {field.name for field in pb.Result.DESCRIPTOR.fields if field.message_t
 
 @contextlib.contextmanager
 def watching(api, name: str, **request):
-    """The responses to a watcher that is in place: its Started is the first."""
+    """The responses to an active watcher: Started is the first."""
     call = api.stub.WatchSession(pb.WatchSessionRequest(name=name, api_version=API_VERSION, **request), timeout=TIMEOUT)
     started = next(call)
     try:

@@ -1,4 +1,4 @@
-"""The same tests on SQLite and on PostgreSQL."""
+"""Databases for the tests: SQLite and PostgreSQL."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def metrics():
 
 @pytest.fixture
 def opened(metrics):
-    """Opens databases that are closed at the end."""
+    """Opens databases and closes them at the end."""
     databases = []
 
     def open_(url: str, *, attach=lambda database: None) -> Database:
@@ -67,6 +67,6 @@ def small_disk(tmp_path):
 
 
 def fill(disk: Path) -> None:
-    """Leaves no room on a file system, in a file "ballast"."""
+    """Fills a file system with a file "ballast"."""
     subprocess.run(["dd", "if=/dev/zero", f"of={disk}/ballast", "bs=4096"], capture_output=True)
     assert os.statvfs(disk).f_bavail == 0

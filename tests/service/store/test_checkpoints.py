@@ -1,4 +1,4 @@
-"""The newest whole checkpoint counts; damaged ones are passed over, a full disk costs nothing but the file."""
+"""Checkpoints: the newest complete one is read, damaged ones are skipped, a full disk loses no session."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def where(request, tmp_path):
 
 @pytest.fixture
 def opened(metrics):
-    """Opens checkpoints that are closed at the end."""
+    """Opens checkpoints and closes them at the end."""
     made = []
 
     def open_(url: str, *, keep: int = 2, server_id: str = "here") -> Checkpoints:
@@ -152,7 +152,7 @@ async def test_a_write_that_was_cut_off_counts_for_nothing(opened, tmp_path):
 
 
 def test_one_counts_before_the_disk_has_it_and_the_older_ones_go_afterwards(opened, tmp_path, monkeypatch):
-    """So that a slow disk costs a killed server no frames, and a power cut no checkpoint."""
+    """A slow disk then costs a killed server no frames, and a power cut no checkpoint."""
     left, checkpoints = [], opened(str(tmp_path), keep=1)
     monkeypatch.setattr(os, "fsync", lambda _: left.append([unpack(path.read_bytes()) for path in files(tmp_path)]))
     for number in (1, 2):
@@ -233,7 +233,7 @@ def test_what_cannot_be_deleted_keeps_nothing_from_being_written(opened, tmp_pat
 
 
 def test_a_process_killed_while_it_writes_leaves_a_whole_checkpoint(tmp_path):
-    """Over and over, at whatever moment the kill comes."""
+    """Repeated, with kills at different moments."""
     program = f"""
 import itertools
 from ddakf_api.v1 import tracking_pb2 as pb

@@ -1,4 +1,4 @@
-"""A folder is one server's own, for as long as that runs, and no longer."""
+"""Data folder: one server's own while the server runs."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def test_a_store_that_cannot_open_lets_go_of_the_folder(tmp_path, metrics):
 
 @pytest.mark.parametrize("setting", ["database_url", "checkpoint_url"])
 def test_what_lies_outside_of_the_folder_is_one_server_s_as_well(tmp_path, metrics, setting):
-    """Another one would end its sessions, or delete their checkpoints. By whatever way it names the place."""
+    """Another server would end its sessions or delete their checkpoints, under any spelling of the path."""
     place, link = tmp_path / "place", tmp_path / "link"
     place.mkdir()
     link.symlink_to(place)

@@ -1,4 +1,4 @@
-"""Tables come up from nothing and are what the code says; rows wait for a database that is away, and no longer than agreed."""
+"""Database: migrations create the declared tables; rows wait for an unreachable database up to their bounds."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_an_opened_database_is_left_as_it_was(opened, url):
 
 
 def test_an_sqlite_that_another_is_making_is_waited_for(tmp_path, opened):
-    """SQLite by itself fails at once here: its journal cannot be changed while another writes."""
+    """SQLite itself fails at once: its journal mode cannot change during another write."""
     with contextlib.closing(sqlite3.connect(tmp_path / "t", isolation_level=None, check_same_thread=False)) as other:
         other.execute("BEGIN IMMEDIATE")
         release = threading.Timer(0.2, other.execute, ["COMMIT"])

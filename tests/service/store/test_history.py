@@ -1,4 +1,4 @@
-"""Seconds add up: whatever the resolution, and whether they are in memory, in the database or in both."""
+"""History: sums are right at every resolution, from memory, from the database and from both."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .conftest import PATIENCE
 
 
 class Clock:
-    """Seconds since 1970, as the test says."""
+    """Seconds since 1970, set by the test."""
 
     def __init__(self, now: float):
         self.now = now
@@ -25,7 +25,7 @@ class Clock:
 
 
 class Parts(NamedTuple):
-    """A history on a database, with a clock that begins at a round number, and a session that begins with it."""
+    """A history on a database, with a clock that starts at a round number, and a session that starts with it."""
 
     database: Database
     history: History
@@ -41,7 +41,7 @@ class Parts(NamedTuple):
         return await self.history.query(request, self.uid, self.created)
 
     def track_every_second(self, seconds: int) -> None:
-        """A frame in each, from the beginning."""
+        """One frame per second from the start."""
         for second in range(seconds):
             self.clock.now = self.created + second
             track(self.history, self.uid, 1)
@@ -180,7 +180,7 @@ async def test_old_rows_are_forgotten(opened, url):
 
 
 async def test_nothing_is_kept_of_a_session_that_has_ended(parts):
-    """A frame may come out of the worker after its session's end."""
+    """The result of a frame may arrive after its session's end."""
     track(parts.history, parts.uid, 1)
     parts.history.close(parts.uid, pb.SESSION_STATE_EXPIRED)
     track(parts.history, parts.uid, 1)

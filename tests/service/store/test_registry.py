@@ -1,4 +1,4 @@
-"""What was registered is known at once, and again after a restart."""
+"""Registry: saved sessions are known at once and after a restart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Of the servers of one PostgreSQL one alone has a name, for as long as it runs."""
+"""Server name: unique among the servers of one PostgreSQL while the server runs."""
 
 from __future__ import annotations
 

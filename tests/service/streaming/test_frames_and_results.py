@@ -1,4 +1,4 @@
-"""What frames may hold and answers may be: depth images, Draco, compact results, predictions to a display time."""
+"""Frames and results: depth images, Draco, compact results, predictions to a display time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def moved(number: int) -> np.ndarray:
 
 
 def seen(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """(96, 128) depth of the sheet before a wall, and the mask of the sheet."""
+    """Depth (96, 128) of the sheet in front of a wall, and the mask of the sheet."""
     depth, _ = CAMERA.render([(moved(number), SHEET.faces)])
     mask = np.isfinite(depth)
     return np.where(mask, depth, 2.5), mask
@@ -94,7 +94,7 @@ def test_pixels_of_low_confidence_are_no_measurement(client):
 
 
 def test_a_session_s_own_bound_holds_for_what_a_depth_image_measures(client):
-    """Pixels that the mask leaves out, and fliers, are no points."""
+    """Masked pixels and flying pixels are not points."""
     depth, mask = (array.astype(np.float32) if array.dtype == float else array for array in seen(1))
     count = int(np.count_nonzero(mask & depths.without_fliers(depth, depths.largest_step(depth, 150.0))))
     with client.create_session(SHEET, flow="lossless", limits=Limits(max_points=count - 1)) as session:

@@ -1,4 +1,4 @@
-"""Mailboxes: the newest wins, or all in order with a bounded queue. Rates and overload: who may come, who is told."""
+"""Backpressure: mailboxes, rate limit and overload detection."""
 
 import asyncio
 
@@ -85,7 +85,7 @@ def test_who_waits_as_long_as_is_said_may_come():
 
 
 def told(share, seconds, overload, start):
-    """What a client of 100 frames per second is told, when this share of them is missed."""
+    """Notices to a client of 100 frames per second when this share of its frames is missed."""
     rates = []
     for i in range(int(100 * seconds)):
         if (i * share) % 1 + share >= 1:

@@ -1,4 +1,4 @@
-"""More than can be tracked, later than anybody needs it, answers that nobody reads: one worker, real sockets."""
+"""Overload: too many frames, late frames, unread responses; one worker, real sockets."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LARGE = make_sheet(50, 0.01)
 
 @pytest.fixture(scope="module")
 def single(tmp_path_factory):
-    """A service of one worker that does not wait long for its readers."""
+    """A service of one worker with a short reader timeout."""
     arguments = ["--workers", "1", "--spare-workers", "0", "--reader-timeout", "1", "--request-timeout", "1"]
     with running(arguments, tmp_path_factory.mktemp("single")) as service:
         yield service
@@ -103,7 +103,7 @@ def test_who_sends_more_than_can_be_tracked_is_told_how_much_can_be(single, api,
 
 
 def test_a_greedy_session_starves_no_other_of_its_worker(api, sheet):
-    """Both have all their frames ready; while the modest one has its twenty, the greedy one has not many more."""
+    """Both sessions have all their frames ready; while the modest one has its twenty tracked, the greedy one gets few more."""
     greedy, modest = api.create(LARGE).name, api.create(sheet).name
     counts, at_the_end = {greedy: 0, modest: 0}, {}
 
@@ -134,7 +134,7 @@ ALL = pb.ResultOptions(include_covariance=True, include_velocities=True, vertex_
 
 
 def test_a_reader_that_stalls_loses_its_stream_and_nobody_elses(single, api, sheet):
-    """Its unread answers fill the line; then the stream ends, while the worker has time for others throughout."""
+    """Its unread responses fill the connection and the stream ends; the worker serves the others throughout."""
     stalled, other = api.create(LARGE).name, api.create(sheet).name
     start = pb.TrackRequest(start=pb.Start(name=stalled, api_version="1.0", flow_mode=pb.FLOW_MODE_LOSSLESS, result_options=ALL))
 
@@ -192,7 +192,7 @@ def test_a_websocket_reader_that_stalls_loses_its_stream(single, api):
 
 
 def dripping(single, request: bytes) -> bytes:
-    """All that is answered to a client that sends the beginning of a request and then byte after byte."""
+    """All answers to a client that sends the start of a request and then single bytes."""
     answer = b""
     with socket.create_connection(tuple(single.http.removeprefix("http://").split(":")), TIMEOUT) as connection:
         connection.sendall(request)

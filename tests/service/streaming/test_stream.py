@@ -1,4 +1,4 @@
-"""The Track stream: flow, counters, takeover, pings."""
+"""Track stream: flow modes, counters, takeover, pings."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_realtime_drops_what_is_overtaken_and_counts_it(api, large_session, fram
 
 
 def test_a_reader_that_sleeps_holds_up_nothing_in_realtime(api, large_session, frames):
-    """It reads nothing before all its frames have been taken, tracked or dropped."""
+    """It reads nothing until all its frames are tracked or dropped."""
 
     def taken() -> int:
         statistics = api.get(large_session).statistics
@@ -144,7 +144,7 @@ def test_a_second_stream_is_refused_or_takes_over(api, session, sheet):
 
 
 def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, session, sheet):
-    """It gives up while the old stream's frame is still in the worker."""
+    """The caller gives up while the old stream's frame is in the worker."""
     with Talk(api, session) as first:
         first.ask(frame_of(sheet, 1))
         with held(children(service.pid)):
@@ -160,7 +160,7 @@ def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, se
 
 
 def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet):
-    """The worker hangs; whoever waits for a frame shall not take it for a dead line."""
+    """The worker hangs; the client must not take the wait for a dead connection."""
     with Talk(api, session) as talk:
         talk.ask(frame_of(sheet, 1))
         with held(children(service.pid)):
@@ -218,7 +218,7 @@ def test_a_stream_of_no_session_is_not_found(api):
 
 @pytest.mark.parametrize("leave", ["break", "failing iterator", "refused frame"])
 def test_a_session_whose_stream_was_left_takes_the_next_one(client, leave):
-    """In the middle of tracking: the frame that is in the worker holds the session for a while."""
+    """The stream is left during tracking: the frame in the worker occupies the session for a while."""
     sheet = make_sheet(40, 0.01)
 
     def clouds(start: float):

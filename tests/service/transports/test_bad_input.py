@@ -1,4 +1,4 @@
-"""What cannot be used is refused in one sentence that names the field; the state is as it was."""
+"""Invalid input: one sentence that names the field; the state stays unchanged."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ V = len(SHEET.vertices)
 
 
 class Bad(NamedTuple):
-    """A spoilt frame, and what the refusal says."""
+    """An invalid frame and the words of its error."""
 
     spoil: object
     name: str
@@ -61,7 +61,7 @@ def body(frame: pb.Frame, count: int) -> None:
 
 
 def depth(frame: pb.Frame, **changes) -> None:
-    """A depth image of four pixels a metre away."""
+    """A depth image of four pixels at one metre."""
     frame.depth_image.CopyFrom(codec.encode_depth(np.ones((2, 2), np.float32), (100, 100, 0.5, 0.5), codec="none"))
     for name, value in changes.items():
         if name == "intrinsics":

@@ -1,4 +1,4 @@
-"""Connections over HTTP and WebSocket: what ends them, which pages may open them, what every answer says to a browser."""
+"""Connections over HTTP and WebSocket: timeouts, origins of pages, security headers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ORIGIN = "https://example.org"
 
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory):
-    """Small messages, impatient pings, one foreign origin, a short farewell."""
+    """A service with small messages, short pings, one foreign origin and a short drain."""
     settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "0.5", "--cors-origins", ORIGIN]
     settings += ["--drain-grace", "0.5", "--spare-workers", "0"]  # a spare that starts later would be one more descriptor
     with running(settings, tmp_path_factory.mktemp("strict")) as service:
@@ -56,7 +56,7 @@ def descriptors(service) -> int:
 
 
 def test_a_dead_client_is_noticed_by_its_silence(strict, strict_session, sheet):
-    """It keeps the connection, answers no ping, and its session is free for another."""
+    """It keeps the connection and answers no ping; its session accepts another stream."""
     _, name = strict_session
     before = descriptors(strict)
     data = START.SerializeToString()
@@ -73,7 +73,7 @@ def test_a_dead_client_is_noticed_by_its_silence(strict, strict_session, sheet):
 
 
 def test_a_watcher_that_never_reads_is_cut_off(strict, sheet):
-    """More is sent to it than any buffer holds, so that an orderly close would wait for it."""
+    """It gets more data than any buffer holds, which an orderly close would wait for."""
     api, large = Api(strict.grpc), make_sheet(40, 0.01)
     with api.channel:
         name = api.create(large).name
@@ -99,7 +99,7 @@ def test_a_client_that_answers_pings_stays(strict, strict_session, sheet):
 
 
 def test_a_client_whose_pong_waits_behind_its_frames_stays(strict):
-    """It sends them all at once, and the server takes them only as fast as they are tracked."""
+    """It sends all frames at once, and the server reads them only as fast as they are tracked."""
     api, large = Api(strict.grpc), make_sheet(40, 0.01)
     with api.channel:
         name = api.create(large).name
@@ -178,7 +178,7 @@ def test_a_flood_of_headers_is_refused(http):
 
 
 def test_a_stop_is_announced_and_then_closes(strict, sheet):
-    """The last of the tests with this service, for it stops it."""
+    """The last test of this service, because it stops it."""
     api = Api(strict.grpc)
     with api.channel:
         name = api.create(sheet).name

@@ -1,4 +1,4 @@
-"""Errors over gRPC as clients of any language read them."""
+"""gRPC errors as clients of any language read them."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_longest_texts_fit_into_the_headers(letter):
 
 
 def test_the_longest_texts_arrive(api):
-    """Unicode in a field of the client's choice comes back in the message, and the client still learns what it was."""
+    """Unicode in a client's field comes back in the message, and the client still gets the error's details."""
     request = create_request(make_sheet())
     request.session.config_json = '{"' + "衣" * 5000 + '": {}}'
     error = refusal(api, "CreateSession", request)

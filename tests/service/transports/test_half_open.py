@@ -1,4 +1,4 @@
-"""Lines that go dead without a word, drip, or are not used: neither side closes them."""
+"""Half-open connections: dead, slow or unused, without a close from either side."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 
 
 class Line:
-    """A proxy that never closes a connection; ``dead`` it forwards nothing, and after ``swift`` bytes to the server it drips."""
+    """A proxy that never closes a connection: ``dead`` it forwards nothing; after ``swift`` bytes to the server it is slow."""
 
     def __init__(self, port: int, swift: float = math.inf):
         self.dead, self._port, self._swift = False, port, swift
@@ -58,7 +58,7 @@ class Line:
 
 
 async def started(stub: TrackingServiceStub, name: str) -> pb.Started:
-    """What a new stream is told first, before it ends."""
+    """The first response of a new stream, before it ends."""
     call = stub.Track(iter([pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION))]), timeout=TIMEOUT)
     try:
         answers = [answer async for answer in call]
@@ -68,7 +68,7 @@ async def started(stub: TrackingServiceStub, name: str) -> pb.Started:
 
 
 async def test_a_dead_line_frees_its_session(sheet, monkeypatch):
-    """The server's own pings notice it: the client sends none."""
+    """The server's own pings detect it: the client sends none."""
     monkeypatch.setattr(transport, "KEEPALIVE_SECONDS", 1.0)
     monkeypatch.setattr(transport, "KEEPALIVE_TIMEOUT_SECONDS", 1.0)
     async with serving() as addresses:

@@ -1,4 +1,4 @@
-"""The OpenAPI document: whole, true, and with examples that run against the server as it is."""
+"""OpenAPI document: complete and correct, with examples that run against the server."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def document(service):
 
 @pytest.fixture
 def left_as_it_was(http):
-    """Deletes what a test has created."""
+    """Deletes the sessions that a test has created."""
     before = names(http)
     yield
     for name in names(http) - before:
@@ -127,7 +127,7 @@ def test_another_method_is_refused_with_those_there_are(http, session):
 
 
 def test_an_upload_above_the_limit_is_refused_by_its_length(http):
-    """Before any of it is read: the body never comes."""
+    """The error comes before the body, which is never sent."""
     head = f"POST /v1/sessions:restore HTTP/1.1\r\nHost: localhost\r\nContent-Length: {1 << 40}\r\n\r\n"
     with socket.create_connection((http.base_url.host, http.base_url.port), timeout=TIMEOUT) as connection:
         connection.sendall(head.encode())

@@ -1,4 +1,4 @@
-"""What is too large, or has too many parts, is refused before memory is taken for it."""
+"""Oversized requests, in bytes or in elements, are rejected before memory is allocated."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_a_frame_of_countless_sensors_is_refused_at_the_door():
 
 @pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])
 def test_of_wrong_rows_the_first_is_the_only_error(row):
-    """An error is a kilobyte; a body has room for millions of rows."""
+    """An error takes a kilobyte; a body has room for millions of rows."""
     for model, body in (
         (ResetSession, {"vertices": [row] * 1000}),
         (CreateSession, {"garment": {"vertices": [[0.0, 0.0, 0.0]], "faces": [row] * 1000}}),

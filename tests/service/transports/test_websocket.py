@@ -1,4 +1,4 @@
-"""Streams and watchers over WebSocket: what gRPC carries, in binary and in text frames."""
+"""Streams and watchers over WebSocket, in binary and in text frames."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_a_watcher_is_told_the_end_and_only_reads(service, api, sheet):
 
 
 class Wrong(NamedTuple):
-    """What a client does, and how its stream ends."""
+    """A client's messages, and the end of its stream."""
 
     send: object
     code: int
@@ -136,7 +136,7 @@ def test_nothing_is_compressed(service, session):
 
 
 def test_the_recipe_for_a_browsers_console(service, http):
-    """What docs/protocol.md says to type, sent by another client of WebSocket."""
+    """The commands of docs/protocol.md, sent by another WebSocket client."""
     recipe = (ROOT / "docs/protocol.md").read_text().partition("```js\n")[2].partition("```")[0]
     ((path, body),) = re.findall(r"""fetch\("([^"]+)", {method: "POST", body: '([^']+)'}\)""", recipe)
     assert http.post(path, content=body).status_code == 201

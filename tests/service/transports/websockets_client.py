@@ -1,4 +1,4 @@
-"""WebSocket clients for the tests: one in terms of the contract's messages, one that is a bare socket."""
+"""WebSocket clients for the tests: one for messages of the contract, one plain socket."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ START = pb.TrackRequest(start=pb.Start(api_version=API_VERSION, flow_mode=pb.FLO
 
 
 class Line:
-    """A WebSocket of one of the two modes, in terms of the contract's messages."""
+    """A WebSocket in one of the two modes that sends and receives messages of the contract."""
 
     def __init__(self, connection, mode: str):
         self.connection, self._json = connection, mode == "json"
@@ -48,7 +48,7 @@ class Line:
         return responses
 
     def ending(self) -> tuple[int, str]:
-        """Close code and reason, whatever comes before."""
+        """Close code and reason; earlier messages are skipped."""
         with pytest.raises(ConnectionClosed) as caught:  # noqa: PT012
             while True:
                 self.connection.recv(timeout=TIMEOUT)
@@ -64,7 +64,7 @@ def line(service, path: str, mode: str = "binary", **options):
 
 
 def handshake(service, path: str) -> socket.socket:
-    """A client that can leave pings unanswered, and for which its machine keeps little."""
+    """A client that can leave pings unanswered and has small receive buffers."""
     url = httpx.URL(service.http)
     connection = socket.socket()
     connection.settimeout(TIMEOUT)

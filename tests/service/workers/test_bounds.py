@@ -1,4 +1,4 @@
-"""What a worker may hold and for how long, as a client sees it: bounded memory, replacement in order."""
+"""Bounds of a worker as a client sees them: memory, replacement in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pool of local processes does when things happen that no client can bring about."""
+"""Pool of local processes in situations that no client can cause."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ async def test_without_a_ready_worker_sessions_are_refused(sheet):
 
 
 class Worker:
-    """Notes what it has and is told."""
+    """Records its sessions and messages."""
 
     def __init__(self):
         self.sessions, self.told = {}, []
@@ -52,7 +52,7 @@ async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(mo
 
 
 async def test_a_session_that_is_lost_while_it_moves_stays_nowhere(monkeypatch):
-    """Its worker dies once it has answered the snapshot; whoever has the session had back must not find the moved one."""
+    """Its worker dies after the answer to the snapshot; the restore must not find the moved session."""
 
     pool, old, new = local(), Worker(), Worker()
     old.sessions["one"] = Memory(1, 1)

@@ -1,4 +1,4 @@
-"""The worker pool's contract, for every implementation of it."""
+"""Contract of a worker pool, for every implementation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 @pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
 async def shared_pool(request):
-    """Two workers, whoever uses them."""
+    """Two workers, shared by the tests."""
     lost: list[str] = []
     pool = request.param(on_lost=lost.extend)
     pool.lost = lost
@@ -202,7 +202,7 @@ async def recycling_pool(request):
 
 @pytest.mark.slow
 async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet):
-    """What it tracks is what an undisturbed worker tracks, to the bit."""
+    """Its results equal those of an undisturbed worker to the bit."""
     pool = recycling_pool
     for name in ("one", "two"):
         await pool.open(name, creation(sheet))
@@ -262,7 +262,7 @@ async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
 @pytest.mark.slow
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(implementation, sheet):
-    """So that the first sessions of a lost worker go on while the last ones still wait to be restored."""
+    """The first sessions of a lost worker continue while the last ones wait for their restore."""
     pool = implementation(1)
     await pool.start(lambda *_: None)
     try:
@@ -278,7 +278,7 @@ async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(imp
 
 @pytest.mark.slow
 async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
-    """Whoever has many frames to come waits for those who have one."""
+    """A session with many frames waits for a session with one."""
     for name in ("greedy", "other", "modest"):
         await pool.open(name, creation(sheet))
     assert pool._placements["greedy"].worker is pool._placements["modest"].worker
