@@ -314,6 +314,8 @@ def problems() -> list[str]:
     classes = [variant for variants in _variants().values() for variant in variants]
     known = {f"{variant.__name__}.{field.name}" for variant in classes for field in dataclasses.fields(variant)}
     found = [f"{name} in benchmarks/reference.py is no field of the configuration" for name in sorted(set(REASONS) - known)]
+    rows = csv.DictReader(io.StringIO(fields()))
+    found += [f"{row['field']} has no reason: end its comment with one, '; chosen: ...'" for row in rows if not row["reason"]]
     for document, text in documents().items():
         if not (DOCS / document).is_file() or text != (DOCS / document).read_text():
             found.append(f"docs/{document} differs from the code: run python benchmarks/reference.py")
@@ -384,20 +386,12 @@ def _stage_name(stage: str) -> str:
     return f"stage {name}" if len(name) == 1 else name
 
 
-def _first_sentence(cls: type) -> str:
-    return " ".join(inspect.getdoc(cls).split("\n\n")[0].split())
-
-
 def _shown(value) -> str:
     if isinstance(value, Fabric):
         return next(name for name, preset in PRESETS.items() if preset == value)
     if dataclasses.is_dataclass(value):
         return type(value).__name__
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _code(names: str) -> str:
-    return ", ".join(f"`{part}`" if re.fullmatch(r"[a-z_.]+", part) else part for part in names.split(", "))
 
 
 def main() -> int:
