@@ -47,11 +47,11 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
 
     Args:
         results: by name.
-        folder: they were read from; the stills are there too.
+        folder: of the results and of the frame estimates.
         out: for index.html and the pictures.
     """
     *numbers, absent = tables_of(results, folder)
-    parts = [*numbers, *_stills(folder, out), *_drawn(results, out), absent]
+    parts = [*numbers, *_error_maps(folder, out), *_drawn(results, out), absent]
     (out / "index.html").write_text(page(TITLE, INTRODUCTION, parts, list(results.values()), os.path.relpath(folder, out)))
 
 
@@ -173,20 +173,20 @@ def _reliability(results: dict[str, Result]) -> list[Table]:
     return [paper_tables.reliability("table-7", title, wanted)] if wanted else []
 
 
-def _stills(folder: Path, out: Path) -> list[Picture]:
+def _error_maps(folder: Path, out: Path) -> list[Picture]:
     parts = []
     for name, title in (
         ("figure-1", "Figure 1: error under self-occlusion"), ("figure-2", "Figure 2: error under high noise"),
     ):  # fmt: skip
         path = folder / f"{name}.npz"
         if path.is_file():
-            still = load_frame_estimates(path)
-            meta = still.meta
+            frame = load_frame_estimates(path)
+            meta = frame.meta
             view = meta["view"] + ("+body" if meta["body"] else "")
             caption = f"{meta['sequence']}, {view}, frame {meta['frame']}, noise {1e3 * meta['noise']:g} mm, seed {meta['seed']}."
             for system, why in meta["missing"].items():
                 caption += f" {TITLES.get(system, system)} is missing: {why}."
-            paper_figures.error_maps(out / f"{name}.png", still, f"{meta['sequence']}, {view}, frame {meta['frame']}")
+            paper_figures.error_maps(out / f"{name}.png", frame, f"{meta['sequence']}, {view}, frame {meta['frame']}")
             parts.append(Picture(f"{name}.png", title, caption, f"{name}.npz, commit {meta['commit']}, {meta['date']}"))
     return parts
 

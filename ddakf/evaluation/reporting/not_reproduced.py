@@ -33,14 +33,15 @@ STUDIES = {
 WITHOUT_BODY = ("captures", "depth", "scene-flow", "ablation")  # not of all systems
 
 
-def table(results: dict[str, Result], stills: Collection[str]) -> Table:
+def table(results: dict[str, Result], error_maps: Collection[str]) -> Table:
     """The table of missing results and their reasons.
 
     Args:
         results: by name.
-        stills: names of those that there are.
+        error_maps: names of the existing ones.
     """
-    pairs = [*ALWAYS.items(), *_faust(results.get("faust")), *_not_run(results, stills), *_systems(results), *_few_runs(results)]
+    missing = [*_faust(results.get("faust")), *_not_run(results, error_maps), *_systems(results), *_few_runs(results)]
+    pairs = [*ALWAYS.items(), *missing]
     return Table("missing", TITLE, ["what", "why"], [[Cell(what), Cell(why, kind="text")] for what, why in pairs])
 
 
@@ -54,14 +55,14 @@ def _faust(result: Result | None) -> list[tuple[str, str]]:
     return [("FAUST's subjects 8 and 9, on which the paper tests", f"{scored}; no system here has learned from FAUST")]
 
 
-def _not_run(results: dict[str, Result], stills: Collection[str]) -> list[tuple[str, str]]:
+def _not_run(results: dict[str, Result], error_maps: Collection[str]) -> list[tuple[str, str]]:
     missing = [
         (what, f"not run, or no data for it: ddakf evaluate --paper --only {name}")
         for name, what in STUDIES.items()
         if name not in results
     ]
-    undrawn = [name for name in ERROR_MAPS if name not in stills]
-    return missing + [(name.replace("figure-", "Figure "), "not run: ddakf evaluate --paper") for name in undrawn]
+    missing_maps = [name for name in ERROR_MAPS if name not in error_maps]
+    return missing + [(name.replace("figure-", "Figure "), "not run: ddakf evaluate --paper") for name in missing_maps]
 
 
 def _systems(results: dict[str, Result]) -> list[tuple[str, str]]:

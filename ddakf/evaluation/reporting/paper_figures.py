@@ -32,30 +32,30 @@ WITHOUT = {
 }  # fmt: skip  # the variants of methods.ablations and methods.refinements
 
 
-def error_maps(path: Path, still: FrameEstimates, title: str) -> None:
+def error_maps(path: Path, frame: FrameEstimates, title: str) -> None:
     """The estimates of all systems for one frame, coloured by the distance of each vertex from the truth, on one scale.
 
     Args:
         path: of the picture.
-        still: the frame.
+        frame: the estimates, and the truth.
         title: above it.
     """
-    methods = ordered(still.estimates)
-    errors = {m: 1e3 * np.linalg.norm(still.estimates[m] - still.truth, axis=1) for m in methods}
+    methods = ordered(frame.estimates)
+    errors = {m: 1e3 * np.linalg.norm(frame.estimates[m] - frame.truth, axis=1) for m in methods}
     rmse = {m: float(np.sqrt(np.mean(errors[m] ** 2))) for m in methods}
     following = [errors[m] for m in methods if not statistics.lost([rmse[m]])[0]] or list(errors.values())
     top = pictures.round_up(float(np.percentile(np.concatenate(following), 97)))  # what is lost is beyond any scale
-    camera = _camera(still)
+    camera = _camera(frame)
     columns = min(len(methods) + 1, 5)
     rows = -(-(len(methods) + 1) // columns)
     drawn = figure(1.9 * columns + 0.9, 2.7 * rows + 0.4)
     axes = drawn.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
-    axes[0].imshow(_painted(still.truth, still.faces, None, top, camera))
+    axes[0].imshow(_painted(frame.truth, frame.faces, None, top, camera))
     axes[0].set_title("the truth\n", fontsize=9)
     for axis, method in zip(axes[1:], methods, strict=False):
-        axis.imshow(_painted(still.estimates[method], still.faces, errors[method], top, camera))
+        axis.imshow(_painted(frame.estimates[method], frame.faces, errors[method], top, camera))
         axis.set_title(f"{TITLES.get(method, method)}\nRMSE {rmse[method]:.1f} mm", fontsize=9)
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
@@ -140,11 +140,11 @@ def calibration(path: Path, result: Result) -> None:
     _save(drawn, path)
 
 
-def _camera(still: FrameEstimates) -> Camera:
+def _camera(frame: FrameEstimates) -> Camera:
     """The camera at the figure's eye whose panel the truth fills."""
-    centre = (still.truth.min(axis=0) + still.truth.max(axis=0)).astype(np.float64) / 2
-    unit = Camera.looking_at(Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), np.asarray(still.eye, np.float64), centre)
-    spot = unit.project(still.truth)
+    centre = (frame.truth.min(axis=0) + frame.truth.max(axis=0)).astype(np.float64) / 2
+    unit = Camera.looking_at(Intrinsics(1, 1, 1.0, 1.0, 0.0, 0.0), np.asarray(frame.eye, np.float64), centre)
+    spot = unit.project(frame.truth)
     low, high = spot.min(axis=0), spot.max(axis=0)
     margin = 0.08 * (high - low).max()
     size = high - low + 2 * margin

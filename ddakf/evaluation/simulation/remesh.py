@@ -84,8 +84,8 @@ class _Editor:
 
     def mesh(self) -> Mesh:
         faces = np.array(list(self.faces.values()))
-        kept, flat = np.unique(faces, return_inverse=True)
-        return Mesh(np.array(self.points)[kept], flat.reshape(-1, 3))
+        used, flat = np.unique(faces, return_inverse=True)
+        return Mesh(np.array(self.points)[used], flat.reshape(-1, 3))
 
     def split(self, longest: float) -> None:
         """Halves every edge that is too long, the longest first; a new vertex lies on the chord until it is projected."""
@@ -188,7 +188,7 @@ class _Editor:
             self._add(tuple(middle if vertex == b else vertex for vertex in face))
 
     def _merge(self, a: int, b: int, longest: float) -> int | None:
-        """Collapses an edge; the number of the vertex that is gone, or None where it must not be."""
+        """Collapses an edge; returns the removed vertex, or None if the collapse is not allowed."""
         shared = self.around[a] & self.around[b]
         neighbours_a, neighbours_b = self._neighbours(a), self._neighbours(b)
         if len(neighbours_a & neighbours_b) != len(shared):  # the link condition: topology would change
@@ -197,11 +197,11 @@ class _Editor:
         if hem_a and hem_b and len(shared) == 2:  # an inner edge between two hems
             return None
         if hem_a and not hem_b:
-            kept, gone, place = a, b, self.points[a]
+            remaining, removed, place = a, b, self.points[a]
         elif hem_b and not hem_a:
-            kept, gone, place = b, a, self.points[b]
+            remaining, removed, place = b, a, self.points[b]
         else:
-            kept, gone, place = a, b, (self.points[a] + self.points[b]) / 2
+            remaining, removed, place = a, b, (self.points[a] + self.points[b]) / 2
         rest = (neighbours_a | neighbours_b) - {a, b}
         if len(rest) < 3 or any(math.dist(self.points[other], place) > longest for other in rest):
             return None
@@ -210,10 +210,10 @@ class _Editor:
             return None
         for number in shared:
             self._remove(number)
-        for number in list(self.around[gone]):
-            self._add(tuple(kept if vertex == gone else vertex for vertex in self._remove(number)))
-        self.points[kept] = place
-        return gone
+        for number in list(self.around[removed]):
+            self._add(tuple(remaining if vertex == removed else vertex for vertex in self._remove(number)))
+        self.points[remaining] = place
+        return removed
 
     def _at_hem(self, vertex: int) -> bool:
         return len(self._neighbours(vertex)) != len(self.around[vertex])
@@ -283,8 +283,8 @@ def largest_part(mesh: Mesh) -> Mesh:
 
     a, b = mesh.edges.T
     label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (mesh.n_vertices, mesh.n_vertices)), False)[1]
-    kept = label == np.bincount(label).argmax()
-    return Mesh.cleaned(mesh.vertices, mesh.faces[kept[mesh.faces[:, 0]]])[0]
+    largest = label == np.bincount(label).argmax()
+    return Mesh.cleaned(mesh.vertices, mesh.faces[largest[mesh.faces[:, 0]]])[0]
 
 
 def subdivided(mesh: Mesh) -> Mesh:

@@ -76,9 +76,9 @@ def record(order: Order, progress: Callable[[int, int, str], None] = lambda done
     garment = garments.make(order.garment, body, order.n_vertices, order.seed)
     pose = motions.make(order.motion, body, order.n_frames, order.fps, order.seed)
     pose = Pose(pose.rotations.astype(np.float32), pose.shift.astype(np.float32))  # as stored: the body follows from it exactly
-    still = np.concatenate([np.zeros(order.n_settling, int), np.arange(order.n_frames)])
-    posed = body.skinned(pose)[still]
-    pins = body.skinned(pose, body.attach(garment.mesh.vertices, garment.mesh.faces))[still]
+    frame_numbers = np.concatenate([np.zeros(order.n_settling, int), np.arange(order.n_frames)])
+    posed = body.skinned(pose)[frame_numbers]
+    pins = body.skinned(pose, body.attach(garment.mesh.vertices, garment.mesh.faces))[frame_numbers]
     progress(0, total, "compiling")
     frames = [garment.mesh.vertices.astype(np.float32)]
     for done, vertices in enumerate(solver.simulate(garment, posed, body.faces, pins, order.fps), start=1):

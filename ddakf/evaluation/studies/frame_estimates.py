@@ -47,6 +47,6 @@ def load_frame_estimates(path: Path) -> FrameEstimates:
             estimates = {key.removeprefix("estimate "): file[key] for key in file.files if key.startswith("estimate ")}
             return FrameEstimates(json.loads(str(file["meta"])), file["truth"], file["faces"], estimates, file["eye"])
     except (OSError, ValueError, KeyError) as error:
-        raise InvalidFile(str(path), "a still of a study (.npz)", f"{type(error).__name__}: {error}") from error
+        raise InvalidFile(str(path), "frame estimates of a study (.npz)", f"{type(error).__name__}: {error}") from error
 
 

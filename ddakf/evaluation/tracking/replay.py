@@ -27,14 +27,14 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
     if source.start is not None:
         tracker.reset(vertices=source.start)
     for frame in source:
-        begun = time.perf_counter()
+        started = time.perf_counter()
         result = tracker.step(
             frame.points,
             timestamp=frame.timestamp,
             sensor_origin=frame.sensor_origin,
             body_vertices=frame.body_vertices,
         )
-        yield frame, result, time.perf_counter() - begun
+        yield frame, result, time.perf_counter() - started
 
 
 def remote(

@@ -24,7 +24,7 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
         make: of the method, see :func:`ddakf.evaluation.trials.methods.method_factory`.
         recording: see :class:`ddakf.evaluation.datasets.Recording`.
         frames: to track; the template comes from the frame before.
-        sensor: limit, drop-out, outliers and occlusion to add; the recording has noise of its own.
+        sensor: limit, drop-out, outliers and occlusion to add; the recording has noise of its cpu_started.
         seed: of its random numbers.
 
     Returns:
@@ -45,10 +45,10 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
     for number in frames:
         cloud = sensor.degrade(recording.cloud(number), np.random.default_rng([seed, number]), number)
         frame = CapturedFrame(number, recording.timestamp(number), cloud.points, cloud.sensor_origin)
-        begun, own = time.perf_counter(), time.thread_time()
+        started, cpu_started = time.perf_counter(), time.thread_time()
         estimate = step(frame)
-        wall.append(1e3 * (time.perf_counter() - begun))
-        cpu.append(1e3 * (time.thread_time() - own))
+        wall.append(1e3 * (time.perf_counter() - started))
+        cpu.append(1e3 * (time.thread_time() - cpu_started))
         residual = distance.residual(cloud.points, estimate.vertices)
         estimates.append(np.asarray(estimate.vertices, np.float32))
         values["number"].append(number)
@@ -87,9 +87,9 @@ def pair_row(make: MethodFactory, pair: Pair) -> dict:
     errors, wall = [], []
     for k in range(1, PAIR_STEPS + 1):
         frame = CapturedFrame(k, k * pair.seconds / PAIR_STEPS, pair.target.points, pair.target.sensor_origin)
-        begun = time.perf_counter()
+        started = time.perf_counter()
         vertices = step(frame).vertices
-        wall.append(1e3 * (time.perf_counter() - begun))
+        wall.append(1e3 * (time.perf_counter() - started))
         errors.append(metrics.end_point_error(pair.flow_of(vertices), pair.flow))
     last = errors[-1]
     row = {
