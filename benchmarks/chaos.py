@@ -290,7 +290,7 @@ async def _stop_database(database: Postgres) -> None:
 
 
 def _judged(a: argparse.Namespace, number: int, period: int, calm: ClientLog, seen: ClientLog) -> dict:
-    """The errors of the last seconds against those of the same places without trouble, of so many frames there and back."""
+    """The errors of the last seconds against those of the same frames without faults, for frames played forth and back."""
     first = round((a.seconds - QUIET / 2) * a.rate)
     pairs = [(error, calm.error[k % period]) for k, error in seen.error.items() if k >= first and k % period in calm.error]
     row = {"session": number, "frames": len(seen.error), "state": seen.state, "notices": _counted(seen.notices)}

@@ -26,7 +26,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 OUT, HTTP = Path("out/fuzz"), "http"
-MEMORY = 192 << 20  # bytes that a target may take beyond what it has after its valid inputs
+MEMORY = 192 << 20  # bytes that a target may take beyond its memory after the valid inputs
 SECONDS = 5.0  # of CPU time for one input
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 LONGEST = 1 << 16  # bytes of an input
@@ -152,7 +152,7 @@ class Trial:
 
     def __call__(self, data: bytes) -> None:
         data = data[:LONGEST]
-        os.pwrite(self._file, data, 0)  # for whoever finds this process dead
+        os.pwrite(self._file, data, 0)  # for the report on a dead process
         os.ftruncate(self._file, len(data))
         # The default action ends the process wherever it is.
         signal.setitimer(signal.ITIMER_PROF, SECONDS)

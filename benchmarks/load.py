@@ -32,7 +32,7 @@ WARM = 1.0  # seconds at the beginning whose latencies are left out
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Returns the exit status: 0 when the load was carried, whatever was dropped; 1 when a stream ended with an error."""
+    """Returns the exit status: 0 if no stream ended with an error, even with dropped frames; otherwise 1."""
     a = _parser().parse_args(argv)
     script = traffic.Script(a.vertices, a.points, view=a.view, codec_name=a.codec, body=a.body)
     with contextlib.ExitStack() as stack:

@@ -165,12 +165,12 @@ def share(chosen: np.ndarray, of: np.ndarray) -> float | None:
     return float((chosen & of).sum() / of.sum()) if of.any() else None
 
 
-def ranking(runs: list[dict], score: str, what: str) -> dict[str, float] | None:
-    """Rank correlation of a score with what it should fall with: of all frames, and the median over the runs."""
+def ranking(runs: list[dict], score: str, error: str) -> dict[str, float] | None:
+    """Rank correlation of a score with the error, which should be negative: of all frames, and the median over the runs."""
     if not runs:
         return None
-    within = [metrics.spearman(run[score], run[what]) for run in runs]
-    return {"pooled": metrics.spearman(pooled(runs, score), pooled(runs, what)), "within": float(np.nanmedian(within))}
+    within = [metrics.spearman(run[score], run[error]) for run in runs]
+    return {"pooled": metrics.spearman(pooled(runs, score), pooled(runs, error)), "within": float(np.nanmedian(within))}
 
 
 def figures(runs: list[dict], score: str = "score") -> dict:

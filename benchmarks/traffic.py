@@ -147,11 +147,11 @@ async def play(
     stub: TrackingServiceStub, name: str, script: Script, rate: float, seconds: float, record: StreamLog, *,
     flow: pb.FlowMode = pb.FLOW_MODE_REALTIME, first: int = 1, accuracy_every: int = 10, delay: float = 0.0,
 ) -> None:  # fmt: skip
-    """Sends frames on schedule for so many seconds, and reads until the last answer.
+    """Sends frames on schedule for ``seconds``, and reads until the last answer.
 
     Args:
         first: number of the first frame.
-        accuracy_every: every so many answers the error is computed.
+        accuracy_every: stride of the answers whose error is computed.
         delay: seconds before the first frame, so that clients do not all send at the same moment.
     """
     begun = time.monotonic() + delay

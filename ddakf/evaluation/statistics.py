@@ -66,14 +66,14 @@ class Comparison(NamedTuple):
     n: int  # units that both have a score of
     dropped: int  # units that only one of them, or none, has a score of
     groups: int  # of units, whose signs are flipped together
-    flipped: Literal["sequence", "clip"]  # what a group is; the views of a clip always go together
+    flipped: Literal["sequence", "clip"]  # content of a group; the views of a clip are always in one group
     dependence: str | None  # between groups, in a sentence
     gain: float | None  # mean over the units of how much better the first is, in the unit of the score
     effect: float | None  # Hedges' g of the groups' mean gains
     effect_low: float | None  # 95 % confidence interval of the standardised mean gain
     effect_high: float | None
     p: float | None  # two-tailed
-    p_smallest: float  # that so many groups can give
+    p_smallest: float  # smallest p that the number of groups allows
     exact: bool  # all flips were tried
     p_holm: float | None = None  # see :func:`corrected`
     p_holm_smallest: float | None = None
@@ -103,7 +103,7 @@ def compare(
     """A two-tailed paired permutation test by sign flips, with the size of the effect.
 
     Args:
-        ours, theirs: (n,) scores of two methods per unit, means over the seeds; None or NaN where there is none.
+        ours, theirs: (n,) scores of two methods per unit, means over the seeds; None or NaN for a missing one.
         sequences: (n,) the sequence of each unit.
         clip: (n,) the number of the clip within its sequence; a clip's views share it.
         better: which way the score goes.
@@ -141,7 +141,7 @@ def sign_flips(sums: Sequence[float]) -> tuple[float, float, bool]:
 
     Returns:
         Two-tailed p: exact up to :data:`ENUMERATED` groups that are not zero, else (b + 1) / (m + 1) with b of m random flips as
-        far (Phipson and Smyth 2010); the smallest p that so many groups can give; and whether p is exact.
+        far (Phipson and Smyth 2010); the smallest p that the number of groups allows; and True if p is exact.
     """
     sums = np.asarray(sums, np.float64)
     sums = sums[sums != 0]
@@ -235,7 +235,7 @@ class Standing(NamedTuple):
 
     @property
     def better_than_every(self) -> bool | None:
-        """Than every rival, in the mean; None where there is none."""
+        """True if the method is better than every rival in the mean; None without a rival."""
         return len(self.better) == len(self.rivals) if self.rivals else None
 
 

@@ -40,7 +40,7 @@ class NonRigidPointToPlane(Registration):
 
     Energy: sum_i w_i (n_i . (x_i - c_i))^2 + stiffness sum_ij |d_i - d_j|^2 over the edges, with c_i the point nearest to x_i,
     n_i its normal, w_i its weight, and the displacement field d = x - T r from the rest shape r, which T lays rigidly onto the
-    present estimate (Kabsch 1976). Correspondences and T are found anew in every iteration, and the linear system is solved by
+    present estimate (Kabsch 1976). Every iteration finds new correspondences and T, and the linear system is solved by
     conjugate gradients, preconditioned by the factors of the system in which every correspondence weighs the same along all axes.
     Uses no body and no time.
     """

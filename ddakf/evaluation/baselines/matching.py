@@ -36,7 +36,7 @@ class VertexNormals:
 
 
 class Matches(NamedTuple):
-    """A point of the cloud for every vertex; its weight is 0 if there is none."""
+    """A point of the cloud for every vertex; its weight is 0 without one."""
 
     points: np.ndarray  # (V, 3) m
     normals: np.ndarray  # (V, 3) of the points, on the side of the vertices' own
@@ -50,7 +50,7 @@ class MatchSettings:
     Attributes:
         gate: metres; points farther away are no match, see :meth:`Scan.match`.
         normal_cosine: least between the normals of a vertex and its point; of either sign where there is no sensor.
-        neighbours: the normal of a point is the direction in which so many points around it vary least.
+        neighbours: number of points around a point whose direction of least variance is its normal.
     """
 
     gate: float = 0.1

@@ -107,7 +107,7 @@ class NonRigidIcp:
 
 
 def turned(rotation: np.ndarray, matrices: np.ndarray, steps: int) -> np.ndarray:
-    """Rotations R (n, 3, 3) after so many steps toward :func:`best_rotations` of M, at a third of its cost from nearby: omega =
+    """Rotations R (n, 3, 3) after steps toward :func:`best_rotations` of M, at a third of its cost from nearby: omega =
     sum_k r_k x m_k / |sum_k r_k . m_k| over the columns (Mueller, Bender, Chentanez and Macklin 2016, "A robust method to extract
     the rotational part of deformations"), applied as Cayley's rotation."""
     for _ in range(steps):

@@ -16,7 +16,7 @@ def package(name: str, pip: str) -> ModuleType:
         pip: as in ``pip install pip``.
 
     Raises:
-        NotApplicable: it, or what it needs, cannot be imported.
+        NotApplicable: the package or one of its dependencies cannot be imported.
     """
     try:
         return importlib.import_module(name)

@@ -228,7 +228,7 @@ def harmonics(garment: Mesh, count: int) -> tuple[np.ndarray, np.ndarray]:
 
     Args:
         garment: may have several parts; a part's own constant function counts as one of the smoothest of the others.
-        count: of functions; fewer where there are not so many vertices.
+        count: of functions; fewer for a mesh of few vertices.
 
     Returns:
         (V, count) with a root mean square of 1, and (count,) positive.

@@ -113,4 +113,4 @@ def _is_archive_of(path: Path, members: set[str]) -> bool:
         with zipfile.ZipFile(path) as archive:
             return members <= set(archive.namelist())
     except (OSError, zipfile.BadZipFile, ValueError, NotImplementedError):
-        return False  # its loader says what is wrong with it
+        return False  # its loader reports the error

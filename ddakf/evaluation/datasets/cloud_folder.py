@@ -14,7 +14,7 @@ from ddakf.files.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points
 from ddakf.mesh import Mesh
 
 TEMPLATE = "template"  # name of the mesh file that is no frame
-LARGEST = 1e12  # of whatever unit
+LARGEST = 1e12  # largest coordinate, in any unit
 
 NO_TEMPLATE = f"a mesh file, as the frames are points; {TEMPLATE}.obj beside them, for instance"
 
@@ -28,7 +28,7 @@ class FolderRecording:
         name: of the folder.
         paths: of the frames.
         fps: frames per second.
-        mesh: file of the template, where the garment is in the first frame; None: the frames are meshes, or there is none.
+        mesh: file of the template, in the pose of the first frame; None if the frames are meshes, or without a template.
     """
 
     name: str

@@ -15,7 +15,7 @@ MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
 LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY = ("1", "L", "I", "I;16", "I;16B")  # Pillow's names
-LARGEST = 1e12  # number in a text file, of whatever unit
+LARGEST = 1e12  # largest number in a text file, in any unit
 
 def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
     """The camera of a folder with ``camera.json`` or ``intrinsics.txt`` and images (H, W), and what else the former says.

@@ -12,7 +12,7 @@ STYLES = ("-", "--", "-.", ":")
 
 
 def figure(width: float, height: float):
-    """An empty ``matplotlib.figure.Figure`` of so many inches.
+    """An empty ``matplotlib.figure.Figure`` of a width and height in inches.
 
     Raises:
         MissingDependency: matplotlib is not installed.

@@ -28,7 +28,7 @@ def coverage90(mahalanobis: np.ndarray) -> float:
         mahalanobis: from :func:`squared_mahalanobis`, pooled over as many frames as there are.
 
     Returns:
-        NaN when there is none.
+        NaN without any.
     """
     return float(np.mean(mahalanobis < CHI2_3_90)) if len(mahalanobis) else float("nan")
 

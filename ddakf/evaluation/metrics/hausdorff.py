@@ -16,7 +16,7 @@ from ddakf.body import proximity
 from ddakf.evaluation.metrics.vertex_error import MM
 from ddakf.mesh import Mesh
 
-TOLERANCE = 1e-5  # m: what is returned is at most this much less than the supremum
+TOLERANCE = 1e-5  # m: largest shortfall of the result from the supremum
 
 
 class Hausdorff:
@@ -78,7 +78,7 @@ class _Target(NamedTuple):
 
 
 class _Triangles(NamedTuple):
-    """Triangles on one surface, with what is known of the distance to the other."""
+    """Triangles on one surface, with bounds of the distance to the other."""
 
     corners: np.ndarray  # (n, 3, 3) m
     distance: np.ndarray  # (n, 3) m, of the corners

@@ -56,7 +56,7 @@ def write(results: dict[str, Result], folder: Path, out: Path) -> None:
 
 
 def tables_of(results: dict[str, Result], folder: Path, *, brief: bool = False) -> list[Table]:
-    """The tables that the results of a folder can fill; the last one lists what is missing.
+    """The tables for which a folder has results; the last one lists the missing ones.
 
     Args:
         results: by name.

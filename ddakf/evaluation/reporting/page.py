@@ -38,7 +38,7 @@ class Picture:
         name: of its file, without folder.
         title: above it.
         caption: below it.
-        source: what it was drawn from.
+        source: of its data.
     """
 
     name: str

@@ -44,7 +44,7 @@ def error_maps(path: Path, frame: FrameEstimates, title: str) -> None:
     errors = {m: 1e3 * np.linalg.norm(frame.estimates[m] - frame.truth, axis=1) for m in methods}
     rmse = {m: float(np.sqrt(np.mean(errors[m] ** 2))) for m in methods}
     following = [errors[m] for m in methods if not statistics.lost([rmse[m]])[0]] or list(errors.values())
-    top = pictures.round_up(float(np.percentile(np.concatenate(following), 97)))  # what is lost is beyond any scale
+    top = pictures.round_up(float(np.percentile(np.concatenate(following), 97)))  # lost estimates exceed any scale
     camera = _camera(frame)
     columns = min(len(methods) + 1, 5)
     rows = -(-(len(methods) + 1) // columns)

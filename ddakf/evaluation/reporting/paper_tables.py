@@ -85,7 +85,7 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
         name, title: of the table.
         result: of a study.
         values: names in a result's runs.
-        paper: by value and method, what it prints.
+        paper: its printed numbers, by value and method.
         view: of the study; None: all.
     """
     values, methods = list(values), ordered(result.methods)
@@ -227,7 +227,7 @@ def sweep(
         name, title: of the table.
         results: by level.
         value: shown.
-        paper: by level and method, what it prints.
+        paper: its printed numbers, by level and method.
         unit: of a level.
     """
     methods = ordered(dict.fromkeys(m for result in results.values() for m in result.methods))

@@ -1,4 +1,4 @@
-"""Captured frames: the cloud of one instant, its sensor, and what is known of the truth."""
+"""Captured frames: the cloud of one instant, its sensor, and the truth if known."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Cloud(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CapturedFrame:
-    """One frame for a tracker, with what is known about the truth.
+    """One frame for a tracker, with the truth if known.
 
     Attributes:
         number: in the recording.
@@ -26,7 +26,7 @@ class CapturedFrame:
         sensor_origin: (3,), (N, 3) or None, metres.
         body_vertices: (B, 3) for the tracker, or None.
         truth: (V, 3) true garment, or None.
-        body: (B, 3) true body whether or not the tracker is told, or None.
+        body: (B, 3) true body, even if the tracker does not get it, or None.
     """
 
     number: int

@@ -42,7 +42,7 @@ class Style:
 
 
 def make(name: str, body: Body, n_frames: int, fps: float = 30.0, seed: int = 0) -> Pose:
-    """A motion of so many frames.
+    """A motion of ``n_frames`` frames.
 
     Args:
         name: of :data:`MOTIONS`.

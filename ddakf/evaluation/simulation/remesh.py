@@ -23,11 +23,11 @@ TRIANGLES_PER_SQUARE = 4 / np.sqrt(3)  # of the edge length, in an equilateral t
 
 
 def remeshed(mesh: Mesh, n_vertices: int) -> Mesh:
-    """The same surface with about so many vertices.
+    """The same surface with another number of vertices.
 
     Args:
-        mesh: manifold, with or without hems; fine enough to say what the surface is.
-        n_vertices: wanted; within a few per cent.
+        mesh: manifold, with or without hems; fine enough to represent the surface.
+        n_vertices: wanted number, met within a few per cent.
     """
     area = _areas(mesh.vertices, mesh.faces).sum()
     length = np.sqrt(area * TRIANGLES_PER_SQUARE / (2 * n_vertices))

@@ -61,7 +61,7 @@ class StudyPlan:
 
         Raises:
             InvalidArgument: no such system or view; settings beyond their range; frames that a sequence does not have; an
-                occlusion in none of its frames; errors of a virtual camera for what a real one recorded.
+                occlusion in none of its frames; errors of a virtual camera for a real recording.
             InvalidFile: a sequence that cannot be read.
         """
         for name in ("sequences", "systems", "views"):
@@ -108,7 +108,7 @@ def _require_effect(trial: Trial) -> None:
         return
     if not isinstance(known, Sequence):
         sensor.require_no_camera()
-        known.template(frames.start - frames.step)  # raises the reason where there is none
+        known.template(frames.start - frames.step)  # raises without a template
     if sensor.occlude and not any(map(sensor.occludes, frames)):
         window = "{}:{}".format(*sensor.occlude)
         raise InvalidArgument("occlude", f"some of the frames {frames.start} to {frames[-1]} of {trial.sequence}", window)

@@ -52,7 +52,7 @@ TESTED = (
     "bend_error_deg", "penetration_mm", "flicker", "acceleration_variance", "residual_mm", "own_flicker", "end_point_error_mm",
 )  # fmt: skip
 HIGHER_IS_BETTER = ("iou",)
-RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in so many frames before
+RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in the frames BEFORE
 
 
 def summarise(rows: list[dict], meta: dict) -> dict:

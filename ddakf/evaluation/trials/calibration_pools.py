@@ -38,7 +38,7 @@ def calibrated(rows: list[dict], variant: str = "default", scale: Mapping[str, f
     Args:
         rows: of trials.
         variant: of the method.
-        scale: by group, factor on the claimed standard deviations, see :func:`rescaled`; 1 where there is none.
+        scale: by group, factor on the claimed standard deviations, see :func:`rescaled`; 1 by default.
 
     Returns:
         By part of the runs and by group: ``runs``, ``group``, ``n``, ``coverage90``, ``nees3``, ``nll_excess`` over the best

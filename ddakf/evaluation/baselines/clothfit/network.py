@@ -28,8 +28,8 @@ def invariants(vectors: np.ndarray, scalars: np.ndarray) -> np.ndarray:
 
 
 def basis(vectors: np.ndarray, gate: float) -> np.ndarray:
-    """(Q, K, 3) float32 of which the offset is made: the vectors of change, and before them those of what is still, times
-    c / (gate + c), c^2 the sum of the squares of the others."""
+    """(Q, K, 3) float32 vectors that combine to the offset: the still vectors times c / (gate + c), then those of change; c^2 is
+    the sum of the squares of the latter."""
     vectors = np.array(vectors, np.float32)
     change = np.sqrt(np.square(vectors[:, len(STILL) :]).sum(axis=(1, 2)))
     vectors[:, : len(STILL)] *= (change / np.maximum(gate + change, TINY))[:, None, None]
@@ -41,7 +41,7 @@ class Network:
     """Weights, all float32.
 
     Attributes:
-        mean, sd: (INPUTS,) of the inputs; what is farther off than :attr:`limit` standard deviations counts as that.
+        mean, sd: (INPUTS,) of the inputs; values farther off are clipped to :attr:`limit` standard deviations.
         layers: pairs of a matrix (in, out) and a bias (out,); x sigmoid(x) between them.
     """
 

@@ -10,7 +10,7 @@ class AnswerSettings:
     """Settings of the network's answers; the defaults are the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
-        gate: LENGTH of change since the start at which vectors of what is still count by half; trained with it.
+        gate: LENGTH of change since the start at which the still vectors count by half; used in training, too.
         caution: how much less the committee answers where its members differ, see :class:`.network.Committee`.
         smoothing: averages of a vertex's offset with its neighbours'.
     """
@@ -30,7 +30,7 @@ class Stretches:
     Attributes:
         count: of stretches, which begin at even distances and overlap.
         frames: of each, at most.
-        every: one frame in so many is learned from; the motion is followed through all.
+        every: stride of the frames that give examples; the motion is tracked through all.
         vertices: of each, chosen at random.
         shortest: frames; a recording needs one more.
     """
@@ -49,10 +49,10 @@ class TrainingSettings:
     Attributes:
         cut: of every recording.
         rehearsed: of every rehearsal.
-        members: of the committee; each learns from all recordings but every so manyth.
+        members: of the committee, M; each learns from all recordings but every M-th.
         hidden: width of the two hidden layers.
         steps: of each, on the project's own recordings.
-        tuning_steps: after them, on those and the recordings at hand, half of each batch from either.
+        tuning_steps: after them, on those and external recordings, half of each batch from either.
         batch: examples of a step, as many from each recording.
         rate, tuning_rate: of learning, at the most; it rises and falls over the steps of either.
         decay: of the weights (AdamW).

@@ -12,7 +12,7 @@ from ddakf.evaluation.baselines.clothfit.inputs import Examples
 from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committee, Network, basis, invariants
 from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings
 
-SAMPLED = 8  # one example in so many says how the inputs are spread
+SAMPLED = 8  # stride of the examples for the mean and spread of the inputs
 SMALLEST_SD = np.float32(1e-3)  # of an input
 Progress = Callable[[int, int, str], None]  # done, of how many, what
 
@@ -56,7 +56,7 @@ def fit(
         external: others, to tune on; trained on where there are none of the first kind.
         settings: see :class:`.settings.TrainingSettings`.
         seed: of this network.
-        progress: is told of every step.
+        progress: called after every step.
 
     Returns:
         The network, and the loss of every step: the mean over the batch of sqrt(|error|^2 + robust^2) in LENGTH.
