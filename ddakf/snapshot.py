@@ -1,4 +1,4 @@
-"""The whole state of a tracker to and from bytes: versioned, checked, exact to the bit on the next step."""
+"""Snapshot: a track to and from bytes, versioned, checked, exact to the bit on the next step."""
 
 from __future__ import annotations
 
@@ -12,19 +12,17 @@ from typing import get_args
 
 import numpy as np
 
-from ddakf.body.body_anchor import Worn
+from ddakf.body import body_anchor
+from ddakf.body.proximity import Contact
 from ddakf.config import Config
 from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
-from ddakf.physics.adaptive_stiffness import Elasticity
-from ddakf.stages.reliability import Health
-from ddakf.stages.uncertainty import Drift
-from ddakf.types import State, TrackerState
+from ddakf.types import BodyAnchor, BodyModel, BodyTrack, Contacts, Drift, Health, State, Track, TrackerState
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 6
-LEARNED = ("seen", "squares", "measured")  # of how a garment hangs on its body
+LEARNED = ("seen", "squares", "measured")  # of the body anchor
 
 
 def save(tracker, level: int) -> bytes:
@@ -38,18 +36,19 @@ def load(data: bytes, kind):
 
 
 def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
-    """Configuration, meshes and everything that changes from step to step: numbers, and arrays by name."""
-    arrays = {f"state_{name}": value for name, value in tracker._state._asdict().items()}
-    arrays |= {"rotation": tracker._rotation, "drift_covariance": tracker._drift.covariance}
+    """Configuration, meshes and the track: numbers, and arrays by name."""
+    track = tracker._track
+    arrays = {f"state_{name}": value for name, value in track.state._asdict().items()}
+    arrays |= {"rotation": track.rotation, "drift_covariance": track.drift.covariance}
     arrays |= {"garment_V": tracker.garment.vertices, "garment_F": tracker.garment.faces}
-    if tracker._worn is not None:
-        arrays |= {"worn_pose": tracker._worn.bound.pose, "worn_position": tracker._worn.bound.position}
-        arrays |= {f"worn_{name}": getattr(tracker._worn, name) for name in LEARNED}
-    if tracker.body is not None:
-        arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **tracker._contact.to_arrays()}
-    numbers = {"config": tracker.config.to_dict(), "health": tracker._health._asdict(), "time": tracker._time}
-    numbers["drift"] = list(tracker._drift[1:])
-    numbers["elasticity"] = tracker._elasticity.variance
+    if track.anchor is not None:
+        arrays |= {"worn_pose": track.anchor.bound.pose, "worn_position": track.anchor.bound.position}
+        arrays |= {f"worn_{name}": getattr(track.anchor, name) for name in LEARNED}
+    if track.body is not None:
+        arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **_body_arrays(track.body)}
+    numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
+    numbers["drift"] = list(track.drift[1:])
+    numbers["elasticity"] = track.strain2
     return numbers, arrays
 
 
@@ -63,20 +62,59 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
         body = Mesh(arrays["body_V"], arrays["body_F"]) if "body_V" in arrays else None
         config = Config.from_dict(numbers["config"])
         tracker = kind(Mesh(arrays["garment_V"], arrays["garment_F"]), body=body, config=config)
-        state = {name: like(getattr(tracker._state, name), arrays, f"state_{name}") for name in State._fields}
+        first = tracker._track
+        state = {name: like(getattr(first.state, name), arrays, f"state_{name}") for name in State._fields}
         for block in ("P_pp", "P_uu", "R"):
             if not (np.diagonal(state[block], axis1=1, axis2=2) > 0).all():
                 raise InvalidSnapshot(f"snapshot.state_{block}", "positive variances", "others")
-        tracker._state, tracker._rotation = State(**state), like(tracker._rotation, arrays, "rotation")
-        tracker._drift = _drift(tracker._drift, arrays, numbers["drift"])
-        tracker._elasticity = _elasticity(numbers["elasticity"])
-        tracker._health, tracker._time = _health(numbers["health"]), _time(numbers["time"])
-        if body is not None:
-            tracker._contact.from_arrays(arrays, tracker.garment.n_vertices)
-            tracker._worn = _worn(tracker, arrays) if "worn_pose" in arrays else None
+        tracker._track = Track(
+            state=State(**state),
+            rotation=like(first.rotation, arrays, "rotation"),
+            drift=_drift(first.drift, arrays, numbers["drift"]),
+            strain2=_strain2(numbers["elasticity"]),
+            health=_health(numbers["health"]),
+            time=_time(numbers["time"]),
+            body=None if body is None else _body(tracker._setup.body, arrays, tracker.garment.n_vertices),
+            anchor=_anchor(tracker, arrays) if "worn_pose" in arrays and body is not None else None,
+        )
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
     return tracker
+
+
+def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:
+    arrays = {"contact_vertices": track.vertices, "contact_present": np.array(track.present)}
+    if track.velocity is not None:
+        arrays["contact_velocity"] = track.velocity
+    if track.contacts is not None:
+        arrays |= {f"contact_{name}": value for name, value in track.contacts.closest._asdict().items()}
+        arrays["contact_asked_at"] = track.contacts.asked_at
+    if track.gap is not None:
+        arrays["contact_gap"] = track.gap
+    return arrays
+
+
+def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
+    """The inverse of :func:`_body_arrays`, of a garment of ``n`` vertices.
+
+    Raises:
+        ValueError: arrays that do not belong to this body and garment.
+    """
+    shapes = {"vertices": body.mesh.vertices.shape, "velocity": (n, 3), "asked_at": (n, 3), "face": (n,), "distance": (n,)}
+    shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3), "gap": (n,)}
+    for name, shape in shapes.items():
+        array = arrays.get(f"contact_{name}")
+        if array is not None and (array.shape != shape or np.isnan(array).any()):
+            raise ValueError(f"contact_{name} is not of shape {shape} or not a number")
+    contacts = None
+    if "contact_face" in arrays:
+        face = arrays["contact_face"]
+        if face.dtype != np.int32 or face.min() < -1 or face.max() >= len(body.tree.faces):
+            raise ValueError("contact_face is no face of the body")
+        closest = Contact(*(arrays[f"contact_{name}"] for name in Contact._fields))
+        contacts = Contacts(closest, arrays["contact_asked_at"])
+    vertices, present = arrays["contact_vertices"], bool(arrays["contact_present"])
+    return BodyTrack(vertices, present, arrays.get("contact_velocity"), contacts, arrays.get("contact_gap"))
 
 
 def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -97,19 +135,20 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     return Drift(covariance, speed2, stored2, level)
 
 
-def _worn(tracker, arrays: dict[str, np.ndarray]) -> Worn:
-    pose, position = like(tracker.body.vertices, arrays, "worn_pose"), like(tracker._state.position, arrays, "worn_position")
-    fresh = Worn.at(position, tracker._contact, tracker._model)
+def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
+    model, body, first = tracker._setup.model, tracker._setup.body, tracker._track
+    pose, position = like(tracker.body.vertices, arrays, "worn_pose"), like(first.state.position, arrays, "worn_position")
+    fresh = body_anchor.start(body, pose, position, model)
     learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in LEARNED}
     if (learned["seen"] < 0).any() or (learned["squares"] < 0).any():
         raise InvalidSnapshot("snapshot.worn", "shares and squares that are not negative", "others")
-    return fresh._replace(bound=tracker._contact.bind(position, pose), **learned)
+    return fresh._replace(**learned)
 
 
-def _elasticity(variance) -> Elasticity:
+def _strain2(variance) -> float:
     if isinstance(variance, bool) or not isinstance(variance, int | float) or not 0 <= variance < math.inf:
         raise InvalidSnapshot("snapshot.elasticity", "a finite square", repr(variance))
-    return Elasticity(float(variance))
+    return float(variance)
 
 
 def _health(values: dict) -> Health:

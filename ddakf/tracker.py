@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import functools
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
 from ddakf import snapshot as snapshots
-from ddakf.body import body_anchor
-from ddakf.body.contact import BodyContact
+from ddakf.body import body_anchor, contact
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
 from ddakf.garment import model
@@ -17,27 +17,21 @@ from ddakf.mesh import Mesh
 from ddakf.multiresolution import cluster_alignment, pyramid
 from ddakf.physics import adaptive_stiffness, energies, rigidity
 from ddakf.search import relocalize
-from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, skin_removal, uncertainty
-from ddakf.types import FrameResult, State
-
-FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
-
-
-def whole(step):
-    """A step that raises has not happened: the body, which moves before the garment does, goes back to where it was. All else
-    changes at once, when nothing can fail any more."""
-
-    @functools.wraps(step)
-    def guarded(self, *args, **kwargs):
-        mark = None if self._contact is None else self._contact.mark()
-        try:
-            return step(self, *args, **kwargs)
-        except BaseException:
-            if mark is not None:
-                self._contact.back_to(mark)
-            raise
-
-    return guarded
+from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
+from ddakf.types import (
+    Drift,
+    Estimate,
+    Evidence,
+    FrameInput,
+    FrameResult,
+    Health,
+    Posterior,
+    Problem,
+    Setup,
+    State,
+    Track,
+    variances,
+)
 
 
 class Tracker:
@@ -62,8 +56,8 @@ class Tracker:
             raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
-        self._model = model.build(garment, self.config)
-        self._contact = None if body is None else BodyContact(body, self.config.predict.carry_reach)
+        under = None if body is None else contact.build(body, self.config.predict.carry_reach)
+        self._setup = Setup(model.build(garment, self.config), under, self.config)
         self.reset()
 
     def reset(self, vertices=None, *, velocities=None) -> None:
@@ -76,24 +70,11 @@ class Tracker:
         Raises:
             InvalidFrame: wrong shape or not finite; nothing is changed then.
         """
-        n, start = self.garment.n_vertices, self.config.start
+        n = self.garment.n_vertices
         position = self.garment.vertices.copy() if vertices is None else frame_input.positions("vertices", vertices, n)
         velocity = np.zeros((n, 3)) if velocities is None else frame_input.positions("velocities", velocities, n)
-        self._state = State.at(position, velocity, start.sd, start.speed_sd, self.config.adapt.initial_sd)
-        self._rotation = rigidity.rotations(position, self._model)
-        self._drift = uncertainty.Drift.at(self._model, start.sd)
-        self._elasticity = adaptive_stiffness.Elasticity.at(self.config.physics)
-        self._health = reliability.Health()
-        self._time: float | None = None
-        self._worn: body_anchor.Worn | None = None  # where it is not known yet
-        if self._contact is not None:
-            self._contact.reset()
-            if self.config.physics.gap_time > 0:
-                self._contact.start(position, self.config.physics.thickness)
-            if body_anchor.holds(self.config.predict):
-                self._worn = body_anchor.Worn.at(position, self._contact, self._model)
+        self._track = _start(self._setup, position, velocity)
 
-    @whole
     def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
         """Tracks one frame.
 
@@ -106,91 +87,37 @@ class Tracker:
         Raises:
             InvalidFrame: input that cannot be used; the tracker is as it was.
         """
-        now = frame_input.checked(points, timestamp, sensor_origin, body_vertices, self._time, self.body)
-        dt = FIRST_STEP if self._time is None else now.timestamp - self._time
-        garment, health, clock = self._model, self._health, Clock()
-        config = self._elasticity.adapted(self.config)
-
-        # A. Prediction (2.2), riding on the body
-        last, carried = self._ride(now.body_vertices, dt)
-        prior = predict.predict(last, dt, carried, config.predict)
-        prior, anchor, rotation, placed, settling = relocalize.locate(
-            prior, last.position, self._rotation, now, self._contact, dt, health, garment, config.start
-        )
-        health = (health.placed() if placed else health)._replace(settling=settling)
-        clock.lap("predict")
-
-        # Preprocessing (2.1)
-        mine = skin_removal.cloth(now, prior.position, self._contact, garment, skin_removal.BESIDE)
-        cloud = preprocess.preprocess(mine.points, mine.sensor_origin, prior.position, garment.area, config)
-        clock.lap("preprocess")
-
-        held = None if settling or self._worn is None else self._worn.held(self._contact, garment, config.predict)
-        update = fuse.begin(prior, anchor, rotation, health.physics_lambda, garment, config, held)
-        update = cluster_alignment.align(
-            update, prior, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
-        )
-        clock.lap("coarse")
-        if not skin_removal.of_person(now, mine):  # edges of decimated levels cannot tell cloth from skin
-            update = pyramid.descend(
-                update, prior, anchor, cloud, now.body_vertices, self._contact, health.physics_lambda, garment, config
-            )
-        clock.lap("pyramid")
-        for gate in associate.gates(cloud, config.associate, update.passes):
-            # B. Association (2.3)
-            measurement = associate.associate(
-                update.position, update.measurement, cloud, now.body_vertices, garment, gate, config.associate
-            )
-            clock.lap("associate")
-
-            # C. Robustness (2.5)
-            weight = robust.weigh(measurement, update.position, prior.P_pp, last.R, config.robust)
-            clock.lap("robust")
-
-            # D. Adaptation (2.3, 2.7)
-            R = adapt.adapt(last, measurement, weight, prior, update.position, config.adapt)
-            clock.lap("adapt")
-
-            # E. Physics (2.4)
-            forces = energies.linearize(
-                update.position, update.energies, garment, self._contact, health.physics_lambda, config.physics, anchor
-            )
-            clock.lap("physics")
-
-            # F. Fusion update (2.4, 2.8)
-            update = fuse.fuse(update, prior, measurement, weight, R, forces, gate, garment, config)
-            clock.lap("fuse")
-            if update.settled:
+        clock, given = Clock(), FrameInput(points, timestamp, sensor_origin, body_vertices)
+        frame = frame_input.checked(given, self._track.time, self.body)
+        with clock("predict"):  # A. Prediction (2.2), riding on the body
+            problem = relocalize.locate(predict.begin(self._setup, self._track, frame))
+        with clock("preprocess"):  # Preprocessing (2.1)
+            problem = body_anchor.measure(preprocess.preprocess(problem))
+        with clock("coarse"):
+            estimate = cluster_alignment.align(problem)
+        with clock("pyramid"):
+            estimate = pyramid.descend(problem, estimate)
+        for gate in associate.gates(problem, estimate.passes):
+            with clock("associate"):  # B. Association (2.3)
+                measurement = associate.associate(problem, estimate, gate)
+            with clock("robust"):  # C. Robustness (2.5)
+                weight = robust.weigh(problem, estimate, measurement)
+            with clock("adapt"):  # D. Adaptation (2.3, 2.7)
+                R = adapt.adapt(problem, estimate, measurement, weight)
+            with clock("physics"):  # E. Physics (2.4)
+                forces = energies.linearize(problem, estimate)
+            with clock("fuse"):  # F. Fusion update (2.4, 2.8)
+                estimate = fuse.fuse(problem, estimate, Evidence(measurement, weight, R, forces), gate)
+            if estimate.settled:
                 break
-        posterior = uncertainty.posterior(update, prior, config)
-        measured = np.logical_and(update.weight > 0, not update.rejected)  # what a fit that is thrown away says is not learned
-        posterior = predict.learn(posterior, prior, measured, dt, config.predict)
-        drift = uncertainty.Drift.at(garment, relocalize.FOUND_SD) if placed else self._drift
-        still = anchor if carried is None else posterior.position  # a body explains how what is unseen moves
-        slack = None if held is None else self._worn.slack(garment, config.predict)
-        covariance, drift = uncertainty.marginals(
-            update, posterior, prior, still, self._clearance(), slack, health.offset, drift, dt, garment, config
-        )
-        clock.lap("uncertainty")
-
-        # G. Reliability (2.6)
-        sample = skin_removal.cloth(reliability.sample(mine), posterior.position, self._contact, garment, skin_removal.ON_CLOTH)
-        verdict = reliability.judge(
-            health, update, posterior, covariance, prior, sample.points, self._clearance(), dt, garment, config.reliability
-        )
-        clock.lap("reliability")
-
-        if self._contact is not None:
-            self._contact.learn(posterior.position, measured, dt, config.physics)
-
+        with clock("uncertainty"):
+            posterior = uncertainty.posterior(problem, estimate)
+        with clock("reliability"):  # G. Reliability (2.6)
+            verdict = reliability.judge(problem, estimate, posterior)
         # H. Output
-        learned = self._elasticity.learned(posterior.position, measured, dt, garment, config.physics)
-        hanging = self._hanging(posterior.position, measured, held, settling > 0, dt)
-        result = _result(posterior, covariance, update, verdict, carried, dt, clock.done())
-        self._state, self._drift, self._elasticity = posterior, drift, learned
-        self._rotation = rotation if update.rejected else update.rest.rotation
-        self._health, self._time, self._worn = verdict.health, now.timestamp, hanging
-        return result
+        result = _result(problem, estimate, posterior, verdict)
+        self._track = _learned(problem, estimate, posterior, verdict.health)
+        return clock.timed(result)
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
         """The last result as it will be ``seconds`` after its frame: stage A's prediction, the body moving on as it last did.
@@ -205,13 +132,11 @@ class Tracker:
         Raises:
             InvalidArgument: a result that is not the last step's, a time that is no finite number of 0 or more.
         """
-        if not np.array_equal(result.vertices, self._state.position):
+        if not np.array_equal(result.vertices, self._track.state.position):
             raise InvalidArgument("result", "that of the last step", "another one")
         if not 0 <= seconds < np.inf:
             raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
-        carrying = None if self._contact is None else self._contact.velocity
-        drift, dt = self._drift.speed2, self._health.spacing
-        return predict.ahead(result, self._state, carrying, drift, dt, seconds, self.config.predict)
+        return predict.ahead(result, self._track, seconds, self.config.predict)
 
     def configured(self, config: Config) -> Tracker:
         """A tracker that goes on from here with another configuration; this one stays as it is.
@@ -224,11 +149,11 @@ class Tracker:
         """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
-        numbers, arrays = snapshots.parts(self)
-        arrays = {name: array.copy() for name, array in arrays.items()}
-        other = snapshots.build(numbers | {"config": config.to_dict()}, arrays, Tracker)
-        if other._contact is not None:
-            other._contact.configured(other._state.position, config.physics)
+        other = Tracker(self.garment, body=self.body, config=config)
+        body = self._track.body
+        if body is not None:
+            body = contact.configured(other._setup.body, body, self._track.state.position, config.physics)
+        other._track = self._track._replace(body=body)
         return other
 
     def snapshot(self, *, compressed: bool = True) -> bytes:
@@ -248,57 +173,72 @@ class Tracker:
         """
         return snapshots.load(data, Tracker)
 
-    def _clearance(self) -> np.ndarray | None:
-        """(V,) m, signed distance of each vertex from the body when last asked for."""
-        return None if self._contact is None or self._contact.held is None else self._contact.held.distance
-
-    def _hanging(
-        self, position: np.ndarray, measured: np.ndarray, held: fuse.Planes | None, settling: bool, dt: float
-    ) -> body_anchor.Worn | None:
-        """How the garment hangs on the body after a frame; one that was found elsewhere does so anew once it has settled."""
-        config = self.config.predict
-        if self._contact is None or settling or not body_anchor.holds(config):
-            return None
-        if self._worn is not None:
-            return self._worn.learned(held, position, measured, dt, self._model, config)
-        return body_anchor.Worn.at(position, self._contact, self._model) if self._contact.present else None
-
-    def _ride(self, body_vertices: np.ndarray | None, dt: float) -> tuple[State, np.ndarray | None]:
-        """The last state, relative to the body, and the body's displacement of each vertex (V, 3), or None."""
-        if self._contact is None:
-            return self._state, None
-        last, carried = self._contact.carry(self._state, body_vertices, dt)
-        self._contact.move(body_vertices)
-        return last, carried
-
 
 class Clock:
-    """Adds up the seconds of each stage."""
+    """Adds up the seconds of each stage: ``with clock("fuse"): ...``."""
 
     def __init__(self) -> None:
-        self._start = self._last = time.perf_counter()
-        self._laps: dict[str, float] = {}
+        self._start = time.perf_counter()
+        self._seconds: dict[str, float] = {}
 
-    def lap(self, stage: str) -> None:
-        now = time.perf_counter()
-        self._laps[stage] = self._laps.get(stage, 0.0) + now - self._last
-        self._last = now
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[None]:
+        begun = time.perf_counter()
+        yield
+        self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - begun
 
-    def done(self) -> dict[str, float]:
-        return self._laps | {"total": time.perf_counter() - self._start}
+    def timed(self, result: FrameResult) -> FrameResult:
+        """The result with the seconds of its stages, and of the whole."""
+        result.timings.update(self._seconds, total=time.perf_counter() - self._start)
+        return result
 
 
-def _result(posterior, covariance, update, verdict, carried, dt, timings) -> FrameResult:
+def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
+    """The track before the first frame, of vertices at (V, 3) ``position``, metres."""
+    garment, body, config = setup
+    start, under, anchor = config.start, None, None
+    if body is not None:
+        under = contact.start(body, position, config.physics)
+        if body_anchor.enabled(config.predict):
+            anchor = body_anchor.start(body, under.vertices, position, garment)
+    return Track(
+        state=State.at(position, velocity, start.sd, start.speed_sd, config.adapt.initial_sd),
+        rotation=rigidity.rotations(position, garment),
+        drift=Drift.at(garment, start.sd),
+        strain2=adaptive_stiffness.initial(config.physics),
+        health=Health(),
+        time=None,
+        body=under,
+        anchor=anchor,
+    )
+
+
+def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, health: Health) -> Track:
+    """The track after a frame."""
+    state, position, measured = posterior.state, posterior.state.position, estimate.learnable
+    return Track(
+        state=state,
+        rotation=problem.rotation if estimate.rejected else estimate.rest.rotation,
+        drift=posterior.drift,
+        strain2=adaptive_stiffness.learned(problem, position, measured),
+        health=health,
+        time=problem.frame.timestamp,
+        body=contact.learned(problem, estimate.contacts, position, measured),
+        anchor=body_anchor.learned(problem, position, measured),
+    )
+
+
+def _result(problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict) -> FrameResult:
+    state, carried = posterior.state, problem.carried
     return FrameResult(
-        vertices=posterior.position.copy(),
-        velocities=posterior.velocity.copy() if carried is None else posterior.velocity + carried / dt,
-        covariance=covariance.copy(),
-        sigma=np.sqrt(uncertainty.variances(covariance)),
+        vertices=state.position.copy(),
+        velocities=state.velocity.copy() if carried is None else state.velocity + carried / problem.dt,
+        covariance=posterior.covariance.copy(),
+        sigma=np.sqrt(variances(posterior.covariance)),
         vertex_reliability=verdict.vertex_reliability,
-        observed=update.weight > 0,
+        observed=estimate.observed,
         reliability=verdict.reliability,
         paper_score=verdict.paper_score,
         coverage=verdict.coverage,
         state=verdict.health.state,
-        timings=timings,
     )

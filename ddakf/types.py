@@ -1,4 +1,4 @@
-"""What flows between the stages, and what a step returns. V vertices, N points; metres, seconds."""
+"""Data types of a step: its result, the track, and what flows between the stages. V vertices, N points; metres, seconds."""
 
 from __future__ import annotations
 
@@ -6,6 +6,17 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
+
+from ddakf.body import proximity
+from ddakf.config import Config
+from ddakf.garment.model import Model
+from ddakf.kernels import uncertainty as kernels
+from ddakf.kernels.associate import FAR_AWAY
+from ddakf.mesh import Mesh
+from ddakf.physics import Linearization
+from ddakf.physics.bend import Hinges
+from ddakf.physics.rigidity import LocalRigidity
+from ddakf.physics.self_collision import Layers
 
 TrackerState = Literal["initializing", "tracking", "recovering", "lost"]
 
@@ -58,3 +69,328 @@ class State(NamedTuple):
         eye = np.broadcast_to(np.eye(3), (len(position), 3, 3))
         P_pu, acceleration = np.zeros(eye.shape), np.zeros(position.shape)
         return cls(position, velocity, sd**2 * eye, P_pu, speed_sd**2 * eye, noise_sd**2 * eye, acceleration)
+
+
+def variances(covariance: np.ndarray) -> np.ndarray:
+    """(V,) mean variance of (V, 3, 3) blocks over the directions."""
+    trace = np.empty(len(covariance))
+    kernels.traces(covariance, trace)
+    trace /= 3.0
+    return trace
+
+
+# Input of a frame ---------------------------------------------------------------------------------------------------
+
+
+class FrameInput(NamedTuple):
+    """A checked frame of N points."""
+
+    points: np.ndarray  # (N, 3) float32, m
+    timestamp: float  # s
+    sensor_origin: np.ndarray | None  # (3,) or (N, 3) float64, m
+    body_vertices: np.ndarray | None  # (B, 3) float64, m
+
+    def only(self, rows: np.ndarray | slice) -> FrameInput:
+        """The frame with some of the points, and their sensors where each has its own."""
+        origin = self.sensor_origin
+        if origin is not None and origin.ndim == 2:
+            origin = origin[rows]
+        return self._replace(points=self.points[rows], sensor_origin=origin)
+
+
+class Cloud(NamedTuple):
+    """A preprocessed cloud of M points, sorted by grid cell."""
+
+    points: np.ndarray  # (3, M) float32, relative to origin, m
+    index: np.ndarray  # (M,) int32, of each in the input
+    start: np.ndarray  # (cells + 2,) int32, of the points of each cell
+    surfels: np.ndarray  # (6, S) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
+    surfel_start: np.ndarray  # (cells + 2,) int32, of the surfels of each cell
+    origin: np.ndarray  # (3,) m
+    cell: float  # m
+    dims: np.ndarray  # (3,) int64
+    sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
+
+    @property
+    def oriented(self) -> bool:
+        """Normals point toward the sensors, which are known."""
+        return self.sensor is not None
+
+    @property
+    def empty(self) -> bool:
+        return self.points.shape[1] == 0
+
+
+# The body -----------------------------------------------------------------------------------------------------------
+
+
+class BodyModel(NamedTuple):
+    """Constant for the life of a tracker: the body's topology and search tree."""
+
+    mesh: Mesh  # in the pose of the start
+    tree: proximity.Body
+    reach: float  # m, of the closest-point search
+    carries: bool  # the garment's prediction follows the body
+
+
+class Contacts(NamedTuple):
+    """Closest points of the garment on the body."""
+
+    closest: proximity.Contact  # of the V vertices
+    asked_at: np.ndarray  # (V, 3) m, where each vertex was when its closest point was searched
+
+
+class BodyPose(NamedTuple):
+    """The body in the pose of one frame."""
+
+    model: BodyModel
+    surface: proximity.BodySurface
+    gap: np.ndarray | None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
+    hint: np.ndarray | None  # (V,) int32, faces that are probably closest; they change the time of a search, not its result
+
+    @property
+    def vertices(self) -> np.ndarray:
+        return self.surface.vertices
+
+
+class BodyTrack(NamedTuple):
+    """The body after a frame."""
+
+    vertices: np.ndarray  # (B, 3) m, in the last known pose
+    present: bool  # that pose is the last frame's
+    velocity: np.ndarray | None  # (V, 3) m/s with which the body carried each vertex; None where it did not
+    contacts: Contacts | None  # of the last frame; None: not searched
+    gap: np.ndarray | None  # (V,) m, as in BodyPose
+
+
+class Bound(NamedTuple):
+    """The garment on the body in one pose."""
+
+    pose: np.ndarray  # (B, 3) m, the body
+    position: np.ndarray  # (V, 3) m, the garment
+    contact: proximity.Contact  # the closest point of each vertex within the anchor's reach
+
+
+class BodyAnchor(NamedTuple):
+    """The place of the garment on the body, and how far the garment deviates from it. V vertices, L patches."""
+
+    bound: Bound  # at the start, or where relocalization found the garment
+    seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
+    squares: np.ndarray  # (L, 2) m^2, squared deviation of these along the normal, and along either tangent, times that share
+    measured: np.ndarray  # (V,) bool, in the last frame
+
+
+# What changes from frame to frame -----------------------------------------------------------------------------------
+
+
+class Drift(NamedTuple):
+    """The error of the patches' places, carried from frame to frame. L patches."""
+
+    covariance: np.ndarray  # (3L, 3L) float32 m^2
+    speed2: float  # m^2/s^2, running mean of the squared innovation per second
+    stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
+    level: float  # factor on the variances that the last cloud called for
+
+    @classmethod
+    def at(cls, model: Model, sd: float) -> Drift:
+        """A start whose error has this standard deviation, metres in each direction."""
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2, 1.0)
+
+
+class Health(NamedTuple):
+    """What the tracker remembers about its own quality."""
+
+    state: TrackerState = "initializing"
+    physics_lambda: float = 1.0
+    poor_for: float = 0.0  # s of sensor time with points, but without a fit
+    empty_for: float = 0.0  # s of empty clouds
+    doubtful: bool = False  # there is a fit, but hardly of this garment
+    frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    settling: int = 0  # frames in which a relocalized garment is registered further
+    spacing: float = 0.0  # s between the last two frames
+    # of the predicted error
+    least_strain: float = 10.0  # RMS, so far
+    offset: float = 0.0  # m^2
+    unexplained: float = 0.0  # share of the points
+    least_unexplained: float = 1.0  # so far
+
+    def relocalized(self) -> Health:
+        """The health where a search found the garment: the memory of the old track says nothing about the new one."""
+        return self._replace(offset=0.0, unexplained=0.0)
+
+    @property
+    def unplaced(self) -> bool:
+        """The garment's place has not been seen lately: before the first fit, lost, out of sight or without a fit."""
+        return self.state in ("initializing", "lost") or self.poor_for > 0.0 or self.empty_for > 0.0 or self.doubtful
+
+
+class Track(NamedTuple):
+    """Everything that changes from frame to frame. A step ends with a new one; a snapshot is its bytes."""
+
+    state: State
+    rotation: np.ndarray  # (V, 3, 3) of the one-rings against the rest shape
+    drift: Drift
+    strain2: float  # squared strain of a typical face, dimensionless: the garment's stiffness adapts to it
+    health: Health
+    time: float | None  # s, of the last frame; None before the first
+    body: BodyTrack | None  # None: no body was declared
+    anchor: BodyAnchor | None  # None: not known yet
+
+
+# One frame ----------------------------------------------------------------------------------------------------------
+
+
+class Setup(NamedTuple):
+    """What is constant for the life of a tracker."""
+
+    model: Model
+    body: BodyModel | None
+    config: Config
+
+
+class Hem(NamedTuple):
+    """Where the cloud ends beside the H vertices of the garment's open boundaries: hems, cuffs, neck.
+
+    A plane says nothing about the position along the surface; where the cloth ends does.
+    """
+
+    direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
+    offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
+    weight: np.ndarray  # (H,) bisquare of the offset, 0 where the cloud does not end
+
+
+class Planes(NamedTuple):
+    """Plane-aligned measurements: one per vertex with a positive weight."""
+
+    target: np.ndarray  # (V, 3) m
+    normal: np.ndarray  # (V, 3)
+    weight: np.ndarray  # (V,)
+    variance: np.ndarray  # (V,) m^2 along the normal
+    tangential: np.ndarray  # (V,) m^2 in the plane
+    hem: Hem | None = None  # ends of the cloud beside open boundaries
+    hem_variance: float = 1.0  # m^2, of each
+
+
+class Measurement(NamedTuple):
+    """One measurement per vertex; rows where ``found`` is false hold nothing."""
+
+    target: np.ndarray  # (V, 3) z, m
+    normal: np.ndarray | None  # (V, 3) unit normal of the cloud's surface at z; None: measured in all directions alike
+    distance: np.ndarray  # (V,) m to the nearest point; negative where nothing was found
+    searched_at: np.ndarray  # (V, 3) m, where the vertex was when its plane was searched
+    visible: np.ndarray | None  # (V,) bool, vertices that a sensor may see; None: not asked yet
+    hem: Hem | None = None  # None: no boundary, or no cloud
+
+    @classmethod
+    def none(cls, n: int) -> Measurement:
+        """Before the first pass: nothing searched, nothing found."""
+        return cls(np.zeros((n, 3)), np.zeros((n, 3)), np.full(n, -1.0), np.full((n, 3), FAR_AWAY), None)
+
+    @property
+    def found(self) -> np.ndarray:
+        """(V,) bool."""
+        return self.distance >= 0.0
+
+    def innovation(self, position: np.ndarray) -> np.ndarray:
+        """(V, 3) y = z - p, of a plane only its part along the normal; zero where nothing was found."""
+        y = np.where(self.found[:, None], self.target - position, 0.0)
+        if self.normal is None:
+            return y
+        return np.einsum("va,va->v", self.normal, y)[:, None] * self.normal
+
+
+class Energies(NamedTuple):
+    """The cloth energies at one position, and the stiffness of each (lambda and fabric included).
+
+    Stretch, shear and bending are not linearised here: the fused update takes their blocks straight from the position.
+    """
+
+    position: np.ndarray  # (V, 3) m
+    bending: Hinges  # of the frame's first pass
+    collision: Linearization | None
+    stiffness: tuple[float, float, float, float]  # of stretch, shear, bend and collision
+    strain_scale: float  # of stretch, see :func:`ddakf.physics.energies.softened`
+    layers: Layers | None = None
+    self_collision: Linearization | None = None  # as stiff as self_stiffness
+    self_stiffness: float = 0.0
+    contacts: Contacts | None = None  # on the body, at this position
+
+
+class Evidence(NamedTuple):
+    """What stages B to E say about an estimate."""
+
+    measurement: Measurement
+    weight: np.ndarray  # (V,)
+    R: np.ndarray  # (V, 3, 3) m^2
+    forces: Energies | None
+
+
+class Problem(NamedTuple):
+    """What is constant within a frame: stages B to G read it."""
+
+    model: Model
+    config: Config  # as stiff as the garment has proved to be
+    last: Track  # after the last frame; where a search found the garment, with the drift of a start
+    frame: FrameInput
+    dt: float  # s since the last frame
+    state: State  # posterior of the last frame; with a body its velocities are relative to it
+    carried: np.ndarray | None  # (V, 3) m, the body's displacement of each vertex; None where it carries nothing
+    body: BodyPose | None  # None: its pose is not known in this frame
+    prior: State  # the prediction
+    motion_start: np.ndarray  # (V, 3) m, position from which the motion is locally rigid
+    rotation: np.ndarray  # (V, 3, 3) of the one-rings there against the rest shape
+    health: Health  # as the frame begins
+    garment: FrameInput | None = None  # the frame without the body's skin
+    cloud: Cloud | None = None
+    anchored: Planes | None = None  # pseudo-measurements of unseen vertices by the body anchor
+    visible: np.ndarray | None = None  # (V,) bool, vertices that a sensor may see, where that is known beforehand
+
+
+class System(NamedTuple):
+    """The normal equations A delta = force at an estimate."""
+
+    D: np.ndarray  # (V, 3, 3) diagonal blocks of A, 1/m^2
+    B: np.ndarray  # (2E, 12) float32, its other blocks, in rows of the adjacency, by columns padded to four
+    force: np.ndarray  # (V, 4) 1/m, minus the gradient, padded
+
+
+class Estimate(NamedTuple):
+    """What the passes of a frame refine."""
+
+    position: np.ndarray  # (V, 3) m
+    rest: LocalRigidity
+    motion: LocalRigidity
+    information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
+    evidence: Evidence  # of the last pass
+    contacts: Contacts | None = None  # on the body; None: not searched
+    planes: Planes | None = None
+    system: System | None = None
+    before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
+    coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
+    state: State | None = None  # the posterior, where the update itself forms it
+    passes: int = 0  # of this frame, those on decimated levels among them
+    settled: bool = False
+    rejected: bool = False
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(V,) bool: a measurement passed the gate."""
+        return self.evidence.weight > 0
+
+    @property
+    def learnable(self) -> np.ndarray:
+        """(V,) bool: the observed vertices, none where the fit is rejected: what it says is not learned."""
+        return np.logical_and(self.observed, not self.rejected)
+
+    @property
+    def clearance(self) -> np.ndarray | None:
+        """(V,) m, signed distance of each vertex from the body when last searched; None without a body."""
+        return None if self.contacts is None else self.contacts.closest.distance
+
+
+class Posterior(NamedTuple):
+    """The garment after the fusion update."""
+
+    state: State
+    covariance: np.ndarray  # (V, 3, 3) m^2, calibrated
+    drift: Drift

@@ -1,22 +1,21 @@
-"""How a garment hangs on its body: where it would be had it gone with the body ever since the start, and how far it deviates.
+"""Body anchor: the garment's place on the body as a pseudo-measurement of the vertices that no sensor sees.
 
-Prediction rides on the body from frame to frame, and what no sensor sees adds up the errors of all frames. Its place on the body
-does not. It is therefore a pseudo-measurement of the vertices that are not seen, and its variance is learned where the garment is
-seen, as stage D learns R: a shirt that fits tightly is held, a skirt that swings is not.
+Prediction rides on the body from frame to frame, and unseen cloth adds up the errors of all frames. Its place on the body since
+the start does not. The variance of this pseudo-measurement is learned where the garment is seen, as stage D learns R: a shirt
+that fits tightly is held, a skirt that swings is not.
 """
 
 from __future__ import annotations
 
 from math import exp
-from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body.contact import BodyContact, Bound
+from ddakf.body import contact
 from ddakf.config import ConstantVelocity
 from ddakf.garment.model import Model
 from ddakf.kernels.associate import vertex_normals
-from ddakf.stages.fuse import Planes
+from ddakf.types import BodyAnchor, BodyModel, Planes, Problem
 
 LEAST_SD = 0.002  # m: no garment goes with its body more exactly
 # of the deviations in a patch, that count as independent: along the normal and across it, as cloth slips over longer lengths
@@ -24,77 +23,77 @@ INDEPENDENT = np.array([2.0, 0.7])
 LEAST_SEEN = 0.05  # of a patch: as much evidence as the first guess counts for
 
 
-class Worn(NamedTuple):
-    """What is known of one garment on its body. V vertices, L patches."""
-
-    bound: Bound  # the garment on the body, at the start or where it was found
-    seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
-    squares: np.ndarray  # (L, 2) m^2, of them the squared deviation along the normal, and along either tangent, times that share
-    measured: np.ndarray  # (V,) bool, in the last frame
-
-    @classmethod
-    def at(cls, position: np.ndarray, contact: BodyContact, model: Model) -> Worn:
-        """A garment at (V, 3) ``position``, metres, on the body in its present pose; nothing is learned yet."""
-        n = len(model.likeness)
-        return cls(contact.bind(position), np.zeros(n), np.zeros((n, 2)), np.zeros(len(position), bool))
-
-    def held(self, contact: BodyContact, model: Model, config: ConstantVelocity) -> Planes | None:
-        """The pseudo-measurements of a frame: the place of each vertex on the body, for those that were not measured lately.
-
-        None where the pose of the body is not known. The deviations of a patch count as :data:`INDEPENDENT` ones, those along
-        the normal and across it each with its own variance; a patch of which nothing was seen has that of the patches around it.
-        """
-        if not contact.present:
-            return None
-        target = contact.bring(self.bound)
-        normal = np.empty_like(target)
-        vertex_normals(target, model.faces, normal)
-        variance = self._variance(model, config)
-        along, across = (len(target) / len(variance) * (variance / INDEPENDENT)[model.patch]).T
-        weight = np.where(self.measured | (self.bound.contact.face < 0), 0.0, 1.0)
-        return Planes(target, normal, weight, np.ascontiguousarray(along), np.ascontiguousarray(across))
-
-    def slack(self, model: Model, config: ConstantVelocity) -> np.ndarray:
-        """(V,) metres: how far, in standard deviations of a place, cloth there is from where the body has brought it."""
-        along, across = self._variance(model, config).T
-        return np.sqrt(along + 2.0 * across)[model.patch]
-
-    def _variance(self, model: Model, config: ConstantVelocity) -> np.ndarray:
-        """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent."""
-        near = model.likeness @ np.column_stack([self.squares, self.seen])
-        guess = LEAST_SEEN * config.worn_sd**2
-        return np.maximum((near[:, :2] + guess) / (near[:, 2:] + LEAST_SEEN), LEAST_SD**2)
-
-    def learned(
-        self, held: Planes | None, position: np.ndarray, measured: np.ndarray, dt: float, model: Model, config: ConstantVelocity
-    ) -> Worn:
-        """After a frame.
-
-        Args:
-            held: of this frame.
-            position: (V, 3) the posterior, metres.
-            measured: (V,) bool.
-            dt: seconds since the last frame.
-            model: the garment.
-            config: with the time constant.
-        """
-        if held is None:
-            return self
-        n, used = len(self.seen), measured & (self.bound.contact.face >= 0)
-        patch, deviation = model.patch[used], (position - held.target)[used]
-        along = np.square(np.einsum("va,va->v", deviation, held.normal[used]))
-        across = 0.5 * (np.einsum("va,va->v", deviation, deviation) - along)
-        size = np.bincount(model.patch, minlength=n)
-        sums = np.column_stack([np.bincount(patch, weights, n) for weights in (along, across, None)]) / size[:, None]
-        kept = exp(-dt / config.worn_memory)
-        return Worn(
-            self.bound,
-            kept * self.seen + (1.0 - kept) * sums[:, 2],
-            kept * self.squares + (1.0 - kept) * sums[:, :2],
-            measured,
-        )
+def start(body: BodyModel, pose: np.ndarray, position: np.ndarray, model: Model) -> BodyAnchor:
+    """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
+    n = len(model.likeness)
+    bound = contact.bind(body, pose, position)
+    return BodyAnchor(bound, np.zeros(n), np.zeros((n, 2)), np.zeros(len(position), bool))
 
 
-def holds(config: ConstantVelocity) -> bool:
-    """Whether a body holds what is not seen."""
+def enabled(config: ConstantVelocity) -> bool:
+    """Whether the body holds unseen vertices."""
     return config.carry_reach > 0 and config.worn_memory > 0
+
+
+def measure(problem: Problem) -> Problem:
+    """The problem with the pseudo-measurements of the vertices that were not measured lately.
+
+    There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
+    count as :data:`INDEPENDENT` ones, those along the normal and across it each with its own variance. A patch of which nothing
+    was seen has that of the patches around it.
+    """
+    anchor, body, model = problem.last.anchor, problem.body, problem.model
+    if anchor is None or body is None or problem.health.settling:
+        return problem
+    target = contact.follow(anchor.bound, body)
+    normal = np.empty_like(target)
+    vertex_normals(target, model.faces, normal)
+    variance = _variance(anchor, model, problem.config.predict)
+    along, across = (len(target) / len(variance) * (variance / INDEPENDENT)[model.patch]).T
+    weight = np.where(anchor.measured | (anchor.bound.contact.face < 0), 0.0, 1.0)
+    planes = Planes(target, normal, weight, np.ascontiguousarray(along), np.ascontiguousarray(across))
+    return problem._replace(anchored=planes)
+
+
+def slack(problem: Problem) -> np.ndarray | None:
+    """(V,) metres: standard deviation of the place on the body; None without pseudo-measurements."""
+    if problem.anchored is None:
+        return None
+    along, across = _variance(problem.last.anchor, problem.model, problem.config.predict).T
+    return np.sqrt(along + 2.0 * across)[problem.model.patch]
+
+
+def _variance(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.ndarray:
+    """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent."""
+    near = model.likeness @ np.column_stack([anchor.squares, anchor.seen])
+    guess = LEAST_SEEN * config.worn_sd**2
+    return np.maximum((near[:, :2] + guess) / (near[:, 2:] + LEAST_SEEN), LEAST_SD**2)
+
+
+def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
+    """The anchor after a frame. A relocalized garment gets a new one once it has settled.
+
+    Args:
+        problem: the frame.
+        position: (V, 3) the posterior, metres.
+        measured: (V,) bool.
+    """
+    anchor, model, config, planes = problem.last.anchor, problem.model, problem.config.predict, problem.anchored
+    if problem.last.body is None or problem.health.settling > 0 or not enabled(config):
+        return None
+    if anchor is None:
+        return None if problem.body is None else start(problem.body.model, problem.body.vertices, position, model)
+    if planes is None:
+        return anchor
+    n, used = len(anchor.seen), measured & (anchor.bound.contact.face >= 0)
+    patch, deviation = model.patch[used], (position - planes.target)[used]
+    along = np.square(np.einsum("va,va->v", deviation, planes.normal[used]))
+    across = 0.5 * (np.einsum("va,va->v", deviation, deviation) - along)
+    size = np.bincount(model.patch, minlength=n)
+    sums = np.column_stack([np.bincount(patch, weights, n) for weights in (along, across, None)]) / size[:, None]
+    old = exp(-problem.dt / config.worn_memory)
+    return anchor._replace(
+        seen=old * anchor.seen + (1.0 - old) * sums[:, 2],
+        squares=old * anchor.squares + (1.0 - old) * sums[:, :2],
+        measured=measured,
+    )

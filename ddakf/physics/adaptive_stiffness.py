@@ -1,4 +1,4 @@
-"""How far a garment really stretches: stretch and shear are as stiff as the strain that its own estimates keep showing.
+"""Stage E, adaptive stiffness: stretch and shear are as stiff as the strain that the garment keeps showing.
 
 A template is a guess. Simulated cloth keeps its metric within a few per cent; a reconstruction from cameras, whose folds were
 smoothed away, does not, and a stiff energy then drives it along the surface. In a MAP problem a stiffness is the inverse of the
@@ -10,64 +10,62 @@ from __future__ import annotations
 
 import dataclasses
 from math import exp
-from typing import NamedTuple
 
 import numpy as np
 
 from ddakf.config import Config, Physics
-from ddakf.garment.model import Model
 from ddakf.kernels import strain as kernels
+from ddakf.types import Problem
 
 SOFTEST = 0.02  # least share of the stiffness that is left
 LEAST_SHARE = 0.5  # of the faces measured, of which a median says anything about the garment
 LONGEST = 0.1  # s that a frame counts for: the first fit after a gap is the least to be trusted
 
 
-class Elasticity(NamedTuple):
-    """What has been learned about the strain of one garment."""
+def initial(config: Physics) -> float:
+    """The squared strain before the first frame: at it the energies are as stiff as they are said to be."""
+    return config.strain_sd**2
 
-    variance: float  # square of the strain of a typical face, dimensionless
 
-    @classmethod
-    def at(cls, config: Physics) -> Elasticity:
-        """Before the first frame: the strain at which the energies are as stiff as they are said to be."""
-        return cls(config.strain_sd**2)
+def adapted(strain2: float, config: Config) -> Config:
+    """The configuration as this garment needs it: stretch and shear times share = strain_sd^2 / strain2, never stiffer.
 
-    def adapted(self, config: Config) -> Config:
-        """The configuration as this garment needs it: stretch and shear times share = strain_sd^2 / variance, never stiffer.
+    What the template does not know of the strain it does not resist either: rings follow 1 - share of ``strain_followed``.
 
-        What the template does not know of the strain it does not resist either: rings follow 1 - share of ``strain_followed``.
-        """
-        physics = config.physics
-        share = min(1.0, max(SOFTEST, physics.strain_sd**2 / max(self.variance, 1e-12)))
-        return dataclasses.replace(
-            config,
-            physics=dataclasses.replace(
-                physics,
-                stretch=share * physics.stretch,
-                shear=share * physics.shear,
-                rest_rigidity=share * physics.rest_rigidity + (1.0 - share) * physics.uneven_rigidity,
-                strain_followed=(1.0 - share) * physics.strain_followed,
-            ),
-        )
+    Args:
+        strain2: squared strain of a typical face.
+        config: of the tracker.
+    """
+    physics = config.physics
+    share = min(1.0, max(SOFTEST, physics.strain_sd**2 / max(strain2, 1e-12)))
+    return dataclasses.replace(
+        config,
+        physics=dataclasses.replace(
+            physics,
+            stretch=share * physics.stretch,
+            shear=share * physics.shear,
+            rest_rigidity=share * physics.rest_rigidity + (1.0 - share) * physics.uneven_rigidity,
+            strain_followed=(1.0 - share) * physics.strain_followed,
+        ),
+    )
 
-    def learned(self, position: np.ndarray, measured: np.ndarray, dt: float, model: Model, config: Physics) -> Elasticity:
-        """After a frame: the variance follows the median over the faces whose corners were measured.
 
-        The median, since edges of the cloud and tangles strain some faces beyond anything that the cloth does. Where less than
-        :data:`LEAST_SHARE` of the faces is measured nothing is learned: a surface seen from one side has free edges all around,
-        and the softer it is the more a fast motion strains it.
+def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> float:
+    """The squared strain after a frame: it follows the median over the faces whose corners were measured.
 
-        Args:
-            position: (V, 3) the posterior, metres.
-            measured: (V,) bool.
-            dt: seconds since the last frame.
-            model: the garment.
-            config: with the time constant.
-        """
-        squared = np.empty(len(model.strain.area))
-        n = kernels.squared_strains(position, measured, model.strain.corner, model.strain.warp, model.strain.weft, squared)
-        if n < LEAST_SHARE * len(squared):
-            return self
-        kept = exp(-min(dt, LONGEST) / config.strain_memory)
-        return Elasticity(kept * self.variance + (1.0 - kept) * float(np.median(squared[:n])))
+    The median, since edges of the cloud and tangles strain some faces beyond anything that the cloth does. Where less than
+    :data:`LEAST_SHARE` of the faces is measured nothing is learned: a surface seen from one side has free edges all around,
+    and the softer it is the more a fast motion strains it.
+
+    Args:
+        problem: the frame.
+        position: (V, 3) the posterior, metres.
+        measured: (V,) bool.
+    """
+    strain, strain2 = problem.model.strain, problem.last.strain2
+    squared = np.empty(len(strain.area))
+    n = kernels.squared_strains(position, measured, strain.corner, strain.warp, strain.weft, squared)
+    if n < LEAST_SHARE * len(squared):
+        return strain2
+    old = exp(-min(problem.dt, LONGEST) / problem.config.physics.strain_memory)
+    return old * strain2 + (1.0 - old) * float(np.median(squared[:n]))

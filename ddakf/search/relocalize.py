@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body.contact import BodyContact
-from ddakf.config import Start
 from ddakf.garment.model import Model
 from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.reliability import strains
@@ -17,9 +15,8 @@ from ddakf.physics import rigidity
 from ddakf.search import nonrigid_registration
 from ddakf.search.nonrigid_registration import Target, rows
 from ddakf.stages import skin_removal
-from ddakf.stages.frame_input import Frame
-from ddakf.stages.reliability import FOREIGN, Health
-from ddakf.types import State
+from ddakf.stages.reliability import FOREIGN, LONGEST_BOOKED
+from ddakf.types import Drift, FrameInput, Health, Problem, State
 
 HEADINGS = 8
 FEW_POINTS, FEW_VERTICES = 100, 300  # of the cloud and the garment, while all headings are tried
@@ -45,6 +42,8 @@ TEMPLATE_COST = 0.05  # by so much more the template costs than the last shape
 # distances of a cost whose errors do not go together, so that it is as sharp as so many: of a rigid garment, of a bent one
 INDEPENDENT_RIGID, INDEPENDENT = 6.0, 20.0
 TURN_SD, TURN_RATE = np.radians(30.0), np.radians(20.0)  # rad, rad/s: how far a wearer turns at once, and while out of sight
+SEARCH_EVERY = 5  # frames without a track, at first; then after 10, 20, 40 ...
+LONGEST_GAP = 3.0  # times the spacing of the frames before
 
 
 class Placement(NamedTuple):
@@ -218,66 +217,64 @@ def _turned(angle: float) -> np.ndarray:
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
-class Located(NamedTuple):
-    """Where the passes of a frame start."""
-
-    prior: State
-    last: np.ndarray  # (V, 3) m, position from which the motion is locally rigid
-    rotation: np.ndarray  # (V, 3, 3) of the one-rings against the rest shape
-    placed: bool = False  # anew, by a search in this frame
-    settling: int = 0  # frames that it will be bent further in
-
-
-def locate(
-    prior: State, last: np.ndarray, rotation: np.ndarray, now: Frame, contact: BodyContact | None, dt: float,
-    health: Health, model: Model, config: Start,
-) -> Located:  # fmt: skip
-    """The prior, laid on the cloud where the tracker has no track; otherwise as it came.
+def locate(problem: Problem) -> Problem:
+    """The problem with its prior laid on the cloud where the tracker has no track; otherwise as it came.
 
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
     a fit lately. What is laid on it is the last shape, and beside it the template where that shape may be as wrong as the place.
-    A garment that was found is bent further in the :data:`SETTLING` frames that follow.
-
-    Args:
-        prior: the prediction.
-        last: (V, 3) position from which the motion is locally rigid, metres.
-        rotation: (V, 3, 3) of the one-rings against the rest shape.
-        now: the frame.
-        contact: the body, whose skin may be among the points, or None.
-        dt: seconds since the last frame.
-        health: state of the tracker.
-        model, config: the garment, and when to search.
+    A relocalized garment is registered further in the :data:`SETTLING` frames that follow.
     """
-    same = Located(prior, last, rotation, settling=health.settling)
-    if not config.search or len(now.points) < config.least_points:
-        return same
-    if not (health.search_due or health.interrupted(dt)):
-        return _settled(same, now, contact, model) if health.settling else same
+    prior, model, frame, health, config = problem.prior, problem.model, problem.frame, problem.health, problem.config.start
+    last = problem.motion_start
+    if not config.search or len(frame.points) < config.least_points:
+        return problem
+    after_gap = interrupted(health, problem.dt)
+    if not (search_due(health) or after_gap):
+        return _settled(problem) if health.settling else problem
     # the last shape and not the predicted one: over a gap velocities tear it
     sought = [last]
-    if (health.unplaced and health.state != "initializing") or health.interrupted(dt):
+    if (health.unplaced and health.state != "initializing") or after_gap:
         sought.append(model.mesh.vertices)
-    mine = skin_removal.cloth(now, prior.position, contact, model, skin_removal.ON_CLOTH)
-    stay = _stay(prior.position, mine, model, health.state == "initializing")
+    garment = skin_removal.remove_skin(frame, problem, prior.position, skin_removal.ON_CLOTH)
+    stay = _stay(prior.position, garment, model, health.state == "initializing")
     if stay < NEAR:
-        return same
-    turn_sd = TURN_SD + TURN_RATE * (dt + health.empty_for + health.poor_for)
-    found, cost = _best(sought, Target.of(now.points, now.sensor_origin), turn_sd, model)
+        return problem
+    turn_sd = TURN_SD + TURN_RATE * (problem.dt + health.empty_for + health.poor_for)
+    found, cost = _best(sought, Target.of(frame.points, frame.sensor_origin), turn_sd, model)
     if cost > min(GAIN * stay, ALIKE):
-        return same
+        return problem
     start = State.at(found, np.zeros_like(found), FOUND_SD, config.speed_sd, 1.0)
-    return Located(start._replace(R=prior.R), found, rigidity.rotations(found, model), placed=True, settling=SETTLING)
+    return problem._replace(
+        prior=start._replace(R=prior.R),
+        last=problem.last._replace(drift=Drift.at(model, FOUND_SD)),
+        motion_start=found,
+        rotation=rigidity.rotations(found, model),
+        health=health.relocalized()._replace(settling=SETTLING),
+    )
 
 
-def _settled(placed: Located, now: Frame, contact: BodyContact | None, model: Model) -> Located:
-    """A garment that was found a few frames ago, bent further onto its cloud."""
-    prior, left = placed.prior, placed.settling - 1
-    mine = skin_removal.cloth(now, prior.position, contact, model, skin_removal.ON_CLOTH)
-    if len(mine.points) == 0:
-        return placed._replace(settling=left)
-    target = Target.of(mine.points, mine.sensor_origin)
+def search_due(health: Health) -> bool:
+    """Whether the garment is looked for: a search takes as long as several frames, and a stream of nonsense must not stall."""
+    rounds, rest = divmod(health.frames_unplaced, SEARCH_EVERY)
+    return health.unplaced and rest == 0 and rounds & (rounds - 1) == 0
+
+
+def interrupted(health: Health, dt: float) -> bool:
+    """Whether ``dt`` seconds since the last frame are a gap: long, and longer than frames of this stream are apart."""
+    return dt > max(LONGEST_BOOKED, LONGEST_GAP * health.spacing) and health.spacing > 0.0
+
+
+def _settled(problem: Problem) -> Problem:
+    """A garment that was found a few frames ago, registered further to its cloud."""
+    prior, model = problem.prior, problem.model
+    health = problem.health._replace(settling=problem.health.settling - 1)
+    garment = skin_removal.remove_skin(problem.frame, problem, prior.position, skin_removal.ON_CLOTH)
+    if len(garment.points) == 0:
+        return problem._replace(health=health)
+    target = Target.of(garment.points, garment.sensor_origin)
     bent = nonrigid_registration.follow(prior.position, target, model, nonrigid_registration.SETTLED_REACH)
-    return Located(_moved(prior, bent), bent, rigidity.rotations(bent, model), settling=left)
+    rotation = rigidity.rotations(bent, model)
+    return problem._replace(prior=_moved(prior, bent), motion_start=bent, rotation=rotation, health=health)
 
 
 def _moved(prior: State, bent: np.ndarray) -> State:
@@ -292,7 +289,7 @@ def _moved(prior: State, bent: np.ndarray) -> State:
     return prior._replace(position=bent, velocity=prior.velocity + np.einsum("vba,vb->va", prior.P_pu, correction[:, :, 0]))
 
 
-def _stay(position: np.ndarray, mine: Frame, model: Model, first: bool) -> float:
+def _stay(position: np.ndarray, mine: FrameInput, model: Model, first: bool) -> float:
     """Metres: the cost of leaving the garment where it is; of a cloud of more than the garment, garment to cloud alone.
 
     A start that the ``first`` cloud lies on is right, however little of it is seen.

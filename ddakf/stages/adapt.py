@@ -6,14 +6,10 @@ import numpy as np
 
 from ddakf.config import InnovationNoise, ResidualNoise
 from ddakf.kernels import adapt as kernels
-from ddakf.stages.associate import Measurement
-from ddakf.types import State
+from ddakf.types import Estimate, Measurement, Problem
 
 
-def adapt(
-    last: State, measurement: Measurement, weight: np.ndarray, prior: State, position: np.ndarray,
-    config: InnovationNoise | ResidualNoise,
-) -> np.ndarray:  # fmt: skip
+def adapt(problem: Problem, estimate: Estimate, measurement: Measurement, weight: np.ndarray) -> np.ndarray:
     """(V, 3, 3) R of this frame, square metres; vertices without a measurement keep theirs.
 
     ``InnovationNoise``: R = alpha R + (1 - alpha)(y y' + epsilon I), y the innovation against the prediction, eigenvalues
@@ -21,22 +17,22 @@ def adapt(
     e^2 + n' P n in place of y y', e the residual at the estimate and P the last posterior; R is scaled along n to match.
 
     Args:
-        last: posterior of the last frame, with its R.
+        problem: the frame, with the last posterior and the prediction.
+        estimate: where the vertices are.
         measurement, weight: of this pass.
-        prior: the prediction.
-        position: (V, 3) the estimate, metres.
-        config: which, with alpha, epsilon and the clamp.
     """
+    last, config = problem.state, problem.config.adapt
     used = weight > 0
     low, high = config.lowest_sd**2, config.highest_sd**2
     R = last.R.copy()
     match config:
         case ResidualNoise():
             kernels.adapt_along_normals(
-                measurement.target, measurement.normal, used, position, last.P_pp, config.alpha, config.epsilon, low, high, R
-            )
+                measurement.target, measurement.normal, used, estimate.position, last.P_pp,
+                config.alpha, config.epsilon, low, high, R,
+            )  # fmt: skip
         case InnovationNoise():
-            y = measurement.innovation(prior.position)[used]
+            y = measurement.innovation(problem.prior.position)[used]
             sample = y[:, :, None] * y[:, None, :] + config.epsilon * np.eye(3)
             R[used] = clamp(config.alpha * R[used] + (1.0 - config.alpha) * sample, low, high)
     return R

@@ -1,15 +1,15 @@
-"""The boundary of a step: what came is checked before anything changes."""
+"""Frame input: every argument of a step is checked before anything changes."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ddakf.errors import InvalidFrame
 from ddakf.kernels.preprocess import bounds
 from ddakf.mesh import MAX_COORDINATE, Mesh  # float32 keeps a millimetre up to there
+from ddakf.types import FrameInput
 
 MAX_POINTS = 1_000_000
 MAX_TIME = 1e12  # s: 30,000 years
@@ -17,37 +17,21 @@ BODY_FACTOR = 4.0  # a pose changes a body's extent by less; millimetres for met
 LEAST_STEP = 1e-6  # s: two frames closer than that are one
 
 
-class Frame(NamedTuple):
-    """A checked frame."""
-
-    points: np.ndarray  # (N, 3) float32, m
-    timestamp: float  # s
-    sensor_origin: np.ndarray | None  # (3,) or (N, 3) float64, m
-    body_vertices: np.ndarray | None  # (B, 3) float64, m
-
-    def only(self, rows: np.ndarray | slice) -> Frame:
-        """With some of the points, and their sensors where each has its own."""
-        origin = self.sensor_origin
-        if origin is not None and origin.ndim == 2:
-            origin = origin[rows]
-        return self._replace(points=self.points[rows], sensor_origin=origin)
-
-
-def checked(points, timestamp, sensor_origin, body_vertices, last: float | None, body: Mesh | None) -> Frame:
-    """The frame, or the reason why it is none.
+def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameInput:
+    """The frame with arrays of the right type.
 
     Args:
-        points, timestamp, sensor_origin, body_vertices: as given to ``Tracker.step``.
+        given: the arguments of ``Tracker.step``.
         last: time of the last frame, seconds; None before the first.
         body: as declared, or None.
 
     Raises:
         InvalidFrame: a shape, type, number or time that cannot be used.
     """
-    points = _positions("points", points)
+    points, sensor_origin, body_vertices = _positions("points", given.points), given.sensor_origin, given.body_vertices
     if len(points) > MAX_POINTS:
         raise InvalidFrame("points", f"at most {MAX_POINTS} points", str(len(points)))
-    time = _time(timestamp, last)
+    time = _time(given.timestamp, last)
     if sensor_origin is not None:
         origin = _array("sensor_origin", sensor_origin, f"(3,) or ({len(points)}, 3)")
         if origin.shape != (3,) and origin.shape != (len(points), 3):
@@ -67,7 +51,7 @@ def checked(points, timestamp, sensor_origin, body_vertices, last: float | None,
         size = (upper - lower).max()
         if not body.size / BODY_FACTOR < size < body.size * BODY_FACTOR:
             raise InvalidFrame("body_vertices", f"a body about {body.size:.2g} m in size, as declared", f"{size:.2g} m")
-    return Frame(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
+    return FrameInput(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
 
 
 def positions(name: str, values, n: int) -> np.ndarray:

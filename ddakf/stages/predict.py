@@ -6,10 +6,34 @@ from dataclasses import replace
 
 import numpy as np
 
+from ddakf.body import contact
 from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.kernels import predict as kernels
-from ddakf.stages.uncertainty import variances
-from ddakf.types import FrameResult, State
+from ddakf.physics import adaptive_stiffness
+from ddakf.types import FrameInput, FrameResult, Problem, Setup, State, Track, variances
+
+FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
+
+
+def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
+    """The problem of a frame: the body in its pose, the configuration as stiff as the garment, and the prediction.
+
+    Args:
+        setup: constants of the tracker.
+        last: after the last frame.
+        frame: checked.
+    """
+    dt = FIRST_STEP if last.time is None else frame.timestamp - last.time
+    config = adaptive_stiffness.adapted(last.strain2, setup.config)
+    state, body, carried = last.state, None, None
+    if setup.body is not None:
+        if frame.body_vertices is not None:
+            body = contact.posed(setup.body, last.body, frame.body_vertices)
+        state, carried = contact.carry(setup.body, last.body, state, body)
+    prior = predict(state, dt, carried, config.predict)
+    return Problem(
+        setup.model, config, last, frame, dt, state, carried, body, prior, state.position, last.rotation, last.health
+    )
 
 
 def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration) -> State:
@@ -44,10 +68,7 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
 
 
-def ahead(
-    result: FrameResult, state: State, carrying: np.ndarray | None, speed2: float, dt: float, seconds: float,
-    config: ConstantVelocity | ConstantAcceleration,
-) -> FrameResult:  # fmt: skip
+def ahead(result: FrameResult, track: Track, seconds: float, config: ConstantVelocity | ConstantAcceleration) -> FrameResult:
     """A frame's result moved on in time.
 
     The mean goes where :func:`predict` takes it. The covariance grows by what predictions of this garment have missed lately:
@@ -56,13 +77,12 @@ def ahead(
 
     Args:
         result: of the frame.
-        state: posterior of the same frame; with a body its velocities are relative to it.
-        carrying: (V, 3) m/s, the body's last velocity at each vertex, or None.
-        speed2: m^2/s^2, running mean of the squared innovations per second; 0 without any.
-        dt: seconds from the frame before.
+        track: after the same frame.
         seconds: since the frame.
         config: of stage A.
     """
+    state, speed2, dt = track.state, track.drift.speed2, track.health.spacing
+    carrying = None if track.body is None else track.body.velocity
     if seconds == 0.0:
         return result
     prior = predict(state, seconds, None if carrying is None else seconds * carrying, config)
@@ -80,28 +100,26 @@ def ahead(
     )
 
 
-def learn(
-    posterior: State, prior: State, measured: np.ndarray, dt: float, config: ConstantVelocity | ConstantAcceleration
-) -> State:
+def learned(problem: Problem, posterior: State, measured: np.ndarray) -> State:
     """The posterior with the acceleration that its velocities show; with constant velocity as it came.
 
     The prior's acceleration is smoothed with the velocities as they were predicted. Here follows what the frame corrected of
     them. A frame without measurements shows no acceleration, and what there was fades.
 
     Args:
-        posterior, prior: of this frame.
+        problem: the frame.
+        posterior: of this frame.
         measured: (V,) bool.
-        dt: seconds since the last frame.
-        config: with the time constant.
     """
+    prior, dt, config = problem.prior, problem.dt, problem.config.predict
     if not isinstance(config, ConstantAcceleration):
         return posterior
     if not measured.any():
         return posterior._replace(acceleration=_smoothed(prior.acceleration, 0.0, dt, config))
-    kept = np.exp(-dt / config.memory)
-    return posterior._replace(acceleration=prior.acceleration + (1.0 - kept) * (posterior.velocity - prior.velocity) / dt)
+    old = np.exp(-dt / config.memory)
+    return posterior._replace(acceleration=prior.acceleration + (1.0 - old) * (posterior.velocity - prior.velocity) / dt)
 
 
 def _smoothed(acceleration: np.ndarray, new: np.ndarray | float, dt: float, config: ConstantAcceleration) -> np.ndarray:
-    kept = np.exp(-dt / config.memory)
-    return kept * acceleration + (1.0 - kept) * new
+    old = np.exp(-dt / config.memory)
+    return old * acceleration + (1.0 - old) * new

@@ -2,59 +2,41 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
 from ddakf.kernels import preprocess as kernels
+from ddakf.stages import skin_removal
+from ddakf.types import Cloud, FrameInput, Problem
 
 MAX_CELLS = 2_000_000
 CLEAN_FACTOR = 2.0  # times the mean distance: nearer points are no outliers
 SUSPECT_RINGS = 4  # a point without k neighbours that near is an outlier, however far the next ones are
 
 
-class Cloud(NamedTuple):
-    """A preprocessed cloud of M points, sorted by grid cell."""
-
-    points: np.ndarray  # (3, M) float32, relative to origin, m
-    index: np.ndarray  # (M,) int32, of each in the input
-    start: np.ndarray  # (cells + 2,) int32, of the points of each cell
-    surfels: np.ndarray  # (6, S) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
-    surfel_start: np.ndarray  # (cells + 2,) int32, of the surfels of each cell
-    origin: np.ndarray  # (3,) m
-    cell: float  # m
-    dims: np.ndarray  # (3,) int64
-    sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
-
-    @property
-    def oriented(self) -> bool:
-        return self.sensor is not None
-
-    @property
-    def empty(self) -> bool:
-        return self.points.shape[1] == 0
+def preprocess(problem: Problem) -> Problem:
+    """The problem with its cloud: without skin, cropped to the predicted garment, without outliers, with fitted planes."""
+    garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, skin_removal.BESIDE)
+    return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, problem.model.area, problem.config))
 
 
-def preprocess(
-    points: np.ndarray, sensor_origin: np.ndarray | None, position: np.ndarray, area: float, config: Config
-) -> Cloud:
+def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) -> Cloud:
     """Crops to the neighbourhood of the predicted garment, removes outliers and fits planes.
 
     Args:
-        points: (N, 3) float32, metres.
-        sensor_origin: (3,), (N, 3) or None, metres.
+        frame: its points and sensors.
         position: (V, 3) predicted vertices, metres.
         area: of the garment, square metres; with the number of points it sets the cell size.
         config: which outlier filter, and how far measurements are sought.
     """
+    points, sensor_origin = frame.points, frame.sensor_origin
     match config.associate:
         case PlaneAssociation(wide_gate=gate) | NearestPoint(gate=gate):
             margin = 2.0 * gate
     lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(points), np.int32)
     kernels.bounds(position, margin, lower, upper)
     chosen = chosen[: kernels.crop(points, lower, upper, chosen)]
-    grid = _grid(points, chosen, lower, upper, area, config.preprocess)
+    grid = _grid(points, chosen, (lower, upper), _cell_size(len(chosen), area, config.preprocess))
     if len(chosen):
         match config.preprocess:
             case GridFilter():
@@ -79,14 +61,19 @@ def preprocess(
     return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor)
 
 
-def _grid(points, chosen, lower, upper, area, config):
-    """Sorted points of the chosen ones, between lower and upper, their indices, cell starts, origin, cell size and dimensions."""
+def _cell_size(count: int, area: float, config: GridFilter | KnnFilter) -> float:
+    """Metres: cells of a surface of ``area`` square metres that hold about as many of ``count`` points as configured."""
+    per_cell = config.points_per_cell if isinstance(config, GridFilter) else 5.0
+    return float(np.sqrt(per_cell * area / max(count, 1)))
+
+
+def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float):
+    """Sorted points of the chosen ones in a box, their indices, cell starts, origin, cell size and dimensions."""
     if len(chosen) == 0:
         return np.empty((3, 0), np.float32), chosen, np.zeros(10, np.int32), np.zeros(3), 1.0, np.full(3, 2, np.int64)
+    lower, upper = box
     origin = lower - 1e-6
     extent = upper - origin + 1e-6
-    per_cell = config.points_per_cell if isinstance(config, GridFilter) else 5.0
-    cell = float(np.sqrt(per_cell * area / len(chosen)))
     cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / MAX_CELLS ** (1 / 3))) ** (1 / 3))
     dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
     while np.prod(dims.astype(float)) > 2 * MAX_CELLS:
@@ -147,30 +134,6 @@ def _without(grid, removed: np.ndarray):
     new_start, new_points, new_index = np.empty_like(start), np.empty((3, left), np.float32), np.empty(left, np.int32)
     kernels.remove(start, removed, points, index, new_start, new_points, new_index)
     return new_points, new_index, new_start, origin, cell, dims
-
-
-class VertexGrid(NamedTuple):
-    """Vertices sorted by grid cell."""
-
-    vertices: np.ndarray  # (3, V) float32, relative to origin, m
-    index: np.ndarray  # (V,) int32, of each in the mesh
-    start: np.ndarray  # (cells + 2,) int32, of the vertices of each cell
-    origin: np.ndarray  # (3,) m
-    cell: float  # m
-    dims: np.ndarray  # (3,) int64
-
-
-def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
-    """(V, 3) vertices, metres, in cells of ``cell`` metres, or larger ones where that were more than ``most`` along an axis."""
-    lower, upper = np.empty(3), np.empty(3)
-    kernels.bounds(position, 0.0, lower, upper)
-    extent = upper - lower
-    cell = max(cell, float(extent.max()) / most)
-    dims = (extent / cell).astype(np.int64) + 1
-    start = np.empty(int(np.prod(dims)) + 2, np.int32)
-    vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
-    kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), lower, cell, dims, start, vertices, index)
-    return VertexGrid(vertices, index, start, lower, cell, dims)
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:

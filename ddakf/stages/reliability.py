@@ -8,63 +8,21 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config import PaperReliability, Reliability
-from ddakf.garment.model import Model
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
-from ddakf.stages.frame_input import Frame
-from ddakf.stages.fuse import Update
-from ddakf.stages.preprocess import vertex_grid
-from ddakf.stages.uncertainty import variances
-from ddakf.types import State, TrackerState
+from ddakf.stages import skin_removal
+from ddakf.stages.grid import vertex_grid
+from ddakf.types import Estimate, FrameInput, Health, Posterior, Problem, variances
 
-EVIDENCE_POINTS = 800  # of a cloud, at least and not twice as many, that are held against the surface
+EVIDENCE_POINTS = 800  # of a cloud, at least and not twice as many, that are compared with the surface
 REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
 RINGS, CELLS = 4, 127  # of cells in the reach, which are searched nearest first; at most along each axis of the vertices' grid
 FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
 NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
 CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
 MEMORY = 0.5  # s
-FREE = 0.05  # m: a vertex as far from the body is held by nothing
-SEARCH_EVERY = 5  # frames, at first; then after 10, 20, 40 ...
-LONGEST_GAP = 3.0  # times the spacing of the frames before
+FREE = 0.05  # m: a vertex as far from the body is supported by nothing
 LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
-
-
-class Health(NamedTuple):
-    """What the tracker remembers about its own quality."""
-
-    state: TrackerState = "initializing"
-    physics_lambda: float = 1.0
-    poor_for: float = 0.0  # s of sensor time with points, but without a fit
-    empty_for: float = 0.0  # s of empty clouds
-    doubtful: bool = False  # there is a fit, but hardly of this garment
-    frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
-    settling: int = 0  # frames in which a garment that was found is bent further
-    spacing: float = 0.0  # s between the last two frames
-    # what the predicted error remembers
-    least_strain: float = 10.0  # RMS, so far
-    offset: float = 0.0  # m^2
-    unexplained: float = 0.0  # share of the points
-    least_unexplained: float = 1.0  # so far
-
-    def placed(self) -> Health:
-        """Where a search found the garment: what is remembered of the old track says nothing about the new one."""
-        return self._replace(offset=0.0, unexplained=0.0)
-
-    @property
-    def unplaced(self) -> bool:
-        """Where the garment is has not been seen lately: before the first fit, lost, out of sight or without a fit."""
-        return self.state in ("initializing", "lost") or self.poor_for > 0.0 or self.empty_for > 0.0 or self.doubtful
-
-    @property
-    def search_due(self) -> bool:
-        """Whether it is looked for: a search takes as long as several frames, and a stream of nonsense must not stall."""
-        rounds, rest = divmod(self.frames_unplaced, SEARCH_EVERY)
-        return self.unplaced and rest == 0 and rounds & (rounds - 1) == 0
-
-    def interrupted(self, dt: float) -> bool:
-        """Whether ``dt`` seconds since the last frame are a gap: long, and longer than frames of this stream are apart."""
-        return dt > max(LONGEST_BOOKED, LONGEST_GAP * self.spacing) and self.spacing > 0.0
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -82,8 +40,8 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
 
 
-class Evidence(NamedTuple):
-    """What a frame says about its own error, 0 where nothing speaks of any."""
+class FrameEvidence(NamedTuple):
+    """Evidence about the error of a frame; 0 where nothing speaks of any."""
 
     offset: float  # m^2, of the cloud from the surface, patch by patch, over the last half second
     unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
@@ -94,7 +52,7 @@ class Evidence(NamedTuple):
 
 
 class VertexEvidence(NamedTuple):
-    """What a frame says about the error of each vertex, (V,) each."""
+    """Evidence about the error of each vertex, (V,) each."""
 
     variance: np.ndarray  # m^2, trace of the calibrated covariance
     unmeasured: np.ndarray  # in [0, 1]: 1 - mean weight of the measurements of the vertex's cluster
@@ -109,7 +67,7 @@ class Law(NamedTuple):
     scale: tuple  # in the units of the evidence: below it, it says nothing
     power: tuple
 
-    def __call__(self, found: Evidence | VertexEvidence):
+    def __call__(self, found: FrameEvidence | VertexEvidence):
         """Metres; an array where the evidence consists of arrays."""
         terms = zip(found, self.scale, self.power, strict=True)
         return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
@@ -118,8 +76,8 @@ class Law(NamedTuple):
 # the scales are chosen, the rest is fitted: benchmarks/reliability.py --fit prints it
 ERROR = Law(
     base=0.00284,
-    scale=Evidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, strain=1e-5, hem=1e-6),
-    power=Evidence(offset=0.032, unmatched=0.17, unexplained=0.2, uncertainty=0.22, strain=0.079, hem=0.039),
+    scale=FrameEvidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, strain=1e-5, hem=1e-6),
+    power=FrameEvidence(offset=0.032, unmatched=0.17, unexplained=0.2, uncertainty=0.22, strain=0.079, hem=0.039),
 )
 # of a vertex, relative to the others of its frame
 VERTEX_ERROR = Law(
@@ -130,39 +88,32 @@ VERTEX_ERROR = Law(
 
 
 def evidence(
-    health: Health, update: Update, posterior: State, covariance: np.ndarray, points: np.ndarray, clearance: np.ndarray | None,
-    dt: float, model: Model,
-) -> tuple[Evidence, VertexEvidence, Health]:  # fmt: skip
-    """What speaks for and against a frame and its vertices, and the memory of it.
+    problem: Problem, estimate: Estimate, posterior: Posterior, points: np.ndarray
+) -> tuple[FrameEvidence, VertexEvidence, Health]:
+    """The evidence for and against a frame and its vertices, and the memory of it.
 
-    Args:
-        health: after the last frame.
-        update: the finished update.
-        posterior: of this frame.
-        covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) of the cloud that are held against the surface, metres.
-        clearance: (V,) signed distance from the body, metres; None without one.
-        dt: seconds since the last frame.
-        model: the garment.
+    ``points`` (N, 3) are those of the cloud that are compared with the surface, metres.
     """
-    position, n, used = posterior.position, len(posterior.position), update.weight > 0
+    model, health, covariance, clearance = problem.model, problem.health, posterior.covariance, estimate.clearance
+    position, n, used = posterior.state.position, len(posterior.state.position), estimate.observed
+    measurement, weight = estimate.evidence.measurement, estimate.evidence.weight
     squared = np.empty(n)
     strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, squared))
     health = health._replace(least_strain=min(health.least_strain, strain))
     if len(points):
-        health = held_against_cloud(health, points, position, dt, model)
+        health = misfit(problem, health, points, position)
     normal = np.empty_like(position)
     vertex_normals(position, model.faces, normal)
-    hem = update.measurement.hem
-    frame = Evidence(
+    hem = measurement.hem
+    frame = FrameEvidence(
         offset=health.offset,
-        unmatched=float((update.measurement.visible & ~used).mean()),
+        unmatched=float((measurement.visible & ~used).mean()),
         unexplained=health.unexplained,
         uncertainty=kernels.variance_along(normal, covariance) / n,
         strain=(strain - health.least_strain) ** 2,
         hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
     )
-    measured = np.bincount(model.cluster, update.weight, model.n_clusters) / np.bincount(model.cluster)
+    measured = np.bincount(model.cluster, weight, model.n_clusters) / np.bincount(model.cluster)
     vertices = VertexEvidence(
         variance=3.0 * variances(covariance),
         unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
@@ -172,25 +123,26 @@ def evidence(
     return frame, vertices, health
 
 
-def sample(now: Frame) -> Frame:
+def sample(frame: FrameInput) -> FrameInput:
     """Some of a frame's points, spread over all: :data:`EVIDENCE_POINTS` of them, and not twice as many."""
-    return now.only(np.arange(0, len(now.points), max(1, len(now.points) // EVIDENCE_POINTS)))  # no view: kernels know its layout
+    every = max(1, len(frame.points) // EVIDENCE_POINTS)
+    return frame.only(np.arange(0, len(frame.points), every))  # no view: kernels know its layout
 
 
-def held_against_cloud(health: Health, points: np.ndarray, position: np.ndarray, dt: float, model: Model) -> Health:
-    """The memory after points were held against the vertices nearest to them.
+def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.ndarray) -> Health:
+    """The memory after points were compared with the vertices nearest to them.
 
     A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
-    nearest to a boundary or farther than :data:`NEAR`. Of a garment that was found and still settles nothing good is known from
+    nearest to a boundary or farther than :data:`NEAR`. Of a relocalized garment that still settles nothing good is known from
     before, so the frame alone counts.
 
     Args:
+        problem: the frame.
         health: after the last frame.
         points: (N, 3) metres, N > 0.
         position: (V, 3) metres.
-        dt: seconds since the last frame.
-        model: the garment.
     """
+    model, dt = problem.model, problem.dt
     near, longest = max(NEAR, NEAR_EDGES * model.edge_length), REACH
     nearest, away = nearest_vertices(points, position)
     left_out = np.zeros(len(position), bool)
@@ -252,54 +204,44 @@ class Verdict(NamedTuple):
     paper_score: float
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
-    evidence: Evidence
+    evidence: FrameEvidence
     vertex_evidence: VertexEvidence
 
 
-def judge(
-    health: Health, update: Update, posterior: State, covariance: np.ndarray, prior: State, points: np.ndarray,
-    clearance: np.ndarray | None, dt: float, model: Model, config: Reliability | PaperReliability,
-) -> Verdict:  # fmt: skip
-    """Scores a frame and moves the tracker's state on.
-
-    Args:
-        health: after the last frame.
-        update: the finished update.
-        posterior, prior: states of this frame.
-        covariance: (V, 3, 3) calibrated, square metres.
-        points: (N, 3) of the cloud that are held against the surface, metres.
-        clearance: (V,) signed distance from the body, metres; None without one.
-        dt: seconds of sensor time since the last frame.
-        model: the garment.
-        config: ``Reliability`` or ``PaperReliability``.
-    """
-    coverage = float((update.weight > 0).mean())
-    s_k = paper_score(update.measurement.innovation(prior.position), update.R, update.measurement.found)
-    frame, vertices, health = evidence(health, update, posterior, covariance, points, clearance, dt, model)
+def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict:
+    """Scores a frame and moves the tracker's state on."""
+    config, measurement = problem.config.reliability, estimate.evidence.measurement
+    coverage = float(estimate.observed.mean())
+    s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
+    points = skin_removal.remove_skin(sample(problem.garment), problem, posterior.state.position, skin_removal.ON_CLOTH).points
+    frame, vertices, health = evidence(problem, estimate, posterior, points)
     error = float(ERROR(frame))
     reliability = float(score(error, config))
-    moved = advance(
-        health, s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), update.rejected, dt, config
-    )
-    moved = moved._replace(spacing=dt)
+    outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
+    moved = advance(health, outcome, problem.dt, config)
+    moved = moved._replace(spacing=problem.dt)
     return Verdict(moved, reliability, s_k, coverage, score(vertex_error(error, vertices), config), frame, vertices)
 
 
-def advance(
-    health: Health, score: float, coverage: float, n_points: int, rejected: bool, dt: float,
-    config: Reliability | PaperReliability,
-) -> Health:  # fmt: skip
+class Outcome(NamedTuple):
+    """A frame as the state of the tracker depends on it."""
+
+    score: float  # of this frame; s_k for the paper
+    coverage: float  # share of the vertices observed
+    n_points: int  # in the cloud
+    rejected: bool  # the fit was thrown away
+
+
+def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | PaperReliability) -> Health:
     """The state after a frame.
 
     Args:
         health: after the last frame.
-        score: of this frame; s_k for the paper.
-        coverage: share of the vertices observed.
-        n_points: in the cloud.
-        rejected: the fit was thrown away.
+        outcome: of this frame.
         dt: seconds of sensor time since the last frame.
         config: thresholds.
     """
+    score, coverage, n_points, rejected = outcome
     calm = health._replace(
         state="tracking", physics_lambda=1.0, poor_for=0.0, empty_for=0.0, frames_unplaced=0, doubtful=False
     )

@@ -7,9 +7,9 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri
 
-from ddakf.config import NoWeight, Tukey
+from ddakf.config import NoWeight
 from ddakf.kernels import robust as kernels
-from ddakf.stages.associate import Measurement
+from ddakf.types import Estimate, Measurement, Problem
 
 
 @lru_cache(maxsize=16)
@@ -18,9 +18,7 @@ def gate_threshold(probability: float, dimension: int) -> float:
     return float(chdtri(dimension, 1.0 - probability))
 
 
-def weigh(
-    measurement: Measurement, position: np.ndarray, prior_covariance: np.ndarray, R: np.ndarray, config: Tukey | NoWeight
-) -> np.ndarray:
+def weigh(problem: Problem, estimate: Estimate, measurement: Measurement) -> np.ndarray:
     """(V,) weights in [0, 1], zero outside the gate.
 
     Planes are judged by their distance from the estimate, in units of the frame's own robust scale or the sensor's noise,
@@ -28,11 +26,11 @@ def weigh(
     in the paper, by the Mahalanobis distance of the innovation from the prediction.
 
     Args:
+        problem: the frame, with the prior covariance and the last R.
+        estimate: where the vertices are; before the first pass the prediction.
         measurement: of all vertices.
-        position: (V, 3) the estimate (before the first pass the prediction), metres.
-        prior_covariance, R: (V, 3, 3) square metres.
-        config: the M-estimator.
     """
+    position, R, config = estimate.position, problem.state.R, problem.config.robust
     found = measurement.found
     weight = np.zeros(len(found))
     if not found.any():
@@ -42,7 +40,7 @@ def weigh(
         return weight
     if measurement.normal is None:
         y = measurement.innovation(position)[found]
-        d2 = np.einsum("va,va->v", y, np.linalg.solve((prior_covariance + R)[found], y[..., None])[..., 0])
+        d2 = np.einsum("va,va->v", y, np.linalg.solve((problem.prior.P_pp + R)[found], y[..., None])[..., 0])
         gated = d2 > gate_threshold(config.gate_probability, 3)
         weight[found] = np.where(gated, 0.0, tukey(np.sqrt(d2), config.cutoff))
         return weight

@@ -1,14 +1,13 @@
-"""Segmentation by the body: which points of a whole person are the garment's."""
+"""Preprocessing, skin removal: points of a whole person that lie on the body and not on the garment."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ddakf.body.contact import BodyContact
-from ddakf.garment.model import Model
+from ddakf.body import contact
 from ddakf.kernels import skin_removal as kernels
-from ddakf.stages.frame_input import Frame
-from ddakf.stages.preprocess import vertex_grid
+from ddakf.stages.grid import vertex_grid
+from ddakf.types import FrameInput, Problem
 
 SKIN = 0.010  # m: a point so near to the body may be its skin, about three standard deviations of a sensor's noise
 ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
@@ -18,34 +17,35 @@ PERSON = 0.15  # share of skin, above which a cloud is of a whole person
 CELLS = 32  # at most along each axis of the grid of vertices
 
 
-def cloth(now: Frame, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> Frame:
+def remove_skin(frame: FrameInput, problem: Problem, position: np.ndarray, margin: float) -> FrameInput:
     """The frame without the points of :func:`skin`; arguments as there."""
-    bare = skin(now.points, position, contact, model, off)
-    return now.only(~bare) if bare.any() else now
+    removed = skin(frame.points, problem, position, margin)
+    return frame.only(~removed) if removed.any() else frame
 
 
-def of_person(now: Frame, mine: Frame) -> bool:
-    """Whether more than :data:`PERSON` of a frame's points were skin: ``mine`` is what :func:`cloth` left of ``now``."""
-    return len(now.points) - len(mine.points) > PERSON * len(now.points)
+def of_person(problem: Problem) -> bool:
+    """Whether more than :data:`PERSON` of the frame's points were skin."""
+    points = len(problem.frame.points)
+    return points - len(problem.garment.points) > PERSON * points
 
 
-def skin(points: np.ndarray, position: np.ndarray, contact: BodyContact | None, model: Model, off: float) -> np.ndarray:
+def skin(points: np.ndarray, problem: Problem, position: np.ndarray, margin: float) -> np.ndarray:
     """(N,) bool: points that lie on the body and not on the garment.
 
-    A garment lies on the body as well, so that a point is skin only where the garment is not expected.
+    A garment lies on the body as well, so that a point is skin only where the garment is not expected. Where the body's pose is
+    not known no point is skin.
 
     Args:
         points: (N, 3) metres.
+        problem: the body in its pose of this frame, and the garment.
         position: (V, 3) predicted vertices, metres.
-        contact: the body in its pose of this frame; without one no point is skin.
-        model: the garment.
-        off: metres from the garment that a point must be to be skin, :data:`ON_CLOTH` or :data:`BESIDE`.
+        margin: metres from the garment that a point must be to be skin, :data:`ON_CLOTH` or :data:`BESIDE`.
     """
-    if contact is None or not contact.present or len(points) == 0:
+    if problem.body is None or len(points) == 0:
         return np.zeros(len(points), bool)
-    bare = apart(points, position, off + EDGES * model.edge_length)
-    bare[bare] = contact.within(points[bare].astype(np.float64), SKIN)
-    return bare
+    removed = apart(points, position, margin + EDGES * problem.model.edge_length)
+    removed[removed] = contact.within(problem.body, points[removed].astype(np.float64), SKIN)
+    return removed
 
 
 def apart(points: np.ndarray, position: np.ndarray, radius: float) -> np.ndarray:

@@ -14,12 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.config import Config, NearestPoint, Uncertainty
+from ddakf.body import body_anchor
+from ddakf.config import NearestPoint, Uncertainty
 from ddakf.garment.model import Model
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.reliability import strains
-from ddakf.stages.fuse import BLAS, Update, condition, inverse_blocks, invert
-from ddakf.types import State
+from ddakf.stages import predict
+from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
+from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
 MISSED = 0.2  # of an innovation: what of it stays as error of a patch's place
 UNSEEN = 2.0  # of its motion: how far an unseen patch may have moved otherwise
@@ -38,22 +40,8 @@ LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than t
 SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
 
 
-class Drift(NamedTuple):
-    """The error of the patches' places, carried from frame to frame. L patches."""
-
-    covariance: np.ndarray  # (3L, 3L) float32 m^2
-    speed2: float  # m^2/s^2, running mean of the squared innovation per second
-    stored2: float  # m^2, mean variance of the stored blocks: how it grows says how fast a garment is lost that nothing shows
-    level: float  # factor on the variances that the last cloud called for
-
-    @classmethod
-    def at(cls, model: Model, sd: float) -> Drift:
-        """A start whose error has this standard deviation, metres in each direction."""
-        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2, 1.0)
-
-
-class Evidence(NamedTuple):
-    """What a frame says about the error of each patch. L patches."""
+class PatchEvidence(NamedTuple):
+    """Evidence of a frame about the error of each patch. L patches."""
 
     size: np.ndarray  # (L,) vertices
     observed: np.ndarray  # (L,) of them measured
@@ -65,56 +53,56 @@ class Evidence(NamedTuple):
     isotropic: bool  # the measurements are points, as well known across as along
 
 
-def posterior(update: Update, prior: State, config: Config) -> State:
+def posterior(problem: Problem, estimate: Estimate) -> Posterior:
+    """The garment after the update: mean and stored covariance of every vertex, the calibrated covariance, and the drift."""
+    state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
+    covariance, drift = marginals(problem, estimate, state)
+    return Posterior(state, covariance, drift)
+
+
+def _conditioned(problem: Problem, estimate: Estimate) -> State:
     """Mean and stored covariance of every vertex, within the bounds.
 
     A frame in which nothing was measured, or whose fit was rejected, keeps the prior's covariance.
     """
-    if update.state is not None:
-        return bound(update.state, config.uncertainty)
-    if update.rejected or not (update.weight > 0).any():
-        return bound(prior._replace(position=update.position), config.uncertainty)
-    covariance = inverse_blocks(update.system.D)
+    prior, limits = problem.prior, problem.config.uncertainty
+    if estimate.state is not None:
+        return bound(estimate.state, limits)
+    if estimate.rejected or not estimate.observed.any():
+        return bound(prior._replace(position=estimate.position), limits)
+    covariance = inverse_blocks(estimate.system.D)
     kernels.replace_indefinite(covariance, prior.P_pp)  # of a mesh torn beyond what its equations can carry
-    return bound(condition(prior, update.position, covariance, update.R), config.uncertainty)
+    return bound(condition(prior, estimate.position, covariance, estimate.evidence.R), limits)
 
 
-def marginals(
-    update: Update, state: State, prior: State, still: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None,
-    offset2: float, drift: Drift, dt: float, model: Model, config: Config,
-) -> tuple[np.ndarray, Drift]:  # fmt: skip
+def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.ndarray, Drift]:
     """(V, 3, 3) calibrated covariance of each position, square metres, and the drift after this frame.
 
     Of the paper's preset, the stored blocks.
 
     Args:
-        update: the finished update.
-        state, prior: posterior and prediction.
-        still: (V, 3) where the vertices would be had the garment moved only as is known of unseen parts as well, metres: not
-            at all, or, with a body to ride on, as it did.
-        clearance: (V,) distance from the body, metres; None without one.
-        slack: (V,) how far cloth is from where the body has brought it, metres; None where that is not known.
-        offset2: squared offset of the last clouds from the surface beyond their noise, square metres.
-        drift: after the last frame.
-        dt: seconds since.
-        model, config: of the tracker.
+        problem: the frame, with the drift after the last one.
+        estimate: finished.
+        state: the posterior.
     """
-    if update.state is not None:
-        return state.P_pp, drift
-    limits, planes = config.uncertainty, update.planes
-    weight = np.zeros_like(planes.weight) if update.rejected else planes.weight
-    evidence = _evidence(update, weight, state.position, prior.position, still, model, config)
-    drift = advance(drift, evidence, _mean_variance(state.P_pp), update.system.B, dt, clearance is not None, model, limits)
+    model, limits, planes = problem.model, problem.config.uncertainty, estimate.planes
+    if estimate.state is not None:
+        return state.P_pp, problem.last.drift
+    weight = np.zeros_like(planes.weight) if estimate.rejected else planes.weight
+    evidence = _evidence(problem, estimate, weight, state.position)
+    coupling = Coupling(estimate.system.B, float(variances(state.P_pp).mean()), estimate.clearance is not None)
+    drift = advance(problem, evidence, coupling)
     n = len(model.likeness)
     blocks = drift.covariance.reshape(n, 3, n, 3)
     shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
     slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
     if evidence.observed.any():
-        drift = drift._replace(level=_level(np.average(variances(shared), weights=evidence.size), offset2))
+        level = _level(np.average(variances(shared), weights=evidence.size), problem.health.offset)
+        drift = drift._replace(level=level)
     covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
     unseen = weight <= 0.0
-    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, clearance, slack, model)[unseen]
+    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, estimate.clearance, body_anchor.slack(problem), model)[unseen]
     kernels.conditioned(
         drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
         evidence.isotropic, scale2, covariance,
@@ -147,9 +135,15 @@ def _room(seen: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | No
     return 1.0 + distance / ROOM_TO_SEEN
 
 
-def advance(
-    drift: Drift, evidence: Evidence, stored2: float, B: np.ndarray, dt: float, worn: bool, model: Model, limits: Uncertainty
-) -> Drift:
+class Coupling(NamedTuple):
+    """How the update couples the patches, and what it stores."""
+
+    B: np.ndarray  # (2E, 12) blocks of the coupling, see System
+    stored2: float  # m^2, mean variance of the stored blocks
+    on_body: bool  # a body is known that the garment is on
+
+
+def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Drift:
     """The covariance of what the update leaves of the error, and of what it adds.
 
     The update moves the patches by (C + M)^-1 M times what the measurements see of their error, C what couples the patches and M
@@ -159,15 +153,12 @@ def advance(
     drags along what is seen, and does not come back of its own.
 
     Args:
-        drift: after the last frame.
+        problem: the frame, with the drift after the last one.
         evidence: of this frame.
-        stored2: mean variance of the stored blocks, m^2.
-        B: (2E, 12) blocks of the coupling, see :class:`ddakf.stages.fuse.System`.
-        dt: seconds since the last frame.
-        worn: a body is known that the garment is on.
-        model, limits: the garment, and the ceiling.
+        coupling: of the patches.
     """
-    growth2, speed2 = _growth(drift, evidence, stored2, dt, worn)
+    model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
+    growth2, speed2 = _growth(drift, evidence, coupling, problem.dt)
     root = np.sqrt(growth2).astype(np.float32)
     covariance = drift.covariance.copy()
     added = root[:, None] * model.likeness * root
@@ -177,11 +168,11 @@ def advance(
     if ceiling < 1.0:
         covariance *= ceiling**2
     if evidence.observed.any():
-        covariance = _updated(covariance, evidence, B, model)
-    return Drift(covariance, speed2, stored2, drift.level)
+        covariance = _updated(covariance, evidence, coupling.B, model)
+    return Drift(covariance, speed2, coupling.stored2, drift.level)
 
 
-def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> np.ndarray:
+def _updated(P: np.ndarray, evidence: PatchEvidence, B: np.ndarray, model: Model) -> np.ndarray:
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
     kernels.couple(B, model.crossing, evidence.information, SMALLEST, coarse)
@@ -195,7 +186,7 @@ def _updated(P: np.ndarray, evidence: Evidence, B: np.ndarray, model: Model) -> 
     return 0.5 * (updated + updated.T)
 
 
-def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: bool) -> tuple[np.ndarray, float]:
+def _growth(drift: Drift, evidence: PatchEvidence, coupling: Coupling, dt: float) -> tuple[np.ndarray, float]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
 
     Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
@@ -205,7 +196,7 @@ def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: b
     seen = evidence.observed / evidence.size
     enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
     if not enough:
-        lost2 = 0.0 if worn else max(stored2 - drift.stored2, 0.0)
+        lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
         return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
     common = float(np.average(evidence.innovation2, weights=evidence.observed))
     speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
@@ -215,25 +206,23 @@ def _growth(drift: Drift, evidence: Evidence, stored2: float, dt: float, worn: b
     return growth2, speed2
 
 
-def _mean_variance(covariance: np.ndarray) -> float:
-    return float(variances(covariance).mean())
-
-
-def _evidence(
-    update: Update, weight: np.ndarray, position: np.ndarray, prior: np.ndarray, still: np.ndarray, model: Model, config: Config
-) -> Evidence:
-    n, planes, ring_strain = len(model.likeness), update.planes, np.empty(len(position))
+def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position: np.ndarray) -> PatchEvidence:
+    """The evidence of a frame: ``weight`` (V,) of its measurements, posterior ``position`` (V, 3), metres."""
+    model, planes = problem.model, estimate.planes
+    # an unseen part moved as is known: not at all, or, with a body to ride on, as it did
+    still = problem.motion_start if problem.carried is None else position
+    n, ring_strain = len(model.likeness), np.empty(len(position))
     size, observed, strain2, information = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 6))
     facing, motion, innovation = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 4))
-    isotropic = isinstance(config.associate, NearestPoint)
+    isotropic = isinstance(problem.config.associate, NearestPoint)
     strains(position, model.start, model.neighbour, model.rest_length, ring_strain)
     kernels.gather(
-        position, still, prior, model.patch, ring_strain, weight, planes.normal, planes.variance, isotropic,
+        position, still, problem.prior.position, model.patch, ring_strain, weight, planes.normal, planes.variance, isotropic,
         size, observed, information, facing, motion, innovation, strain2,
     )  # fmt: skip
     measured = np.maximum(observed, 1.0)
     bend = 1.0 - np.square(facing / measured[:, None]).sum(axis=1)
-    return Evidence(
+    return PatchEvidence(
         size=size,
         observed=observed,
         information=information / (PERSISTENCE * measured)[:, None],
@@ -270,11 +259,3 @@ def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray | None:
     if variance.max() <= ceiling_sd**2:
         return None
     return np.minimum(1.0, ceiling_sd / np.sqrt(variance))[:, None, None]
-
-
-def variances(covariance: np.ndarray) -> np.ndarray:
-    """(V,) mean variance of (V, 3, 3) blocks over the directions."""
-    trace = np.empty(len(covariance))
-    kernels.traces(covariance, trace)
-    trace /= 3.0
-    return trace
