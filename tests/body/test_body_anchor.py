@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Tracker
-from ddakf.body.body_anchor import INDEPENDENT, LEAST_SD, Worn
-from ddakf.body.contact import BodyContact
+from ddakf.body import body_anchor, contact
+from ddakf.body.body_anchor import INDEPENDENT, LEAST_SD
 from ddakf.config import ConstantVelocity
 from ddakf.garment import model
 from ddakf.kernels.associate import vertex_normals
-from tests.stages.scenes import FPS, about, inner_body, rms, scan, tube
+from ddakf.types import Health, Track
+from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 
 MESH = tube()
 BODY = inner_body(MESH)
@@ -29,19 +30,27 @@ def normals(position):
 
 def after(deviation, frames=30, measured=FRONT, dt=1 / FPS, start=None):
     """The pseudo-measurements after frames in which the measured vertices were so far (V, 3) from where the body takes them."""
-    contact = BodyContact(BODY, 0.1)
-    known = Worn.at(MESH.vertices, contact, GARMENT) if start is None else start
+    known = anchored() if start is None else start
     for _ in range(frames):
-        held = known.held(contact, GARMENT, CONFIG)
-        known = known.learned(held, MESH.vertices + deviation, measured, dt, GARMENT, CONFIG)
-    return known, known.held(contact, GARMENT, CONFIG)
+        known = body_anchor.learned(frame(known, posed(BODY), dt), MESH.vertices + deviation, measured)
+    return known, frame(known, posed(BODY)).anchored
+
+
+def anchored(position=MESH.vertices):
+    """The anchor of a garment on the body in its first pose."""
+    return body_anchor.start(contact.build(BODY, 0.1), BODY.vertices, position, GARMENT)
+
+
+def frame(anchor, body, dt=1 / FPS):
+    """A frame of a tracked garment with this anchor."""
+    under = contact.start(contact.build(BODY, 0.1), MESH.vertices, Config().physics)
+    last = Track(None, None, None, 0.0, Health(), None, under, anchor)
+    return body_anchor.measure(problem_of(GARMENT, None, Config(), last=last, body=body, dt=dt))
 
 
 def test_a_rigidly_moving_body_takes_the_garment_along_exactly():
-    contact, turned = BodyContact(BODY, 0.1), about([1.0, 2.0, 0.5], 2.0).T
-    known = Worn.at(MESH.vertices, contact, GARMENT)
-    contact.move(BODY.vertices @ turned + [0.3, 0.0, -1.0])
-    held = known.held(contact, GARMENT, CONFIG)
+    turned = about([1.0, 2.0, 0.5], 2.0).T
+    held = frame(anchored(), posed(BODY, BODY.vertices @ turned + [0.3, 0.0, -1.0])).anchored
     np.testing.assert_allclose(held.target, MESH.vertices @ turned + [0.3, 0.0, -1.0], atol=1e-9)
 
 
@@ -51,19 +60,16 @@ def test_only_what_was_not_measured_is_held():
 
 
 def test_vertices_far_from_the_body_are_not_held():
-    contact = BodyContact(BODY, 0.1)
     away = MESH.vertices + np.where(FRONT, 0.0, 1.0)[:, None] * [0.0, 0.0, -1.0]
-    held = Worn.at(away, contact, GARMENT).held(contact, GARMENT, CONFIG)
+    held = frame(anchored(away), posed(BODY)).anchored
     np.testing.assert_array_equal(held.weight, np.where(FRONT, 1.0, 0.0))
 
 
 def test_nothing_is_held_while_the_body_is_not_known():
-    contact = BodyContact(BODY, 0.1)
-    known = Worn.at(MESH.vertices, contact, GARMENT)
-    contact.move(None)
-    held = known.held(contact, GARMENT, CONFIG)
-    assert held is None
-    assert known.learned(held, MESH.vertices, FRONT, 0.1, GARMENT, CONFIG) is known
+    known = anchored()
+    unknown = frame(known, None, 0.1)
+    assert unknown.anchored is None
+    assert body_anchor.learned(unknown, MESH.vertices, FRONT) is known
 
 
 def test_before_anything_is_seen_the_first_guess_stands():

@@ -1,13 +1,18 @@
-"""How close a garment may come to the body, and what moves that."""
+"""Contact: how close a garment may come to the body, and what moves that."""
+
+import dataclasses
 
 import numpy as np
 import pytest
 
-from ddakf.body.contact import DEEPEST, BodyContact
+from ddakf import Config
+from ddakf.body import contact
+from ddakf.body.contact import DEEPEST
 from ddakf.config import Physics
-from ddakf.mesh import Mesh
 from ddakf.physics import collision
+from ddakf.types import Health, Track
 from tests.physics.shapes import ball, sheet
+from tests.stages.scenes import posed, problem_of
 
 MESH, BODY, RADIUS = sheet(), ball(3), 0.2
 CONFIG = Physics(thickness=0.004, gap_time=0.5)
@@ -22,86 +27,98 @@ def above(heights):
     return corners.mean(axis=0) + np.outer(heights, normal)
 
 
+MODEL = contact.build(BODY, 0.1)
+
+
 def contact_at(heights):
-    contact = BodyContact(BODY, 0.1)
-    contact.start(above(heights), CONFIG.thickness)
-    return contact
+    """The body under vertices that start at these heights."""
+    return contact.start(MODEL, above(heights), CONFIG)
 
 
-def residuals(contact, heights):
+def residuals(track, heights):
     position = above(heights)
-    constants = collision.build(MESH, CONFIG.thickness)
-    return collision.linearize(position, constants, contact.nearest(position), contact.gap).residual
+    constants, pose = collision.build(MESH, CONFIG.thickness), contact.posed(MODEL, track)
+    return collision.linearize(position, constants, contact.nearest(pose, position).closest, track.gap).residual
+
+
+def after(track, heights, observed, dt, searched=True):
+    """The body after a frame in which vertices were found at these heights."""
+    last = Track(None, None, None, 0.0, Health(), None, track, None)
+    pose, position = contact.posed(MODEL, track), above(heights)
+    problem = problem_of(None, None, dataclasses.replace(Config(), physics=CONFIG), last=last, body=pose, dt=dt)
+    return contact.learned(problem, contact.nearest(pose, position) if searched else None, position, observed)
 
 
 def test_what_starts_inside_may_stay_and_may_not_go_deeper():
-    contact, allowed = contact_at(HEIGHTS), HEIGHTS >= -DEEPEST
-    np.testing.assert_allclose(residuals(contact, HEIGHTS)[allowed], 0.0, atol=1e-9)
-    np.testing.assert_allclose(residuals(contact, HEIGHTS)[~allowed], (HEIGHTS + DEEPEST)[~allowed], atol=1e-9)
-    deeper = residuals(contact, HEIGHTS - 0.003)
-    np.testing.assert_allclose(deeper, np.minimum(0.0, HEIGHTS - 0.003 - contact.gap), atol=1e-9)
+    track, allowed = contact_at(HEIGHTS), HEIGHTS >= -DEEPEST
+    np.testing.assert_allclose(residuals(track, HEIGHTS)[allowed], 0.0, atol=1e-9)
+    np.testing.assert_allclose(residuals(track, HEIGHTS)[~allowed], (HEIGHTS + DEEPEST)[~allowed], atol=1e-9)
+    deeper = residuals(track, HEIGHTS - 0.003)
+    np.testing.assert_allclose(deeper, np.minimum(0.0, HEIGHTS - 0.003 - track.gap), atol=1e-9)
     assert (deeper[CONFIG.thickness > HEIGHTS] < 0).all()
 
 
 def test_what_starts_outside_keeps_the_thickness():
-    contact = contact_at(np.abs(HEIGHTS) + CONFIG.thickness)
-    np.testing.assert_allclose(residuals(contact, HEIGHTS), np.minimum(0.0, HEIGHTS - CONFIG.thickness), atol=1e-9)
+    track = contact_at(np.abs(HEIGHTS) + CONFIG.thickness)
+    np.testing.assert_allclose(residuals(track, HEIGHTS), np.minimum(0.0, HEIGHTS - CONFIG.thickness), atol=1e-9)
 
 
 def test_seen_vertices_change_their_gap_and_the_others_do_not():
     start, end = np.full_like(HEIGHTS, -0.010), np.full_like(HEIGHTS, -0.002)
-    contact, observed = contact_at(start), np.arange(len(HEIGHTS)) % 2 == 0
-    contact.nearest(above(end))
+    track, observed = contact_at(start), np.arange(len(HEIGHTS)) % 2 == 0
     for _ in range(60):
-        contact.learn(above(end), observed, 1 / 30, CONFIG)
-    np.testing.assert_allclose(contact.gap[~observed], -0.010, atol=1e-9)
-    np.testing.assert_allclose(contact.gap[observed], -0.002 - 0.008 * np.exp(-2.0 / 0.5), atol=1e-9)
+        track = after(track, end, observed, 1 / 30)
+    np.testing.assert_allclose(track.gap[~observed], -0.010, atol=1e-9)
+    np.testing.assert_allclose(track.gap[observed], -0.002 - 0.008 * np.exp(-2.0 / 0.5), atol=1e-9)
 
 
 def test_the_gap_follows_time_and_not_frames():
     start, end = np.full_like(HEIGHTS, 0.003), np.full_like(HEIGHTS, -0.005)
-    often, seldom, all_seen = contact_at(start), contact_at(start), np.ones(len(HEIGHTS), bool)
-    for contact, frames in ((often, 12), (seldom, 3)):
-        contact.nearest(above(end))
+    gaps, all_seen = [], np.ones(len(HEIGHTS), bool)
+    for frames in (12, 3):
+        track = contact_at(start)
         for _ in range(frames):
-            contact.learn(above(end), all_seen, 0.3 / frames, CONFIG)
-    np.testing.assert_allclose(often.gap, seldom.gap, atol=1e-12)
+            track = after(track, end, all_seen, 0.3 / frames)
+        gaps.append(track.gap)
+    np.testing.assert_allclose(*gaps, atol=1e-12)
 
 
-@pytest.mark.parametrize("height", [-0.2, 0.5])
-def test_no_body_in_reach_leaves_the_gap_alone(height):
-    contact = contact_at(HEIGHTS)
-    before, far = contact.gap, above(np.full_like(HEIGHTS, height))
-    if height > 0:
-        contact.nearest(far)
-    contact.learn(far, np.ones(len(HEIGHTS), bool), 1.0, CONFIG)
-    np.testing.assert_array_equal(contact.gap, before)
+@pytest.mark.parametrize("searched", [False, True])
+def test_no_body_in_reach_leaves_the_gap_alone(searched):
+    track = contact_at(HEIGHTS)
+    far = after(track, np.full_like(HEIGHTS, 0.5), np.ones(len(HEIGHTS), bool), 1.0, searched)
+    np.testing.assert_array_equal(far.gap, track.gap)
 
 
-def test_a_reset_forgets_and_a_mark_remembers():
-    contact = contact_at(HEIGHTS)
-    contact.nearest(above(HEIGHTS))
-    mark, gap = contact.mark(), contact.gap
-    contact.learn(above(HEIGHTS + 0.001), np.ones(len(HEIGHTS), bool), 1.0, CONFIG)
-    assert not np.array_equal(contact.gap, gap)
-    contact.back_to(mark)
-    np.testing.assert_array_equal(contact.gap, gap)
-    contact.reset()
-    assert contact.gap is None
+def test_a_frame_leaves_the_last_track_as_it_was():
+    track = contact_at(HEIGHTS)
+    gap = track.gap.copy()
+    changed = after(track, HEIGHTS + 0.001, np.ones(len(HEIGHTS), bool), 1.0)
+    assert not np.array_equal(changed.gap, gap)
+    np.testing.assert_array_equal(track.gap, gap)
 
 
-def test_touching_finds_what_a_search_of_all_vertices_finds():
+def test_another_configuration_has_its_own_gaps():
+    track, position = contact_at(HEIGHTS), above(HEIGHTS)
+    none = contact.configured(MODEL, track, position, Physics(gap_time=0.0))
+    assert none.gap is None
+    again = contact.configured(MODEL, none, position, CONFIG)
+    np.testing.assert_array_equal(again.gap, track.gap)
+    thinner = contact.configured(MODEL, track, position, Physics(thickness=0.001, gap_time=0.5))
+    np.testing.assert_array_equal(thinner.gap, np.minimum(track.gap, 0.001))
+
+
+def test_a_search_of_the_nearest_vertices_finds_what_a_search_of_all_finds():
     """However far the vertices moved since, in whatever direction: only those that cannot touch keep their old points."""
     rng = np.random.default_rng(0)
-    position = above(np.abs(HEIGHTS))
-    contact = BodyContact(Mesh(BODY.vertices, BODY.faces), 0.1)
-    contact.nearest(position)
+    position, pose = above(np.abs(HEIGHTS)), posed(BODY)
+    contacts = contact.nearest(pose, position)
     for _ in range(5):
         position = position + rng.normal(size=position.shape) * rng.uniform(0, 0.02, (len(position), 1))
-        held = contact.touching(position, CONFIG.thickness)
-        exact = BodyContact(BODY, 0.1).nearest(position)
+        contacts = contact.closest(pose, position, contacts, CONFIG.thickness)
+        found, exact = contacts.closest, contact.nearest(posed(BODY), position).closest
         near = exact.distance < CONFIG.thickness
         assert near.any()
-        np.testing.assert_array_equal(held.face[near], exact.face[near])
-        np.testing.assert_array_equal(held.distance[near], exact.distance[near])
-        np.testing.assert_array_equal(held.normal[near], exact.normal[near])
+        np.testing.assert_array_equal(found.face[near], exact.face[near])
+        np.testing.assert_array_equal(found.distance[near], exact.distance[near])
+        np.testing.assert_array_equal(found.normal[near], exact.normal[near])

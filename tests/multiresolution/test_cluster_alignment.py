@@ -1,4 +1,4 @@
-"""The coarse level: clusters that move rigidly."""
+"""Cluster alignment: clusters that move rigidly."""
 
 import dataclasses
 
@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker
-from ddakf.body.contact import BodyContact
 from ddakf.config import InnovationNoise, NearestPoint
 from ddakf.garment import clusters, model
 from ddakf.kernels import cluster_alignment as kernels
 from ddakf.multiresolution import cluster_alignment
-from ddakf.stages import fuse
-from ddakf.stages.preprocess import preprocess
 from ddakf.types import State
-from tests.stages.scenes import about, inner_body, rms, scan, tube
+from tests.stages.scenes import about, cloud_of, inner_body, posed, problem_of, rms, scan, tube
 
 CONFIG = Config()
 MESH = tube(around=36, along=20, spacing=0.02)
@@ -27,13 +24,11 @@ def moved_by(rotation, shift) -> np.ndarray:
     return (MESH.vertices - middle) @ rotation.T + middle + shift
 
 
-def aligned(truth, config=CONFIG, contact=None, body_vertices=None) -> np.ndarray:
+def aligned(truth, config=CONFIG, body=None) -> np.ndarray:
     """(V, 3) the estimate after the coarse passes, from the rest shape as prediction and a scan of ``truth``."""
     prior = State.at(MESH.vertices, np.zeros_like(MESH.vertices), 0.01, 0.5, 0.004)
-    cloud = preprocess(scan(truth, MESH, 5000, 0.002), None, prior.position, GARMENT.area, config)
-    identity = np.tile(np.eye(3), (len(truth), 1, 1))
-    update = fuse.begin(prior, MESH.vertices, identity, 1.0, GARMENT, config)
-    return cluster_alignment.align(update, prior, cloud, body_vertices, contact, 1.0, GARMENT, config).position
+    cloud = cloud_of(scan(truth, MESH, 5000, 0.002), None, prior.position, GARMENT.area, config)
+    return cluster_alignment.align(problem_of(GARMENT, prior, config, cloud=cloud, body=body)).position
 
 
 def system(position, target, normal, weight):
@@ -143,9 +138,7 @@ def test_no_passes_no_change():
 def test_with_a_body_beneath_it_moves_all_the_same():
     body = inner_body(MESH)
     truth = moved_by(np.eye(3), [0.03, 0.0, 0.0])
-    contact = BodyContact(body, 0.1)
-    contact.move(body.vertices + [0.03, 0.0, 0.0])
-    assert rms(aligned(truth, contact=contact, body_vertices=contact.vertices) - truth) < 0.5 * 0.03
+    assert rms(aligned(truth, body=posed(body, body.vertices + [0.03, 0.0, 0.0])) - truth) < 0.5 * 0.03
 
 
 @pytest.mark.parametrize("kind", ["points", "planes"])

@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh
-from ddakf.body.contact import BodyContact
+from ddakf.body import contact
 from ddakf.config import InnovationNoise, NearestPoint
 from ddakf.garment import model
 from ddakf.kernels import pyramid as kernels
 from ddakf.multiresolution import pyramid
 from ddakf.stages import associate, fuse
-from ddakf.stages.preprocess import preprocess
 from ddakf.types import State
-from tests.stages.scenes import about, inner_body, rms, scan, tube
+from tests.stages.scenes import about, cloud_of, frame_of, inner_body, posed, problem_of, rms, scan, tube
 
 CONFIG = Config()
 MESH = tube(around=60, along=40, spacing=0.01)
@@ -29,16 +28,14 @@ def spread(coarser: model.Coarser, base: np.ndarray, displacement: np.ndarray) -
     return moved
 
 
-def descended(truth, config=CONFIG, contact=None, body_vertices=None):
+def descended(truth, config=CONFIG):
     """Estimate (V, 3) and number of passes, from the rest shape as prediction and a scan of ``truth``."""
     prior = State.at(MESH.vertices, np.zeros_like(MESH.vertices), 0.01, 0.5, 0.004)
-    cloud = preprocess(scan(truth, MESH, 8000, 0.002), None, prior.position, GARMENT.area, config)
-    identity = np.tile(np.eye(3), (len(truth), 1, 1))
-    update = fuse.begin(prior, MESH.vertices, identity, 1.0, GARMENT, config)
-    update = pyramid.descend(
-        update, prior, MESH.vertices, cloud, body_vertices, contact, 1.0, GARMENT, config
-    )
-    return update.position, update.passes
+    points = scan(truth, MESH, 8000, 0.002)
+    cloud = cloud_of(points, None, prior.position, GARMENT.area, config)
+    problem = problem_of(GARMENT, prior, config, cloud=cloud, frame=frame_of(points), garment=frame_of(points))
+    estimate = pyramid.descend(problem, fuse.begin(problem))
+    return estimate.position, estimate.passes
 
 
 def test_a_coarser_version_is_the_same_surface_with_about_a_quarter_of_the_vertices():
@@ -122,23 +119,22 @@ def test_points_without_normals_have_no_coarser_passes():
 def test_the_body_pushes_out_what_no_sensor_sees():
     """A body wider than the garment, and a cloud of its upper half only: the lower half gives way."""
     body = inner_body(MESH, 1.03)
-    contact = BodyContact(body, 0.1)
-    contact.move(body.vertices)
+    pose = posed(body)
     prior = State.at(MESH.vertices, np.zeros_like(MESH.vertices), 0.01, 0.5, 0.004)
     upper = MESH.vertices[MESH.vertices[:, 1] > 0.25].astype(np.float32)
-    cloud = preprocess(upper, None, prior.position, GARMENT.area, CONFIG)
-    identity = np.tile(np.eye(3), (MESH.n_vertices, 1, 1))
+    cloud = cloud_of(upper, None, prior.position, GARMENT.area, CONFIG)
     inside = []
-    for beneath in (None, contact):
-        update = fuse.begin(prior, MESH.vertices, identity, 1.0, GARMENT, CONFIG)
-        update = pyramid.descend(update, prior, MESH.vertices, cloud, None, beneath, 1.0, GARMENT, CONFIG)
-        inside.append(np.minimum(contact.nearest(update.position).distance[MESH.vertices[:, 1] < 0.2], 0.0).mean())
+    for beneath in (None, pose):
+        problem = problem_of(GARMENT, prior, CONFIG, cloud=cloud, body=beneath, garment=frame_of())
+        position = pyramid.descend(problem, fuse.begin(problem)).position
+        inside.append(np.minimum(contact.nearest(pose, position).closest.distance[MESH.vertices[:, 1] < 0.2], 0.0).mean())
     assert inside[1] > 0.5 * inside[0]
     assert inside[0] < -0.001
 
 
 def test_passes_over_all_vertices_go_on_where_the_coarser_ones_left_off():
-    cloud = preprocess(scan(MESH.vertices, MESH, 3000), None, MESH.vertices, GARMENT.area, CONFIG)
-    whole = list(associate.gates(cloud, CONFIG.associate))
-    assert list(associate.gates(cloud, CONFIG.associate, 3)) == whole[3:]
-    assert list(associate.gates(cloud, CONFIG.associate, 100)) == whole[-1:]
+    cloud = cloud_of(scan(MESH.vertices, MESH, 3000), None, MESH.vertices, GARMENT.area, CONFIG)
+    problem = problem_of(config=CONFIG, cloud=cloud)
+    whole = list(associate.gates(problem))
+    assert list(associate.gates(problem, 3)) == whole[3:]
+    assert list(associate.gates(problem, 100)) == whole[-1:]

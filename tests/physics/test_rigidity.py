@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from ddakf import Config
 from ddakf.config import MapUpdate
 from ddakf.garment import model
-from ddakf.physics import rigidity
+from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import State
+from ddakf.types import Evidence, State
 from tests.physics.shapes import sheet
 from tests.stages import dense
-from tests.stages.scenes import about, linearized, measured, rms, tube
+from tests.stages.scenes import about, measured, problem_of, rms, tube
 
 GARMENTS = {"sheet": model.build(sheet()), "tube": model.build(tube(along=5))}
 SHEET, TUBE = GARMENTS.values()
@@ -30,10 +30,12 @@ def rigid_alone(garment, position, last, config=RIGID):
     """One fusion pass under the rigid terms and a weak prior alone: the estimate, and the force (V, 3) behind its step."""
     n = len(position)
     prior = State.at(position, np.zeros((n, 3)), 0.01, 0.1, 0.004)
-    update = fuse.begin(prior, last, rigidity.rotations(position, garment), 1.0, garment, config)
+    rotation = rigidity.rotations(position, garment)
+    problem = problem_of(garment, prior, config, motion_start=last, rotation=rotation)
+    update = fuse.begin(problem)
     nothing = measured(position, np.zeros((n, 3)), np.zeros(n, bool))
-    parts = linearized(position, garment, None, 1.0, config.physics)
-    update = fuse.fuse(update, prior, nothing, np.zeros(n), prior.R, parts, 10.0, garment, config)
+    evidence = Evidence(nothing, np.zeros(n), prior.R, energies.linearize(problem, update))
+    update = fuse.fuse(problem, update, evidence, 10.0)
     i, j = garment.mesh.edges.T
     weight = config.physics.rest_rigidity + config.physics.motion_rigidity
     matrix = np.eye(n) / (0.01**2 + config.fuse.prior_sd**2)

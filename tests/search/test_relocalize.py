@@ -1,4 +1,6 @@
-"""Initialisation: a garment that stands elsewhere is found; one that is where it should be is left alone."""
+"""Relocalization: a garment that stands elsewhere is found; one that is where it should be is left alone."""
+
+import dataclasses
 
 import numpy as np
 import pytest
@@ -11,12 +13,10 @@ from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.search.nonrigid_registration import Target
-from ddakf.search.relocalize import cost_in_place, locate, places
-from ddakf.stages.frame_input import Frame
+from ddakf.search.relocalize import SETTLING, cost_in_place, interrupted, locate, places, search_due
 from ddakf.stages.predict import predict
-from ddakf.stages.reliability import Health
-from ddakf.types import State
-from tests.stages.scenes import FPS, random_state, rms, scan, tube, turn
+from ddakf.types import Health, State, Track
+from tests.stages.scenes import FPS, frame_of, problem_of, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
 SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
@@ -99,20 +99,20 @@ def test_a_round_garment_keeps_its_heading():
 
 def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
     first = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health())
-    assert first.placed
-    health = Health(state="tracking", settling=first.settling)
+    assert first.health.settling == SETTLING
+    health = Health(state="tracking", settling=SETTLING)
     moved = TUBE.vertices * [1.1, 1.0, 0.9] + 0.4
     normal = vertex_normals(moved, TUBE.faces)
 
     def off(position):
         return np.sqrt(np.square(np.einsum("va,va->v", position - moved, normal)).mean())
 
-    for seed in range(first.settling):
+    for seed in range(SETTLING):
         last = located(first.prior._replace(position=TUBE.vertices + 0.4), scan(moved, TUBE, seed=seed), health)
-        assert not last.placed
+        assert last.last.drift is None  # that of the track, which no search has replaced
         assert off(last.prior.position) < 0.5 * off(TUBE.vertices + 0.4)
-        assert last.last is last.prior.position
-        health = health._replace(settling=last.settling)
+        assert last.motion_start is last.prior.position
+        health = last.health
     assert health.settling == 0
     assert located(first.prior, scan(moved, TUBE), health).prior is first.prior
 
@@ -141,24 +141,26 @@ DT = 1 / FPS
 
 
 def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
-    frame = Frame(points, 0.0, None, None)
-    return locate(prior, last, UNTURNED, frame, None, dt, health, MODEL, config or Start())
+    track = Track(None, UNTURNED, None, 0.0, health, None, None, None)
+    whole = dataclasses.replace(Config(), start=config or Start())
+    problem = problem_of(MODEL, prior, whole, last=track, motion_start=last, rotation=UNTURNED)
+    return locate(problem._replace(frame=frame_of(points), health=health, dt=dt))
 
 
 def test_a_garment_in_place_is_left_alone():
     prior = prior_at(TUBE.vertices)
-    same, anchor, rotation, placed, _ = located(prior, scan(TUBE.vertices, TUBE), Health())
-    assert same is prior
-    assert anchor is TUBE.vertices
-    assert rotation is UNTURNED
-    assert not placed
+    same = located(prior, scan(TUBE.vertices, TUBE), Health())
+    assert same.prior is prior
+    assert same.motion_start is TUBE.vertices
+    assert same.rotation is UNTURNED
+    assert same.health.settling == 0
 
 
 @pytest.mark.parametrize("state", ["tracking", "recovering"])
 def test_a_garment_that_is_tracked_is_never_searched(state):
     prior = prior_at(TUBE.vertices)
     far = scan(TUBE.vertices + 0.4, TUBE)
-    assert located(prior, far, Health(state=state))[0] is prior
+    assert located(prior, far, Health(state=state)).prior is prior
 
 
 @pytest.mark.parametrize(
@@ -181,27 +183,28 @@ def test_a_garment_that_was_not_seen_lately_is_searched(health):
 
 
 def test_a_garment_is_searched_after_a_gap():
-    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health(state="tracking", spacing=1 / 30), dt=0.5)[0]
+    tracking = Health(state="tracking", spacing=1 / 30)
+    moved = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), tracking, dt=0.5).prior
     assert rms(moved.position - TUBE.vertices - 0.4) < 0.05
 
 
 def test_after_a_loss_the_template_is_sought_however_wrong_the_shape_is():
     torn = prior_at(TUBE.vertices * [1.0, 30.0, 1.0] + 7.0)
-    found, anchor, *_ = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
-    assert rms(found.position - TUBE.vertices) < 0.05
-    assert anchor is found.position
+    found = located(torn, scan(TUBE.vertices, TUBE), Health(state="lost"), last=torn.position)
+    assert rms(found.prior.position - TUBE.vertices) < 0.05
+    assert found.motion_start is found.prior.position
 
 
 def test_the_search_can_be_switched_off_and_needs_enough_points():
     prior, far = prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE)
-    assert located(prior, far, Health(), config=Start(search=False))[0] is prior
-    assert located(prior, far[:50], Health(), config=Start(least_points=51))[0] is prior
-    assert located(prior, far[:0], Health())[0] is prior
+    assert located(prior, far, Health(), config=Start(search=False)).prior is prior
+    assert located(prior, far[:50], Health(), config=Start(least_points=51)).prior is prior
+    assert located(prior, far[:0], Health()).prior is prior
     assert Config.paper().start.search is False
 
 
 def test_a_fruitless_search_is_repeated_ever_more_rarely():
-    due = [k for k in range(100) if Health(state="lost", frames_unplaced=k).search_due]
+    due = [k for k in range(100) if search_due(Health(state="lost", frames_unplaced=k))]
     assert due[0] == 0
     assert len(due) < 8
     assert (np.diff(due, 2) >= 0).all()
@@ -220,4 +223,4 @@ def test_a_start_on_the_garment_is_tracked_from_the_first_frame():
     ("spacing", "dt", "gap"), [(1 / 30, 0.5, True), (0.5, 0.5, False), (1 / 30, 0.2, False), (0.0, 0.5, False)]
 )
 def test_a_slow_stream_is_no_gap(spacing, dt, gap):
-    assert Health(spacing=spacing).interrupted(dt) is gap
+    assert interrupted(Health(spacing=spacing), dt) is gap

@@ -6,8 +6,7 @@ import numpy as np
 
 from ddakf import Config, Mesh
 from ddakf.garment.model import Model
-from ddakf.stages.associate import Measurement
-from ddakf.types import State
+from ddakf.types import Measurement, State
 
 STEP = 1e-6  # m, of the central differences
 

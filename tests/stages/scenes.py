@@ -1,15 +1,19 @@
 """Small garments, states and clouds for the tests of the stages and of the tracker."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from ddakf import Mesh
+from ddakf import Config, Mesh
+from ddakf.body import contact
+from ddakf.config import InnovationNoise, NearestPoint, Physics
 from ddakf.errors import MissingDependency
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.files.open3d_bridge import import_open3d
-from ddakf.physics import energies
-from ddakf.stages.associate import Measurement, associate
-from ddakf.types import State
+from ddakf.stages import preprocess
+from ddakf.stages.associate import associate
+from ddakf.types import BodyPose, Estimate, Evidence, FrameInput, Health, Measurement, Problem, State
 
 FPS = 30.0
 
@@ -100,10 +104,49 @@ def measured(target, normal, found) -> Measurement:
     )
 
 
+def frame_of(points=None, sensor=None, body_vertices=None) -> FrameInput:
+    """A frame at time 0, by default without points."""
+    return FrameInput(np.empty((0, 3), np.float32) if points is None else points, 0.0, sensor, body_vertices)
+
+
+def cloud_of(points, sensor, position, area, config):
+    """Preprocessing of points without skin."""
+    return preprocess.cloud(frame_of(points, sensor), position, area, config)
+
+
+def problem_of(garment=None, prior: State | None = None, config: Config | None = None, **more) -> Problem:
+    """A frame whose last posterior, where nothing else is said, is the prior, at rest, with unturned one-rings."""
+    n = 0 if prior is None else len(prior.position)
+    position = None if prior is None else prior.position
+    unturned = np.tile(np.eye(3), (n, 1, 1))
+    base = Problem(
+        garment, config or Config(), None, frame_of(), 1 / FPS, prior, None, None, prior, position, unturned, Health()
+    )
+    return base._replace(**more)
+
+
+def estimate_at(position, evidence: Evidence | None = None) -> Estimate:
+    """An estimate that no pass has refined."""
+    none = Evidence(Measurement.none(len(position)), np.zeros(len(position)), None, None)
+    return Estimate(position, None, None, None, evidence or none)
+
+
+def posed(body: Mesh, vertices=None, reach=0.1) -> BodyPose:
+    """A body in the pose of one frame, by default that of the start."""
+    constants = contact.build(body, reach)
+    start = contact.start(constants, body.vertices, Physics(gap_time=0.0))
+    return contact.posed(constants, start, vertices)
+
+
 def associated(position, cloud, garment, gate, config, last=None, body_vertices=None) -> Measurement:
     """Stage B in the first pass of a frame, or after the pass that gave ``last``."""
-    last = Measurement.none(len(position)) if last is None else last
-    return associate(position, last, cloud, body_vertices, garment, gate, config)
+    points = isinstance(config, NearestPoint)
+    whole = dataclasses.replace(Config(), associate=config, adapt=InnovationNoise() if points else Config().adapt)
+    problem = problem_of(garment, None, whole, cloud=cloud, frame=frame_of(None, None, body_vertices))
+    estimate = estimate_at(position)
+    if last is not None:
+        estimate = estimate._replace(evidence=estimate.evidence._replace(measurement=last))
+    return associate(problem, estimate, gate)
 
 
 def kept_points(cloud) -> np.ndarray:
@@ -114,11 +157,6 @@ def kept_points(cloud) -> np.ndarray:
 def planes_of(cloud) -> tuple[np.ndarray, np.ndarray]:
     """(S, 3) points of a preprocessed cloud's planes in the world, metres, and their normals, zero where there is none."""
     return cloud.surfels[:3].T + cloud.origin, cloud.surfels[3:].T.astype(float)
-
-
-def linearized(position, garment, contact, physics_lambda, config):
-    """Stage E in the first pass of a frame."""
-    return energies.linearize(position, None, garment, contact, physics_lambda, config)
 
 
 def open3d():

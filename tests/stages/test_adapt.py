@@ -8,12 +8,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf.config import Config, InnovationNoise, ResidualNoise
-from ddakf.stages.adapt import adapt
-from tests.stages.scenes import measured, random_state
+from ddakf.stages import adapt as stage
+from tests.stages.scenes import estimate_at, measured, problem_of, random_state
 
 SEEDS = st.integers(0, 2**32 - 1)
 PAPER = InnovationNoise(lowest_sd=1e-5, highest_sd=10.0)
 RESIDUAL = ResidualNoise(lowest_sd=1e-5, highest_sd=10.0)
+
+
+def adapt(last, measurement, weight, prior, position, config):
+    """Stage D of a frame with this last posterior and prediction, at an estimate."""
+    whole = dataclasses.replace(Config.paper() if isinstance(config, InnovationNoise) else Config(), adapt=config)
+    return stage.adapt(problem_of(None, prior, whole, state=last), estimate_at(position), measurement, weight)
 
 
 def scene(seed, n=40, scale=0.01, planes=False):

@@ -10,10 +10,10 @@ from ddakf import Config, Mesh
 from ddakf.config import KnnFilter, NearestPoint
 from ddakf.garment import model
 from ddakf.mesh import vertex_normals
-from ddakf.stages.associate import Measurement, gates
-from ddakf.stages.preprocess import preprocess
+from ddakf.stages import associate
+from ddakf.types import Measurement
 from tests.physics.shapes import ball, grid_faces
-from tests.stages.scenes import associated, kept_points, planes_of, rms, scan, tube
+from tests.stages.scenes import associated, cloud_of, kept_points, planes_of, problem_of, rms, scan, tube
 
 CONFIG = Config()
 EVERY_POINT = dataclasses.replace(Config.paper(), preprocess=KnnFilter(ratio=10.0))
@@ -30,7 +30,11 @@ def wavy(seed, n=24, spacing=0.025) -> Mesh:
 
 def prepared(mesh, points, sensor=None, config=CONFIG):
     garment = model.build(mesh)
-    return garment, preprocess(points, sensor, mesh.vertices, garment.area, config)
+    return garment, cloud_of(points, sensor, mesh.vertices, garment.area, config)
+
+
+def gates(cloud, config=CONFIG):
+    return list(associate.gates(problem_of(config=config, cloud=cloud)))
 
 
 def spacing(garment, cloud):
@@ -243,7 +247,7 @@ def test_the_gate_bounds_the_distance(gate, away):
 def test_a_cloud_without_the_garment_measures_nothing(config, points):
     mesh = wavy(2)
     garment, cloud = prepared(mesh, points, config=config)
-    passes = list(gates(cloud, config.associate))
+    passes = gates(cloud, config)
     assert len(passes) == 1
     measurement = associated(mesh.vertices, cloud, garment, passes[0], config.associate)
     assert not measurement.found.any()
@@ -253,11 +257,11 @@ def test_a_cloud_without_the_garment_measures_nothing(config, points):
 def test_gates_start_wide_and_narrow():
     mesh = wavy(2)
     _, cloud = prepared(mesh, scan(mesh.vertices, mesh, 2000))
-    passes = list(gates(cloud, CONFIG.associate))
+    passes = gates(cloud)
     assert passes[0] == CONFIG.associate.wide_gate
     assert (np.diff(passes) <= 0).all()
     assert passes[-1] >= CONFIG.associate.narrow_gate
-    assert len(list(gates(cloud, NearestPoint()))) == 1  # the paper associates once
+    assert len(gates(cloud, Config.paper())) == 1  # the paper associates once
 
 
 def test_innovation_of_a_plane_is_its_part_along_the_normal():

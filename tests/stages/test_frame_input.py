@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from ddakf.errors import InvalidFrame
 from ddakf.stages import frame_input
+from ddakf.types import FrameInput
 from tests.physics.shapes import ball
 
 BODY = ball(1, 0.2)
@@ -14,7 +15,7 @@ CLOUD = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
 
 
 def checked(points=CLOUD, timestamp=1.0, sensor_origin=None, body_vertices=None, last=0.5, body=BODY):
-    return frame_input.checked(points, timestamp, sensor_origin, body_vertices, last, body)
+    return frame_input.checked(FrameInput(points, timestamp, sensor_origin, body_vertices), last, body)
 
 
 def spoilt(value, shape=(50, 3)):

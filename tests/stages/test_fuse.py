@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Fabric
-from ddakf.body.contact import BodyContact
+from ddakf.body import contact as body_contact
 from ddakf.config import MapUpdate
 from ddakf.garment import model
-from ddakf.physics import rigidity
+from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
+from ddakf.types import Evidence, Health
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
-from tests.stages.scenes import blocks, full, linearized, measured, random_state, rms
+from tests.stages.scenes import blocks, full, measured, posed, problem_of, random_state, rms
 
 MESH = sheet()
 V = MESH.n_vertices
@@ -50,8 +51,8 @@ def scene(seed, config=CONFIG, body=False, seen=0.7, planes=True):
     if body:
         below = ball(3, 0.2)
         low = position.mean(axis=0) - [0.0, 0.0, 0.2 - 0.002]
-        contact = BodyContact(type(below)(below.vertices + low, below.faces), 0.1)
-        nearest = contact.nearest(position)
+        contact = posed(type(below)(below.vertices + low, below.faces))
+        nearest = body_contact.nearest(contact, position).closest
         touching = nearest.point, nearest.normal
     R = blocks(V, 3, rng) * 0.004**2
     problem = dense.Problem(MESH, garment, config, prior, measurement, weight, R, touching, physics_lambda=1.5)
@@ -60,15 +61,23 @@ def scene(seed, config=CONFIG, body=False, seen=0.7, planes=True):
 
 def begun(problem):
     last = MESH.vertices + 0.001 * np.sin(100 * MESH.vertices)
+    return fuse.begin(frame(problem)), last
+
+
+def frame(problem, contact=None):
+    """The frame of a dense problem."""
+    last = MESH.vertices + 0.001 * np.sin(100 * MESH.vertices)
     rotation = rigidity.rotations(problem.prior.position, problem.model)
-    return fuse.begin(problem.prior, last, rotation, problem.physics_lambda, problem.model, problem.config), last
+    health = Health(physics_lambda=problem.physics_lambda)
+    return problem_of(
+        problem.model, problem.prior, problem.config, motion_start=last, rotation=rotation, health=health, body=contact
+    )
 
 
 def one_pass(update, problem, contact, gate=FAR):
-    parts = linearized(update.position, problem.model, contact, problem.physics_lambda, problem.config.physics)
-    return fuse.fuse(
-        update, problem.prior, problem.measurement, problem.weight, problem.R, parts, gate, problem.model, problem.config
-    )
+    now = frame(problem, contact)
+    forces = energies.linearize(now, update)
+    return fuse.fuse(now, update, Evidence(problem.measurement, problem.weight, problem.R, forces), gate)
 
 
 def rigid_terms(update, last, problem):
@@ -166,7 +175,8 @@ def test_no_vertex_is_moved_farther_than_the_gate(gate):
 def test_nothing_measured_at_the_rest_shape_moves_nothing():
     problem, _ = scene(7, seen=0.0)
     problem = problem._replace(prior=problem.prior._replace(position=MESH.vertices.copy()))
-    start = fuse.begin(problem.prior, MESH.vertices, rigidity.identity(V), 1.0, problem.model, CONFIG)
+    still = frame(problem)._replace(motion_start=MESH.vertices, rotation=rigidity.identity(V), health=Health())
+    start = fuse.begin(still)
     update = one_pass(start, problem, None)
     np.testing.assert_allclose(update.position, MESH.vertices, atol=1e-8)  # transforms are float32
     assert not update.rejected

@@ -7,9 +7,8 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.garment import model
-from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
-from tests.stages.scenes import associated, rms, scan, tube
+from tests.stages.scenes import associated, cloud_of, rms, scan, tube
 
 CONFIG = Config()
 GATE = CONFIG.associate.narrow_gate
@@ -23,7 +22,7 @@ def sheet(n=16, spacing=0.02) -> Mesh:
 
 def hem_of(mesh, points, position):
     garment = model.build(mesh)
-    cloud = preprocess(points, None, position, garment.area, CONFIG)
+    cloud = cloud_of(points, None, position, garment.area, CONFIG)
     return garment, associated(position, cloud, garment, GATE, CONFIG.associate).hem
 
 
@@ -56,7 +55,7 @@ def test_a_vertex_that_is_not_seen_has_no_end():
     mesh = sheet()
     garment = model.build(mesh)
     behind = np.array([0.15, 0.15, -2.0])
-    cloud = preprocess(scan(mesh.vertices, mesh, 6000, 0.002), behind, mesh.vertices, garment.area, CONFIG)
+    cloud = cloud_of(scan(mesh.vertices, mesh, 6000, 0.002), behind, mesh.vertices, garment.area, CONFIG)
     assert not associated(mesh.vertices, cloud, garment, GATE, CONFIG.associate).hem.weight.any()
 
 

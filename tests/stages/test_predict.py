@@ -7,16 +7,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf.config import ConstantAcceleration, ConstantVelocity
+from ddakf.config import Config, ConstantAcceleration, ConstantVelocity
 from ddakf.stages.fuse import condition
-from ddakf.stages.predict import learn, predict
-from tests.stages.scenes import assert_positive_definite, full, random_state
+from ddakf.stages.predict import learned, predict
+from tests.stages.scenes import assert_positive_definite, full, problem_of, random_state
 
 PLAIN = ConstantVelocity(damping=0.0)
 DAMPED = ConstantVelocity(damping=3.0)
 ACCELERATED = ConstantAcceleration(damping=0.0, share=1.0)
 STEPS = st.floats(1e-3, 0.4)
 SEEDS = st.integers(0, 2**32 - 1)
+
+
+
+def learn(posterior, prior, measured, dt, config):
+    """The acceleration after a frame with this prediction."""
+    return learned(problem_of(None, prior, dataclasses.replace(Config(), predict=config), dt=dt), posterior, measured)
 
 
 def start(seed=0, n=7):

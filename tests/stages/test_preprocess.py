@@ -10,9 +10,8 @@ from ddakf.config import GridFilter, KnnFilter
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor
 from ddakf.files.sequence import load_sequence
-from ddakf.stages.preprocess import preprocess
 from tests.physics.shapes import ball, grid_faces
-from tests.stages.scenes import about, open3d, planes_of
+from tests.stages.scenes import about, cloud_of, open3d, planes_of
 
 DEFAULT, PAPER = Config(), Config.paper()
 SAMPLE = sample()
@@ -26,7 +25,7 @@ def area(vertices, faces):
 def kept(points, sensor_origin, sequence, frame, config):
     """(N,) bool, the points that stay."""
     position = sequence.garment_vertices[frame].astype(np.float64)
-    cloud = preprocess(points, sensor_origin, position, area(sequence.template, sequence.garment_faces), config)
+    cloud = cloud_of(points, sensor_origin, position, area(sequence.template, sequence.garment_faces), config)
     stays = np.zeros(len(points), bool)
     stays[cloud.index] = True
     return stays
@@ -64,7 +63,7 @@ def test_literal_filter_removes_by_the_statistics_of_16_neighbours(seed):
     rng = np.random.default_rng(seed)
     sheet = np.column_stack([rng.random((1200, 2)), 0.002 * rng.normal(size=1200)])
     points = np.concatenate([sheet, rng.random((60, 3))]).astype(np.float32)
-    cloud = preprocess(points, None, points.astype(float), 1.0, PAPER)
+    cloud = cloud_of(points, None, points.astype(float), 1.0, PAPER)
     stays = np.zeros(len(points), bool)
     stays[cloud.index] = True
     np.testing.assert_array_equal(~stays, removed_by_statistics(points.astype(np.float64)))
@@ -151,7 +150,7 @@ def patch(seed, noise, count=5000):
 def test_planes_of_a_noisy_plane_lie_in_it_and_look_at_the_sensor(config, side, seed):
     vertices, points, normal = patch(seed, noise=0.002)
     sensor = vertices.mean(axis=0) + 1.5 * side * normal
-    cloud = preprocess(points, sensor, vertices, 1.0, config)
+    cloud = cloud_of(points, sensor, vertices, 1.0, config)
     at, direction = planes_of(cloud)
     fitted = np.linalg.norm(direction, axis=1) > 0.5
     assert fitted.mean() > 0.9
@@ -171,7 +170,7 @@ def test_planes_of_a_noisy_sphere_follow_it_and_look_at_their_sensor(config):
     mesh = ball(3, 0.3)
     sensor = np.where(points[:, :1] > 0, [[1.5, 0.0, 0.0]], [[-1.5, 0.0, 0.0]])  # a camera on either side
     for origin in (sensor, sensor[0]):
-        cloud = preprocess(points, origin, mesh.vertices, area(mesh.vertices, mesh.faces), config)
+        cloud = cloud_of(points, origin, mesh.vertices, area(mesh.vertices, mesh.faces), config)
         at, normal = planes_of(cloud)
         fitted = np.linalg.norm(normal, axis=1) > 0.5
         true = at / np.linalg.norm(at, axis=1, keepdims=True)
@@ -183,9 +182,9 @@ def test_planes_of_a_noisy_sphere_follow_it_and_look_at_their_sensor(config):
 
 def test_without_a_sensor_normals_carry_no_side():
     vertices, points, _ = patch(0, noise=0.002)
-    cloud = preprocess(points, None, vertices, 1.0, DEFAULT)
+    cloud = cloud_of(points, None, vertices, 1.0, DEFAULT)
     assert not cloud.oriented
-    assert preprocess(points, np.array([0.0, 0.0, 5.0]), vertices, 1.0, DEFAULT).oriented
+    assert cloud_of(points, np.array([0.0, 0.0, 5.0]), vertices, 1.0, DEFAULT).oriented
 
 
 # Invariances --------------------------------------------------------------------------------------------------------
@@ -198,8 +197,8 @@ def test_whole_metres_change_nothing_where_float32_is_exact(config, shift):
     points, origin, _ = contaminated(SAMPLE, "front", 40, 0.1, seed=5)
     points, position = (np.round(np.asarray(x) * 8192) / 8192 for x in (points, SAMPLE.garment_vertices[40]))
     size = area(SAMPLE.template, SAMPLE.garment_faces)
-    here = preprocess(points.astype(np.float32), origin, position.astype(float), size, config)
-    there = preprocess((points + shift).astype(np.float32), origin + shift, position + shift, size, config)
+    here = cloud_of(points.astype(np.float32), origin, position.astype(float), size, config)
+    there = cloud_of((points + shift).astype(np.float32), origin + shift, position + shift, size, config)
     np.testing.assert_array_equal(there.index, here.index)
     np.testing.assert_allclose(planes_of(there)[0] - shift, planes_of(here)[0], atol=2e-6)
     np.testing.assert_allclose(planes_of(there)[1], planes_of(here)[1], atol=1e-3)
@@ -209,8 +208,8 @@ def test_whole_metres_change_nothing_where_float32_is_exact(config, shift):
 def test_whole_metres_change_hardly_anything_where_float32_rounds():
     points, origin, _ = contaminated(SAMPLE, "front", 40, 0.1, seed=6)
     position, size = SAMPLE.garment_vertices[40].astype(float), area(SAMPLE.template, SAMPLE.garment_faces)
-    here = preprocess(points, origin, position, size, DEFAULT)
-    there = preprocess(points + np.float32(20.0), origin + 20.0, position + 20.0, size, DEFAULT)
+    here = cloud_of(points, origin, position, size, DEFAULT)
+    there = cloud_of(points + np.float32(20.0), origin + 20.0, position + 20.0, size, DEFAULT)
     assert len(np.setxor1d(here.index, there.index)) < 0.002 * len(points)
 
 
@@ -218,7 +217,7 @@ def test_whole_metres_change_hardly_anything_where_float32_rounds():
 @pytest.mark.parametrize("count", [0, 1, 2, 3, 17])
 def test_a_few_points_are_no_trouble(config, count):
     position = np.random.default_rng(0).random((30, 3))
-    cloud = preprocess(position[:count].astype(np.float32), np.zeros(3), position, 1.0, config)
+    cloud = cloud_of(position[:count].astype(np.float32), np.zeros(3), position, 1.0, config)
     assert np.isfinite(cloud.surfels).all()
     assert set(cloud.index) <= set(range(count))
 
@@ -228,7 +227,7 @@ def test_a_few_points_are_no_trouble(config, count):
 def test_degenerate_clouds_stay_finite(config, shape):
     rng = np.random.default_rng(1)
     points = rng.random((2000, 3)) * {"point": [0, 0, 0], "line": [1, 0, 0], "plane": [1, 1, 0]}[shape]
-    cloud = preprocess(points.astype(np.float32), np.array([0.0, 0.0, 2.0]), rng.random((30, 3)), 1.0, config)
+    cloud = cloud_of(points.astype(np.float32), np.array([0.0, 0.0, 2.0]), rng.random((30, 3)), 1.0, config)
     assert np.isfinite(cloud.surfels).all()
     if shape != "plane":
         assert not planes_of(cloud)[1].any()  # no plane is claimed
@@ -237,9 +236,9 @@ def test_degenerate_clouds_stay_finite(config, shape):
 def test_thinning_the_planes_keeps_their_quality():
     vertices, points, normal = patch(7, noise=0.003, count=20_000)
     sensor = vertices.mean(axis=0) + normal
-    thinned = preprocess(points, sensor, vertices, 1.0, DEFAULT)
+    thinned = cloud_of(points, sensor, vertices, 1.0, DEFAULT)
     whole = dataclasses.replace(DEFAULT, preprocess=GridFilter(planes_per_vertex=100.0))
-    every = preprocess(points, sensor, vertices, 1.0, whole)
+    every = cloud_of(points, sensor, vertices, 1.0, whole)
     assert len(planes_of(thinned)[0]) < len(planes_of(every)[0]) / 2
     offsets = [np.std((planes_of(cloud)[0] - vertices[0]) @ normal) for cloud in (thinned, every)]
     assert offsets[0] < 1.1 * offsets[1]
@@ -251,7 +250,7 @@ def test_inputs_are_left_as_they_were():
     position = SAMPLE.garment_vertices[40].astype(float)
     copies = [array.copy() for array in (points, origin, position)]
     for config in (DEFAULT, PAPER):
-        preprocess(points, origin, position, 1.0, config)
+        cloud_of(points, origin, position, 1.0, config)
     for array, copy in zip((points, origin, position), copies, strict=True):
         np.testing.assert_array_equal(array, copy)
 
@@ -259,12 +258,12 @@ def test_inputs_are_left_as_they_were():
 def test_more_neighbours_than_points_are_no_trouble():
     points = np.random.default_rng(2).random((10, 3)).astype(np.float32)
     config = dataclasses.replace(PAPER, preprocess=KnnFilter(neighbours=64))
-    cloud = preprocess(points, None, points.astype(float), 1.0, config)
+    cloud = cloud_of(points, None, points.astype(float), 1.0, config)
     assert 0 < len(cloud.index) <= 10
 
 
 def test_vertices_need_not_fill_the_cloud():
     mesh = Mesh(np.column_stack([np.indices((4, 4)).reshape(2, -1).T * 0.1, np.zeros(16)]), grid_faces(4, 4))
     points = np.random.default_rng(3).random((3000, 3)).astype(np.float32)
-    cloud = preprocess(points, None, mesh.vertices, 0.09, DEFAULT)
+    cloud = cloud_of(points, None, mesh.vertices, 0.09, DEFAULT)
     assert np.isfinite(cloud.surfels).all()

@@ -14,18 +14,19 @@ from ddakf.kernels import reliability as kernels
 from ddakf.stages.reliability import (
     ERROR,
     VERTEX_ERROR,
-    Evidence,
-    Health,
+    FrameEvidence,
+    Outcome,
     VertexEvidence,
     advance,
     clumped,
-    held_against_cloud,
+    misfit,
     nearest_vertices,
     paper_score,
     score,
     vertex_error,
 )
-from tests.stages.scenes import FPS, blocks, rms, scan, tube
+from ddakf.types import Health
+from tests.stages.scenes import FPS, blocks, problem_of, rms, scan, tube
 
 CONFIG = Config().reliability
 PAPER = PaperReliability()
@@ -74,15 +75,15 @@ def test_s_k_tends_to_the_same_value_at_every_noise():
     assert late == pytest.approx([np.exp(-1)] * 2, abs=0.06)
 
 
-EVIDENCE = st.tuples(*[st.floats(0, 1.0) for _ in Evidence._fields])
+EVIDENCE = st.tuples(*[st.floats(0, 1.0) for _ in FrameEvidence._fields])
 
 
-@given(values=EVIDENCE, which=st.integers(0, len(Evidence._fields) - 1), more=st.floats(0, 1.0))
+@given(values=EVIDENCE, which=st.integers(0, len(FrameEvidence._fields) - 1), more=st.floats(0, 1.0))
 @settings(max_examples=100, deadline=None, derandomize=True)
 def test_score_is_a_share_that_no_evidence_of_error_raises(values, which, more):
     worse = list(values)
     worse[which] += more
-    here, there = (score(ERROR(Evidence(*v)), CONFIG) for v in (values, worse))
+    here, there = (score(ERROR(FrameEvidence(*v)), CONFIG) for v in (values, worse))
     assert 0.0 <= there <= here <= 1.0
 
 
@@ -92,7 +93,7 @@ def test_score_is_a_half_at_the_configured_error():
 
 
 def test_without_evidence_the_error_is_that_of_an_untroubled_track():
-    assert ERROR(Evidence(*[0.0] * len(Evidence._fields))) == ERROR.base > 0
+    assert ERROR(FrameEvidence(*[0.0] * len(FrameEvidence._fields))) == ERROR.base > 0
 
 
 @pytest.mark.parametrize("law", [ERROR, VERTEX_ERROR], ids=["frame", "vertex"])
@@ -171,13 +172,13 @@ def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
     limb = np.random.default_rng(0).uniform(0, 1, (len(points) // 8, 3)) * [0.4, 0.1, 0.1] + mesh.vertices.max(axis=0) + 0.1
     seen = np.concatenate([points, limb])
     found, tracked = (
-        held_against_cloud(Health(settling=left), seen, mesh.vertices + 0.01, DT, garment) for left in (2, 0)
+        misfit(problem_of(garment, dt=DT), Health(settling=left), seen, mesh.vertices + 0.01) for left in (2, 0)
     )
     assert found.unexplained == pytest.approx(1 / 9, abs=0.03)
     assert tracked.unexplained < 0.1 * found.unexplained
     assert tracked.offset < 0.1 * found.offset
     # and what it says is believed as soon when it is good
-    good = held_against_cloud(found, points, mesh.vertices, DT, garment)
+    good = misfit(problem_of(garment, dt=DT), found, points, mesh.vertices)
     assert good.unexplained < 0.01
     assert good.offset < 0.1 * found.offset
 
@@ -226,7 +227,7 @@ def test_errors_of_vertices_are_the_frames_and_grow_with_what_speaks_of_them(val
 def run(health, seconds, dt=DT, score=GOOD, coverage=0.5, points=1000, rejected=False, config=CONFIG):
     """The health after frames of one kind."""
     for _ in range(max(1, round(seconds / dt))):
-        health = advance(health, score, coverage, points, rejected, dt, config)
+        health = advance(health, Outcome(score, coverage, points, rejected), dt, config)
     return health
 
 
@@ -341,7 +342,7 @@ def test_any_sequence_of_frames_leaves_a_known_state_and_stiffness(frames):
     for config in (CONFIG, PAPER):
         health = Health()
         for quality, coverage, points, rejected, dt in frames:
-            health = advance(health, quality, coverage, points, rejected, dt, config)
+            health = advance(health, Outcome(quality, coverage, points, rejected), dt, config)
             assert health.state in ("initializing", "tracking", "recovering", "lost")
             assert 1.0 <= health.physics_lambda <= config.recovery_lambda
 

@@ -1,16 +1,27 @@
 """Stage C by the formulas of section 2.5."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from ddakf.config import NoWeight, Tukey
-from ddakf.stages.robust import gate_threshold, tukey, weigh
-from tests.stages.scenes import blocks, measured
+from ddakf.config import Config, NoWeight, Tukey
+from ddakf.stages import robust
+from ddakf.stages.robust import gate_threshold, tukey
+from ddakf.types import State
+from tests.stages.scenes import blocks, estimate_at, measured, problem_of
 
 CONFIG = Tukey()
+
+
+def weigh(measurement, position, prior_covariance, R, config):
+    """Stage C of a frame with these covariances, at an estimate."""
+    start = State.at(np.zeros_like(position), np.zeros_like(position), 1.0, 1.0, 1.0)
+    problem = problem_of(None, start._replace(P_pp=prior_covariance), dataclasses.replace(Config(), robust=config))
+    return robust.weigh(problem._replace(state=start._replace(R=R)), estimate_at(position), measurement)
 
 
 def points(y, found=None):

@@ -1,13 +1,12 @@
-"""Segmentation by the body: what lies on the body and not on the garment is skin."""
+"""Skin removal: points on the body and not on the garment are skin."""
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from ddakf import Mesh
-from ddakf.body.contact import BodyContact
 from ddakf.garment import model
 from ddakf.stages import skin_removal
-from ddakf.stages.frame_input import Frame
+from tests.stages.scenes import frame_of, posed, problem_of
 
 
 def tube(radius: float, low: float, high: float, around: int = 40, along: int = 40) -> Mesh:
@@ -23,12 +22,12 @@ BODY, GARMENT = tube(0.20, -0.5, 0.5), tube(0.205, -0.2, 0.2)
 MODEL = model.build(GARMENT)
 
 
-def skin(points, contact, off=skin_removal.ON_CLOTH):
-    return skin_removal.skin(points.astype(np.float32), GARMENT.vertices, contact, MODEL, off)
+def skin(points, body, margin=skin_removal.ON_CLOTH):
+    return skin_removal.skin(points.astype(np.float32), problem_of(MODEL, body=body), GARMENT.vertices, margin)
 
 
 def test_skin_beside_the_garment_is_told_from_cloth_on_the_body():
-    contact = BodyContact(BODY, 0.1)
+    contact = posed(BODY)
     beside = np.abs(BODY.vertices[:, 1]) > 0.25
     assert skin(BODY.vertices[beside], contact).all()
     assert not skin(BODY.vertices[np.abs(BODY.vertices[:, 1]) < 0.2], contact).any()
@@ -37,32 +36,29 @@ def test_skin_beside_the_garment_is_told_from_cloth_on_the_body():
 
 def test_points_off_the_body_are_no_skin():
     away = BODY.vertices * [1.2, 1.0, 1.2]
-    assert not skin(away, BodyContact(BODY, 0.1)).any()
+    assert not skin(away, posed(BODY)).any()
 
 
 def test_without_a_body_nothing_is_skin():
     assert not skin(BODY.vertices, None).any()
-    contact = BodyContact(BODY, 0.1)
-    contact.move(None)
-    assert not skin(BODY.vertices, contact).any()
 
 
 def test_points_take_their_sensors_with_them():
-    contact = BodyContact(BODY, 0.1)
+    contact = posed(BODY)
     origin = np.arange(3.0 * BODY.n_vertices).reshape(-1, 3)
-    now = Frame(BODY.vertices.astype(np.float32), 0.0, origin, BODY.vertices)
-    kept = skin_removal.cloth(now, GARMENT.vertices, contact, MODEL, skin_removal.ON_CLOTH)
+    now = frame_of(BODY.vertices.astype(np.float32), origin, BODY.vertices)
+    kept = skin_removal.remove_skin(now, problem_of(MODEL, body=contact), GARMENT.vertices, skin_removal.ON_CLOTH)
     bare = skin(BODY.vertices, contact)
     assert 0 < len(kept.points) == (~bare).sum()
     assert (kept.sensor_origin == origin[~bare]).all()
 
 
 def test_a_cloud_is_of_a_whole_person_where_much_of_it_is_skin():
-    contact, garment = BodyContact(BODY, 0.1), GARMENT.vertices.astype(np.float32)
+    contact, garment = posed(BODY), GARMENT.vertices.astype(np.float32)
     for points, person in ((garment, False), (np.concatenate([garment, BODY.vertices.astype(np.float32)]), True)):
-        now = Frame(points, 0.0, None, BODY.vertices)
-        cloth = skin_removal.cloth(now, GARMENT.vertices, contact, MODEL, skin_removal.ON_CLOTH)
-        assert skin_removal.of_person(now, cloth) == person
+        problem = problem_of(MODEL, body=contact, frame=frame_of(points, None, BODY.vertices))
+        cloth = skin_removal.remove_skin(problem.frame, problem, GARMENT.vertices, skin_removal.ON_CLOTH)
+        assert skin_removal.of_person(problem._replace(garment=cloth)) == person
 
 
 def test_apart_is_the_distance_to_the_nearest_vertex():

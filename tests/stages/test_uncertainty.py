@@ -11,15 +11,17 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
 from ddakf import Config, Mesh, Tracker, snapshot
+from ddakf.body import body_anchor
+from ddakf.body.proximity import Contact
 from ddakf.garment import model
 from ddakf.kernels import uncertainty as kernels
-from ddakf.physics import rigidity
+from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse, uncertainty
-from ddakf.stages.uncertainty import Drift, bound, marginals, posterior
-from ddakf.types import State
+from ddakf.stages.uncertainty import bound, marginals
+from ddakf.types import Contacts, Drift, Estimate, Evidence, Health, Problem, State, Track
 from tests.physics.shapes import sheet
 from tests.stages import dense
-from tests.stages.scenes import assert_positive_definite, full, inner_body, linearized, measured, random_state, scan, tube
+from tests.stages.scenes import assert_positive_definite, full, inner_body, measured, problem_of, random_state, scan, tube
 
 PRESETS = pytest.mark.parametrize("preset", ["default", "paper"])
 CONFIGS = {"default": Config(), "paper": Config.paper()}
@@ -80,14 +82,18 @@ def test_trace_is_bounded_for_a_thousand_steps_of_any_missing_data(preset, patte
 
 def slack(tracker):
     """(V,) that the next frame's covariance knows of, None without."""
-    return None if tracker._worn is None else tracker._worn.slack(tracker._model, tracker.config.predict)
+    track = tracker._track
+    if track.anchor is None:
+        return None
+    return body_anchor.slack(problem_of(tracker._setup.model, None, tracker.config, last=track, anchored=()))
 
 
 def without_room(tracker, result, slack):
     """(V,) traces of the covariance, without the factor of what a body leaves room for: cloth that falls on it is held again."""
     room = 1.0
     if tracker.body is not None and tracker.config == CONFIGS["default"]:
-        room = np.where(result.observed, 1.0, uncertainty._room(result.observed, tracker._clearance(), slack, None))
+        clearance = tracker._track.body.contacts.closest.distance
+        room = np.where(result.observed, 1.0, uncertainty._room(result.observed, clearance, slack, None))
     return traces(result.covariance) / room
 
 
@@ -103,13 +109,13 @@ def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
         result = tracker.step(CLOUDS[k % 6], timestamp=k / 30, **more)
     sizes, rooms = [traces(result.covariance)], [without_room(tracker, result, known)]
     for k in range(11, 50):
-        drift, known = tracker._drift.covariance.diagonal(), slack(tracker)
+        drift, known = tracker._track.drift.covariance.diagonal(), slack(tracker)
         result = tracker.step(CLOUDS[0][:0], timestamp=k / 30, **more)
         sizes.append(traces(result.covariance))
         rooms.append(without_room(tracker, result, known))
         assert not result.observed.any()
         if preset == "default":  # the recursion itself, of all patches in all directions
-            assert (tracker._drift.covariance.diagonal() > drift).all()
+            assert (tracker._track.drift.covariance.diagonal() > drift).all()
     stride = 5 if worn and preset == "default" else 1
     before, after = np.array(rooms[:-stride]), np.array(rooms[stride:])
     growing = np.array(sizes[:-stride]) < 0.9 * 3 * CONFIGS[preset].uncertainty.ceiling_sd ** 2
@@ -157,7 +163,8 @@ LIMP = dataclasses.replace(Config(), physics=dataclasses.replace(Config().physic
 
 
 class Solved(NamedTuple):
-    update: fuse.Update
+    problem: Problem
+    update: Estimate
     prior: State
     state: State
     garment: model.Model
@@ -171,10 +178,18 @@ class Solved(NamedTuple):
     def report(self, config=LIMP, sd=0.005, still=None, clearance=None, slack=None, offset2=0.0005**2):
         """The reported covariance and the drift, started with ``sd``."""
         still = self.state.position if still is None else still
-        drift = Drift.at(self.garment, sd)
-        return marginals(
-            self.update, self.state, self.prior, still, clearance, slack, offset2, drift, 1 / 30, self.garment, config
-        )
+        update = self.update if clearance is None else self.update._replace(contacts=contacts_at(clearance))
+        last = self.problem.last._replace(drift=Drift.at(self.garment, sd))
+        health = Health(offset=offset2)
+        problem = self.problem._replace(model=self.garment, config=config, last=last, motion_start=still, health=health)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(body_anchor, "slack", lambda problem: slack)
+            return marginals(problem, update, self.state)
+
+
+def contacts_at(clearance) -> Contacts:
+    """Contacts of which the distances alone are known."""
+    return Contacts(Contact(None, None, None, None, clearance), None)
 
 
 def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
@@ -191,15 +206,18 @@ def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     problem = dense.Problem(
         mesh, garment, config, prior, measurement, used.astype(float), np.tile(0.004**2 * np.eye(3), (n, 1, 1))
     )
-    update = fuse.begin(prior, mesh.vertices, rigidity.rotations(prior.position, garment), 1.0, garment, config)
-    parts = linearized(prior.position, garment, None, 1.0, config.physics)
-    update = fuse.fuse(update, prior, measurement, problem.weight, problem.R, parts, 1.0, garment, config)
+    rotation = rigidity.rotations(prior.position, garment)
+    last = Track(None, None, Drift.at(garment, 0.005), 0.0, Health(), None, None, None)
+    frame = problem_of(garment, prior, config, motion_start=mesh.vertices, rotation=rotation, last=last)
+    update = fuse.begin(frame)
+    evidence = Evidence(measurement, problem.weight, problem.R, energies.linearize(frame, update))
+    update = fuse.fuse(frame, update, evidence, 1.0)
     rigid = (
         (mesh.vertices, config.physics.rest_rigidity, dense.transforms(update.rest)),
         (mesh.vertices, config.physics.motion_rigidity, dense.transforms(update.motion)),
     )
     _, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), prior.position)
-    return Solved(update, prior, posterior(update, prior, config), garment, jacobian)
+    return Solved(frame, update, prior, uncertainty.posterior(frame, update).state, garment, jacobian)
 
 
 def likeness(vertices) -> np.ndarray:
@@ -226,9 +244,8 @@ def test_stored_blocks_are_the_covariance_given_the_neighbours(seen):
 
 
 def evidence_of(run: Solved):
-    return uncertainty._evidence(
-        run.update, run.update.planes.weight, run.state.position, run.prior.position, run.prior.position, run.garment, LIMP
-    )
+    problem = run.problem._replace(model=run.garment, config=LIMP, motion_start=run.prior.position)
+    return uncertainty._evidence(problem, run.update, run.update.planes.weight, run.state.position)
 
 
 def blockdiag(numbers: np.ndarray) -> np.ndarray:
@@ -299,7 +316,7 @@ def test_a_measurement_makes_its_vertex_more_certain():
 def test_a_plane_tells_more_along_its_normal_than_across():
     run = solved(MESHES["tube"], "half")
     covariance, _ = run.report()
-    used = run.update.weight > 0
+    used = run.update.evidence.weight > 0
     n = run.update.planes.normal[used]
     along = np.einsum("va,vab,vb->v", n, covariance[used], n)
     assert (along < 0.5 * (traces(covariance[used]) - along)).all()
@@ -313,7 +330,7 @@ def test_strained_cloth_is_less_certain():
 
 def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothing():
     run = solved(MESHES["tube"], "half")
-    hidden = run.update.weight == 0
+    hidden = run.update.evidence.weight == 0
     turned = run.state.position @ np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
     rest, moved, carried = (
         run.report(still=still)[0] for still in (run.state.position, turned, run.state.position + [0.1, 0.0, -0.2])
@@ -324,7 +341,7 @@ def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothi
 
 def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
     run = solved(MESHES["tube"], "half")
-    unseen = run.update.weight == 0
+    unseen = run.update.evidence.weight == 0
     n = run.garment.mesh.n_vertices
     near, far, beyond = (run.report(clearance=np.full(n, distance))[0] for distance in (0.0, 0.05, np.inf))
     assert (traces(near) < traces(far))[unseen].all()
@@ -335,7 +352,7 @@ def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
 
 def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_not_seen():
     run = solved(MESHES["tube"], "half")
-    unseen, n = run.update.weight == 0, run.garment.mesh.n_vertices
+    unseen, n = run.update.evidence.weight == 0, run.garment.mesh.n_vertices
     unknown, tight, loose, looser = (
         run.report(clearance=np.zeros(n), slack=slack and np.full(n, slack))[0] for slack in (None, 0.005, 0.05, 0.1)
     )
@@ -383,9 +400,8 @@ def test_a_frame_without_measurements_keeps_the_level_that_the_last_cloud_called
     run = solved(MESHES["tube"], "half")
     nothing = run._replace(update=run.update._replace(rejected=True))
     drift = Drift.at(run.garment, 0.005)._replace(level=2.5)
-    _, after = marginals(
-        nothing.update, run.state, run.prior, run.state.position, None, None, 1e-4, drift, 1 / 30, run.garment, LIMP
-    )
+    problem = run.problem._replace(last=run.problem.last._replace(drift=drift), health=Health(offset=1e-4))
+    _, after = marginals(problem, nothing.update, run.state)
     assert after.level == 2.5
 
 
@@ -395,7 +411,7 @@ def test_the_two_fitted_constants_scale_the_standard_deviations_of_their_group(s
     limits = LIMP.uncertainty
     doubled = dataclasses.replace(limits, observed_scale=2 * limits.observed_scale, unseen_scale=3 * limits.unseen_scale)
     one, other = run.report()[0], run.report(dataclasses.replace(LIMP, uncertainty=doubled))[0]
-    factor = np.where(run.update.weight > 0, 4.0, 9.0)[:, None, None]
+    factor = np.where(run.update.evidence.weight > 0, 4.0, 9.0)[:, None, None]
     np.testing.assert_allclose(other, factor * one, rtol=1e-9)
 
 
