@@ -222,7 +222,7 @@ def _tracker() -> ddakf.Tracker:
 
 def _restored(data: bytes) -> None:
     tracker = decode.tracker_from_snapshot(data, LIMITS)
-    later = tracker.step(_sheet()[0], timestamp=(tracker._time or 0.0) + 1.0)
+    later = tracker.step(_sheet()[0], timestamp=(tracker._track.time or 0.0) + 1.0)
     assert np.isfinite(later.vertices).all()
 
 

@@ -19,7 +19,8 @@ from ddakf.evaluation.sensors import OUTLIER_MARGIN, CapturedFrame
 from ddakf.evaluation.trials.methods import method_factory
 from ddakf.files.open3d_bridge import import_open3d
 from ddakf.garment.model import build as build_model
-from ddakf.stages.preprocess import preprocess
+from ddakf.stages.preprocess import cloud as preprocessed
+from ddakf.types import FrameInput
 
 NEIGHBOURS, RATIO = 16, 2.0
 
@@ -115,11 +116,11 @@ def outliers(settings) -> dict:
         o3d, why = None, str(missing)
     sequence = inputs.shortened(data.sample(), settings.outlier_frames)
     run = inputs.run_of(sequence, settings.outlier_frames, "full", settings.points)
-    area = build_model(ddakf.Mesh(sequence.template, sequence.garment_faces), 0.003).area
+    area = build_model(ddakf.Mesh(sequence.template, sequence.garment_faces)).area
     default, knn = ddakf.Config(), ddakf.Config(preprocess=KnnFilter(NEIGHBOURS, RATIO))
     filters = {
-        "ddakf, grid (default)": lambda points, near: preprocess(points, None, near, area, default).index,
-        "ddakf, k-NN (paper)": lambda points, near: preprocess(points, None, near, area, knn).index,
+        "ddakf, grid (default)": lambda points, near: _inliers(points, near, area, default),
+        "ddakf, k-NN (paper)": lambda points, near: _inliers(points, near, area, knn),
     }
     if o3d:
         filters[f"Open3D ({NEIGHBOURS}, {RATIO:g})"] = lambda points, near: _open3d_inliers(o3d, points)
@@ -150,6 +151,11 @@ def with_outliers(points: np.ndarray, share: float, rng: np.random.Generator) ->
     bad = rng.random(len(points)) < share
     low, high = points.min(axis=0) - OUTLIER_MARGIN, points.max(axis=0) + OUTLIER_MARGIN
     return np.where(bad[:, None], rng.uniform(low, high, points.shape), points).astype(np.float32), bad
+
+
+def _inliers(points: np.ndarray, near: np.ndarray, area: float, config: ddakf.Config) -> np.ndarray:
+    """Indices of the points that the tracker's filter keeps."""
+    return preprocessed(FrameInput(points, 0.0, None, None), near, area, config).index
 
 
 def _open3d_inliers(o3d, points: np.ndarray) -> np.ndarray:

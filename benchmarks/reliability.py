@@ -29,7 +29,7 @@ from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.sensors.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.tracking.sources import SequenceSource
 from ddakf.stages import reliability
-from ddakf.stages.reliability import Evidence, Law, VertexEvidence
+from ddakf.stages.reliability import FrameEvidence, Law, VertexEvidence
 
 WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
 WORST = 0.3  # m: larger errors are clipped: the track is lost
@@ -270,7 +270,7 @@ def fitted(runs: list[dict]) -> Law:
         parts += [scale * (x - x.mean(axis=0)), scale * np.sqrt(LEVEL) * (x - centre)]
         targets += [scale * (y - y.mean()), scale * np.sqrt(LEVEL) * (y - level)]
     power = regressed(np.concatenate(parts), np.concatenate(targets))
-    return Law(float(np.exp(level - centre @ power)), reliability.ERROR.scale, Evidence(*map(float, power)))
+    return Law(float(np.exp(level - centre @ power)), reliability.ERROR.scale, FrameEvidence(*map(float, power)))
 
 
 def fitted_vertices(runs: list[dict]) -> Law:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -64,8 +64,8 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     system = normal_equations(problem, estimate, rows, planes)
     # the coarse level of the first pass preconditions the later ones as well
     coarse = coarse_inverse(system, model) if estimate.coarse is None else estimate.coarse
-    rule = config.fuse if first else replace(config.fuse, solver_tolerance=LATER_TOLERANCE * config.fuse.solver_tolerance)
-    step, delta = solve(system, coarse, model, rule), np.empty_like(estimate.position)
+    limits = SolverLimits(config.fuse.solver_iterations, config.fuse.solver_tolerance * (1.0 if first else LATER_TOLERANCE))
+    step, delta = solve(system, coarse, model, limits), np.empty_like(estimate.position)
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):
         return estimate._replace(position=problem.prior.position, planes=planes, system=system, settled=True, rejected=True)
@@ -154,18 +154,22 @@ def coarse_inverse(system: System, model: Model) -> np.ndarray:
     return invert(coarse)
 
 
-def solve(system: System, coarse_inverse: np.ndarray, model: Model, config: MapUpdate) -> np.ndarray:
-    """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner.
+class SolverLimits(NamedTuple):
+    """Where conjugate gradients stop."""
 
-    The residual's norm, as the preconditioner measures it, falls by ``solver_tolerance``.
-    """
+    iterations: int
+    tolerance: float  # by which the residual's norm falls, as the preconditioner measures it
+
+
+def solve(system: System, coarse_inverse: np.ndarray, model: Model, limits: SolverLimits) -> np.ndarray:
+    """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner."""
     n, k = len(system.D), len(coarse_inverse)
     delta, work = np.empty((n, 4), np.float32), np.empty((4, n, 4), np.float32)
     D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
     kernels.pack(system.D, D, inverse)
     kernels.conjugate_gradients(
         D, system.B, model.start, model.neighbour, inverse, model.aggregate, coarse_inverse, system.force,
-        config.solver_iterations, config.solver_tolerance, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
+        *limits, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
     )  # fmt: skip
     return delta
 

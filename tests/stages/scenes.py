@@ -114,13 +114,13 @@ def cloud_of(points, sensor, position, area, config):
     return preprocess.cloud(frame_of(points, sensor), position, area, config)
 
 
-def problem_of(garment=None, prior: State | None = None, config: Config | None = None, **more) -> Problem:
+def problem_of(model=None, prior: State | None = None, config: Config | None = None, **more) -> Problem:
     """A frame whose last posterior, where nothing else is said, is the prior, at rest, with unturned one-rings."""
     n = 0 if prior is None else len(prior.position)
     position = None if prior is None else prior.position
     unturned = np.tile(np.eye(3), (n, 1, 1))
     base = Problem(
-        garment, config or Config(), None, frame_of(), 1 / FPS, prior, None, None, prior, position, unturned, Health()
+        model, config or Config(), None, frame_of(), 1 / FPS, prior, None, None, prior, position, unturned, Health()
     )
     return base._replace(**more)
 

@@ -76,7 +76,8 @@ def frame(problem, contact=None):
 
 def one_pass(update, problem, contact, gate=FAR):
     now = frame(problem, contact)
-    forces = energies.linearize(now, update)
+    fresh = update._replace(evidence=update.evidence._replace(forces=None))  # bending is that of this pass
+    forces = energies.linearize(now, fresh)
     return fuse.fuse(now, update, Evidence(problem.measurement, problem.weight, problem.R, forces), gate)
 
 
