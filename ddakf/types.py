@@ -9,14 +9,17 @@ import numpy as np
 
 from ddakf.body import proximity
 from ddakf.config import Config
-from ddakf.garment.model import Model
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.associate import FAR_AWAY
+from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization
-from ddakf.physics.bend import Hinges
-from ddakf.physics.rigidity import LocalRigidity
+from ddakf.physics.bend import BendConstants, Hinges
+from ddakf.physics.collision import CollisionConstants
 from ddakf.physics.self_collision import Layers
+from ddakf.physics.shear import ShearConstants
+from ddakf.physics.strain import StrainConstants
+from ddakf.physics.stretch import StretchConstants
 
 TrackerState = Literal["initializing", "tracking", "recovering", "lost"]
 
@@ -77,6 +80,60 @@ def variances(covariance: np.ndarray) -> np.ndarray:
     kernels.traces(covariance, trace)
     trace /= 3.0
     return trace
+
+
+# The garment --------------------------------------------------------------------------------------------------------
+
+
+class Clusters(NamedTuple):
+    """K clusters of a garment's V vertices."""
+
+    nearest: np.ndarray  # (V, N) int32 clusters whose motion a vertex blends
+    share: np.ndarray  # (V, N) weights of the blend, rows sum to one
+    seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
+    ends: np.ndarray  # (G, 2) int32 neighbouring clusters, both ways
+    weakening: float  # factor on the seams' stiffness: true over overstated energy of a uniform strain
+    sample: np.ndarray  # (S,) int32 vertices that cluster alignment measures
+    probe: np.ndarray  # (S / probe_stride,) int32 of these, measured first: they decide whether clusters are aligned
+
+
+class Model(NamedTuple):
+    """Constants of a garment for all stages. V vertices, F faces, E edges."""
+
+    mesh: Mesh
+    faces: np.ndarray  # (F, 3) int32
+    start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
+    neighbour: np.ndarray  # (2E,) uint32, ascending in each row
+    edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
+    cluster: np.ndarray  # (V,) int32 in [0, K): cluster of each vertex, a piece that moves rigidly in cluster alignment
+    n_clusters: int
+    aggregate: np.ndarray  # (V,) int32 in [0, A): aggregate of each vertex, a group of the solver's preconditioner
+    n_aggregates: int
+    patch: np.ndarray  # (V,) int32 in [0, L): patch of each vertex, a region whose error covariance frames carry on
+    likeness: np.ndarray  # (L, L) float32 correlation of the patches' motion: exp(-1/2 (distance at rest / correlation_length)^2)
+    clusters: Clusters  # blending weights, seams and samples of cluster alignment
+    rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
+    rest_length: np.ndarray  # (2E,) float32 m, its length
+    crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
+    boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
+    area: float  # m^2
+    vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
+    edge_length: float  # m, mean
+    stretch: StretchConstants
+    shear: ShearConstants
+    strain: StrainConstants  # stretch and shear at once
+    bend: BendConstants
+    collision: CollisionConstants
+    coarser: Coarser | None  # the next level of the pyramid, which has its own; None: the last level
+
+
+class Coarser(NamedTuple):
+    """The next level of the pyramid: a decimated garment of W of the V vertices."""
+
+    model: Model
+    vertex: np.ndarray  # (W,) in [0, V)
+    corner: np.ndarray  # (V, 3) int32 in [0, W): the face on which each finer vertex lies at rest
+    share: np.ndarray  # (V, 3) its barycentric coordinates there
 
 
 # Input of a frame ---------------------------------------------------------------------------------------------------

@@ -13,9 +13,8 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import ConstantVelocity
-from ddakf.garment.model import Model
 from ddakf.kernels.associate import vertex_normals
-from ddakf.types import BodyAnchor, BodyModel, Planes, Problem
+from ddakf.types import BodyAnchor, BodyModel, Model, Planes, Problem
 
 LEAST_SD = 0.002  # m: no garment goes with its body more exactly
 # of the deviations in a patch, that count as independent: along the normal and across it, as cloth slips over longer lengths

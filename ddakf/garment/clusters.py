@@ -2,24 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from ddakf.config import Discretisation
 from ddakf.mesh import Mesh
-
-
-class Clusters(NamedTuple):
-    """K clusters of a garment's V vertices."""
-
-    nearest: np.ndarray  # (V, N) int32 clusters whose motion a vertex blends
-    share: np.ndarray  # (V, N) weights of the blend, rows sum to one
-    seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
-    ends: np.ndarray  # (G, 2) int32 neighbouring clusters, both ways
-    weakening: float  # factor on the seams' stiffness: true over overstated energy of a uniform strain
-    sample: np.ndarray  # (S,) int32 vertices that cluster alignment measures
-    probe: np.ndarray  # (S / probe_stride,) int32 of these, measured first: they decide whether clusters are aligned
+from ddakf.types import Clusters
 
 
 def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray, config: Discretisation) -> Clusters:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import dijkstra
@@ -13,45 +11,7 @@ from ddakf.config import Config, Discretisation
 from ddakf.garment import clusters, decimation
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, shear, strain, stretch
-
-
-class Model(NamedTuple):
-    """Constants of a garment for all stages. V vertices, F faces, E edges."""
-
-    mesh: Mesh
-    faces: np.ndarray  # (F, 3) int32
-    start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
-    neighbour: np.ndarray  # (2E,) uint32, ascending in each row
-    edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
-    cluster: np.ndarray  # (V,) int32 in [0, K): cluster of each vertex, a piece that moves rigidly in cluster alignment
-    n_clusters: int
-    aggregate: np.ndarray  # (V,) int32 in [0, A): aggregate of each vertex, a group of the solver's preconditioner
-    n_aggregates: int
-    patch: np.ndarray  # (V,) int32 in [0, L): patch of each vertex, a region whose error covariance frames carry on
-    likeness: np.ndarray  # (L, L) float32 correlation of the patches' motion: exp(-1/2 (distance at rest / correlation_length)^2)
-    clusters: clusters.Clusters  # blending weights, seams and samples of cluster alignment
-    rest_edge: np.ndarray  # (2E, 3) float32 m, x_j - x_i at rest
-    rest_length: np.ndarray  # (2E,) float32 m, its length
-    crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
-    boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
-    area: float  # m^2
-    vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
-    edge_length: float  # m, mean
-    stretch: stretch.StretchConstants
-    shear: shear.ShearConstants
-    strain: strain.StrainConstants  # stretch and shear at once
-    bend: bend.BendConstants
-    collision: collision.CollisionConstants
-    coarser: Coarser | None  # the next level of the pyramid, which has its own; None: the last level
-
-
-class Coarser(NamedTuple):
-    """The next level of the pyramid: a decimated garment of W of the V vertices."""
-
-    model: Model
-    vertex: np.ndarray  # (W,) in [0, V)
-    corner: np.ndarray  # (V, 3) int32 in [0, W): the face on which each finer vertex lies at rest
-    share: np.ndarray  # (V, 3) its barycentric coordinates there
+from ddakf.types import Coarser, Model
 
 
 def build(mesh: Mesh, config: Config | None = None) -> Model:

@@ -13,11 +13,10 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import Config, PlaneAssociation, Pyramid
-from ddakf.garment.model import Coarser, Model
 from ddakf.kernels import pyramid as kernels
 from ddakf.physics import Linearization, energies
 from ddakf.stages import associate, fuse, robust, skin_removal
-from ddakf.types import Estimate, Evidence, Measurement, Planes, Problem, State
+from ddakf.types import Coarser, Estimate, Evidence, Measurement, Model, Planes, Problem, State
 
 
 class Level(NamedTuple):

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.body import contact
-from ddakf.garment.model import Model
 from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, self_collision, shear, stretch
-from ddakf.types import Energies, Estimate, Problem
+from ddakf.types import Energies, Estimate, Model, Problem
 
 
 def parts(energies: Energies, model: Model) -> list[tuple[Linearization, float]]:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.garment.model import Model
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
+from ddakf.types import Model
 
 ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
 FIRST_STEPS = 4  # in the first pass, before which the prediction and coarser versions have moved the garment

@@ -12,14 +12,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.garment.model import Model
 from ddakf.kernels import nonrigid_registration as kernels
 from ddakf.kernels.associate import seen, vertex_normals
 from ddakf.kernels.cluster_alignment import centers
 from ddakf.kernels.nonrigid_registration import ClusterGraph, Goals
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, normals, outward
 from ddakf.stages.associate import OCCLUDER_CELL
-from ddakf.stages.preprocess import distinct
+from ddakf.stages.grid import distinct
+from ddakf.types import Model
 
 STEPS, ROUNDS = 24, 4  # of the annealing; local and global ones in each
 FIRST_REACH, SETTLED_REACH, LAST_REACH = 0.20, 0.30, 0.04  # m: pairs farther apart are none

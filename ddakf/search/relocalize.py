@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.garment.model import Model
 from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, mean_distance
@@ -16,7 +15,7 @@ from ddakf.search import nonrigid_registration
 from ddakf.search.nonrigid_registration import Target, rows
 from ddakf.stages import skin_removal
 from ddakf.stages.reliability import FOREIGN, LONGEST_BOOKED
-from ddakf.types import Drift, FrameInput, Health, Problem, State
+from ddakf.types import Drift, FrameInput, Health, Model, Problem, State
 
 HEADINGS = 8
 FEW_POINTS, FEW_VERTICES = 100, 300  # of the cloud and the garment, while all headings are tried

@@ -8,7 +8,6 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
-from ddakf.garment.model import Model
 from ddakf.kernels import fuse as kernels
 from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
@@ -16,7 +15,7 @@ from ddakf.kernels import self_collision as self_collision_kernels
 from ddakf.kernels import strain as strain_kernels
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
-from ddakf.types import Estimate, Evidence, Measurement, Planes, Problem, State, System
+from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
 BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
 LONGEST_SECANT = 3.0  # passes that the secant may leap over

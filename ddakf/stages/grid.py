@@ -1,4 +1,4 @@
-"""Uniform grid of the garment's vertices: points find the vertices near them."""
+"""Preprocessing, grid of the garment's vertices: points find the vertices near them."""
 
 from __future__ import annotations
 
@@ -33,4 +33,7 @@ def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
     return VertexGrid(vertices, index, start, lower, cell, dims)
 
 
-
+def distinct(origins: np.ndarray) -> np.ndarray:
+    """The distinct rows of (N, 3), without sorting floats where there is one row or a few runs of them."""
+    changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
+    return np.unique(origins[np.concatenate([[0], changes])], axis=0)

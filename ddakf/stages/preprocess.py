@@ -7,6 +7,7 @@ import numpy as np
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
 from ddakf.kernels import preprocess as kernels
 from ddakf.stages import skin_removal
+from ddakf.stages.grid import distinct
 from ddakf.types import Cloud, FrameInput, Problem
 
 MAX_CELLS = 2_000_000
@@ -134,9 +135,3 @@ def _without(grid, removed: np.ndarray):
     new_start, new_points, new_index = np.empty_like(start), np.empty((3, left), np.float32), np.empty(left, np.int32)
     kernels.remove(start, removed, points, index, new_start, new_points, new_index)
     return new_points, new_index, new_start, origin, cell, dims
-
-
-def distinct(origins: np.ndarray) -> np.ndarray:
-    """The distinct rows of (N, 3), without sorting floats where there is one row or a few runs of them."""
-    changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
-    return np.unique(origins[np.concatenate([[0], changes])], axis=0)

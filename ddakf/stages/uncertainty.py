@@ -16,12 +16,11 @@ import numpy as np
 
 from ddakf.body import body_anchor
 from ddakf.config import NearestPoint, Uncertainty
-from ddakf.garment.model import Model
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.reliability import strains
 from ddakf.stages import predict
 from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
-from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
+from ddakf.types import Drift, Estimate, Model, Posterior, Problem, State, variances
 
 MISSED = 0.2  # of an innovation: what of it stays as error of a patch's place
 UNSEEN = 2.0  # of its motion: how far an unseen patch may have moved otherwise

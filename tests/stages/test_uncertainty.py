@@ -222,7 +222,7 @@ def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
 
 def likeness(vertices) -> np.ndarray:
     distance = np.linalg.norm(vertices[:, None] - vertices, axis=2)
-    return np.exp(-0.5 * (distance / model.LIKENESS_LENGTH) ** 2).astype(np.float32)
+    return np.exp(-0.5 * (distance / Config().discretisation.correlation_length) ** 2).astype(np.float32)
 
 
 def diagonal_blocks(matrix):
