@@ -138,7 +138,7 @@ class Settings(BaseSettings):
         return (init_settings,)
 
 
-class Origin(NamedTuple):
+class SettingSource(NamedTuple):
     """Layer of a value ("flag", "environment", "file" or "default") and its name there."""
 
     layer: str
@@ -148,7 +148,9 @@ class Origin(NamedTuple):
         return f"{self.layer} {self.name}".rstrip()
 
 
-def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None) -> tuple[Settings, dict[str, Origin]]:
+def load(
+    flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None
+) -> tuple[Settings, dict[str, SettingSource]]:
     """Reads all layers.
 
     Args:
@@ -168,15 +170,15 @@ def load(flags: Mapping[str, Any] | None = None, config_file: str | Path | None 
         "file": _read_file(Path(path)) if path else {},
     }
     values: dict[str, Any] = {}
-    origins = {name: Origin("default", "") for name in Settings.model_fields}
+    sources = {name: SettingSource("default", "") for name in Settings.model_fields}
     for layer in reversed(layers):
         for name, value in layers[layer].items():
             values[name] = value
-            origins[name] = Origin(layer, _name_in(layer, name, path))
+            sources[name] = SettingSource(layer, _name_in(layer, name, path))
     try:
-        return Settings(**values), origins
+        return Settings(**values), sources
     except ValidationError as error:
-        raise _as_invalid_config(error, origins) from None
+        raise _as_invalid_config(error, sources) from None
 
 
 def shown(name: str, value: Any) -> str:
@@ -208,12 +210,12 @@ def _read_file(path: Path) -> dict[str, Any]:
         raise InvalidConfig("config", "a TOML file", f"{path}: {error}") from None
 
 
-def _as_invalid_config(error: ValidationError, origins: Mapping[str, Origin]) -> InvalidConfig:
+def _as_invalid_config(error: ValidationError, sources: Mapping[str, SettingSource]) -> InvalidConfig:
     first = error.errors(include_url=False)[0]
     name = str(first["loc"][0])
     if first["type"] == "extra_forbidden":
         return InvalidConfig(
-            name, f"one of the settings {', '.join(Settings.model_fields)}", f"an unknown name from {origins[name]}"
+            name, f"one of the settings {', '.join(Settings.model_fields)}", f"an unknown name from {sources[name]}"
         )
     expected = first["msg"].removeprefix("Input should be ").split(", unable to")[0]
-    return InvalidConfig(name, expected, f"{shown(name, first['input'])!r} from {origins[name]}")
+    return InvalidConfig(name, expected, f"{shown(name, first['input'])!r} from {sources[name]}")

@@ -142,10 +142,10 @@ class KeyRing:
 
     async def _load_unknown(self) -> None:
         """Reads the keys, unless another call has done so since; at most every :data:`_UNKNOWN_KEY_REFRESH` seconds."""
-        asked = monotonic()
+        requested_at = monotonic()
         async with self._load_lock:
-            if self._load_started < asked:
-                await asyncio.sleep(self._load_started + _UNKNOWN_KEY_REFRESH - asked)
+            if self._load_started < requested_at:
+                await asyncio.sleep(self._load_started + _UNKNOWN_KEY_REFRESH - requested_at)
                 await self._load()
 
     async def _load(self) -> None:

@@ -75,16 +75,16 @@ class Tls(NamedTuple):
 
     def grpc_credentials(self) -> grpc.ServerCredentials:
         """gRPC credentials that check the files at every handshake."""
-        seen = [self.modification_times()]
+        last_times = [self.modification_times()]
 
         def fetch() -> grpc.ServerCertificateConfiguration | None:
             try:
-                now = self.modification_times()
-                if now == seen[0]:
+                times = self.modification_times()
+                if times == last_times[0]:
                     return None
                 self.context()  # raises for a half-written pair
                 changed = self._grpc_configuration()
-                seen[0] = now
+                last_times[0] = times
                 return changed
             except (InvalidConfig, OSError):
                 return None
@@ -96,13 +96,13 @@ class Tls(NamedTuple):
 
         Authorities cannot be removed from a context, so each handshake gets the newest context.
         """
-        current, seen, reported = [context], self.modification_times(), ""
+        current, last_times, reported = [context], self.modification_times(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
             await asyncio.sleep(_INTERVAL)
             try:
-                now = await asyncio.to_thread(self.modification_times)
-                if now == seen:
+                times = await asyncio.to_thread(self.modification_times)
+                if times == last_times:
                     reported = ""
                     continue
                 current[0] = await asyncio.to_thread(self.context)
@@ -111,7 +111,7 @@ class Tls(NamedTuple):
                     reported = str(error)
                     log.warning("the changed certificate is not used: %s", error)
                 continue
-            seen, reported = now, ""
+            last_times, reported = times, ""
             log.info("the certificate was read again", extra={"certificate": str(self.certificate)})
 
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:

@@ -20,7 +20,7 @@ from ddakf.errors import InvalidConfig
 
 from ..observability.logs import configure_logging
 from ..server import Addresses, Server
-from ..settings import ENV_PREFIX, Origin, Settings, load, shown
+from ..settings import ENV_PREFIX, Settings, SettingSource, load, shown
 from ..workers.worker import WorkerStartFailed
 
 EXIT_FAILED, EXIT_MISUSED = 1, 2
@@ -32,9 +32,9 @@ def serve(args: argparse.Namespace) -> int:
     """Runs the service until a signal and returns the exit status."""
     flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
     try:
-        settings, origins = load(flags, args.config)
+        settings, sources = load(flags, args.config)
         if args.print_config:
-            _print_settings(settings, origins, args.json)
+            _print_settings(settings, sources, args.json)
             return 0
         return _serve(settings, args.json, args.with_parent)
     except InvalidConfig as error:
@@ -147,14 +147,14 @@ def compile_bar(console: Console) -> Progress:
     return Progress(*columns, console=console, transient=True)
 
 
-def _print_settings(settings: Settings, origins: Mapping[str, Origin], as_json: bool) -> None:
+def _print_settings(settings: Settings, sources: Mapping[str, SettingSource], as_json: bool) -> None:
     if as_json:
-        rows = {name: {"value": _shown(settings, name), "from": str(origin)} for name, origin in origins.items()}
+        rows = {name: {"value": _shown(settings, name), "from": str(source)} for name, source in sources.items()}
         sys.stdout.write(json.dumps(rows, indent=2) + "\n")
         return
     table = Table("setting", "value", "from", "meaning", box=None, header_style="bold")
-    for name, origin in origins.items():
-        table.add_row(name, str(_shown(settings, name)), str(origin), Settings.model_fields[name].description)
+    for name, source in sources.items():
+        table.add_row(name, str(_shown(settings, name)), str(source), Settings.model_fields[name].description)
     Console().print(table)
 
 

@@ -125,13 +125,13 @@ def tracer_for(sample: float, server_id: str) -> Tracer:
     Raises:
         InvalidConfig: an endpoint is set, but OpenTelemetry is not installed.
     """
-    wanted = next((name for name in ENDPOINT_VARIABLES if os.environ.get(name)), None)
-    if wanted is None or sample == 0:
+    variable = next((name for name in ENDPOINT_VARIABLES if os.environ.get(name)), None)
+    if variable is None or sample == 0:
         return NoTracer()
     try:
         importlib.import_module("opentelemetry.exporter.otlp.proto.http.trace_exporter")
     except ImportError:
-        raise InvalidConfig(wanted, "OpenTelemetry to be installed: pip install 'ddakf[tracing]'", "none") from None
+        raise InvalidConfig(variable, "OpenTelemetry to be installed: pip install 'ddakf[tracing]'", "none") from None
     return OtlpTracer(sample, server_id)
 
 

@@ -38,17 +38,17 @@ class Admission:
         self._settings = settings
         self.draining = False
 
-    def require_running(self, what: str) -> None:
+    def require_running(self, work: str) -> None:
         """Rejects new work while the server drains, because the last checkpoints would miss it.
 
         Args:
-            what: plural noun for the message, such as "streams".
+            work: plural noun for the message, such as "streams".
 
         Raises:
             Draining
         """
         if self.draining:
-            raise Draining(f"the server is about to stop and accepts no new {what}")
+            raise Draining(f"the server is about to stop and accepts no new {work}")
 
     def require_room(self, principal: Principal, owners: Sequence[str | None]) -> None:
         """Rejects a session beyond the quota of the server or of its key.
@@ -60,13 +60,13 @@ class Admission:
             ResourceExhausted: the message names the server or the key.
         """
         s = self._settings
-        for whose, count, most in (
+        for holder, count, maximum in (
             ("the server", len(owners), s.max_sessions),
             ("the key", owners.count(principal.id), principal.max_sessions or s.max_sessions_per_key),
         ):
-            if count >= most:
+            if count >= maximum:
                 raise ResourceExhausted(
-                    f"sessions: {whose} has its {most} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
+                    f"sessions: {holder} has its {maximum} already; try again later or delete one", retry_after=_RETRY_WHEN_FULL
                 )
 
     def require_stream_room(self, principal: Principal, key_ids: Sequence[str]) -> None:
@@ -78,37 +78,37 @@ class Admission:
         Raises:
             ResourceExhausted
         """
-        most = self._settings.max_streams_per_key
-        if principal.id and key_ids.count(principal.id) >= most:
+        maximum = self._settings.max_streams_per_key
+        if principal.id and key_ids.count(principal.id) >= maximum:
             raise ResourceExhausted(
-                f"streams: the key has its {most} streams and watchers already; try again later or end one",
+                f"streams: the key has its {maximum} streams and watchers already; try again later or end one",
                 retry_after=_RETRY_WHEN_FULL,
             )
 
-    def limits(self, asked: pb.SessionLimits) -> pb.SessionLimits:
+    def limits(self, requested: pb.SessionLimits) -> pb.SessionLimits:
         """The requested limits, lowered to those of the server."""
         s = self._settings
         for name, unit in _REAL_LIMITS.items():
-            if not 0 <= getattr(asked, name) < math.inf:
+            if not 0 <= getattr(requested, name) < math.inf:
                 raise InvalidArgument(
-                    field=f"limits.{name}", expected=f"a positive number of {unit}", got=f"{getattr(asked, name):g}"
+                    field=f"limits.{name}", expected=f"a positive number of {unit}", got=f"{getattr(requested, name):g}"
                 )
-        idle = min(asked.idle_timeout or s.idle_timeout, s.idle_timeout)
+        idle = min(requested.idle_timeout or s.idle_timeout, s.idle_timeout)
         return pb.SessionLimits(
-            max_points=min(asked.max_points or s.max_points, s.max_points),
-            max_frame_rate=_smaller_bound(asked.max_frame_rate, s.max_frame_rate),
+            max_points=min(requested.max_points or s.max_points, s.max_points),
+            max_frame_rate=_smaller_bound(requested.max_frame_rate, s.max_frame_rate),
             idle_timeout=idle,
-            max_lifetime=_smaller_bound(asked.max_lifetime, s.max_lifetime),
-            max_frames_in_flight=min(asked.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
-            departure_timeout=min(asked.departure_timeout or s.departure_timeout, idle),
+            max_lifetime=_smaller_bound(requested.max_lifetime, s.max_lifetime),
+            max_frames_in_flight=min(requested.max_frames_in_flight or s.lossless_queue, s.lossless_queue),
+            departure_timeout=min(requested.departure_timeout or s.departure_timeout, idle),
         )
 
-    def flow_mode(self, asked: pb.FlowMode) -> pb.FlowMode:
+    def flow_mode(self, requested: pb.FlowMode) -> pb.FlowMode:
         """The flow mode of a stream: the requested one, else the server's default."""
-        if asked not in pb.FlowMode.values():
-            raise InvalidArgument(field="flow_mode", expected="realtime or lossless", got=f"unknown value {asked}")
-        if asked != pb.FLOW_MODE_UNSPECIFIED:
-            return asked
+        if requested not in pb.FlowMode.values():
+            raise InvalidArgument(field="flow_mode", expected="realtime or lossless", got=f"unknown value {requested}")
+        if requested != pb.FLOW_MODE_UNSPECIFIED:
+            return requested
         return pb.FLOW_MODE_LOSSLESS if self._settings.default_flow == "lossless" else pb.FLOW_MODE_REALTIME
 
     def memory_estimate(self, request: pb.CreateSessionRequest | pb.RestoreSessionRequest) -> Memory:
@@ -127,24 +127,24 @@ def is_session_id(text: str) -> bool:
     return _SESSION_ID.fullmatch(text) is not None
 
 
-def session_id(wanted: str) -> str:
+def session_id(requested: str) -> str:
     """The requested id, or a random one."""
-    if not wanted:
+    if not requested:
         return "s-" + secrets.token_hex(8)
-    if not is_session_id(wanted):
-        raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(wanted[:80]))
-    return wanted
+    if not is_session_id(requested):
+        raise InvalidArgument(field="session_id", expected="4-63 of [a-z0-9-] beginning with a letter", got=repr(requested[:80]))
+    return requested
 
 
 def labels(session: pb.Session) -> dict[str, str]:
     """The requested labels."""
-    found = dict(session.labels)
-    if len(found) > _MAX_LABELS:
-        raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(found)))
-    longest = max((len(text) for pair in found.items() for text in pair), default=0)
+    requested = dict(session.labels)
+    if len(requested) > _MAX_LABELS:
+        raise InvalidArgument(field="labels", expected=f"at most {_MAX_LABELS}", got=str(len(requested)))
+    longest = max((len(text) for pair in requested.items() for text in pair), default=0)
     if longest > _MAX_TEXT:
         raise InvalidArgument(field="labels", expected=f"at most {_MAX_TEXT} characters each", got=str(longest))
-    return found
+    return requested
 
 
 def require_request_id(request_id: str) -> None:
@@ -155,6 +155,6 @@ def require_request_id(request_id: str) -> None:
         raise InvalidArgument(field="request_id", expected="text without NUL", got=repr(request_id[:80]))
 
 
-def _smaller_bound(asked: float, most: float) -> float:
+def _smaller_bound(requested: float, maximum: float) -> float:
     """The smaller of two bounds; 0 means not bounded."""
-    return min(asked or most, most or asked)
+    return min(requested or maximum, maximum or requested)

@@ -133,11 +133,11 @@ class SessionCatalog:
     def page(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
         """One page of sessions, oldest first; the token identifies the last session of the previous page."""
         size, caller = min(request.page_size or _PAGE_SIZE, _MAX_PAGE_SIZE), current_principal.get()
-        wanted = sorted((s for s in self if caller.may_read(s.owner) and _matches(s, request)), key=_page_token)
+        matching = sorted((s for s in self if caller.may_read(s.owner) and _matches(s, request)), key=_page_token)
         if request.page_token:
-            wanted = [session for session in wanted if _page_token(session) > request.page_token]
-        page = wanted[:size]
-        more = _page_token(page[-1]) if len(wanted) > size else ""
+            matching = [session for session in matching if _page_token(session) > request.page_token]
+        page = matching[:size]
+        more = _page_token(page[-1]) if len(matching) > size else ""
         return pb.ListSessionsResponse(sessions=[session.message() for session in page], next_page_token=more)
 
 

@@ -75,8 +75,8 @@ class Durability:
     async def settle(self, timeout: float) -> None:
         """Returns when no background task is left, or after ``timeout`` seconds."""
         end = monotonic() + timeout
-        while self._tasks and (left := end - monotonic()) > 0:  # a task may start another
-            await asyncio.wait(set(self._tasks), timeout=left)
+        while self._tasks and (remaining := end - monotonic()) > 0:  # a task may start another
+            await asyncio.wait(set(self._tasks), timeout=remaining)
 
     # Checkpoints ----------------------------------------------------------------------------------------------------
 

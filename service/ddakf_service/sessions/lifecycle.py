@@ -48,22 +48,23 @@ class Lifecycle:
         if request_key in self._requests:
             return self._catalog.changeable("sessions/" + await asyncio.shield(self._requests[request_key])).message()
         session_id = self._new_id(request.session_id, principal)
-        outcome: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        creation: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
-            self._remember(request_key, outcome)
+            self._remember(request_key, creation)
         self._opening[session_id] = owner
         try:
             session = await self._open(session_id, request, owner, open_session)
         except BaseException as error:
             self._requests.pop(request_key, None)
             # A copy: the traceback of the error refers to this Python frame, and so to the request.
-            known = isinstance(error, ServiceError)
-            outcome.set_exception(from_detail(to_detail(error)) if known else Unavailable("the first call was cut off"))
-            outcome.exception()  # marks it as retrieved: asyncio would log it otherwise
+            is_service_error = isinstance(error, ServiceError)
+            copy = from_detail(to_detail(error)) if is_service_error else Unavailable("the first call was cut off")
+            creation.set_exception(copy)
+            creation.exception()  # marks it as retrieved: asyncio would log it otherwise
             raise
         finally:
             del self._opening[session_id]
-        outcome.set_result(session_id)
+        creation.set_result(session_id)
         await self._persistence.wait_registered(session)
         return session.message()
 
@@ -82,16 +83,16 @@ class Lifecycle:
         log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
         return session
 
-    def _new_id(self, wanted: str, principal: Principal) -> str:
+    def _new_id(self, requested: str, principal: Principal) -> str:
         self._admission.require_running("sessions")
         self._admission.require_room(principal, [*(session.owner for session in self._catalog), *self._opening.values()])
-        session_id = admission.session_id(wanted)
+        session_id = admission.session_id(requested)
         if session_id in self._catalog or session_id in self._opening:
             raise SessionExists(f"sessions/{session_id} exists already")
         return session_id
 
-    def _remember(self, request_key: tuple[str | None, str], outcome: asyncio.Future[str]) -> None:
-        self._requests[request_key] = outcome
+    def _remember(self, request_key: tuple[str | None, str], creation: asyncio.Future[str]) -> None:
+        self._requests[request_key] = creation
         while len(self._requests) > _MAX_REQUESTS:
             self._requests.popitem(last=False)
 
@@ -151,6 +152,6 @@ class Lifecycle:
 
 
 def _completed(session_id: str) -> asyncio.Future[str]:
-    outcome = asyncio.get_running_loop().create_future()
-    outcome.set_result(session_id)
-    return outcome
+    creation = asyncio.get_running_loop().create_future()
+    creation.set_result(session_id)
+    return creation

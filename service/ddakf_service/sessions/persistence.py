@@ -89,8 +89,8 @@ class Persistence:
             Unavailable: the database cannot be reached, or another server may have the sessions.
         """
         self._require_name()
-        records = await self._registry.alive(self._server_id)
-        return [_session_of(record) for record in records]
+        registered = await self._registry.alive(self._server_id)
+        return [_session_of(record) for record in registered]
 
     async def delete_stale_checkpoints(self, sessions: Callable[[], Iterable[Session]]) -> None:
         """Deletes the checkpoints of all other sessions.

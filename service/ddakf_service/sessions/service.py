@@ -117,11 +117,11 @@ class Sessions:
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
         """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
         opened = session.description
-        wanted = pb.Session(
+        requested = pb.Session(
             config_json=change.config_json if "config_json" in paths else opened.config_json,
             fabric=change.fabric if "fabric" in paths else opened.fabric,
         )
-        answer = pb.Session.FromString(await self._pool.configure(session.id, wanted.SerializeToString()))
+        answer = pb.Session.FromString(await self._pool.configure(session.id, requested.SerializeToString()))
         await self._durability.checkpoint_now(session)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric
 
@@ -153,10 +153,10 @@ class Sessions:
             SessionNotFound: no such session. InvalidArgument: an invalid time or number.
             Unavailable: the database cannot be reached.
         """
-        found = await self._catalog.newest(request.name)
-        if isinstance(found, Session):
-            return await self._store.history.query(request, found.uid, found.created)
-        return await self._store.history.query(request, found.uid, found.create_time, found.end_time)
+        session = await self._catalog.newest(request.name)
+        if isinstance(session, Session):
+            return await self._store.history.query(request, session.uid, session.created)
+        return await self._store.history.query(request, session.uid, session.create_time, session.end_time)
 
     def shut_out(self, key_ids: Set[str]) -> None:
         """Ends the streams and watchers of revoked keys. Their sessions expire after the departure timeout."""

@@ -117,14 +117,14 @@ class Session:
     def expiry(self) -> tuple[float, SessionExpired]:
         """Time of expiry without further frames (monotonic clock, seconds), and the error after it."""
         lifetime, idle, departure = self.limits.max_lifetime, self.limits.idle_timeout, self.limits.departure_timeout
-        ends = [(self.last_active + idle, f"had no frame for {idle:g} s")]
+        expiries = [(self.last_active + idle, f"had no frame for {idle:g} s")]
         if self.departure_time is not None:
-            away = max(self.departure_time, self.last_active) + departure
-            ends = [(away, f"was left by its client, which did not return within {departure:g} s")]
+            departure_expiry = max(self.departure_time, self.last_active) + departure
+            expiries = [(departure_expiry, f"was left by its client, which did not return within {departure:g} s")]
         if lifetime > 0:
-            ends.append((monotonic() + self.created + lifetime - time.time(), f"reached its lifetime of {lifetime:g} s"))
-        moment, why = min(ends)
-        return moment, SessionExpired(f"{self.name} {why} and has expired")
+            expiries.append((monotonic() + self.created + lifetime - time.time(), f"reached its lifetime of {lifetime:g} s"))
+        moment, explanation = min(expiries)
+        return moment, SessionExpired(f"{self.name} {explanation} and has expired")
 
     @property
     def state(self) -> pb.SessionState:

@@ -44,8 +44,8 @@ class Watcher:
 
     def put(self, response: pb.TrackResponse, small: pb.TrackResponse) -> None:
         """Queues a response, or ``small``, the same without arrays. A full queue drops its oldest result."""
-        whole = not response.HasField("result") or response.result.frames_applied % self._every_nth == 0
-        self._waiting.append(response if whole else small)
+        with_arrays = not response.HasField("result") or response.result.frames_applied % self._every_nth == 0
+        self._waiting.append(response if with_arrays else small)
         if len(self._waiting) > _CAPACITY:
             oldest = next((r for r in self._waiting if r.HasField("result")), self._waiting[0])
             self._waiting.remove(oldest)
@@ -93,14 +93,15 @@ class Watchers:
         """The key id of each watcher; empty: no key."""
         return [watcher.key_id for watcher in self._watchers]
 
-    def add(self, name: str, statistics: pb.SessionStatistics, every_nth: int, most: int, key_id: str) -> Watcher:
+    def add(self, name: str, statistics: pb.SessionStatistics, every_nth: int, max_watchers: int, key_id: str) -> Watcher:
         """Adds a watcher of the session of this name.
 
         Raises:
-            ResourceExhausted: the session has ``most`` watchers.
+            ResourceExhausted: the session has ``max_watchers`` already.
         """
-        if len(self) >= most:
-            raise ResourceExhausted(f"{name} has its {most} watchers already; try again later", retry_after=_RETRY_WHEN_FULL)
+        if len(self) >= max_watchers:
+            message = f"{name} has its {max_watchers} watchers already; try again later"
+            raise ResourceExhausted(message, retry_after=_RETRY_WHEN_FULL)
         started = pb.Started(
             name=name,
             last_sequence_number=statistics.last_sequence_number,

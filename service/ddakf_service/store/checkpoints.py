@@ -81,7 +81,7 @@ class Checkpoints:
     Args:
         url: for fsspec: ``file:///folder``, ``s3://bucket/prefix``, ``memory://...``.
         server_id: folder below the URL, so that servers may share the URL.
-        keep: generations per session.
+        generations: number per session.
 
     Attributes:
         folder: of the checkpoints, if on this machine's disk; else None.
@@ -90,7 +90,7 @@ class Checkpoints:
         InvalidConfig: names ``checkpoint_url``: fsspec does not know its scheme, or the driver is missing.
     """
 
-    def __init__(self, url: str, server_id: str, keep: int, metrics: Metrics):
+    def __init__(self, url: str, server_id: str, generations: int, metrics: Metrics):
         try:
             self._files, root = url_to_fs(url, skip_instance_cache=True)
         except (ValueError, ImportError) as error:
@@ -98,7 +98,7 @@ class Checkpoints:
         self._root = f"{root.rstrip('/')}/{server_id}"
         self._local = isinstance(self._files, LocalFileSystem)
         self.folder = Path(self._root) if self._local else None
-        self._keep, self._metrics = keep, metrics
+        self._max_generations, self._metrics = generations, metrics
         self.condition = Condition("checkpoints", metrics.store_up, metrics.store_errors)
         self._changed = threading.Condition()
         self._waiting: dict[int, pb.SessionSnapshot] = {}
@@ -154,9 +154,9 @@ class Checkpoints:
             OSError: the checkpoints cannot be reached.
         """
         names = await asyncio.get_running_loop().run_in_executor(self._readers, self._folders)
-        wanted = {_folder_name(uid) for uid in uids()}
+        live_folders = {_folder_name(uid) for uid in uids()}
         for name in names:
-            if _FOLDER_NAME.fullmatch(name) and name not in wanted:
+            if _FOLDER_NAME.fullmatch(name) and name not in live_folders:
                 self.delete(int(name, 16))
 
     def flush(self, timeout: float) -> bool:
@@ -230,7 +230,7 @@ class Checkpoints:
             self._files.pipe_file(path, data)  # an object store shows an object only when it is complete
         self._metrics.checkpoint_seconds.observe(monotonic() - started)
         self._metrics.checkpoint_bytes.inc(len(data))
-        for old in [*before, path][: -self._keep]:
+        for old in [*before, path][: -self._max_generations]:
             self._files.rm_file(old)
 
     def _read_newest(self, uid: int) -> pb.SessionSnapshot | None:

@@ -189,9 +189,9 @@ class Database:
         self._wake()
         if self._thread.ident is not None:
             self._thread.join(timeout)
-        if left := self.waiting():
-            log.error("%d rows could not be written to the database before the end", left)
-            self._dropped.inc(left)
+        if unwritten := self.waiting():
+            log.error("%d rows could not be written to the database before the end", unwritten)
+            self._dropped.inc(unwritten)
         self._readers.shutdown(wait=False)
         self._engine.dispose()
 

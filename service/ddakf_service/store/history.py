@@ -89,12 +89,12 @@ class History:
     """Frames and states of all sessions. Recording takes some microseconds and never waits.
 
     Args:
-        keep: retention of rows, seconds.
+        retention: of rows, seconds.
         clock: returns seconds since 1970.
     """
 
-    def __init__(self, database: Database, keep: float, clock=time.time):
-        self._database, self._keep, self._clock = database, keep, clock
+    def __init__(self, database: Database, retention: float, clock=time.time):
+        self._database, self._retention, self._clock = database, retention, clock
         self._rows = database.queue(_CAPACITY, self._write_rows)
         self._changes = database.queue(_CAPACITY, self._write_changes)
         self._buffers: dict[int, _SessionBuffer] = {}
@@ -237,7 +237,7 @@ class History:
         connection.execute(self._database.upsert(state_changes), [change._asdict() for change in changes])
 
     def _forget_old(self, connection: sa.Connection) -> None:
-        before = self._clock() - self._keep
+        before = self._clock() - self._retention
         connection.execute(sa.delete(history).where(history.c.second < before))
         connection.execute(sa.delete(state_changes).where(state_changes.c.time < before))
 
@@ -259,9 +259,9 @@ def _resolution(request: pb.GetSessionHistoryRequest, start: float, end: float) 
     """Whole seconds per sample: the requested resolution, or a coarser one for at most ``max_samples`` samples."""
     if not 0 <= request.resolution < 1 << 32:
         raise InvalidArgument(field="resolution", expected="a positive number of seconds", got=f"{request.resolution:g}")
-    most = min(request.max_samples or _SAMPLES, _MAX_SAMPLES)
+    max_samples = min(request.max_samples or _SAMPLES, _MAX_SAMPLES)
     step = max(int(request.resolution), 1)
     first, last = int(start), max(int(end), int(start))
-    while last // step - first // step >= most:  # samples start at multiples of the step, which may add one
-        step = max(step + 1, -(-(last - first) // most))
+    while last // step - first // step >= max_samples:  # samples start at multiples of the step, which may add one
+        step = max(step + 1, -(-(last - first) // max_samples))
     return step

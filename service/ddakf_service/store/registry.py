@@ -23,13 +23,13 @@ class Registry:
     """Sessions in the database. Saving never waits; :meth:`newest` returns saved sessions at once.
 
     Args:
-        keep: retention of ended sessions, seconds.
+        retention: of ended sessions, seconds.
     """
 
-    def __init__(self, database: Database, keep: float):
-        self._database, self._keep = database, keep
+    def __init__(self, database: Database, retention: float):
+        self._database, self._retention = database, retention
         self._requests = database.queue(_MAX_REQUESTS, self._write_requests)
-        self._records = database.queue(_CAPACITY, self._write_records)
+        self._sessions = database.queue(_CAPACITY, self._write_records)
         database.periodic_task(self._forget_old)
 
     def save(self, record: SessionRecord) -> None:
@@ -37,13 +37,13 @@ class Registry:
 
         Only the newest record of a session is written, at most a few times per second; callers may save at every change.
         """
-        self._records.put(record.uid, record)
+        self._sessions.put(record.uid, record)
 
     async def written(self, uid: int, timeout: float) -> bool:
         """Waits until the saved session is in the database; False after ``timeout`` seconds."""
         deadline = monotonic() + timeout
         with self._database.immediate_writes():
-            while uid in self._records:
+            while uid in self._sessions:
                 if monotonic() > deadline or self._database.condition.problem:
                     return False
                 await asyncio.sleep(_LOOK_INTERVAL)
@@ -90,7 +90,7 @@ class Registry:
         Raises:
             Unavailable: the database cannot be reached.
         """
-        waiting = [record for record in self._records.pending().values() if record.id == session_id]
+        waiting = [record for record in self._sessions.pending().values() if record.id == session_id]
         query = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
         stored = await self._database.read(lambda c: [_record(row) for row in c.execute(query)])
         # The queued record of a session is newer than its stored one, so it comes last.
@@ -106,7 +106,7 @@ class Registry:
         connection.execute(sa.delete(requests).where(requests.c.uid.in_(ended)))
 
     def _forget_old(self, connection: sa.Connection) -> None:
-        connection.execute(sa.delete(sessions).where(sessions.c.end_time < time.time() - self._keep))
+        connection.execute(sa.delete(sessions).where(sessions.c.end_time < time.time() - self._retention))
         alive = sa.select(sessions.c.uid).where(sessions.c.end_time.is_(None))
         connection.execute(sa.delete(requests).where(requests.c.uid.not_in(alive)))
 

@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 _PATIENCE = 3.0  # seconds that a start waits for the end of a predecessor's connection
 _PAUSE = 0.2  # seconds between its attempts
-_LOOK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between checks of the connection, with and without the lock
+_CHECK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between checks of the connection, with and without the lock
 _ERRORS = (SQLAlchemyError, OSError)
 
 
@@ -42,7 +42,7 @@ class ServerName:
         self._connection: sa.Connection | None = None
         self.problem = f"server_id {server_id!r} is not held in the database yet"
         self._closing = threading.Event()
-        self._thread = threading.Thread(target=self._keep, name="server-id", daemon=True)
+        self._thread = threading.Thread(target=self._renew, name="server-id", daemon=True)
 
     def take(self) -> None:
         """Locks the name; blocks. An unreachable database is tried again later.
@@ -52,14 +52,14 @@ class ServerName:
         """
         deadline = monotonic() + _PATIENCE
         try:
-            while not self._try():
+            while not self._try_lock():
                 if monotonic() > deadline:
-                    self._drop()
+                    self._disconnect()
                     self._engine.dispose()
                     raise InvalidConfig("server_id", "a name that no other server of this database has", repr(self._server_id))
                 self._closing.wait(_PAUSE)
         except _ERRORS as error:
-            self._fails(f"server_id {self._server_id!r} cannot be held: {sentence_of(error)}")
+            self._report(f"server_id {self._server_id!r} cannot be held: {sentence_of(error)}")
         self._thread.start()
 
     def release(self) -> None:
@@ -67,23 +67,23 @@ class ServerName:
         self._closing.set()
         if self._thread.ident is not None:
             self._thread.join()
-        self._drop()
+        self._disconnect()
         self._engine.dispose()
 
-    def _keep(self) -> None:
-        while not self._closing.wait(_RETRY_INTERVAL if self.problem else _LOOK_INTERVAL):
+    def _renew(self) -> None:
+        while not self._closing.wait(_RETRY_INTERVAL if self.problem else _CHECK_INTERVAL):
             try:
-                self._look()
+                self._check()
             except _ERRORS as error:
-                self._fails(f"server_id {self._server_id!r} is not held any more: {sentence_of(error)}")
+                self._report(f"server_id {self._server_id!r} is not held any more: {sentence_of(error)}")
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         if not self.problem:
             self._connection.execute(sa.select(1))
-        elif not self._try():
-            self._fails(f"server_id {self._server_id!r} is held by another server of this database: give each its own")
+        elif not self._try_lock():
+            self._report(f"server_id {self._server_id!r} is held by another server of this database: give each its own")
 
-    def _try(self) -> bool:
+    def _try_lock(self) -> bool:
         """Tries to lock the name; returns whether it is locked."""
         if self._connection is None:
             self._connection = self._engine.connect()
@@ -93,13 +93,13 @@ class ServerName:
             self.problem = ""
         return not self.problem
 
-    def _fails(self, problem: str) -> None:
-        self._drop()  # SQLAlchemy would connect again silently, without the lock
+    def _report(self, problem: str) -> None:
+        self._disconnect()  # SQLAlchemy would connect again silently, without the lock
         before, self.problem = self.problem, problem
         if before != problem:
             log.error("%s; tracking continues, and the server tries again", problem)
 
-    def _drop(self) -> None:
+    def _disconnect(self) -> None:
         """Closes the connection, which releases the lock."""
         if self._connection is not None:
             connection, self._connection = self._connection, None

@@ -48,9 +48,9 @@ class Store:
             self._locks.append(DataFolder(Path(settings.data_dir).expanduser()))
         try:
             self.database = Database(database_url(settings), metrics)
-            keep = _IN_MEMORY_RETENTION if self.database.in_memory else settings.history_days * _DAY
-            self.registry = Registry(self.database, keep)
-            self.history = History(self.database, keep)
+            retention = _IN_MEMORY_RETENTION if self.database.in_memory else settings.history_days * _DAY
+            self.registry = Registry(self.database, retention)
+            self.history = History(self.database, retention)
             url = _checkpoint_url(settings)
             folder = re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
             self.checkpoints = Checkpoints(url, folder, settings.checkpoint_keep, metrics) if url else None
@@ -65,8 +65,8 @@ class Store:
 
     def problems(self) -> list[str]:
         """One sentence for each failing part."""
-        parts = [self.database, *([self.checkpoints] if self.checkpoints is not None else [])]
-        problems = [part.condition.problem for part in parts]
+        components = [self.database, *([self.checkpoints] if self.checkpoints is not None else [])]
+        problems = [component.condition.problem for component in components]
         return [problem for problem in (*problems, self._name.problem if self._name else "") if problem]
 
     def require_name(self) -> None:

@@ -20,10 +20,10 @@ def require_frame_within_bounds(frame: pb.Frame, max_points: int, max_pixels: in
     if frame.WhichOneof("payload") == "depth_image":
         require_image_within(frame.depth_image, max_pixels)
         return
-    cloud, most = frame.point_cloud, max_points * _BYTES_PER_POINT + _HEADER_BYTES
+    cloud, max_bytes = frame.point_cloud, max_points * _BYTES_PER_POINT + _HEADER_BYTES
     if cloud.point_count > max_points:
         raise InvalidFrame(field="point_cloud.point_count", expected=f"at most {max_points}", got=str(cloud.point_count))
-    if len(cloud.data) > most:
+    if len(cloud.data) > max_bytes:
         raise InvalidFrame(
             field="point_cloud.data", expected=f"bytes of at most {max_points} points", got=f"{len(cloud.data)} bytes"
         )

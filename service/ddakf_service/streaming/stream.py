@@ -233,11 +233,11 @@ class Stream:
                 raise worker_lost(session.id)
             self._check_order(frame)
             start_by = queued.arrived + frame.deadline if frame.deadline else math.inf
-            most = session.limits.max_points
+            max_points = session.limits.max_points
             try:
                 with self._waiting_notices():
                     answer = await self._pool.submit(
-                        session.id, frame.SerializeToString(), self._options, max_points=most, start_by=start_by
+                        session.id, frame.SerializeToString(), self._options, max_points=max_points, start_by=start_by
                     )
             except WorkerLost:
                 self._durability.record_worker_loss(session)

@@ -48,11 +48,11 @@ def require_bounded_json(text: str) -> None:
         raise _too_many()
 
 
-def _count(data: bytes, at: int, end: int, descriptor: Descriptor, left: int) -> int:
+def _count(data: bytes, at: int, end: int, descriptor: Descriptor, remaining: int) -> int:
     """Remaining number of allowed elements after those between two positions of the data."""
     messages, numbers = _fields(descriptor)
     while at < end:
-        left -= 1
+        remaining -= 1
         tag, at = _varint(data, at)
         kind = tag & 7
         if kind == _VARINT:
@@ -64,13 +64,13 @@ def _count(data: bytes, at: int, end: int, descriptor: Descriptor, left: int) ->
         elif kind == _LENGTH_DELIMITED:
             size, at = _varint(data, at)
             if (inner := messages.get(tag >> 3)) is not None:
-                left = _count(data, at, min(at + size, end), inner, left)
+                remaining = _count(data, at, min(at + size, end), inner, remaining)
             elif tag >> 3 in numbers:
-                left -= size  # packed numbers, at least one byte each
+                remaining -= size  # packed numbers, at least one byte each
             at += size
-        if left < 0:
+        if remaining < 0:
             raise _too_many()
-    return left
+    return remaining
 
 
 @functools.cache

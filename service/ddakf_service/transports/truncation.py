@@ -5,9 +5,9 @@ from __future__ import annotations
 _DOTS = "..."
 
 
-def truncated(text: str, most: int) -> str:
-    """The text in at most ``most`` bytes of UTF-8; dots mark a truncation."""
+def truncated(text: str, max_bytes: int) -> str:
+    """The text in at most ``max_bytes`` bytes of UTF-8; dots mark a truncation."""
     data = text.encode()
-    if len(data) <= most:
+    if len(data) <= max_bytes:
         return text
-    return data[: most - len(_DOTS)].decode(errors="ignore") + _DOTS
+    return data[: max_bytes - len(_DOTS)].decode(errors="ignore") + _DOTS

@@ -49,24 +49,24 @@ def config(session: pb.Session) -> ddakf.Config:
     if len(text) > _MAX_CONFIG_CHARACTERS:
         raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
     try:
-        chosen = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
+        configuration = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
     except (json.JSONDecodeError, RecursionError) as error:
         raise InvalidConfig(field="config_json", expected="a JSON object", got=str(error)) from None
-    return chosen.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else chosen
+    return configuration.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else configuration
 
 
 def tracker_from_snapshot(data: bytes, limits: Limits) -> ddakf.Tracker:
     """The tracker of a snapshot. Meshes beyond the limits of a new session are rejected before anything is built."""
     numbers, arrays = snapshot.unpack(data)
-    for name, most, what in (
+    for name, maximum, elements in (
         ("garment_V", limits.max_vertices, "garment vertices"),
         ("garment_F", limits.max_faces, "garment faces"),
         ("body_V", limits.max_body_vertices, "body vertices"),
         ("body_F", limits.max_faces, "body faces"),
     ):
         count = np.size(arrays[name]) // 3 if name in arrays else 0
-        if count > most:
-            raise InvalidSnapshot(field="data", expected=f"at most {most} {what}", got=str(count))
+        if count > maximum:
+            raise InvalidSnapshot(field="data", expected=f"at most {maximum} {elements}", got=str(count))
     return snapshot.build(numbers, arrays, ddakf.Tracker)
 
 
@@ -122,14 +122,14 @@ def _unproject(frame: pb.Frame, limits: Limits) -> tuple[np.ndarray, np.ndarray]
         raise InvalidFrame(field="sensors", expected=expected, got=str(len(frame.sensors)))
     image = codec.decode_depth(frame.depth_image, max_pixels=limits.max_image_pixels)
     lens = depths.Intrinsics(*image.intrinsics)
-    keep = depths.without_fliers(image.depth, depths.largest_step(image.depth, min(lens.fx, lens.fy)))
+    mask = depths.without_fliers(image.depth, depths.largest_step(image.depth, min(lens.fx, lens.fy)))
     if image.keep is not None:
-        keep &= image.keep
-    count = int(np.count_nonzero(keep))
+        mask &= image.keep
+    count = int(np.count_nonzero(mask))
     if count > limits.max_points:
         expected = f"at most {limits.max_points} pixels with a measurement (mask or scale it)"
         raise InvalidFrame(field="depth_image", expected=expected, got=str(count))
-    return depths.unproject(image.depth, keep, lens, image.pose), image.pose[:, 3]
+    return depths.unproject(image.depth, mask, lens, image.pose), image.pose[:, 3]
 
 
 def _body_vertices(data: bytes, max_vertices: int) -> np.ndarray | None:

@@ -48,11 +48,11 @@ def require_known_encodings(options: pb.ResultOptions) -> None:
         ("sigma_encoding", _SIGMA_ENCODINGS),
         ("reliability_encoding", _RELIABILITY_ENCODINGS),
     ):
-        asked = getattr(options, field)
-        if asked and asked not in allowed:
+        encoding = getattr(options, field)
+        if encoding and encoding not in allowed:
             names = " or ".join(pb.ArrayEncoding.Name(e) for e in allowed)
-            known = asked in pb.ArrayEncoding.values()
-            got = pb.ArrayEncoding.Name(asked) if known else f"unknown encoding {asked}"
+            known = encoding in pb.ArrayEncoding.values()
+            got = pb.ArrayEncoding.Name(encoding) if known else f"unknown encoding {encoding}"
             raise InvalidFrame(field=f"result_options.{field}", expected=names, got=got)
 
 

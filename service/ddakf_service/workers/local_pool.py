@@ -72,9 +72,9 @@ class LocalPool:
     async def start(self, progress: Progress) -> None:
         # The first worker compiles the kernels and fills the cache; the others load from it.
         await self._add_worker(progress)
-        for outcome in await asyncio.gather(*(self._add_worker() for _ in range(self._size - 1)), return_exceptions=True):
-            if isinstance(outcome, BaseException):
-                raise outcome
+        for result in await asyncio.gather(*(self._add_worker() for _ in range(self._size - 1)), return_exceptions=True):
+            if isinstance(result, BaseException):
+                raise result
         self._start_missing()
         self._background(self._recycle_when_due())
 
@@ -206,8 +206,8 @@ class LocalPool:
 
     def _start_missing(self) -> None:
         """Starts the missing workers."""
-        there = len(self._workers) + len(self._spares) + self._starting
-        for _ in range(self._size + self._n_spares - there):
+        running = len(self._workers) + len(self._spares) + self._starting
+        for _ in range(self._size + self._n_spares - running):
             self._background(self._replace())
             self._starting += 1
 

@@ -44,7 +44,7 @@ def admin(url):
 @pytest.fixture
 def store(url, tmp_path, monkeypatch):
     """Opens the store of a server with a folder of its own."""
-    monkeypatch.setattr(server_name, "_LOOK_INTERVAL", 0.05)
+    monkeypatch.setattr(server_name, "_CHECK_INTERVAL", 0.05)
     monkeypatch.setattr(server_name, "_RETRY_INTERVAL", 0.05)
     stores = []
 

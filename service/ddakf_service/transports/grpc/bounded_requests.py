@@ -63,8 +63,8 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
     async def read_and_call(_, context):
         return await call(await read(context), context)  # no local: only the call's own Python frame refers to the request
 
-    way = "stream_stream" if handler.response_streaming else "stream_unary"
-    return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{way: read_and_call})
+    method_kind = "stream_stream" if handler.response_streaming else "stream_unary"
+    return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{method_kind: read_and_call})
 
 
 def _parsed(kind: type[Message], data: bytes) -> Message | MessageTooLarge:

@@ -20,15 +20,15 @@ E = TypeVar("E", bound=BaseException)
 
 DOMAIN = "ddakf"
 _KEY = "grpc-status-details-bin"
-_MOST_BYTES = {"message": 600, "field": 150, "expected": 250, "got": 250}
+_MAX_BYTES = {"message": 600, "field": 150, "expected": 250, "got": 250}
 
 
 def shortened(detail: pb.ErrorDetail) -> pb.ErrorDetail:
     """The detail with its texts truncated to the size of the headers."""
     short = pb.ErrorDetail()
     short.CopyFrom(detail)
-    for field, most in _MOST_BYTES.items():
-        setattr(short, field, truncated(getattr(detail, field), most))
+    for field, max_bytes in _MAX_BYTES.items():
+        setattr(short, field, truncated(getattr(detail, field), max_bytes))
     return short
 
 

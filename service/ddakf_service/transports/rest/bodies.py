@@ -18,34 +18,34 @@ _MAX_JSON_BYTES = 32 << 20  # the largest meshes fit as lists; larger ones trave
 _MAX_MEMBERS = 1 << 16  # members of all objects in a body; enough for the largest labels
 
 
-async def read(request: Request, most: int, patience: float) -> bytes:
+async def read(request: Request, max_bytes: int, patience: float) -> bytes:
     """Reads a body. A declared length beyond the bound is rejected at once; no more than the bound is read.
 
     Args:
-        most: bound, bytes.
+        max_bytes: bound, bytes.
         patience: seconds for the body to arrive.
 
     Raises:
         MessageTooLarge: too long. DeadlineExceeded: too slow. Cancelled: the client has left.
     """
     declared = request.headers.get("content-length", "")
-    if declared.isdigit() and int(declared[:20]) > most:
-        raise MessageTooLarge(field="body", expected=f"at most {most} bytes", got=f"{declared} bytes")
+    if declared.isdigit() and int(declared[:20]) > max_bytes:
+        raise MessageTooLarge(field="body", expected=f"at most {max_bytes} bytes", got=f"{declared} bytes")
     try:
         async with asyncio.timeout(patience):
-            return await _read_bounded(request, most)
+            return await _read_bounded(request, max_bytes)
     except TimeoutError:
         raise DeadlineExceeded(f"the body did not come within {patience:g} s") from None
     except ClientDisconnect:
         raise Cancelled("the client left before its request was complete") from None
 
 
-async def _read_bounded(request: Request, most: int) -> bytes:
+async def _read_bounded(request: Request, max_bytes: int) -> bytes:
     chunks, size = [], 0
     async for chunk in request.stream():
         size += len(chunk)
-        if size > most:
-            raise MessageTooLarge(field="body", expected=f"at most {most} bytes", got="more")
+        if size > max_bytes:
+            raise MessageTooLarge(field="body", expected=f"at most {max_bytes} bytes", got="more")
         chunks.append(chunk)
     return b"".join(chunks)
 
@@ -60,9 +60,9 @@ async def parse_json(request: Request, settings: Settings, parse: Callable[[byte
     max_rows = settings.max_vertices + settings.max_body_vertices + 2 * settings.max_faces
 
     def parse_bounded() -> Message:
-        for sign, most, what in ((b":", _MAX_MEMBERS, "members"), (b"[", max_rows + _MAX_MEMBERS, "lists")):
-            if (count := body.count(sign)) > most:
-                raise MessageTooLarge(field="body", expected=f"at most {most} {what}", got=f"up to {count}")
+        for separator, maximum, elements in ((b":", _MAX_MEMBERS, "members"), (b"[", max_rows + _MAX_MEMBERS, "lists")):
+            if (count := body.count(separator)) > maximum:
+                raise MessageTooLarge(field="body", expected=f"at most {maximum} {elements}", got=f"up to {count}")
         try:
             return parse(body)
         except ValidationError as error:  # replaces an error that may contain much of the body

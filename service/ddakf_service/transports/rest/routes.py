@@ -207,8 +207,8 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
     ) -> Response:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
-        wanted = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
-        return await _json_response(SessionOut.of, await sessions.get(f"sessions/{session_id}", wanted))
+        session_view = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
+        return await _json_response(SessionOut.of, await sessions.get(f"sessions/{session_id}", session_view))
 
     @app.patch(
         "/v1/sessions/{session_id:session}",
@@ -311,8 +311,8 @@ def _created(session: pb.Session, response: Response) -> SessionOut:
     return SessionOut.of(session)
 
 
-async def _json_response(of: Callable[[Message], BaseModel], message: Message) -> Response:
+async def _json_response(model_of: Callable[[Message], BaseModel], message: Message) -> Response:
     """A large response, serialised in a thread: a hundred thousand vertices or ten thousand samples take a tenth of a second,
     and no stream should wait for that."""
-    text = await asyncio.to_thread(lambda: of(message).model_dump_json())
+    text = await asyncio.to_thread(lambda: model_of(message).model_dump_json())
     return Response(text, media_type="application/json")
