@@ -186,7 +186,7 @@ async def test_nothing_is_kept_of_a_session_that_has_ended(parts):
     track(parts.history, parts.uid, 1)
     parts.history.count(parts.uid, "dropped")
     assert parts.database.flush(PATIENCE)
-    assert not parts.history._live
+    assert not parts.history._buffers
     answer = await parts.query()
     assert [sample.frames_applied for sample in answer.samples] == [1]
     assert [change.state for change in answer.state_changes] == [pb.SESSION_STATE_INITIALIZING, pb.SESSION_STATE_EXPIRED]
