@@ -20,7 +20,7 @@ from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
 from ddakf_service.workers import decode
 from ddakf_service.workers.pool import Limits
 from ddakf_service.workers.tracker_host import TrackerHost
-from ddakf_service.workers.wire import join
+from ddakf_service.workers.wire import pack_frame_request
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
@@ -172,7 +172,7 @@ def _frame() -> Target:
         require_frame_within_bounds(request.frame, LIMITS.max_points, LIMITS.max_image_pixels)
         compute.reset("fuzz", b"")  # or one frame far in the future would have all that follow refused
         given = request.start.result_options if request.HasField("start") else options
-        payload = join(given.SerializeToString(), request.frame.SerializeToString(), LIMITS.max_points)
+        payload = pack_frame_request(given.SerializeToString(), request.frame.SerializeToString(), LIMITS.max_points)
         result = pb.Result.FromString(compute.frame("fuzz", payload))
         vertices = unpack(result.vertices, 3, field="vertices", max_items=LIMITS.max_vertices)
         assert np.isfinite(vertices).all()
