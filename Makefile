@@ -75,8 +75,8 @@ test-without-recordings: warm
 # line coverage of the last `make test-all`: modules that are not covered in full, and the sum of each package
 coverage: $(DEV)
 	@$(BIN)/coverage report --skip-covered --sort cover
-	@for package in ddakf ddakf_service ddakf_client ddakf_api; do \
-		printf '%-14s %s %%\n' $$package $$($(BIN)/coverage report --format total --include "*/$$package/*"); \
+	@for package in ddakf service/ddakf_service clients/python/ddakf_client protos/ddakf_api; do \
+		printf '%-28s %s %%\n' $$package $$($(BIN)/coverage report --format total --include "$$package/*"); \
 	done
 
 mutants: warm
