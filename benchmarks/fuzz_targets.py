@@ -17,10 +17,12 @@ from ddakf_api.errors import ServiceError
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.store import checkpoints
 from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
+from ddakf_service.streaming.frame_message import FrameMessage
+from ddakf_service.transports.track_requests import read_track_request
 from ddakf_service.workers import decode
 from ddakf_service.workers.pool import Limits
 from ddakf_service.workers.tracker_host import TrackerHost
-from ddakf_service.workers.wire import pack_frame_request
+from ddakf_service.workers.wire import frame_request_head, unpack_result
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
@@ -168,12 +170,14 @@ def _frame() -> Target:
     options = pb.ResultOptions(include_covariance=True, include_velocities=True, vertex_encoding=pb.ARRAY_ENCODING_QUANTISED_16)
 
     def run(data: bytes) -> None:
-        request = pb.TrackRequest.FromString(data)
-        require_frame_within_bounds(request.frame, LIMITS.max_points, LIMITS.max_image_pixels)
+        request = read_track_request(data)
+        is_frame = isinstance(request, FrameMessage)
+        frame = request if is_frame else FrameMessage.of(pb.Frame())
+        require_frame_within_bounds(frame, LIMITS.max_points, LIMITS.max_image_pixels)
         compute.reset("fuzz", b"")  # or one frame far in the future would have all that follow refused
-        given = request.start.result_options if request.HasField("start") else options
-        payload = pack_frame_request(given.SerializeToString(), request.frame.SerializeToString(), LIMITS.max_points)
-        result = pb.Result.FromString(compute.frame("fuzz", payload))
+        given = options if is_frame or not request.HasField("start") else request.start.result_options
+        content = b"".join((frame_request_head(given.SerializeToString(), LIMITS.max_points), frame.data))
+        result = pb.Result.FromString(b"".join(unpack_result(compute.frame("fuzz", content))))
         vertices = unpack(result.vertices, 3, field="vertices", max_items=LIMITS.max_vertices)
         assert np.isfinite(vertices).all()
 

@@ -17,11 +17,12 @@ from ddakf_api.codec.depth import (
     Depth,
     decode_depth,
     encode_depth,
+    require_image_size_within,
     require_image_within,
 )
 from ddakf_api.codec.draco import Decoder as DracoDecoder
 from ddakf_api.codec.quantise import DEFAULT_STEP
-from ddakf_api.codec.sensors import group_by_sensor, require_few_sensors, sensor_origins
+from ddakf_api.codec.sensors import group_by_sensor, require_few_sensors, require_sensor_count, sensor_origins
 
 __all__ = [
     "CODECS",
@@ -39,6 +40,8 @@ __all__ = [
     "encode_depth",
     "group_by_sensor",
     "require_few_sensors",
+    "require_image_size_within",
     "require_image_within",
+    "require_sensor_count",
     "sensor_origins",
 ]

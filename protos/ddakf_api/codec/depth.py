@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -106,12 +106,18 @@ def encode_depth(
 
 def require_image_within(image: pb.DepthImage, max_pixels: int) -> None:
     """Refuses an image with more pixels, or more encoded bytes, than the limit allows; nothing is decoded."""
-    if not (image.width and image.height) or image.width * image.height > max_pixels:
-        expected, got = f"1 to {max_pixels} pixels", f"{image.width} x {image.height}"
+    sizes = {name: len(getattr(image, name)) for name in ("data", "mask", "confidence")}
+    require_image_size_within(image.width, image.height, sizes, max_pixels)
+
+
+def require_image_size_within(width: int, height: int, sizes: Mapping[str, int], max_pixels: int) -> None:
+    """As :func:`require_image_within`; ``sizes`` are the encoded bytes by the name of the field. Missing ones are small."""
+    if not (width and height) or width * height > max_pixels:
+        expected, got = f"1 to {max_pixels} pixels", f"{width} x {height}"
         raise CodecError(field="depth_image", expected=expected, got=got)
-    max_bytes = _BYTES_PER_PIXEL * image.width * image.height + _HEADER_BYTES
-    for name in ("data", "mask", "confidence"):
-        if (size := len(getattr(image, name))) > max_bytes:
+    max_bytes = _BYTES_PER_PIXEL * width * height + _HEADER_BYTES
+    for name, size in sizes.items():
+        if size > max_bytes:
             raise CodecError(field=f"depth_image.{name}", expected=f"at most {max_bytes} bytes", got=f"{size} bytes")
 
 

@@ -36,8 +36,13 @@ def group_by_sensor(origins: np.ndarray) -> tuple[np.ndarray, list[int], np.ndar
 
 def require_few_sensors(sensors: Sequence[pb.Sensor]) -> None:
     """Raises :class:`InvalidFrame` for more than 64. A sensor of two bytes in the message takes twenty times as much memory."""
-    if len(sensors) > MAX_SENSORS:
-        raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(len(sensors)))
+    require_sensor_count(len(sensors))
+
+
+def require_sensor_count(count: int) -> None:
+    """Raises :class:`InvalidFrame` for more than 64 sensors."""
+    if count > MAX_SENSORS:
+        raise InvalidFrame(field="sensors", expected=f"at most {MAX_SENSORS}", got=str(count))
 
 
 def sensor_origins(sensors: Sequence[pb.Sensor], count: int) -> np.ndarray | None:

@@ -65,14 +65,17 @@ class Metrics:
                 self._stage_seconds(stage, codec, flow).observe(seconds)
 
 
-def codec_of(frame: pb.Frame) -> str:
-    """Codec of a frame's measurement as a label: "morton_zstd", "depth_png", ..., or "none"."""
-    kind = frame.WhichOneof("payload")
-    if kind == "point_cloud":
-        return _label(pb.PointCodec, frame.point_cloud.codec, pb.POINT_CODEC_MORTON_ZSTD, "POINT_CODEC_")
-    if kind == "depth_image":
-        compression = frame.depth_image.compression
-        return "depth_" + _label(pb.DepthCompression, compression, pb.DEPTH_COMPRESSION_NONE, "DEPTH_COMPRESSION_")
+def codec_of(measurement: str | None, codec: int) -> str:
+    """Label of a codec: "morton_zstd", "depth_png", ..., or "none".
+
+    Args:
+        measurement: "point_cloud" or "depth_image"; None: the frame has neither.
+        codec: PointCodec of a cloud, DepthCompression of an image.
+    """
+    if measurement == "point_cloud":
+        return _label(pb.PointCodec, codec, pb.POINT_CODEC_MORTON_ZSTD, "POINT_CODEC_")
+    if measurement == "depth_image":
+        return "depth_" + _label(pb.DepthCompression, codec, pb.DEPTH_COMPRESSION_NONE, "DEPTH_COMPRESSION_")
     return "none"
 
 

@@ -32,13 +32,21 @@ _SECOND = 1_000_000_000
 _LAST_EXPORT = 2.0  # seconds
 
 
+class TracedFrame(Protocol):
+    """The fields of a frame that its span has."""
+
+    sequence_number: int
+    capture_time: float
+    point_count: int
+
+
 class Tracer(Protocol):
     """Receiver of every frame; never waits."""
 
-    def applied(self, session_id: str, frame: pb.Frame, result: pb.Result, codec: str, flow: str) -> None:
+    def applied(self, session_id: str, frame: TracedFrame, result: pb.Result, codec: str, flow: str) -> None:
         """Records a tracked frame, whose result has all timings."""
 
-    def refused(self, session_id: str, frame: pb.Frame, error: ServiceError, seconds: float) -> None:
+    def refused(self, session_id: str, frame: TracedFrame, error: ServiceError, seconds: float) -> None:
         """Records a frame that was rejected ``seconds`` after its arrival."""
 
     def close(self) -> None:
@@ -84,7 +92,7 @@ class OtlpTracer:
         self._kind, self._context_of = SpanKind.SERVER, set_span_in_context
         self._failed = lambda text: Status(StatusCode.ERROR, text)
 
-    def applied(self, session_id: str, frame: pb.Frame, result: pb.Result, codec: str, flow: str) -> None:
+    def applied(self, session_id: str, frame: TracedFrame, result: pb.Result, codec: str, flow: str) -> None:
         if random.random() >= self._sample:
             return
         begin, end = _span(result.timings["server"])
@@ -102,7 +110,7 @@ class OtlpTracer:
             self._tracer.start_span(name, context=inside, start_time=start).end(stop)
         span.end(end)
 
-    def refused(self, session_id: str, frame: pb.Frame, error: ServiceError, seconds: float) -> None:
+    def refused(self, session_id: str, frame: TracedFrame, error: ServiceError, seconds: float) -> None:
         if random.random() >= self._sample:
             return
         begin, end = _span(seconds)
@@ -155,10 +163,10 @@ def _span(seconds: float) -> tuple[int, int]:
     return end - int(seconds * _SECOND), end
 
 
-def _identity(session_id: str, frame: pb.Frame) -> dict:
+def _identity(session_id: str, frame: TracedFrame) -> dict:
     return {
         "ddakf.session": session_id,
         "ddakf.sequence_number": frame.sequence_number,
         "ddakf.capture_time": frame.capture_time,
-        "ddakf.points": frame.point_cloud.point_count,
+        "ddakf.points": frame.point_count,
     }

@@ -15,6 +15,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..store.session_record import new_uid
 from ..workers.pool import Memory
+from .response import Response
 from .watchers import Watchers
 
 _FRAME_RATE_WINDOW = 3.0  # seconds over which the frame rate is counted
@@ -173,7 +174,7 @@ class Session:
         if self.stream is not None:
             self.stream.notify(notice)
         else:
-            self.watchers.publish(pb.TrackResponse(notice=notice))
+            self.watchers.publish(Response(pb.TrackResponse(notice=notice)))
 
     def record_reset(self, request: bytes) -> None:
         """Records a reset of the tracker by a serialised request."""

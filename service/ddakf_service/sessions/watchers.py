@@ -13,10 +13,11 @@ from collections.abc import AsyncIterator, Set
 from ddakf_api.errors import ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .response import Response
+
 # Queued responses per watcher. Watchers share the objects, so this bounds the memory of a session's responses.
 _CAPACITY = 4
 _RETRY_WHEN_FULL = 5.0  # seconds
-_ARRAY = pb.PackedArray.DESCRIPTOR
 
 
 class Watcher:
@@ -35,19 +36,19 @@ class Watcher:
 
     def __init__(self, hub: Watchers, started: pb.Started, every_nth: int, key_id: str):
         self._hub, self.key_id = hub, key_id
-        self._waiting = deque([pb.TrackResponse(started=started)])
+        self._waiting = deque([Response(pb.TrackResponse(started=started))])
         self._every_nth = max(every_nth, 1)
         self._changed = asyncio.Event()
         self._closed = False
         self._error: Exception | None = None
         self.skipped = 0
 
-    def put(self, response: pb.TrackResponse, small: pb.TrackResponse) -> None:
-        """Queues a response, or ``small``, the same without arrays. A full queue drops its oldest result."""
-        with_arrays = not response.HasField("result") or response.result.frames_applied % self._every_nth == 0
-        self._waiting.append(response if with_arrays else small)
+    def put(self, response: Response) -> None:
+        """Queues a response, with arrays if it is an n-th result. A full queue drops its oldest result."""
+        with_arrays = response.message.result.frames_applied % self._every_nth == 0
+        self._waiting.append(response if with_arrays else response.without_arrays())
         if len(self._waiting) > _CAPACITY:
-            oldest = next((r for r in self._waiting if r.HasField("result")), self._waiting[0])
+            oldest = next((r for r in self._waiting if r.has("result")), self._waiting[0])
             self._waiting.remove(oldest)
             self.skipped += 1
         self._changed.set()
@@ -63,7 +64,7 @@ class Watcher:
         self._error = None
         self._hub.discard(self)
 
-    async def responses(self) -> AsyncIterator[pb.TrackResponse]:
+    async def responses(self) -> AsyncIterator[Response]:
         """All responses, Started first. Raises the reason of the session's end."""
         while True:
             while self._waiting:
@@ -115,13 +116,11 @@ class Watchers:
         """Removes a watcher."""
         self._watchers.discard(watcher)
 
-    def publish(self, response: pb.TrackResponse) -> None:
+    def publish(self, response: Response) -> None:
         """Queues a response of the stream for every watcher, except pongs."""
-        if not self._watchers or response.HasField("pong"):
-            return
-        small = without_arrays(response)
-        for watcher in self._watchers:
-            watcher.put(response, small)
+        if self._watchers and not response.has("pong"):
+            for watcher in self._watchers:
+                watcher.put(response)
 
     def shut_out(self, key_ids: Set[str], error: Exception) -> None:
         """Closes the watchers of these keys with an error."""
@@ -133,16 +132,3 @@ class Watchers:
         """Closes every watcher, with the reason of the session's end."""
         for watcher in self._watchers:
             watcher.close(error)
-
-
-def without_arrays(response: pb.TrackResponse) -> pb.TrackResponse:
-    """A copy of a result without its arrays; any other response unchanged."""
-    if not response.HasField("result"):
-        return response
-    numbers = pb.TrackResponse()
-    for field, value in response.result.ListFields():
-        if field.name == "timings":
-            numbers.result.timings.update(value)
-        elif field.message_type is not _ARRAY:
-            setattr(numbers.result, field.name, value)
-    return numbers

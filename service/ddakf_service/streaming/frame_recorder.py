@@ -10,8 +10,10 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..observability.metrics import Metrics, codec_of, flow_of
 from ..observability.tracing import Tracer
+from ..sessions.response import Response
 from ..sessions.session import Session
 from ..store.history import History
+from .frame_message import FrameMessage
 from .mailbox import QueuedFrame
 
 log = logging.getLogger(__name__)
@@ -32,7 +34,7 @@ class FrameRecorder:
         session.record_result(result, queued.arrived)
         result.timings["queue"] = started - queued.arrived
         result.timings["server"] = monotonic() - queued.arrived
-        codec, flow = codec_of(queued.frame), flow_of(mode)
+        codec, flow = codec_of(queued.frame.measurement, queued.frame.codec), flow_of(mode)
         self._metrics.observe(result, codec, flow)
         self._history.applied(session.uid, result, result.timings["server"])
         if not session.closed:  # the result of a frame may arrive after the end of its session
@@ -46,7 +48,7 @@ class FrameRecorder:
         self._metrics.frames.labels("dropped").inc(count)
         self._history.count(session.uid, "dropped", count)
 
-    def refused(self, session: Session, frame: pb.Frame, error: ServiceError, arrived: float) -> pb.TrackResponse:
+    def refused(self, session: Session, frame: FrameMessage, error: ServiceError, arrived: float) -> Response:
         """Records a frame that was not tracked, and returns the response to it.
 
         Args:
@@ -64,13 +66,12 @@ class FrameRecorder:
             self._metrics.frames.labels("failed" if isinstance(error, (Internal, WorkerLost)) else "rejected").inc()
             log.info("a frame was rejected: %s", error, extra={"session": session.id, "sequence": frame.sequence_number})
         self._tracer.refused(session.id, frame, error, monotonic() - arrived)
-        return pb.TrackResponse(
-            frame_error=pb.FrameError(
-                sequence_number=frame.sequence_number,
-                capture_time=frame.capture_time,
-                error=to_detail(error),
-                frames_rejected=statistics.frames_rejected,
-                frames_dropped=statistics.frames_dropped,
-                frames_late=statistics.frames_late,
-            )
+        frame_error = pb.FrameError(
+            sequence_number=frame.sequence_number,
+            capture_time=frame.capture_time,
+            error=to_detail(error),
+            frames_rejected=statistics.frames_rejected,
+            frames_dropped=statistics.frames_dropped,
+            frames_late=statistics.frames_late,
         )
+        return Response(pb.TrackResponse(frame_error=frame_error))

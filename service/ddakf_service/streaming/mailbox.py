@@ -8,18 +8,20 @@ from typing import NamedTuple, Protocol
 
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from .frame_message import FrameMessage
+
 
 class QueuedFrame(NamedTuple):
     """A frame and its time of arrival (monotonic clock, seconds)."""
 
-    frame: pb.Frame
+    frame: FrameMessage
     arrived: float
 
 
 class Mailbox(Protocol):
     """Queue between the reader of a stream and the session."""
 
-    async def put(self, frame: pb.Frame, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float) -> int:
         """Adds a frame and returns the number of older frames that it displaced. A wait holds the client back.
 
         Args:
@@ -45,7 +47,7 @@ class LosslessMailbox:
         self._closed = False
         self._filled, self._room = asyncio.Event(), asyncio.Event()
 
-    async def put(self, frame: pb.Frame, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float) -> int:
         while len(self._frames) >= self._capacity and not self._closed:
             self._room.clear()
             await self._room.wait()
@@ -77,7 +79,7 @@ class RealtimeMailbox:
         self._closed = False
         self._filled = asyncio.Event()
 
-    async def put(self, frame: pb.Frame, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float) -> int:
         displaced = len(self)
         self._newest = QueuedFrame(frame, arrived)
         self._filled.set()

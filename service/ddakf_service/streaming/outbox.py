@@ -8,6 +8,8 @@ from collections.abc import Callable
 
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..sessions.response import Response
+
 # Responses that may wait for a slow reader: one, so that the next frame is tracked while this one is sent.
 _OUTBOX_CAPACITY = 1
 
@@ -19,15 +21,15 @@ class Outbox:
         publish: receives every response too, at once; for the session's watchers.
     """
 
-    def __init__(self, publish: Callable[[pb.TrackResponse], None]):
+    def __init__(self, publish: Callable[[Response], None]):
         self._publish = publish
-        self._responses: deque[pb.TrackResponse] = deque()
+        self._responses: deque[Response] = deque()
         self._changed = asyncio.Event()
         self._room = asyncio.Event()
         self._closed = False
         self._error: Exception | None = None
 
-    async def put(self, response: pb.TrackResponse) -> None:
+    async def put(self, response: Response) -> None:
         """Appends a response when there is room; publishes it at once."""
         self._publish(response)
         while len(self._responses) > _OUTBOX_CAPACITY and not self._closed:
@@ -37,14 +39,14 @@ class Outbox:
 
     def notify(self, notice: pb.Notice) -> None:
         """Appends a notice without waiting; replaces a queued notice of the same kind."""
-        response = pb.TrackResponse(notice=notice)
+        response = Response(pb.TrackResponse(notice=notice))
         self._publish(response)
-        older = [r for r in self._responses if r.HasField("notice") and r.notice.kind == notice.kind]
+        older = [r for r in self._responses if r.has("notice") and r.message.notice.kind == notice.kind]
         for waiting in older:
             self._responses.remove(waiting)
         self._append(response)
 
-    def _append(self, response: pb.TrackResponse) -> None:
+    def _append(self, response: Response) -> None:
         if not self._closed:
             self._responses.append(response)
             self._changed.set()
@@ -56,7 +58,7 @@ class Outbox:
             self._changed.set()
             self._room.set()
 
-    async def get(self) -> pb.TrackResponse | None:
+    async def get(self) -> Response | None:
         """The next response; None after the last."""
         while not self._responses and not self._closed:
             self._changed.clear()

@@ -16,10 +16,11 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ..auth.principal import current_principal
 from ..observability.logs import current_session
 from ..sessions.durability import WAITING_NOTICE_INTERVAL, Durability, Irrecoverable
+from ..sessions.response import Response
 from ..sessions.session import Session
-from ..sessions.watchers import without_arrays
 from ..workers.pool import WorkerPool, worker_lost
 from .frame_bounds import require_frame_within_bounds
+from .frame_message import FrameMessage, TrackRequest
 from .frame_recorder import FrameRecorder
 from .mailbox import QueuedFrame, mailbox_for
 from .outbox import Outbox
@@ -68,24 +69,21 @@ class Stream:
 
     # From the client ------------------------------------------------------------------------------------------------
 
-    async def receive(self, request: pb.TrackRequest) -> None:
+    async def receive(self, request: TrackRequest) -> None:
         """Accepts a request. In lossless mode, waits while the mailbox is full."""
-        match request.WhichOneof("message"):
-            case "frame":
-                await self._receive_frame(request.frame, monotonic())
-            case "ping":
-                pong = pb.Pong(token=request.ping.token, server_time=time.time())
-                await self._outbox.put(pb.TrackResponse(pong=pong))
-            case _:
-                self.end(
-                    InvalidFrame(field="message", expected="a frame or a ping", got=request.WhichOneof("message") or "nothing")
-                )
+        if isinstance(request, FrameMessage):
+            await self._receive_frame(request, monotonic())
+        elif request.HasField("ping"):
+            pong = pb.Pong(token=request.ping.token, server_time=time.time())
+            await self._outbox.put(Response(pb.TrackResponse(pong=pong)))
+        else:
+            self.end(InvalidFrame(field="message", expected="a frame or a ping", got=request.WhichOneof("message") or "nothing"))
 
     def finish(self) -> None:
         """Marks the end of the client's requests. Queued frames are still tracked."""
         self._mailbox.close()
 
-    async def _receive_frame(self, frame: pb.Frame, arrived: float) -> None:
+    async def _receive_frame(self, frame: FrameMessage, arrived: float) -> None:
         try:
             self._check(frame)
         except InvalidFrame as error:
@@ -94,7 +92,7 @@ class Stream:
         if await self._within_frame_rate(arrived):
             self._record_dropped(await self._mailbox.put(frame, arrived))
 
-    def _check(self, frame: pb.Frame) -> None:
+    def _check(self, frame: FrameMessage) -> None:
         """Rejects an invalid frame before it takes memory in the mailbox."""
         require_frame_within_bounds(frame, self.session.limits.max_points, self._max_image_pixels)
         if not 0 <= frame.deadline < math.inf:
@@ -132,7 +130,7 @@ class Stream:
         """Sends a notice to the client."""
         self._outbox.notify(notice)
 
-    async def deliver(self, send: Callable[[pb.TrackResponse], Awaitable[None]]) -> None:
+    async def deliver(self, send: Callable[[Response], Awaitable[None]]) -> None:
         """Sends all responses, Started first.
 
         Raises:
@@ -151,18 +149,17 @@ class Stream:
                 finally:
                     del error  # the error's traceback refers to this Python frame: a reference cycle
 
-    async def responses(self) -> AsyncIterator[pb.TrackResponse]:
+    async def responses(self) -> AsyncIterator[Response]:
         """All responses, Started first. Raises the error that ended the stream, if any."""
         statistics = self.session.statistics
-        yield pb.TrackResponse(
-            started=pb.Started(
-                name=self.session.name,
-                last_sequence_number=statistics.last_sequence_number,
-                last_capture_time=statistics.last_capture_time,
-                flow_mode=self._mode,
-                max_frames_in_flight=self.session.limits.max_frames_in_flight,
-            )
+        started = pb.Started(
+            name=self.session.name,
+            last_sequence_number=statistics.last_sequence_number,
+            last_capture_time=statistics.last_capture_time,
+            flow_mode=self._mode,
+            max_frames_in_flight=self.session.limits.max_frames_in_flight,
         )
+        yield Response(pb.TrackResponse(started=started))
         while (response := await self._outbox.get()) is not None:
             yield response
 
@@ -201,7 +198,7 @@ class Stream:
             log.exception("a stream failed")
             self.end(error)
 
-    async def _track(self, queued: QueuedFrame) -> pb.TrackResponse:
+    async def _track(self, queued: QueuedFrame) -> Response:
         """The response to a frame.
 
         Raises:
@@ -209,22 +206,21 @@ class Stream:
         """
         started, session = monotonic(), self.session
         try:
-            result = await self._tracked(queued, started)
+            response = await self._tracked(queued, started)
         except ServiceError as error:
             if isinstance(error, DeadlineExceeded):
                 self._record_missed(1)
             return self._recorder.refused(session, queued.frame, error, queued.arrived)
-        response = pb.TrackResponse(result=result)
-        return without_arrays(response) if result.frames_applied % self._every_nth else response
+        return response.without_arrays() if response.message.result.frames_applied % self._every_nth else response
 
-    async def _tracked(self, queued: QueuedFrame, started: float) -> pb.Result:
+    async def _tracked(self, queued: QueuedFrame, started: float) -> Response:
         """Tracks a frame; tries a second time, in another worker, when the first worker is lost."""
         try:
             return await self._submit(queued, started)
         except WorkerLost:
             return await self._submit(queued, started)
 
-    async def _submit(self, queued: QueuedFrame, started: float) -> pb.Result:
+    async def _submit(self, queued: QueuedFrame, started: float) -> Response:
         frame, session = queued.frame, self.session
         if not session.has_worker:
             await self._wait_for_worker()
@@ -237,16 +233,16 @@ class Stream:
             try:
                 with self._waiting_notices():
                     answer = await self._pool.submit(
-                        session.id, frame.SerializeToString(), self._options, max_points=max_points, start_by=start_by
+                        session.id, frame.data, self._options, max_points=max_points, start_by=start_by
                     )
             except WorkerLost:
                 self._durability.record_worker_loss(session)
                 raise
-            result = pb.Result.FromString(answer)
-            self._recorder.applied(session, result, queued, started, self._mode)
+            response = Response.of_result(*answer)
+            self._recorder.applied(session, response.message.result, queued, started, self._mode)
             self._overload.applied()
             self._durability.frame_tracked(session)
-        return result
+        return response
 
     @contextmanager
     def _waiting_notices(self) -> Iterator[None]:
@@ -278,7 +274,7 @@ class Stream:
         if reason := restore.result():
             raise Irrecoverable(reason)
 
-    def _check_order(self, frame: pb.Frame) -> None:
+    def _check_order(self, frame: FrameMessage) -> None:
         last = self.session.statistics.last_sequence_number
         if frame.sequence_number <= last:
             raise InvalidFrame(

@@ -56,11 +56,9 @@ def require_known_encodings(options: pb.ResultOptions) -> None:
             raise InvalidFrame(field=f"result_options.{field}", expected=names, got=got)
 
 
-def result_message(frame: pb.Frame, result: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
-    """The result of a frame, without the server's counters and queueing time."""
-    vertex_encoding = options.vertex_encoding or _VERTEX_ENCODINGS[0]
-    step = _vertex_step(garment) if vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16 else None
-    message = pb.Result(
+def result_numbers(frame: pb.Frame, result: FrameResult) -> pb.Result:
+    """The result of a frame without its arrays, and without the server's counters and queueing time."""
+    return pb.Result(
         sequence_number=frame.sequence_number,
         capture_time=frame.capture_time,
         state=pb.TrackerState.Value(f"TRACKER_STATE_{result.state.upper()}"),
@@ -69,6 +67,14 @@ def result_message(frame: pb.Frame, result: FrameResult, options: pb.ResultOptio
         coverage=result.coverage,
         timings=result.timings,
         display_time=frame.display_time or frame.capture_time,
+    )
+
+
+def result_arrays(result: FrameResult, options: pb.ResultOptions, garment: ddakf.Mesh) -> pb.Result:
+    """The result of a frame with its arrays alone, in the encodings of the options."""
+    vertex_encoding = options.vertex_encoding or _VERTEX_ENCODINGS[0]
+    step = _vertex_step(garment) if vertex_encoding == pb.ARRAY_ENCODING_QUANTISED_16 else None
+    message = pb.Result(
         vertices=pack(result.vertices, vertex_encoding, step=step),
         sigma=pack(result.sigma, options.sigma_encoding or _SIGMA_ENCODINGS[0]),
         vertex_reliability=pack(

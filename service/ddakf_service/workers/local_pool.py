@@ -85,15 +85,15 @@ class LocalPool:
         return await self._place(wire.Kind.RESTORE, session_id, request, memory)
 
     async def submit(
-        self, session_id: str, frame: bytes, options: bytes, *, max_points: int, start_by: float = math.inf
-    ) -> bytes:
+        self, session_id: str, frame: bytes | memoryview, options: bytes, *, max_points: int, start_by: float = math.inf
+    ) -> tuple[bytes, bytes | memoryview]:
         placement = self._placement(session_id)
         async with placement.lock, placement.worker.frame_slots:
             if monotonic() > start_by:
                 raise DeadlineExceeded("the frame's deadline passed before its turn came")
             placement.worker.frames += 1
-            request = wire.pack_frame_request(options, frame, max_points)
-            return await self._call(placement.worker, wire.Kind.FRAME, session_id, request)
+            head = wire.frame_request_head(options, max_points)
+            return wire.unpack_result(await self._call(placement.worker, wire.Kind.FRAME, session_id, head, frame))
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
         return await self._call_worker_of(wire.Kind.CONFIGURE, session_id, request)
@@ -179,8 +179,8 @@ class LocalPool:
         async with placement.lock:
             return await self._call(placement.worker, kind, session_id, request)
 
-    async def _call(self, worker: Worker, kind: wire.Kind, session_id: str, request: bytes = b"") -> bytes:
-        return await self._in_time(worker, session_id, worker.send(kind, session_id, request))
+    async def _call(self, worker: Worker, kind: wire.Kind, session_id: str, *request: bytes | memoryview) -> bytes:
+        return await self._in_time(worker, session_id, worker.send(kind, session_id, *request))
 
     async def _in_time(self, worker: Worker, session_id: str, answer: asyncio.Future[bytes]) -> bytes:
         try:

@@ -104,9 +104,12 @@ class WorkerPool(Protocol):
         """Creates a session from a snapshot: RestoreSessionRequest in, Session with its meshes out. Raises as :meth:`open`."""
 
     async def submit(
-        self, session_id: str, frame: bytes, options: bytes, *, max_points: int, start_by: float = math.inf
-    ) -> bytes:
+        self, session_id: str, frame: bytes | memoryview, options: bytes, *, max_points: int, start_by: float = math.inf
+    ) -> tuple[bytes, bytes | memoryview]:
         """Tracks one frame of at most ``max_points``: Frame and ResultOptions in, Result out.
+
+        Returns:
+            The serialised Result without its arrays, and with its arrays alone; their concatenation is the serialised Result.
 
         Raises:
             DeadlineExceeded: the worker was not free before ``start_by`` (monotonic clock, seconds); the frame was not tracked.

@@ -17,7 +17,7 @@ from ddakf.commands import warmup
 from . import decode, encode
 from .pool import Limits
 from .warmup_session import warm_up_session
-from .wire import Kind, Message, unpack_frame_request
+from .wire import Kind, Message, pack_result, unpack_frame_request
 
 
 class TrackerHost:
@@ -66,7 +66,7 @@ class TrackerHost:
         return encode.session_message(tracker).SerializeToString()
 
     def frame(self, session_id: str, request: bytes) -> bytes:
-        """ResultOptions, Frame and the session's bound on its points in, Result out."""
+        """ResultOptions, Frame and the session's bound on its points in, Result out in two parts."""
         options, frame, max_points = unpack_frame_request(request)
         limits = replace(self._limits, max_points=min(max_points, self._limits.max_points))
         return self._track(session_id, pb.Frame.FromString(frame), pb.ResultOptions.FromString(options), limits)
@@ -107,10 +107,10 @@ class TrackerHost:
         if prediction > 0:
             result = tracker.predicted(result, prediction)
         tracked = perf_counter()
-        message = encode.result_message(frame, result, options, tracker.garment)
-        message.timings["decode"] = decoded - started
-        message.timings["encode"] = perf_counter() - tracked
-        return message.SerializeToString()
+        numbers, arrays = encode.result_numbers(frame, result), encode.result_arrays(result, options, tracker.garment)
+        numbers.timings["decode"] = decoded - started
+        numbers.timings["encode"] = perf_counter() - tracked
+        return pack_result(numbers.SerializeToString(), arrays.SerializeToString())
 
     def _tracker(self, session_id: str) -> ddakf.Tracker:
         try:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 _HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the content
 _FRAME = struct.Struct("<II")  # points that the frame may have, bytes of the options
+_RESULT = struct.Struct("<I")  # bytes of the numbers
 
 
 class Kind(enum.IntEnum):
@@ -37,20 +38,37 @@ class Message(NamedTuple):
 
     def head(self) -> bytes:
         """The bytes before the content."""
-        session_id = self.session_id.encode()
-        return _HEADER.pack(self.kind, self.number, len(session_id), len(self.content)) + session_id
+        return head(self.kind, self.number, self.session_id, len(self.content))
 
 
-def pack_frame_request(options: bytes, frame: bytes, max_points: int) -> bytes:
-    """Content of a FRAME request: serialised ResultOptions and Frame, and the session's bound on points."""
-    return b"".join((_FRAME.pack(max_points, len(options)), options, frame))
+def head(kind: Kind, number: int, session_id: str, content_size: int) -> bytes:
+    """The bytes of a message before its content."""
+    name = session_id.encode()
+    return _HEADER.pack(kind, number, len(name), content_size) + name
 
 
-def unpack_frame_request(content: bytes) -> tuple[bytes, bytes, int]:
-    """The inverse of :func:`join`."""
+def frame_request_head(options: bytes, max_points: int) -> bytes:
+    """Content of a FRAME request before the serialised Frame: ResultOptions, and the session's bound on points."""
+    return _FRAME.pack(max_points, len(options)) + options
+
+
+def unpack_frame_request(content: bytes) -> tuple[bytes, memoryview, int]:
+    """Serialised ResultOptions, serialised Frame and bound on points of a FRAME request."""
     max_points, size = _FRAME.unpack_from(content)
     end = _FRAME.size + size
-    return content[_FRAME.size : end], content[end:], max_points
+    return content[_FRAME.size : end], memoryview(content)[end:], max_points
+
+
+def pack_result(numbers: bytes, arrays: bytes) -> bytes:
+    """Content of the answer to a FRAME request: the serialised Result without arrays, and with its arrays alone."""
+    return b"".join((_RESULT.pack(len(numbers)), numbers, arrays))
+
+
+def unpack_result(content: bytes) -> tuple[bytes, memoryview]:
+    """The inverse of :func:`pack_result`."""
+    (size,) = _RESULT.unpack_from(content)
+    end = _RESULT.size + size
+    return content[_RESULT.size : end], memoryview(content)[end:]
 
 
 async def read(reader: asyncio.StreamReader) -> Message:

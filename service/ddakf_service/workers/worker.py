@@ -99,8 +99,8 @@ class Worker:
         except OSError:
             return 0
 
-    def send(self, kind: wire.Kind, session_id: str, content: bytes = b"") -> asyncio.Future[bytes]:
-        """Sends a request at once; returns a future of the answer.
+    def send(self, kind: wire.Kind, session_id: str, *content: bytes | memoryview) -> asyncio.Future[bytes]:
+        """Sends a request, its content in pieces, at once; returns a future of the answer.
 
         Raises:
             WorkerLost: the worker is gone. The future may raise it too.
@@ -111,7 +111,7 @@ class Worker:
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
         self._waiting[number] = session_id, answer
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))
-        self._writer.writelines((wire.Message(kind, number, session_id, content).head(), content))
+        self._writer.writelines((wire.head(kind, number, session_id, sum(map(len, content))), *content))
         return answer
 
     def send_without_answer(self, kind: wire.Kind, session_id: str) -> None:

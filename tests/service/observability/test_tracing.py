@@ -10,6 +10,7 @@ import pytest
 from ddakf_api.errors import InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.tracing import ENDPOINT_VARIABLES, STAGES, NoTracer, frame_spans, tracer_for
+from ddakf_service.streaming.frame_message import FrameMessage
 
 from ..conftest import TIMEOUT
 
@@ -18,7 +19,7 @@ from .collector import Collector, attributes_of
 
 pytestmark = pytest.mark.slow
 
-FRAME = pb.Frame(sequence_number=5, capture_time=0.5, point_cloud=pb.PointCloud(point_count=77))
+FRAME = FrameMessage.of(pb.Frame(sequence_number=5, capture_time=0.5, point_cloud=pb.PointCloud(point_count=77)))
 
 
 @pytest.fixture

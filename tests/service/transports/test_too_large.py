@@ -9,6 +9,7 @@ from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import InvalidFrame, MessageTooLarge, ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
+from ddakf_service.streaming.frame_message import FrameMessage
 from ddakf_service.transports import bounded_parsing
 from ddakf_service.transports.rest.requests import CreateSession, ResetSession
 from google.protobuf.message import DecodeError
@@ -103,9 +104,9 @@ def test_messages_of_countless_parts_are_refused_over_websocket(service, session
 def test_a_frame_of_countless_sensors_is_refused_at_the_door():
     frame = pb.Frame(sensors=[pb.Sensor()] * 65)
     with pytest.raises(InvalidFrame, match="sensors: expected at most 64, got 65"):
-        require_frame_within_bounds(frame, 10, 10)
+        require_frame_within_bounds(FrameMessage.of(frame), 10, 10)
     del frame.sensors[64:]
-    require_frame_within_bounds(frame, 10, 10)
+    require_frame_within_bounds(FrameMessage.of(frame), 10, 10)
 
 
 @pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])

@@ -93,4 +93,4 @@ async def test_a_worker_that_is_not_ready_in_time_fails_the_start():
 
 def test_an_unknown_session_of_a_worker_is_not_found():
     with pytest.raises(SessionNotFound):
-        TrackerHost(LIMITS).frame("none", wire.pack_frame_request(b"", b"", 1))
+        TrackerHost(LIMITS).frame("none", wire.frame_request_head(b"", 1))

@@ -76,8 +76,8 @@ def creation(sheet) -> bytes:
 
 async def track(pool, session_id: str, frame: pb.Frame, **options) -> pb.Result:
     options = pb.ResultOptions(**options).SerializeToString()
-    payload = await pool.submit(session_id, frame.SerializeToString(), options, max_points=LIMITS.max_points)
-    return pb.Result.FromString(payload)
+    numbers, arrays = await pool.submit(session_id, frame.SerializeToString(), options, max_points=LIMITS.max_points)
+    return pb.Result.FromString(b"".join((numbers, arrays)))
 
 
 async def until(condition, seconds: float = 60.0) -> None:
@@ -222,7 +222,8 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
     options = pb.ResultOptions(include_covariance=True).SerializeToString()
     for i, pair in enumerate(results, 1):
         frame = frame_of(sheet, i, shift=(0.001 * i, 0, 0)).SerializeToString()
-        expected = pb.Result.FromString(undisturbed.frame("one", wire.pack_frame_request(options, frame, LIMITS.max_points)))
+        content = undisturbed.frame("one", wire.frame_request_head(options, LIMITS.max_points) + frame)
+        expected = pb.Result.FromString(b"".join(wire.unpack_result(content)))
         assert [(r.vertices, r.covariance) for r in pair] == [(expected.vertices, expected.covariance)] * 2
     await until(lambda: pool.health().spares == 1)
 

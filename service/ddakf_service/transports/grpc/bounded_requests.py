@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import functools
+from collections.abc import Callable
+from typing import TypeVar
 
 import grpc
 from ddakf_api.errors import (
@@ -12,11 +14,14 @@ from ddakf_api.errors import (
     MessageTooLarge,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
-from google.protobuf.message import Message
 from google.protobuf.message_factory import GetMessageClass
 
+from ...sessions.response import Response
 from ..bounded_parsing import parse
+from ..track_requests import read_track_request
 from .errors import abort
+
+Request = TypeVar("Request")
 
 _SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
 
@@ -24,7 +29,8 @@ _SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
 class BoundedRequests(grpc.aio.ServerInterceptor):
     """Interceptor that limits the time of a unary request and counts the elements of every request before it is parsed.
 
-    The method receives the error in place of a rejected request.
+    The method receives the error in place of a rejected request. Track receives its requests as
+    :data:`~ddakf_service.streaming.frame_message.TrackRequest`; responses of a stream are of class :class:`Response`.
 
     Args:
         patience: seconds for a unary request to arrive.
@@ -39,8 +45,12 @@ class BoundedRequests(grpc.aio.ServerInterceptor):
             return None
         service, _, name = details.method.rpartition("/")
         if service == f"/{_SERVICE.full_name}":
-            kind = GetMessageClass(_SERVICE.methods_by_name[name].input_type)
-            handler = handler._replace(request_deserializer=functools.partial(_parsed, kind))
+            method = _SERVICE.methods_by_name[name]
+            kind = GetMessageClass(method.input_type)
+            read = read_track_request if kind is pb.TrackRequest else functools.partial(parse, kind)
+            handler = handler._replace(request_deserializer=functools.partial(_or_refusal, read))
+            if method.output_type is pb.TrackResponse.DESCRIPTOR:
+                handler = handler._replace(response_serializer=Response.serialised)
         return handler if handler.request_streaming else _read_in_time(handler, self._patience)
 
 
@@ -67,8 +77,8 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
     return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{method_kind: read_and_call})
 
 
-def _parsed(kind: type[Message], data: bytes) -> Message | MessageTooLarge:
+def _or_refusal(read: Callable[[bytes], Request], data: bytes) -> Request | MessageTooLarge:
     try:
-        return parse(kind, data)
+        return read(data)
     except MessageTooLarge as error:  # gRPC would answer an exception raised here with UNKNOWN
         return error

@@ -118,7 +118,7 @@ class TrackingService(rpc.TrackingServiceServicer):
                 first = _usable(await context.read())
         except TimeoutError:
             raise DeadlineExceeded(f"no start came within {patience:g} s") from None
-        if first is grpc.aio.EOF or first.WhichOneof("message") != "start":
+        if not isinstance(first, pb.TrackRequest) or not first.HasField("start"):
             raise FailedPrecondition("the first message of a Track stream has to be start", field="start")
         stream = await self._streams.open(first.start)
         reader = asyncio.create_task(_read(context, stream))

@@ -11,7 +11,10 @@ from fastapi import WebSocket
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
-from ..bounded_parsing import parse, require_bounded_json
+from ...sessions.response import Response
+from ...streaming.frame_message import TrackRequest
+from ..bounded_parsing import require_bounded_json
+from ..track_requests import read_track_request, without_frame
 
 _LARGE = 1 << 16  # bytes; JSON of a larger message is written and read in a thread
 
@@ -19,34 +22,34 @@ _LARGE = 1 << 16  # bytes; JSON of a larger message is written and read in a thr
 class Mode(Protocol):
     """Encoding of messages in WebSocket frames."""
 
-    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+    async def read(self, event: dict) -> TrackRequest | None:
         """The request of a received WebSocket frame; None for an empty frame."""
 
-    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
+    async def send(self, websocket: WebSocket, response: Response) -> None:
         """Sends a response."""
 
 
 class Binary:
     """Serialised messages in binary frames."""
 
-    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+    async def read(self, event: dict) -> TrackRequest | None:
         if (data := event.get("bytes")) is None:
             raise InvalidArgument(field="message", expected="a binary frame, or mode=json", got="a text frame")
         try:
-            return parse(pb.TrackRequest, data) if data else None
+            return read_track_request(data) if data else None
         except DecodeError:
             raise InvalidArgument(
                 field="message", expected="a serialised TrackRequest", got=f"{len(data)} bytes of another kind"
             ) from None
 
-    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
-        await websocket.send_bytes(response.SerializeToString())
+    async def send(self, websocket: WebSocket, response: Response) -> None:
+        await websocket.send_bytes(response.serialised())
 
 
 class Json:
     """The protobuf JSON mapping in text frames, with the names of the contract; arrays are base64."""
 
-    async def parsed(self, event: dict) -> pb.TrackRequest | None:
+    async def read(self, event: dict) -> TrackRequest | None:
         if (text := event.get("text")) is None:
             raise InvalidArgument(field="message", expected="a text frame in mode=json", got="a binary frame")
         require_bounded_json(text)
@@ -55,10 +58,11 @@ class Json:
         except (json_format.ParseError, RecursionError) as error:
             got = " ".join(str(error).split())
             raise InvalidArgument(field="message", expected="a TrackRequest as JSON", got=got) from None
-        return request if request.WhichOneof("message") else None
+        return without_frame(request) if request.WhichOneof("message") else None
 
-    async def send(self, websocket: WebSocket, response: pb.TrackResponse) -> None:
-        await websocket.send_text(await _maybe_in_thread(response.ByteSize(), _as_json, response))
+    async def send(self, websocket: WebSocket, response: Response) -> None:
+        message = response.whole_message()
+        await websocket.send_text(await _maybe_in_thread(message.ByteSize(), _as_json, message))
 
 
 MODES: dict[str, Mode] = {"binary": Binary(), "json": Json()}

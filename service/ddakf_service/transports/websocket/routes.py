@@ -17,6 +17,7 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
 from ddakf import errors as library
 
+from ...sessions.response import Response
 from ...streaming.stream import Stream
 from ...streaming.streams import Streams
 from ..truncation import truncated
@@ -84,8 +85,8 @@ async def _stream(websocket: WebSocket, streams: Streams, name: str, *, patience
 
 
 async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
-    request = await mode.parsed(await _receive(websocket))
-    if request is None or request.WhichOneof("message") != "start":
+    request = await mode.read(await _receive(websocket))
+    if not isinstance(request, pb.TrackRequest) or not request.HasField("start"):
         raise FailedPrecondition("the first message of a stream has to be start", field="start")
     if request.start.name not in ("", name):
         raise InvalidArgument(field="start.name", expected=f"{name}, as in the address, or nothing", got=request.start.name)
@@ -120,7 +121,7 @@ async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
 async def _read(websocket: WebSocket, mode: Mode, stream: Stream) -> None:
     """Reads at all times, except while backpressure of a lossless session holds the client back."""
     try:
-        while (request := await mode.parsed(await _receive(websocket))) is not None:
+        while (request := await mode.read(await _receive(websocket))) is not None:
             await stream.receive(request)
         stream.finish()
         await _receive(websocket)
@@ -136,7 +137,7 @@ async def _receive(websocket: WebSocket) -> dict:
     return event
 
 
-async def _send(websocket: WebSocket, mode: Mode, response: pb.TrackResponse) -> None:
+async def _send(websocket: WebSocket, mode: Mode, response: Response) -> None:
     try:
         await mode.send(websocket, response)
     except RuntimeError as error:  # the protocol closed the connection: a message too large, no answer to a ping
