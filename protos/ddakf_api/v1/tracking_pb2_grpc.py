@@ -27,7 +27,7 @@ if _version_not_supported:
 
 
 class TrackingServiceStub(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    """An error of a call is a gRPC status. Its trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
     `grpc-status-details-bin` a google.rpc.Status.
     """
 
@@ -100,12 +100,12 @@ class TrackingServiceStub(object):
 
 
 class TrackingServiceServicer(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    """An error of a call is a gRPC status. Its trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
     `grpc-status-details-bin` a google.rpc.Status.
     """
 
     def GetServerInfo(self, request, context):
-        """The version handshake. The only call that needs no session, no key and no matching version.
+        """Version handshake. The only call that needs no session, no key and no matching version.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -136,43 +136,43 @@ class TrackingServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ResetSession(self, request, context):
-        """Starts the tracker again; the session, its mesh and its configuration stay.
+        """Restarts the tracker; the session, its mesh and its configuration stay.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeleteSession(self, request, context):
-        """Ends an open stream of the session and forgets its state.
+        """Ends the stream of the session and deletes its state.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def SnapshotSession(self, request, context):
-        """The whole tracker state, exact to the bit on the next frame.
+        """The complete tracker state; the next frame gives the same result to the bit.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def RestoreSession(self, request, context):
-        """A new session from a snapshot, of this server or another.
+        """Creates a session from a snapshot of this server or another.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Track(self, request_iterator, context):
-        """Frames in, results out. The first request is Start, the first response Started; then any number of frames.
-        Half-closing says that no more frames follow: the server answers those it has and closes.
+        """Frames in, results out. The first request is Start, the first response Started; any number of frames follow.
+        Half-closing ends the frames: the server answers those that it has and closes the stream.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def WatchSession(self, request, context):
-        """The answers of a session's stream, for readers beside its client who cannot slow it: one who is too slow misses some.
+        """The answers of a session's stream for readers beside its client. They cannot slow it: a slow reader misses answers.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -257,7 +257,7 @@ def add_TrackingServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class TrackingService(object):
-    """Errors of every call travel as a gRPC status whose trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
+    """An error of a call is a gRPC status. Its trailing metadata `ddakf-error-bin` holds a serialised ErrorDetail, and
     `grpc-status-details-bin` a google.rpc.Status.
     """
 
