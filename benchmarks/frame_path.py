@@ -1,8 +1,9 @@
 """CPU time of the network process per frame: ``python benchmarks/frame_path.py OTHER_CHECKOUT [--blocks N] [--frames N]``.
 
-Runs the service of this checkout and that of another one side by side and streams the same frames to both in alternating blocks,
-one frame in flight. Prints the CPU microseconds that the network process (not its worker) takes per frame, and the median of the
-ratios of paired blocks. The other checkout is that of the commit to compare with (``git worktree add ../before COMMIT``).
+Runs the service of this checkout and that of another one side by side and sends each frame to both, one frame in flight. Prints
+the CPU microseconds that the network process (not its worker) takes per frame: medians over blocks of frames, and the median and
+the quartiles of the ratios of the blocks. The other checkout is that of the commit to compare with, made by
+``git worktree add ../before COMMIT``.
 """
 
 from __future__ import annotations
@@ -112,18 +113,22 @@ def _measured(frames: str, results: str, transport: str, frame: Callable[[], pb.
                 number += 1
                 message.sequence_number, message.capture_time = number, number / 30
                 requests.append(pb.TrackRequest(frame=message).SerializeToString())
-            for which in (0, 1) if block % 2 else (1, 0):
-                before = services[which].cpu_seconds()
-                for request in requests:
-                    answer = asks[which](request)
+            before = [service.cpu_seconds() for service in services]
+            for k, request in enumerate(requests):
+                for ask in asks if k % 2 else reversed(asks):
+                    answer = ask(request)
+            for service, begun, values in zip(services, before, spent, strict=True):
                 if block:
-                    spent[which].append(1e6 * (services[which].cpu_seconds() - before) / count)
-                sizes = len(request), len(answer)
+                    values.append(1e6 * (service.cpu_seconds() - begun) / count)
+            sizes = len(request), len(answer)
             if not pb.TrackResponse.FromString(answer).HasField("result"):
                 raise RuntimeError(f"no result: {pb.TrackResponse.FromString(answer)}")
-    ratio = statistics.median(after / before for before, after in zip(*spent, strict=True))
+    low, ratio, high = statistics.quantiles([after / before for before, after in zip(*spent, strict=True)])
     before, after = map(statistics.median, spent)
-    return f"| {frames} | {results} | {transport} | {sizes[0]} | {sizes[1]} | {before:.0f} | {after:.0f} | {ratio:.3f} |"
+    return (
+        f"| {frames} | {results} | {transport} | {sizes[0]} | {sizes[1]} | {before:.0f} | {after:.0f} | "
+        f"{ratio:.3f} ({low:.3f} to {high:.3f}) |"
+    )
 
 
 @contextlib.contextmanager
@@ -197,8 +202,8 @@ def _image() -> pb.Frame:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("other", type=Path, help="checkout to compare with")
-    parser.add_argument("--blocks", type=int, default=10, help="blocks per service and case (default 10)")
-    parser.add_argument("--frames", type=int, default=60, help="frames per block (default 60)")
+    parser.add_argument("--blocks", type=int, default=12, help="blocks of frames per case (default 12)")
+    parser.add_argument("--frames", type=int, default=25, help="frames per block (default 25)")
     parser.add_argument("--only", nargs="*", default=(), help="words of the cases to run (default: all)")
     return parser
 
