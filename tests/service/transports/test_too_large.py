@@ -60,7 +60,7 @@ COUNTLESS = [
 
 @pytest.mark.parametrize("message", COUNTLESS, ids=["messages", "numbers", "entries", "enums", "texts"])
 def test_a_message_of_countless_parts_is_refused_before_they_are_made(message):
-    with pytest.raises(MessageTooLarge, match="message: expected at most 16384 parts, got more"):
+    with pytest.raises(MessageTooLarge, match="message: expected at most 16384 elements, got more"):
         bounded_parsing.parse(type(message), message.SerializeToString())
 
 
@@ -98,7 +98,7 @@ def test_messages_of_countless_parts_are_refused_over_websocket(service, session
         websocket.send(START)
         assert websocket.receive().HasField("started")
         websocket.send(COUNTLESS[0])
-        assert websocket.ending() == (4413, "message: expected at most 16384 parts, got more")
+        assert websocket.ending() == (4413, "message: expected at most 16384 elements, got more")
 
 
 def test_a_frame_of_countless_sensors_is_refused_at_the_door():
