@@ -40,8 +40,8 @@ class Guard:
     Args:
         keys: the valid keys.
         anonymous: calls without a key are allowed everything.
-        local: restricts ``anonymous`` to calls of this machine: none that a proxy forwards, and no web page whose host name
-            was made to resolve to this machine.
+        local: restricts ``anonymous`` to calls from this machine. It excludes calls that a proxy forwards, and web pages
+            whose host name was made to resolve to this machine.
     """
 
     def __init__(self, keys: KeyRing, *, anonymous: bool, local: bool):

@@ -30,8 +30,8 @@ class SessionCatalog:
     def __init__(self, newest_record: Callable[[str], Awaitable[SessionRecord | None]]):
         self._newest_record = newest_record
         self._live: dict[str, Session] = {}
-        # Owner and serialised reason by id. An exception would keep its Python frames; a message would hold ten times its
-        # size in an arena, and the heap could not shrink below it.
+        # Owner and serialised reason by id. An exception would keep its Python frames. A message would hold ten times its
+        # size in an arena, below which the heap could not shrink.
         self._ended: OrderedDict[str, tuple[str | None, bytes]] = OrderedDict()
         self._shut_out: Set[str] = frozenset()
         self.loaded = False
@@ -101,7 +101,7 @@ class SessionCatalog:
         return session
 
     async def lookup(self, name: str) -> Session:
-        """As :meth:`readable`, with the reasons of sessions that ended before the start of the process."""
+        """:meth:`readable`, extended by the reasons of sessions that ended before the start of the process."""
         try:
             return self.readable(name)
         except SessionNotFound:

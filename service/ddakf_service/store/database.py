@@ -146,7 +146,7 @@ class Database:
         return await asyncio.get_running_loop().run_in_executor(self._readers, self.read_now, query)
 
     def read_now(self, query: Callable[[sa.Connection], T]) -> T:
-        """As :meth:`read`, in the calling thread."""
+        """:meth:`read` in the calling thread."""
         try:
             if not self._migrated:
                 raise Unavailable("the database has not been reached yet; try again later", retry_after=_RETRY_AFTER)

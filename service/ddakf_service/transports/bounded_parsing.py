@@ -1,7 +1,7 @@
 """Bounded parsing: a request's elements are counted in its serialised form before objects are made of them.
 
-An element is a field, a sub-message or a number of a list. A sub-message of two bytes becomes an object of forty, so that a
-request within ``max_message_bytes`` could take a gigabyte and seconds of the event loop. An array travels as bytes, one
+An element is a field, a sub-message or a number of a list. A sub-message of two bytes becomes an object of forty. A request
+within ``max_message_bytes`` could therefore take a gigabyte and seconds of the event loop. An array travels as bytes, one
 element: no real request has more than some thousand.
 """
 

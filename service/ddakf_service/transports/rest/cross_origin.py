@@ -1,7 +1,7 @@
 """Cross-origin rules: web pages of foreign origins are rejected, unless the setting ``cors_origins`` names them.
 
-Without this check any visited page could call the service on the visitor's machine: a browser sends simple requests and opens
-WebSockets across origins, and CORS only prevents the page from reading the responses of the former.
+Without this check any visited page could call the service on the visitor's machine. A browser sends simple requests and opens
+WebSockets across origins. CORS only prevents the page from reading the responses to simple requests.
 """
 
 from __future__ import annotations

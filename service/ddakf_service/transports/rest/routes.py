@@ -312,7 +312,7 @@ def _created(session: pb.Session, response: Response) -> SessionOut:
 
 
 async def _json_response(model_of: Callable[[Message], BaseModel], message: Message) -> Response:
-    """A large response, serialised in a thread: a hundred thousand vertices or ten thousand samples take a tenth of a second,
-    and no stream should wait for that."""
+    """A large response, serialised in a thread so that no stream waits. A hundred thousand vertices or ten thousand samples
+    take a tenth of a second."""
     text = await asyncio.to_thread(lambda: model_of(message).model_dump_json())
     return Response(text, media_type="application/json")

@@ -10,8 +10,8 @@ _CLOSE_GRACE = 1.0  # seconds for the close frame before the connection is abort
 class WebSocketProtocol(WebSocketsSansIOProtocol):
     """uvicorn's protocol with another keepalive.
 
-    A client that answers no ping is disconnected even with unread data, which an orderly close would wait for. The ping is
-    repeated instead in two cases: the client has sent data since, or it reads its responses while backpressure of a lossless
+    A client that answers no ping is disconnected even with unread data, which an orderly close would wait for. In two cases
+    the ping is repeated instead. The client has sent data since; or it reads its responses, while backpressure of a lossless
     session holds back the frames in front of its pong.
     """
 
