@@ -110,9 +110,9 @@ _Labels = Annotated[
 
 DESCRIPTION = """Garment tracking from point clouds.
 
-Frames travel over gRPC (`ddakf_api.v1.TrackingService/Track`) or over a WebSocket, `/v1/sessions/{session_id}/stream`; whoever
-only wants to see the results opens `/v1/sessions/{session_id}/watch`. Both take `?mode=json` for text frames. Errors of every
-call have the same form, `ErrorOut`, and the names of the classes that the clients raise."""
+Frames travel over gRPC (`ddakf_api.v1.TrackingService/Track`) or over a WebSocket, `/v1/sessions/{session_id}/stream`. A
+watcher reads the results at `/v1/sessions/{session_id}/watch`. Both accept `?mode=json` for text frames. All errors have the
+form `ErrorOut` and the names of the classes that the clients raise."""
 
 
 def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_ready: Callable[[], str], store: Store) -> FastAPI:
