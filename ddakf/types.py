@@ -11,6 +11,7 @@ from ddakf.body import proximity
 from ddakf.config import Config
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.associate import FAR_AWAY
+from ddakf.kernels.preprocess import Grid
 from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization
@@ -167,6 +168,16 @@ class Cloud(NamedTuple):
     cell: float  # m
     dims: np.ndarray  # (3,) int64
     sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
+
+    @property
+    def grid(self) -> Grid:
+        """The grid of the points."""
+        return Grid(self.start, self.origin, self.cell, self.dims)
+
+    @property
+    def surfel_grid(self) -> Grid:
+        """The grid of the surfels."""
+        return Grid(self.surfel_start, self.origin, self.cell, self.dims)
 
     @property
     def oriented(self) -> bool:

@@ -1,6 +1,7 @@
-"""Stage B, association (paper, section 2.3)."""
+"""Stage B, association (paper, section 2.3): vertex normals, visible vertices, and the cloud's planes or points beside them."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,18 +9,52 @@ from numba import njit
 from ddakf.kernels import FAST
 
 BLEND = 4  # surfels that a measurement is averaged over
-CANDIDATES = 256  # surfels that are looked at together, a power of two
-LANES = 8  # surfels that are looked at side by side
+CANDIDATES = 256  # surfels whose distances are compared at once, a power of two
+LANES = 8  # surfels whose distances are computed side by side
 I, II, III, IV, V, VI, VII = (np.uint64(i) for i in range(1, LANES))  # unsigned: an index that needs no check of its sign
 NONE = np.int32(2**31 - 1)
 TOO_FAR = np.float32(1e30)  # m^2
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
-FAR_AWAY = 1e30  # m: no search has been made there
+FAR_AWAY = 1e30  # m: place of the last search of a vertex that was never searched for
+
+
+class PlaneSearch(NamedTuple):
+    """Limits of the search for planes."""
+
+    gate: float  # m, search radius
+    min_cosine: float  # least agreement of the normals
+    normal_distance: float  # m, distance that a unit difference of the normals counts as
+    oriented: bool  # the surfels' normals point to the sensor
+    still: float  # m: a vertex that moved less since its last search keeps its plane
+    beside: float  # m along the plane, beyond which a vertex lies past the end of the cloud and has no measurement
+
+
+class FoundPlanes(NamedTuple):
+    """Planes of the cloud beside V vertices, updated from pass to pass."""
+
+    target: np.ndarray  # (V, 3) m, blended surface point
+    normal: np.ndarray  # (V, 3) unit, on the side of the vertex normal
+    distance: np.ndarray  # (V,) m to the nearest surfel, the difference of the normals included; negative: no measurement
+    searched_at: np.ndarray  # (V, 3) m, position at the last search; FAR_AWAY before the first
+
+
+class VisibilityLimits(NamedTuple):
+    """Limits of what a sensor may see."""
+
+    cell: float  # m, of the grid of directions at the garment's distance: about an edge and a half of the meshes
+    depth_margin: float  # m
+    min_cosine: float  # least turn of a vertex toward the sensor
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def vertex_normals(position, faces, normal):
-    """Area-weighted unit normals, (V, 3) out; zero where the adjacent faces have no area."""
+    """Area-weighted unit normals of vertices.
+
+    Args:
+        position: (V, 3) metres.
+        faces: (F, 3).
+        normal: (V, 3) out, zero where the adjacent faces have no area.
+    """
     normal[:] = 0.0
     for f in range(faces.shape[0]):
         i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
@@ -38,14 +73,22 @@ def vertex_normals(position, faces, normal):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def eight(row, k):
-    """The LANES numbers from k on."""
+def load_lanes(row, k):
+    """The LANES numbers of a row from k on."""
     return row[k], row[k + I], row[k + II], row[k + III], row[k + IV], row[k + V], row[k + VI], row[k + VII]
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def apart(x, y, z, nx, ny, nz, vertex, signed, least, penalty):
-    """Squared distance of a surfel from a vertex, both of point and normal; TOO_FAR where the normals do not agree."""
+def surfel_distance(surfel, vertex, metric):
+    """Squared distance of a surfel from a vertex, m^2, of point and normal; TOO_FAR where the normals disagree.
+
+    Args:
+        surfel, vertex: (x, y, z, nx, ny, nz) float32, relative to the grid's origin, metres, unit.
+        metric: float32 (signed, least, penalty): -1 where the sign of the surfel's normal is unknown, else 1; least cosine of
+            the normals; m^2 per unit of 1 - cosine.
+    """
+    x, y, z, nx, ny, nz = surfel
+    signed, least, penalty = metric
     px, py, pz, ax, ay, az = vertex
     dx, dy, dz = x - px, y - py, z - pz
     agreement = nx * ax + ny * ay + nz * az
@@ -55,18 +98,22 @@ def apart(x, y, z, nx, ny, nz, vertex, signed, least, penalty):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def look_at(surfels, k, vertex, signed, least, penalty, squared, index, n):
-    """Writes the LANES surfels from k on behind the first n candidates. All are read before any is written: a vector each."""
-    x, y, z = eight(surfels[0], k), eight(surfels[1], k), eight(surfels[2], k)
-    u, v, w = eight(surfels[3], k), eight(surfels[4], k), eight(surfels[5], k)
-    a = apart(x[0], y[0], z[0], u[0], v[0], w[0], vertex, signed, least, penalty)
-    b = apart(x[1], y[1], z[1], u[1], v[1], w[1], vertex, signed, least, penalty)
-    c = apart(x[2], y[2], z[2], u[2], v[2], w[2], vertex, signed, least, penalty)
-    d = apart(x[3], y[3], z[3], u[3], v[3], w[3], vertex, signed, least, penalty)
-    e = apart(x[4], y[4], z[4], u[4], v[4], w[4], vertex, signed, least, penalty)
-    f = apart(x[5], y[5], z[5], u[5], v[5], w[5], vertex, signed, least, penalty)
-    g = apart(x[6], y[6], z[6], u[6], v[6], w[6], vertex, signed, least, penalty)
-    h = apart(x[7], y[7], z[7], u[7], v[7], w[7], vertex, signed, least, penalty)
+def append_candidates(surfels, k, vertex, metric, squared, index, n):
+    """Writes the distances and numbers of the LANES surfels from k on behind the first n candidates.
+
+    All are read before any is written, so that the compiler makes one vector of each. The arguments are those of
+    :func:`surfel_distance` and :func:`select_nearest`.
+    """
+    x, y, z = load_lanes(surfels[0], k), load_lanes(surfels[1], k), load_lanes(surfels[2], k)
+    u, v, w = load_lanes(surfels[3], k), load_lanes(surfels[4], k), load_lanes(surfels[5], k)
+    a = surfel_distance((x[0], y[0], z[0], u[0], v[0], w[0]), vertex, metric)
+    b = surfel_distance((x[1], y[1], z[1], u[1], v[1], w[1]), vertex, metric)
+    c = surfel_distance((x[2], y[2], z[2], u[2], v[2], w[2]), vertex, metric)
+    d = surfel_distance((x[3], y[3], z[3], u[3], v[3], w[3]), vertex, metric)
+    e = surfel_distance((x[4], y[4], z[4], u[4], v[4], w[4]), vertex, metric)
+    f = surfel_distance((x[5], y[5], z[5], u[5], v[5], w[5]), vertex, metric)
+    g = surfel_distance((x[6], y[6], z[6], u[6], v[6], w[6]), vertex, metric)
+    h = surfel_distance((x[7], y[7], z[7], u[7], v[7], w[7]), vertex, metric)
     squared[n], squared[n + I], squared[n + II], squared[n + III] = a, b, c, d
     squared[n + IV], squared[n + V], squared[n + VI], squared[n + VII] = e, f, g, h
     index[n], index[n + I], index[n + II], index[n + III] = k, k + I, k + II, k + III
@@ -74,48 +121,48 @@ def look_at(surfels, k, vertex, signed, least, penalty, squared, index, n):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def look_at_last(surfels, k, end, vertex, signed, least, penalty, squared, index, n):
-    """As :func:`look_at` for those from k up to ``end``, behind which there are not LANES any more."""
+def append_last_candidates(surfels, k, end, vertex, metric, squared, index, n):
+    """As :func:`append_candidates`, for the surfels from k up to ``end``, where fewer than LANES are left in memory."""
     X, Y, Z, NX, NY, NZ = surfels[0], surfels[1], surfels[2], surfels[3], surfels[4], surfels[5]
     for m in range(end - k):
         j = k + m
-        squared[n + m] = apart(X[j], Y[j], Z[j], NX[j], NY[j], NZ[j], vertex, signed, least, penalty)
+        squared[n + m] = surfel_distance((X[j], Y[j], Z[j], NX[j], NY[j], NZ[j]), vertex, metric)
         index[n + m] = j
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def keep_nearest(squared, bits, index, n, gate2):
-    """Moves the BLEND nearest of n candidates to the front, in order. Returns how many of them are nearer than the gate.
+def select_nearest(squared, bits, index, n, gate2):
+    """Moves the BLEND nearest of n candidates to the front, in order. Returns the number of them within the gate.
 
-    Positive floats are ordered as their bits are: with the candidate's number in the lowest ones, the least integer is the
-    nearest and its owner. Distances that agree to 2^-15 count as equal.
+    Positive floats have the order of their bits. With the candidate's number in the lowest bits, the least integer holds the
+    least distance and its owner. Distances that agree to 2^-15 count as equal.
 
     Args:
-        squared: (CANDIDATES,) float32 square metres, in and out; ordered rounded down to 2^-15.
+        squared: (CANDIDATES,) float32 square metres, in and out; the ordered ones are rounded down to 2^-15.
         bits: the same memory as int32.
         index: (CANDIDATES,) in and out, numbers of the surfels.
         n: candidates.
         gate2: square metres.
     """
-    number, coarse = np.int32(CANDIDATES - 1), np.int32(~(CANDIDATES - 1))
+    number, distance = np.int32(CANDIDATES - 1), np.int32(~(CANDIDATES - 1))  # masks of the bits
     padded = (n + np.uint64(LANES - 1)) & ~np.uint64(LANES - 1)
     for m in range(n, padded):
         squared[m] = TOO_FAR
     for m in range(padded):
-        bits[m] = (bits[m] & coarse) | np.int32(m)
-    a = least_of(bits, padded, number)
-    b = least_of(bits, padded, number)
-    c = least_of(bits, padded, number)
-    d = least_of(bits, padded, number)
+        bits[m] = (bits[m] & distance) | np.int32(m)
+    a = take_least(bits, padded, number)
+    b = take_least(bits, padded, number)
+    c = take_least(bits, padded, number)
+    d = take_least(bits, padded, number)
     e, f, g, h = index[a & number], index[b & number], index[c & number], index[d & number]
     index[0], index[1], index[2], index[3] = e, f, g, h
-    bits[0], bits[1], bits[2], bits[3] = a & coarse, b & coarse, c & coarse, d & coarse
+    bits[0], bits[1], bits[2], bits[3] = a & distance, b & distance, c & distance, d & distance
     return int(squared[0] < gate2) + int(squared[1] < gate2) + int(squared[2] < gate2) + int(squared[3] < gate2)
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def least_of(bits, n, number):
-    """Takes the least of n integers out and returns it; in its low bits it has its place."""
+def take_least(bits, n, number):
+    """Removes the least of n integers and returns it; the bits of the mask ``number`` hold its place."""
     least = NONE
     for m in range(n):
         least = min(least, bits[m])
@@ -124,38 +171,31 @@ def least_of(bits, n, number):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def nearest_planes(
-    position, normal, eligible, surfels, start, origin, cell, dims, gate, min_cosine, turned, oriented, still, beside,
-    searched_at, target, plane_normal, distance,
-):  # fmt: skip
-    """For each eligible vertex the surface of the cloud next to it.
+def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
+    """Finds the cloud's plane next to each eligible vertex.
 
     The nearest surfels whose normal agrees with the vertex's are blended by inverse squared distance, |z - p|^2 +
-    turned^2 |m - n|^2 of point and normal: a fold's flank finds its flank. A cloud without a known sensor has unsigned
-    normals, and agreement is then up to sign. A vertex that has moved by less than ``still`` since
-    it was last searched for keeps its plane, which is as flat as that.
+    normal_distance^2 |m - n|^2 of point and normal, so that a fold's flank finds its own flank. A cloud without a known sensor
+    has unsigned normals, which agree up to sign. A vertex that has moved by less than ``still`` since its last search keeps its
+    plane: the surface is flat within that distance.
 
     Args:
         position, normal: (V, 3) estimate, metres, and its unit normals.
-        eligible: (V,) bool: vertices that the sensor may see.
-        surfels: (6, S) float32, point (relative to origin) and normal, sorted by cell.
-        start, origin, cell, dims: the grid.
-        gate: search radius, metres.
-        min_cosine: least agreement of the normals.
-        turned: metres, distance that a unit difference of the normals counts as.
-        oriented: the surfels' normals point to the sensor.
-        still: metres.
-        beside: metres along the plane, beyond which a vertex lies past the end of what was seen and has no measurement.
-        searched_at: (V, 3) in and out, position at the last search, metres; FAR_AWAY before the first.
-        target: (V, 3) in and out, blended surface point, metres.
-        plane_normal: (V, 3) in and out, unit, on the vertex normal's side.
-        distance: (V,) in and out, metres to the nearest surfel; negative where there is none; the turn counts.
+        eligible: (V,) bool, vertices that are measured.
+        surfels: (6, S) float32, point (relative to the grid's origin, metres) and unit normal, sorted by cell.
+        grid: ``Grid`` of the surfels.
+        search: :class:`PlaneSearch`.
+        planes: :class:`FoundPlanes` in and out.
     """
+    start, origin, cell, dims = grid
+    gate, min_cosine, normal_distance, oriented, still, beside = search
+    target, plane_normal, distance, searched_at = planes
     nx, ny, nz = dims[0], dims[1], dims[2]
     inverse = 1.0 / cell
     reach = int(np.ceil(gate * inverse))
-    least, penalty = np.float32(min_cosine), np.float32(2.0 * turned * turned)
+    least, penalty = np.float32(min_cosine), np.float32(2.0 * normal_distance * normal_distance)
     gate2, signed = np.float32(gate * gate), np.float32(1.0 if oriented else -1.0)
+    metric = signed, least, penalty
     X, Y, Z = surfels[0], surfels[1], surfels[2]
     NX, NY, NZ = surfels[3], surfels[4], surfels[5]
     size = np.uint64(surfels.shape[1])
@@ -197,21 +237,21 @@ def nearest_planes(
                         if z0 > z1 or z0 < 0 or z1 >= nz:
                             continue
                         k, end = np.uint64(start[row + z0]), np.uint64(start[row + z1 + 1])
-                        while k < end:  # what is read past the end is overwritten by the next ones
+                        while k < end:  # surfels read past the end are overwritten by the next ones
                             if k + np.uint64(LANES) <= size:
-                                look_at(surfels, k, vertex, signed, least, penalty, squared, index, n)
+                                append_candidates(surfels, k, vertex, metric, squared, index, n)
                             else:
-                                look_at_last(surfels, k, end, vertex, signed, least, penalty, squared, index, n)
+                                append_last_candidates(surfels, k, end, vertex, metric, squared, index, n)
                             n += min(end - k, np.uint64(LANES))
                             k += np.uint64(LANES)
                             if n > np.uint64(CANDIDATES - LANES):
-                                n = np.uint64(keep_nearest(squared, bits, index, n, gate2))
-            found = keep_nearest(squared, bits, index, n, gate2)
+                                n = np.uint64(select_nearest(squared, bits, index, n, gate2))
+            found = select_nearest(squared, bits, index, n, gate2)
             n = np.uint64(found)
             searched = ring * cell + margin
             if found == BLEND and squared[BLEND - 1] <= searched * searched:
                 break
-            # one compatible surfel well inside the searched ball is enough: the others only smooth
+            # one surfel well inside the searched ball is enough: the others only smooth
             if found > 0 and squared[0] <= 0.25 * searched * searched:
                 break
         if found == 0:
@@ -246,28 +286,27 @@ def nearest_planes(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, min_cosine, visible):
-    """Marks the vertices that a sensor may see: turned to it, and with nothing in front.
+def mark_visible(position, normal, body, surfels, origin, sensor, limits, visible):
+    """Marks the vertices that a sensor may see: they face it, and nothing hides them.
 
-    From each sensor the vertices of garment and body are sorted into a grid of directions, as wide as ``cell`` at the garment's
-    distance, that keeps the least depth. A vertex is hidden when something in its cell is nearer by more than
-    ``depth_margin`` plus what its own slope explains across the cell. The garment's other layers are estimates as well: they
-    hide only where the cloud shows something as near.
+    From each sensor a grid of directions, as wide as ``cell`` at the garment's distance, holds the least depth of the vertices of
+    garment and body. A vertex is hidden when something in its cell is nearer by more than ``depth_margin`` plus the depth that
+    the vertex's own slope explains across the cell. The garment's other layers are estimates as well: they hide only where the
+    cloud shows something as near.
 
     Args:
         position, normal: (V, 3) metres, unit.
         body: (B, 3) metres, B may be 0.
-        surfels: (6, S) float32, what the cloud shows: points (relative to origin) and normals; where S is 0 all layers hide.
+        surfels: (6, S) float32 of the cloud, points (relative to origin) and normals; where S is 0 all layers hide.
         origin: (3,) metres.
-        sensor: (S, 3) metres.
-        cell: metres, about an edge and a half of the meshes.
-        depth_margin: metres.
-        min_cosine: least turn of a vertex toward the sensor.
+        sensor: (K, 3) metres.
+        limits: :class:`VisibilityLimits`.
         visible: (V,) bool out.
     """
+    cell, depth_margin, min_cosine = limits
     n = position.shape[0]
     visible[:] = False
-    nearest, shown = np.empty((DIRECTIONS, DIRECTIONS)), np.empty((DIRECTIONS, DIRECTIONS))
+    nearest, cloud = np.empty((DIRECTIONS, DIRECTIONS)), np.empty((DIRECTIONS, DIRECTIONS))
     center, point = np.zeros(3), np.empty(3)
     for v in range(n):
         for a in range(3):
@@ -280,20 +319,20 @@ def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, mi
             distance += axes[2, a] ** 2
         distance = sqrt(distance) + 1e-12
         axes[2] /= distance
-        across(axes[2], axes)
+        perpendicular_axes(axes[2], axes)
         focal = distance / cell
         nearest[:] = np.inf
-        shown[:] = np.inf
+        cloud[:] = np.inf
         for k in range(surfels.shape[1]):
             for a in range(3):
                 point[a] = surfels[a, k] + origin[a]
-            keep_depth(point, sensor[s], axes, focal, shown)
+            lower_depth(point, sensor[s], axes, focal, cloud)
         for v in range(n):
-            keep_depth(position[v], sensor[s], axes, focal, nearest)
+            lower_depth(position[v], sensor[s], axes, focal, nearest)
         if surfels.shape[1] > 0:
-            np.maximum(nearest, shown, nearest)
+            np.maximum(nearest, cloud, nearest)
         for v in range(body.shape[0]):
-            keep_depth(body[v], sensor[s], axes, focal, nearest)
+            lower_depth(body[v], sensor[s], axes, focal, nearest)
         for v in range(n):
             if visible[v]:
                 continue
@@ -302,17 +341,17 @@ def seen(position, normal, body, surfels, origin, sensor, cell, depth_margin, mi
             cosine = (normal[v, 0] * dx + normal[v, 1] * dy + normal[v, 2] * dz) / length
             if not cosine > min_cosine:
                 continue
-            column, row, depth = direction(position[v], sensor[s], axes, focal)
+            column, row, depth = cell_of_direction(position[v], sensor[s], axes, focal)
             slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-3)
             if column < 0 or nearest[row, column] >= depth - depth_margin - 1.5 * cell * slope:
                 visible[v] = True
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def across(view, axes):
-    """The first two rows of ``axes`` out: unit and across the unit vector ``view``, with it a right-handed frame.
+def perpendicular_axes(view, axes):
+    """Completes the unit vector ``view`` (3,) to a right-handed frame: two unit vectors, rows 0 and 1 of ``axes`` out.
 
-    Of all such frames the one whose first axis is nearest to the axis that ``view`` is least along.
+    The first is as near as possible to the coordinate axis along which ``view`` has its least component.
     """
     least = 0
     for a in range(1, 3):
@@ -327,16 +366,22 @@ def across(view, axes):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def keep_depth(p, eye, axes, focal, nearest):
-    """The least depth of its direction, in place in the grid."""
-    column, row, depth = direction(p, eye, axes, focal)
+def lower_depth(p, eye, axes, focal, nearest):
+    """Lowers the least depth of a point's cell in the grid of directions ``nearest``, metres, in place."""
+    column, row, depth = cell_of_direction(p, eye, axes, focal)
     if column >= 0 and depth < nearest[row, column]:
         nearest[row, column] = depth
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def direction(p, eye, axes, focal):
-    """Column and row of a point in the grid of directions, and its depth; column -1 outside the grid or behind the eye."""
+def cell_of_direction(p, eye, axes, focal):
+    """Column and row of a point in the grid of directions, and its depth; column -1 outside the grid or behind the eye.
+
+    Args:
+        p, eye: (3,) metres.
+        axes: (3, 3), whose rows are the grid's column, row and depth axes.
+        focal: cells per unit of slope.
+    """
     x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
     depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
     if depth < 0.05:
@@ -349,12 +394,18 @@ def direction(p, eye, axes, focal):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def nearest_points(position, points, start, origin, cell, dims, gate, target, distance):
-    """The exact nearest point of the cloud within the gate, for every vertex: the paper's association.
+def nearest_points(position, points, grid, gate, target, distance):
+    """Finds the exact nearest point of the cloud within the gate for every vertex: the paper's association.
 
-    ``points`` (3, M) float32 sorted by cell, relative to origin; ``target`` (V, 3) and ``distance`` (V,) out, the latter
-    negative where there is no point.
+    Args:
+        position: (V, 3) metres.
+        points: (3, M) float32 sorted by cell, relative to the grid's origin, metres.
+        grid: ``Grid`` of the points.
+        gate: search radius, metres.
+        target: (V, 3) out, metres; unchanged where there is no point.
+        distance: (V,) out, metres; negative where there is no point.
     """
+    start, origin, cell, dims = grid
     nx, ny, nz = dims[0], dims[1], dims[2]
     inverse = 1.0 / cell
     for v in range(position.shape[0]):

@@ -1,4 +1,4 @@
-"""Bending: signed dihedral angle of a hinge and its gradient.
+"""Stage E, bending (paper, section 2.4): signed dihedral angle of a hinge and its gradient.
 
 Edge e = x1 - x0, n1 = e x (x2 - x0), n2 = (x3 - x0) x e, m_f = n_f / |n_f|^2:
 theta = atan2((n1 x n2) . e / |e|, n1 . n2), and
@@ -15,7 +15,15 @@ from ddakf.kernels import FAST
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def hinge(positions, stencil, c, rest_angle, least):
-    """Residual of hinge c, and its derivatives by x1, x2 and x3; by x0 it is minus their sum."""
+    """Residual of hinge c in rad, and its derivatives by x1, x2 and x3 in rad/m; by x0 it is minus their sum.
+
+    Args:
+        positions: (V, 3) metres.
+        stencil: (C, 4) vertices x0 to x3 of each hinge.
+        c: the hinge.
+        rest_angle: (C,) rad.
+        least: (C, 2) least squared length of the normals n1 and n2, m^4.
+    """
     i0, i1, i2, i3 = stencil[c, 0], stencil[c, 1], stencil[c, 2], stencil[c, 3]
     x, y, z = positions[i0, 0], positions[i0, 1], positions[i0, 2]
     ex, ey, ez = positions[i1, 0] - x, positions[i1, 1] - y, positions[i1, 2] - z
@@ -41,6 +49,7 @@ def hinge(positions, stencil, c, rest_angle, least):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def linearize(positions, stencil, rest_angle, least, residual, jacobian):
+    """Residual (C,) rad and Jacobian (C, 4, 3) rad/m of every hinge, out; the other arguments as for :func:`hinge`."""
     for c in range(stencil.shape[0]):
         residual[c], g1, g2, g3 = hinge(positions, stencil, c, rest_angle, least)
         for a in range(3):
@@ -78,7 +87,7 @@ def add_hinges(positions, stencil, rest_angle, least, weight, stiffness, blocks,
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
 def add_corner(i, gradient, k, residual, blocks, force):
-    """One vertex of a hinge: - k r g and what 4 k g g' has on and above the diagonal."""
+    """Adds one vertex of a hinge: -k r g to its force, and 4 k g g' on and above the diagonal to its block."""
     x, y, z = gradient
     f, m = k * residual, 4.0 * k
     force[i, 0] -= f * x

@@ -1,14 +1,53 @@
-"""The coarse level of stages B to F: clusters that move rigidly, and what holds them together."""
+"""Cluster alignment, stages B to F on clusters that move rigidly: their normal equations and their motion."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 
+class ClusterFrames(NamedTuple):
+    """K clusters of V vertices."""
+
+    cluster: np.ndarray  # (V,) int32 cluster of each vertex
+    center: np.ndarray  # (K, 3) m
+
+
+class SamplePlanes(NamedTuple):
+    """Measurements of V vertices."""
+
+    target: np.ndarray  # (V, 3) m
+    normal: np.ndarray  # (V, 3) unit
+    weight: np.ndarray  # (V,), 0 where there is none
+
+
+class SampleNoise(NamedTuple):
+    """Noise of the measurements and of the prior, and the vertices that a sampled one stands for."""
+
+    variance: float  # m^2, along the normal
+    tangential: float  # m^2, in the plane; infinite: it is unknown there
+    information: float  # 1/m^2, of the prior of each vertex
+    share: float  # vertices per sampled one
+
+
+class SeamStiffness(NamedTuple):
+    """Stiffness of the edges between two clusters."""
+
+    weakening: float  # factor on the weights of local rigidity
+    stretch: float  # 1/m^2
+    strain_scale: float  # strain beyond which it counts as an error of the model
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def centers(position, cluster, center):
-    """center (K, 3) out: centroid of each cluster's vertices, metres."""
+    """Centroids of clusters.
+
+    Args:
+        position: (V, 3) metres.
+        cluster: (V,) of each vertex, in [0, K).
+        center: (K, 3) out, metres.
+    """
     count = np.zeros(center.shape[0])
     center[:] = 0.0
     for i in range(position.shape[0]):
@@ -21,23 +60,23 @@ def centers(position, cluster, center):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def add_planes(position, prior, sample, cluster, center, target, normal, weight, variance, tangential, information, share, A, b):
+def add_planes(position, prior, sample, clusters, planes, noise, A, b):
     """Adds the measurements and the prior of the sampled vertices to the normal equations of the clusters.
 
     A cluster moves by x + omega x (x - c) + t; its unknowns are (omega, t).
 
     Args:
         position, prior: (V, 3) estimate and prediction, metres.
-        sample: (S,) indices of the sampled vertices; each stands for ``share`` of them.
-        cluster: (V,) of each vertex.
-        center: (K, 3) metres.
-        target, normal, weight: (V, 3), (V, 3), (V,) of the measurements; weight 0 where there is none.
-        variance, tangential: m^2, along the normal and in the plane; infinite: nothing is said about that.
-        information: 1/m^2, of the prior of each vertex.
-        share: vertices per sampled one.
+        sample: (S,) indices of the sampled vertices.
+        clusters: :class:`ClusterFrames`.
+        planes: :class:`SamplePlanes`.
+        noise: :class:`SampleNoise`.
         A: (6K, 6K) in and out, lower triangle of each 6x6 block row.
         b: (6K,) in and out.
     """
+    cluster, center = clusters
+    target, normal, weight = planes
+    variance, tangential, information, share = noise
     row = np.empty(6)
     for s in range(sample.shape[0]):
         i = sample[s]
@@ -90,22 +129,23 @@ def add_planes(position, prior, sample, cluster, center, target, normal, weight,
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def add_seams(position, cluster, center, seam, rest_source, rest_rotation, rest_weight, motion_source, motion_rotation,
-              motion_weight, stretch, strain_scale, A, b):  # fmt: skip
-    """Adds what holds the clusters together: rigidity to the rest shape and since the last frame, and length, of the seam edges.
+def add_seams(position, clusters, seam, rest, motion, stiffness, A, b):
+    """Adds the coupling of the clusters: local rigidity and length of the edges between them.
 
     An edge's rigid source turns with both of its clusters, so that a common rotation costs nothing.
 
     Args:
         position: (V, 3) metres.
-        cluster, center: of each vertex, and (K, 3) metres.
+        clusters: :class:`ClusterFrames`.
         seam: (C, 3) edges between two clusters: vertices i and j, and the entry of the edge i to j among the one-rings.
-        rest_source, motion_source: (2E, 3) edge vectors, metres.
-        rest_rotation, motion_rotation: (V, 3, 3).
-        rest_weight, motion_weight, stretch: 1/m^2.
-        strain_scale: of the length, beyond which a strain counts as an error of the model.
-        A, b: in and out, as above.
+        rest, motion: ``LocalRigidity`` to the rest shape and since the last frame.
+        stiffness: :class:`SeamStiffness`.
+        A, b: as for :func:`add_planes`.
     """
+    cluster, center = clusters
+    weakening, stretch, strain_scale = stiffness
+    rest_source, rest_rotation, rest_weight = rest.source, rest.rotation, weakening * rest.weight
+    motion_source, motion_rotation, motion_weight = motion.source, motion.rotation, weakening * motion.weight
     J = np.empty((3, 12))
     total = rest_weight + motion_weight
     for s in range(seam.shape[0]):
@@ -142,7 +182,7 @@ def add_seams(position, cluster, center, seam, rest_source, rest_rotation, rest_
             J[a, 3 + a] = -1.0
             J[a, 9 + a] = 1.0
         if total > 0.0:
-            add_block(J, total, fx, fy, fz, 6 * p, 6 * q, A, b)
+            add_block(J, total, (fx, fy, fz), 6 * p, 6 * q, A, b)
         # length: derivative along the edge of dx_j - dx_i alone
         length = sqrt(ex * ex + ey * ey + ez * ez)
         rest = sqrt(rest_source[e, 0] ** 2 + rest_source[e, 1] ** 2 + rest_source[e, 2] ** 2)
@@ -170,7 +210,9 @@ def add_seams(position, cluster, center, seam, rest_source, rest_rotation, rest_
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def add_block(J, weight, fx, fy, fz, p, q, A, b):
+def add_block(J, weight, residual, p, q, A, b):
+    """Adds weight J' J to A and -J' residual to b, J (3, 12) of the unknowns from p and from q on, residual weighted."""
+    fx, fy, fz = residual
     for a in range(12):
         ra = (p + a) if a < 6 else (q + a - 6)
         b[ra] -= J[0, a] * fx + J[1, a] * fy + J[2, a] * fz
@@ -184,15 +226,16 @@ def add_block(J, weight, fx, fy, fz, p, q, A, b):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def move(position, clusters, share, center, motion, limit, moved):
-    """moved (V, 3) out: the vertices moved by the blend of their nearest clusters' rigid motions. Returns the RMS step, metres.
+def move(position, nearest, share, center, motion, limit, moved):
+    """Moves the vertices by the blend of their nearest clusters' rigid motions. Returns the RMS step, metres.
 
     Args:
         position: (V, 3) metres.
-        clusters, share: (V, N) clusters that a vertex follows, and by how much; rows sum to one.
+        nearest, share: (V, N) clusters that a vertex follows, and by how much; rows of ``share`` sum to one.
         center: (K, 3) metres.
         motion: (K, 6) rotation vector and translation of each.
-        limit: metres, no cluster moves farther.
+        limit: longest translation of a cluster, metres.
+        moved: (V, 3) out, metres.
     """
     k = center.shape[0]
     R = np.empty((k, 3, 3))
@@ -216,8 +259,8 @@ def move(position, clusters, share, center, motion, limit, moved):
     total = 0.0
     for i in range(position.shape[0]):
         x = y = z = 0.0
-        for m in range(clusters.shape[1]):
-            p = clusters[i, m]
+        for m in range(nearest.shape[1]):
+            p = nearest[i, m]
             w = share[i, m]
             rx, ry, rz = position[i, 0] - center[p, 0], position[i, 1] - center[p, 1], position[i, 2] - center[p, 2]
             x += w * (R[p, 0, 0] * rx + R[p, 0, 1] * ry + R[p, 0, 2] * rz + T[p, 0])

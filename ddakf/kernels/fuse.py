@@ -1,10 +1,11 @@
 """Stage F, fusion update (paper, sections 2.4 and 2.8): the normal equations of the MAP problem and their solution.
 
-A is stored as 3x3 blocks on the mesh's one-rings: the diagonal ones in D, the others in B, in the rows of the adjacency. For the
-solver blocks are stored by columns, and columns padded to four numbers, so that the compiler makes a vector of each.
+A is stored as 3x3 blocks on the mesh's one-rings: the diagonal ones in D, the others in B, in the rows of the adjacency. The
+solver stores blocks by columns padded to four numbers, so that the compiler makes a vector of each.
 """
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -12,12 +13,37 @@ from numba import njit
 from ddakf.kernels import FAST
 from ddakf.kernels.symmetric import invert3
 
-PIVOTS = 8  # that a matrix is inverted by at a time; written out in eliminate
+PIVOTS = 8  # rows of a matrix that a step of its inversion takes; written out in eliminate
+
+
+class BlockMatrix(NamedTuple):
+    """A symmetric matrix of 3x3 blocks on the one-rings, by columns padded to four numbers."""
+
+    D: np.ndarray  # (V, 12) float32 1/m^2, diagonal blocks
+    B: np.ndarray  # (2E, 12) float32 1/m^2, block of each entry of the one-rings
+    start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
+    neighbour: np.ndarray  # (2E,) uint32
+
+
+class Preconditioner(NamedTuple):
+    """Two levels: blocks of vertices, and aggregates of them."""
+
+    inverse: np.ndarray  # (V, 12) float32 m^2, inverses of the diagonal blocks, stored as these are
+    aggregate: np.ndarray  # (V,) int32 in [0, K)
+    coarse_inverse: np.ndarray  # (3K, 3K) float32 m^2, inverse of the matrix on the aggregates
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def add_prior(position, prior, information, D, force):
-    """Adds the prior of each vertex: D += I_i and force += I_i (prior - x)."""
+    """Adds the prior of each vertex: D += I_i and force += I_i (prior - x).
+
+    Args:
+        position: x, (V, 3) or wider, metres.
+        prior: (V, 3) metres.
+        information: I, (V, 3, 3) 1/m^2.
+        D: (V, 3, 3) diagonal blocks of A, 1/m^2, added to.
+        force: (V, 3) or wider, 1/m, added to.
+    """
     for i in range(position.shape[0]):
         dx, dy, dz = prior[i, 0] - position[i, 0], prior[i, 1] - position[i, 1], prior[i, 2] - position[i, 2]
         for a in range(3):
@@ -28,7 +54,15 @@ def add_prior(position, prior, information, D, force):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def add_planes(position, target, normal, tangential, weight, variance, D, force):
-    """Adds plane-aligned measurements of variance r along the normal and ``tangential`` (m^2) in the plane, times weight."""
+    """Adds plane-aligned measurements.
+
+    Args:
+        position: (V, 3) or wider, metres.
+        target, normal: (V, 3) metres, unit.
+        tangential, variance: (V,) m^2, in the plane and along the normal.
+        weight: (V,), 0 where there is no measurement.
+        D, force: as for :func:`add_prior`.
+    """
     for i in range(position.shape[0]):
         w = weight[i]
         if w <= 0.0:
@@ -55,7 +89,14 @@ def add_planes(position, target, normal, tangential, weight, variance, D, force)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
-    """Adds constraints on one vertex each (collision): their force and their blocks."""
+    """Adds constraints on one vertex each (collision): their force and their blocks.
+
+    Args:
+        vertex: (C, 1).
+        residual, jacobian, weight: (C,), (C, 1, 3), (C,) of the constraints.
+        stiffness: factor on the weights.
+        D, force: as for :func:`add_prior`.
+    """
     for c in range(vertex.shape[0]):
         k = stiffness * weight[c]
         if k == 0.0:
@@ -69,15 +110,15 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
-    """Fills the rows of B with the blocks of the edges less w I, and D with what vertices have of their own less the row's sum.
+    """Fills the rows of B with the blocks of the edges less w I, and adds to D the blocks of the vertices less the row's sum.
 
-    No energy that couples vertices changes when all move alike, so that the rows of its matrix add up to nothing.
+    No energy that couples vertices changes when all move alike, so that the rows of its matrix add up to zero.
 
     Args:
         start, neighbour, edge: the one-rings.
         blocks: (E, 9) float32, of each edge i < j by columns.
         weight: w, of all edges alike.
-        own: (V, 3, 3) symmetric.
+        own: (V, 3, 3) symmetric, blocks of terms on single vertices.
         D: (V, 3, 3) in and out, added to.
         B: (2E, 12) float32 out.
     """
@@ -129,7 +170,10 @@ def invert_blocks(D, added, inverse):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def limit(step, longest, limited):
-    """(V, 3) out: each row of (V, 4) step, padded, no longer than ``longest``. Returns the sum of the squared lengths."""
+    """Shortens the rows of (V, 4) ``step`` to at most ``longest`` metres, ``limited`` (V, 3) out.
+
+    Returns the sum of the squared lengths before, m^2.
+    """
     total = 0.0
     for i in range(step.shape[0]):
         x, y, z = np.float64(step[i, 0]), np.float64(step[i, 1]), np.float64(step[i, 2])
@@ -142,7 +186,14 @@ def limit(step, longest, limited):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def secant(position, delta, last_position, last_delta, longest, step):
-    """step = delta - s (change of position + change of delta), all (V, 3); s takes from delta what its change explains of it."""
+    """step = delta - s (change of position + change of delta), s being the regression of delta on its change.
+
+    Args:
+        position, delta: (V, 3) estimate and correction of this pass, metres.
+        last_position, last_delta: of the pass before.
+        longest: bound of |s|, passes.
+        step: (V, 3) out, metres.
+    """
     along = length = 0.0
     for i in range(delta.shape[0]):
         for a in range(3):
@@ -210,7 +261,10 @@ def invert(matrix, inverse):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def eliminate(A, R, W):
-    """Takes R' W from the lower triangle of A; two rows share what is read, and the first runs over the diagonal by one."""
+    """Subtracts R' W from the lower triangle of A.
+
+    Two rows share what is read; the first of them runs over the diagonal by one.
+    """
     for i in range(0, A.shape[0], 2):
         a0, a1, a2, a3, a4, a5, a6, a7 = R[0, i], R[1, i], R[2, i], R[3, i], R[4, i], R[5, i], R[6, i], R[7, i]
         k = i + 1
@@ -244,7 +298,7 @@ def sweep(T):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def pack(D, packed, inverse):
-    """(V, 12) float32 out: the blocks (V, 3, 3), symmetric and positive definite, and their inverses, by columns and padded."""
+    """Stores blocks (V, 3, 3), symmetric and positive definite, and their inverses by columns and padded, (V, 12) float32 out."""
     for i in range(D.shape[0]):
         a, b, c, d, e, f = D[i, 0, 0], D[i, 1, 1], D[i, 2, 2], D[i, 0, 1], D[i, 0, 2], D[i, 1, 2]
         set_columns(packed[i], a, b, c, d, e, f)
@@ -262,7 +316,14 @@ def set_columns(out, a, b, c, d, e, f):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def coarsen(D, B, start, neighbour, aggregate, coarse):
-    """coarse (3K, 3K) out: P' A P with P the piecewise constant interpolation from K aggregates (V,) to vertices."""
+    """P' A P, (3K, 3K) out, with P the piecewise constant interpolation from K aggregates to vertices.
+
+    Args:
+        D: (V, 3, 3) diagonal blocks of A.
+        B, start, neighbour: of :class:`BlockMatrix`.
+        aggregate: (V,) of each vertex.
+        coarse: out.
+    """
     coarse[:] = 0.0
     for i in range(D.shape[0]):
         p = 3 * aggregate[i]
@@ -277,8 +338,12 @@ def coarsen(D, B, start, neighbour, aggregate, coarse):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def multiply(D, B, start, neighbour, v, out):
-    """out = A v, both (V, 4) padded; returns v . A v. Three sums, of a column each, do not wait for one another."""
+def multiply(matrix, v, out):
+    """out = A v, both (V, 4) padded, A a :class:`BlockMatrix`. Returns v . A v.
+
+    There are three sums, one per column of the blocks, since independent sums run in parallel.
+    """
+    D, B, start, neighbour = matrix
     total = 0.0
     for i in range(v.shape[0]):
         px, py, pz = v[i, 0], v[i, 1], v[i, 2]
@@ -307,8 +372,15 @@ def multiply(D, B, start, neighbour, v, out):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z):
-    """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz. Returns r . z."""
+def precondition(preconditioner, r, gathered, spread, z):
+    """z = blockdiag(A)^-1 r + P (P' A P)^-1 P' r: two-level additive Schwarz. Returns r . z.
+
+    Args:
+        preconditioner: :class:`Preconditioner`.
+        r, z: (V, 4) float32 in and out, padded.
+        gathered, spread: (3K,) float32 workspace.
+    """
+    inverse, aggregate, coarse_inverse = preconditioner
     gathered[:] = 0.0
     for i in range(r.shape[0]):
         p = 3 * aggregate[i]
@@ -329,34 +401,34 @@ def precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def conjugate_gradients(
-    D, B, start, neighbour, inverse, aggregate, coarse_inverse, force, iterations, tolerance, work, gathered, spread, delta
-):
+def conjugate_gradients(matrix, preconditioner, force, iterations, tolerance, delta):
     """Solves A delta = force by preconditioned conjugate gradients from zero, in float32 with float64 sums.
 
-    A correction needs few digits: the residual of the MAP problem is formed anew, in float64, before each solve. Stops after
-    ``iterations``, or when the preconditioned residual norm has fallen by ``tolerance``. Returns the iterations done.
+    A correction needs few digits: the residual of the MAP problem is formed anew, in float64, before each solve. Returns the
+    number of iterations done.
 
     Args:
-        D, B: (V, 12), (2E, 12) float32 blocks of A by columns, padded.
-        inverse, aggregate, coarse_inverse: the preconditioner; float32, the blocks stored as D is.
-        force: (V, 4) padded.
-        work, gathered, spread: (4, V, 4), (3K,), (3K,) float32 scratch.
-        delta: (V, 4) float32 out, padded.
+        matrix: A, :class:`BlockMatrix`.
+        preconditioner: :class:`Preconditioner`.
+        force: (V, 4) 1/m, padded.
+        iterations: limit.
+        tolerance: factor by which the preconditioned residual norm falls before the iteration stops.
+        delta: (V, 4) float32 metres out, padded.
     """
+    n, k = force.shape[0], preconditioner.coarse_inverse.shape[0]
+    work, gathered, spread = np.empty((4, n, 4), np.float32), np.empty(k, np.float32), np.empty(k, np.float32)
     r, z, p, q = work[0], work[1], work[2], work[3]
-    n = force.shape[0]
     for i in range(n):
         for a in range(4):
             delta[i, a] = 0.0
             r[i, a] = force[i, a]
-    rz = precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z)
+    rz = precondition(preconditioner, r, gathered, spread, z)
     p[:] = z
     first = rz
     if not first > 0.0:
         return 0
     for iteration in range(iterations):
-        pq = multiply(D, B, start, neighbour, p, q)
+        pq = multiply(matrix, p, q)
         if not pq > 0.0:
             return iteration
         step = np.float32(rz / pq)
@@ -364,7 +436,7 @@ def conjugate_gradients(
             for a in range(4):
                 delta[i, a] += step * p[i, a]
                 r[i, a] -= step * q[i, a]
-        new = precondition(inverse, aggregate, coarse_inverse, r, gathered, spread, z)
+        new = precondition(preconditioner, r, gathered, spread, z)
         if new <= tolerance * tolerance * first:
             return iteration + 1
         beta = np.float32(new / rz)
@@ -376,16 +448,17 @@ def conjugate_gradients(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def condition(P_pp, P_pu, P_uu, shift, posterior_pp, velocity, posterior_pu, posterior_uu):
-    """Velocity and blocks of each 6-vector once its position is known: see ``ddakf.stages.fuse.condition``.
+def condition(prior, shift, velocity, posterior):
+    """Velocity and blocks of each 6-vector after its position is known, see ``ddakf.stages.fuse.condition``.
 
     Args:
-        P_pp, P_pu, P_uu: (V, 3, 3) prior blocks.
-        shift: (V, 3) posterior minus prior position.
-        posterior_pp: (V, 3, 3).
-        velocity: (V, 3) in: prior; out: posterior.
-        posterior_pu, posterior_uu: (V, 3, 3) out.
+        prior: ``CovarianceBlocks``.
+        shift: (V, 3) posterior minus prior position, metres.
+        velocity: (V, 3) m/s in: prior; out: posterior.
+        posterior: ``CovarianceBlocks``, pp in, pu and uu out.
     """
+    P_pp, P_pu, P_uu = prior
+    posterior_pp, posterior_pu, posterior_uu = posterior
     G = np.empty((3, 3))
     change = np.empty((3, 3))
     for i in range(P_pp.shape[0]):

@@ -1,36 +1,53 @@
-"""Hems: where the cloud ends beside an open boundary of the garment."""
+"""Stages B and F, hems: the end of the cloud beside each vertex of an open boundary, and its force."""
 
 from math import sqrt
+from typing import NamedTuple
 
+import numpy as np
 from numba import njit
 
 NOWHERE = -1e30  # m
 LEAST_POINTS = 4  # in the tube
-BEYOND = 1.0  # mean distances between the tube's points, by which cloth goes on behind the second last
-GOES_ON = 0.6  # share of the reach; a cloud that goes on to there has no end within it
+BEYOND = 1.0  # mean distances between the tube's points, by which the cloth extends past the second last of them
+GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
+
+
+class Tube(NamedTuple):
+    """The space around a boundary vertex in which the end of the cloud is searched."""
+
+    radius: float  # m, to either side of the boundary
+    width: float  # m to either side along the boundary
+    depth: float  # m above and below the surface, plus a third of the distance
+
+
+class CloudEnds(NamedTuple):
+    """Ends of the cloud beside the H boundary vertices."""
+
+    direction: np.ndarray  # (H, 3) unit, in the surface, outward
+    offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
+    found: np.ndarray  # (H,) bool
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def ends_of_cloud(
-    position, normal, visible, boundary, points, start, origin, cell, dims, radius, width, depth, direction, offset, found
-):  # fmt: skip
-    """How far from each boundary vertex the cloud ends, across the boundary.
+def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends):
+    """Finds the end of the cloud across the boundary, beside each visible boundary vertex.
 
-    Points in a tube along the outward direction in the surface, ``width`` to either side and ``depth`` (plus a third of the
-    distance) above and below, are those of the same piece of cloth. The second farthest of them, against single outliers, is
-    where the cloud ends. A cloud that goes on toward the end of the tube, or is hardly in it, does not end there.
+    The points in a tube along the outward direction in the surface belong to the same piece of cloth. The second farthest of
+    them, against single outliers, marks the end. A cloud that extends toward the end of the tube, or has few points in it, does
+    not end there.
 
     Args:
         position, normal: (V, 3) metres, unit.
         visible: (V,) bool.
-        boundary: (H, 3) vertex, and its neighbours before and after it along the boundary as the faces run.
-        points: (3, M) float32 sorted by cell, relative to origin.
-        start, origin, cell, dims: the grid.
-        radius, width, depth: metres.
-        direction: (H, 3) out, unit, in the surface, outward.
-        offset: (H,) out, metres from the vertex along it to the end of the cloud.
-        found: (H,) bool out.
+        boundary: (H, 3) vertex, and the vertices before and after it along the boundary in the sense of its faces.
+        points: (3, M) float32 sorted by cell, relative to the grid's origin, metres.
+        grid: ``Grid`` of the points.
+        tube: :class:`Tube`.
+        ends: :class:`CloudEnds` out; direction and offset are unchanged where no end is found.
     """
+    start, origin, cell, dims = grid
+    radius, width, depth = tube
+    direction, offset, found = ends
     inverse = 1.0 / cell
     nx, ny, nz = dims[0], dims[1], dims[2]
     for h in range(boundary.shape[0]):
@@ -81,7 +98,16 @@ def ends_of_cloud(
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def add_ends_of_cloud(vertex, direction, offset, weight, variance, D, force):
-    """Adds the measured ends of the cloud: D += k c c' and force += k offset c, k = weight / variance (1/m^2)."""
+    """Adds the measured ends of the cloud: D += k c c' and force += k offset c, k = weight / variance (1/m^2).
+
+    Args:
+        vertex: (H,) boundary vertices.
+        direction, offset: c (H, 3) unit and (H,) metres, of :class:`CloudEnds`.
+        weight: (H,).
+        variance: of each end, m^2.
+        D: (V, 3, 3) diagonal blocks of A, 1/m^2, added to.
+        force: (V, 3) or wider, 1/m, added to.
+    """
     for h in range(vertex.shape[0]):
         k = weight[h] / variance
         if k == 0.0:

@@ -1,20 +1,30 @@
-"""Preprocessing (paper, section 2.1): one uniform grid per frame, outlier removal and PCA normals on it."""
+"""Preprocessing (paper, section 2.1): one uniform grid per frame, outlier removal and PCA planes on it."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from ddakf.kernels.symmetric import smallest_eigenvector
 
-LANES = 16  # neighbours that are summed up side by side
-BLOCK = 256  # planes that are found side by side
+LANES = 16  # neighbours that are summed side by side
+BLOCK = 256  # planes that are fitted side by side
 FAR = np.float32(1e9)  # m: outside any radius
+
+
+class Grid(NamedTuple):
+    """A uniform grid whose cells hold points, vertices or surfels in compressed rows."""
+
+    start: np.ndarray  # (cells + 2,) int32: cell c holds the sorted entries [start[c], start[c + 1])
+    origin: np.ndarray  # (3,) m, corner
+    cell: float  # m
+    dims: np.ndarray  # (3,) int64, cells per axis
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def bounds(points, margin, lower, upper):
-    """(3,) out: the box around the points, ``margin`` metres wider on all sides."""
+    """Bounding box of (N, 3) points, ``margin`` metres wider on all sides; corners (3,) out, metres."""
     x0 = y0 = z0 = np.inf
     x1 = y1 = z1 = -np.inf
     for i in range(points.shape[0]):
@@ -26,16 +36,21 @@ def bounds(points, margin, lower, upper):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def crop(points, lower, upper, kept):
-    """Indices of the points inside a box, in order. Returns their number; the box shrinks to them."""
+def crop(points, lower, upper, inside):
+    """Selects the points inside a box, in order. Returns their number; the box shrinks to them.
+
+    Args:
+        points: (N, 3) metres.
+        lower, upper: (3,) corners of the box, metres, in and out.
+        inside: (N,) int32 out, their indices.
+    """
     x0 = y0 = z0 = np.inf
     x1 = y1 = z1 = -np.inf
     n = 0
     for i in range(points.shape[0]):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        inside = (x >= lower[0]) & (x <= upper[0]) & (y >= lower[1]) & (y <= upper[1]) & (z >= lower[2]) & (z <= upper[2])
-        if inside:
-            kept[n] = i
+        if (x >= lower[0]) & (x <= upper[0]) & (y >= lower[1]) & (y <= upper[1]) & (z >= lower[2]) & (z <= upper[2]):
+            inside[n] = i
             n += 1
             x0, y0, z0 = min(x0, x), min(y0, y), min(z0, z)
             x1, y1, z1 = max(x1, x), max(y1, y), max(z1, z)
@@ -45,17 +60,17 @@ def crop(points, lower, upper, kept):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_index):
-    """Counting sort of the chosen points by grid cell.
+def fill_grid(points, chosen, grid, sorted_points, sorted_index):
+    """Sorts the chosen points by grid cell (counting sort).
 
     Args:
         points: (N, 3) metres, world.
         chosen: (M,) indices of the points that take part.
-        origin, cell, dims: corner of the grid, metres; cell size, metres; cells per axis.
-        start: (cells + 2,) out: points of cell c are ``sorted_*[start[c]:start[c + 1]]``.
-        sorted_points: (3, M) float32 out, relative to origin, metres.
+        grid: :class:`Grid`; its ``start`` is written.
+        sorted_points: (3, M) float32 out, relative to the grid's origin, metres.
         sorted_index: (M,) out, index into ``points``.
     """
+    start, origin, cell, dims = grid
     inverse = 1.0 / cell
     n = chosen.shape[0]
     start[:] = 0
@@ -80,8 +95,12 @@ def fill_grid(points, chosen, origin, cell, dims, start, sorted_points, sorted_i
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def neighbourhood_counts(start, dims, cell, count):
-    """The occupied cells, in order, and the points in the 27 cells around each, written to ``cell`` and ``count``, (M,) int32
-    each. Returns the number of occupied cells."""
+    """Lists the occupied cells, in order, and the points in the 27 cells around each. Returns the number of occupied cells.
+
+    Args:
+        start, dims: of :class:`Grid`.
+        cell, count: (M,) int32 out, numbers of the cells, and points around them.
+    """
     nx, ny, nz = dims[0], dims[1], dims[2]
     n = 0
     for ix in range(nx):
@@ -105,14 +124,14 @@ def neighbourhood_counts(start, dims, cell, count):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def split(start, cell, count, share, suspect, rest):
-    """Points of cells whose ``count`` is below ``share`` of the median point's, and the others, in order.
+def split_suspects(start, cell, count, share, suspect, rest):
+    """Splits the points into suspects, in cells whose ``count`` is below ``share`` of the median point's, and the others.
 
-    Returns the number of suspects. The median is exact: counts are small integers.
+    Both stay in order. Returns the number of suspects. The median is exact: counts are small integers.
 
     Args:
-        start: of the grid.
-        cell, count: of :func:`neighbourhood_counts`, as many as there are occupied cells.
+        start: of :class:`Grid`.
+        cell, count: of :func:`neighbourhood_counts`, one entry per occupied cell.
         share: of the median.
         suspect, rest: (M,) out, indices of sorted points.
     """
@@ -143,7 +162,13 @@ def split(start, cell, count, share, suspect, rest):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def remove(start, removed, points, index, new_start, new_points, new_index):
-    """Copies the grid without the points marked in (M,) removed."""
+    """Copies the sorted points without the removed ones.
+
+    Args:
+        start, points, index: of the grid, (3, M) float32 metres and (M,) of :func:`fill_grid`.
+        removed: (M,) bool.
+        new_start, new_points, new_index: the same of the remaining points, out.
+    """
     n = 0
     for c in range(start.shape[0] - 2):
         new_start[c] = n
@@ -159,19 +184,20 @@ def remove(start, removed, points, index, new_start, new_points, new_index):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def fit_planes(points, start, cell, dims, radius, stride, surfels):
-    """At every ``stride``-th point the plane of all its neighbours: the point moved onto it, and its unit normal.
+def fit_planes(points, grid, radius, stride, surfels):
+    """Fits a plane to the neighbours of every ``stride``-th point: the point moved onto it, and its unit normal.
 
-    Neighbours are weighted with (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero. All sums are in
-    float32, of differences to the point, and without a branch: that vectorises, and halves the time.
+    Neighbours weigh (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero. All sums are in float32, of
+    differences to the point, and without a branch: so the compiler vectorises them, which halves the time.
 
     Args:
         points: (3, M) float32 sorted by cell, relative to the grid's origin, metres.
-        start, cell, dims: the grid.
+        grid: :class:`Grid` of the points.
         radius: metres, at most one cell.
-        stride: of the sorted points; cells keep their share.
+        stride: of the sorted points, so that each cell has its share of the planes.
         surfels: (6, ceil(M / stride)) float32 out: projected point, normal.
     """
+    start, _, cell, dims = grid
     inverse = 1.0 / cell
     r2 = radius * radius
     inverse_r2 = np.float32(1.0 / r2)
@@ -190,7 +216,7 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
             iy = min(max(int(py * inverse), 0), ny - 1)
             iz = min(max(int(pz * inverse), 0), nz - 1)
             if (ix * ny + iy) * nz + iz != here:
-                # the 27 cells around, gathered once for all points of a cell
+                # the points of the 27 cells around are gathered once for all points of a cell
                 here = (ix * ny + iy) * nz + iz
                 z0 = max(iz - 1, 0)
                 z1 = min(iz + 1, nz - 1)
@@ -234,11 +260,16 @@ def fit_planes(points, start, cell, dims, radius, stride, surfels):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def planes_of(moments, n, r2):
-    """The planes of n neighbourhoods, side by side: of the first BLOCK numbers of ``moments`` each belongs to one, and so on.
+    """Planes of n neighbourhoods, side by side.
 
-    In: weighted sums about each point of 1, x y z, xx yy zz xy xz yz. Out, in the place of the first four: how far the plane lies
-    along its unit normal, metres, and the normal; 0 where there is no plane. One array, in place, with rows of known length: of
-    sixteen arrays the compiler would not know that they do not overlap.
+    ``moments`` holds ten rows of BLOCK numbers, one per neighbourhood. In: weighted sums about each point of 1, x y z,
+    xx yy zz xy xz yz. Out, in the first four rows: the plane's distance along its unit normal, metres, and the normal; 0 where
+    there is no plane. It is one array because the compiler could not tell that sixteen arrays do not overlap.
+
+    Args:
+        moments: (10 BLOCK,) float32 in and out.
+        n: neighbourhoods.
+        r2: squared radius, m^2.
     """
     for i in range(n):
         s = 1.0 / np.float64(moments[i])
@@ -255,7 +286,7 @@ def planes_of(moments, n, r2):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def orient_normals(surfels, sensor):
-    """Turns each normal toward the sensor; ``sensor`` is (1, 3) or (S, 3), in the grid's frame."""
+    """Turns each normal of (6, S) ``surfels`` toward its ``sensor`` (1, 3) or (S, 3), metres, relative to the grid's origin."""
     one = sensor.shape[0] == 1
     for i in range(surfels.shape[1]):
         s = 0 if one else i
@@ -268,20 +299,21 @@ def orient_normals(surfels, sensor):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def knn_mean_distances(points, chosen, start, cell, dims, k, reach, mean_distance):
+def knn_mean_distances(points, chosen, grid, k, reach, mean_distance):
     """Mean distance of the chosen points to their k nearest others: the paper's statistical filter.
 
-    Rings of cells are searched outward until the k-th distance lies inside the searched box, exactly, or until ``reach`` rings;
-    a point that has not got k neighbours by then counts as far from all as was searched.
+    Rings of cells are searched outward until the k-th distance lies inside the searched box, exactly, or until ``reach`` rings.
+    A point with fewer than k neighbours by then counts at least the searched distance.
 
     Args:
         points: (3, M) float32 sorted by cell.
         chosen: (C,) indices of sorted points.
-        start, cell, dims: the grid.
+        grid: :class:`Grid` of the points.
         k: neighbours.
-        reach: most rings.
+        reach: limit of the rings.
         mean_distance: (C,) out, metres.
     """
+    start, _, cell, dims = grid
     inverse = 1.0 / cell
     best = np.empty(k, np.float64)
     nx, ny, nz = dims[0], dims[1], dims[2]

@@ -1,4 +1,4 @@
-"""Coarser versions of a garment: which vertices they keep, and where the others lie on them."""
+"""Pyramid: the vertices of a decimated level of a garment, and the place of the finer vertices on its faces."""
 
 import numpy as np
 from numba import njit
@@ -8,7 +8,13 @@ from ddakf.kernels.proximity import closest_on_triangle
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def choose_independent(order, start, neighbour, chosen):
-    """(V,) bool out: a maximal independent set. Each vertex in (V,) ``order`` without a chosen neighbour so far is chosen."""
+    """Chooses a maximal independent set: in turn each vertex without a chosen neighbour.
+
+    Args:
+        order: (V,) vertices in the order of choice.
+        start, neighbour: one-rings in compressed rows.
+        chosen: (V,) bool out.
+    """
     chosen[:] = False
     for k in range(order.shape[0]):
         i = order[k]
@@ -20,13 +26,13 @@ def choose_independent(order, start, neighbour, chosen):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def find_corners(points, vertices, faces, face_start, face_of, owner, corner, share):
-    """The closest point of each of (V, 3) ``points`` on the faces around its owner.
+    """Finds the closest point of each finer vertex on the faces around its owner.
 
     Args:
         points: (V, 3) metres.
-        vertices, faces: of the coarser mesh.
+        vertices, faces: (W, 3) metres, (F, 3) of the decimated level.
         face_start, face_of: faces around each of its vertices, in compressed rows.
-        owner: (V,) vertex of the coarser mesh.
+        owner: (V,) vertex of the decimated level.
         corner: (V, 3) int32 out, corners of that face.
         share: (V, 3) out, barycentric coordinates.
     """
@@ -50,7 +56,14 @@ def find_corners(points, vertices, faces, face_start, face_of, owner, corner, sh
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def interpolate(base, displacement, corner, share, moved):
-    """(V, 3) moved out: ``base`` (V, 3) plus the (W, 3) ``displacement`` of the coarser garment between its vertices, metres."""
+    """Moves the finer vertices by the displacement of the decimated level, linear over its faces.
+
+    Args:
+        base: (V, 3) metres.
+        displacement: (W, 3) of the level's vertices, metres.
+        corner, share: (V, 3) of :func:`find_corners`.
+        moved: (V, 3) out, metres.
+    """
     for i in range(base.shape[0]):
         a, b, c = corner[i, 0], corner[i, 1], corner[i, 2]
         s, t, u = share[i, 0], share[i, 1], share[i, 2]

@@ -1,4 +1,4 @@
-"""Stage G, reliability (paper, section 2.6)."""
+"""Stage G, reliability (paper, section 2.6): offset of the cloud from the surface, strain, innovations and variances."""
 
 from math import sqrt
 
@@ -9,17 +9,19 @@ from ddakf.kernels.symmetric import along
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def nearest_vertices(points, position, index, start, origin, cell, dims, reach, nearest, away):
-    """The vertex nearest to each point, rings of cells outward.
+def nearest_vertices(points, position, index, grid, reach, nearest, distance):
+    """Finds the vertex nearest to each point, rings of cells outward.
 
     Args:
         points: (N, 3) metres.
         position: (V, 3) metres.
-        index, start, origin, cell, dims: the grid of the vertices, of ``ddakf.stages.preprocess.vertex_grid``.
+        index: (V,) int32 vertices sorted by cell.
+        grid: ``Grid`` of the vertices.
         reach: metres.
         nearest: (N,) int32 out, -1 where none is within the reach.
-        away: (N,) out, metres; infinite there.
+        distance: (N,) out, metres; infinite there.
     """
+    start, origin, cell, dims = grid
     nx, ny, nz = dims[0], dims[1], dims[2]
     rings = int(np.ceil(reach / cell))
     for k in range(points.shape[0]):
@@ -43,39 +45,40 @@ def nearest_vertices(points, position, index, start, origin, cell, dims, reach, 
             if best <= (ring * cell + margin) ** 2:  # no vertex of the next ring is nearer
                 break
         nearest[k] = winner
-        away[k] = np.inf if winner < 0 else sqrt(best)
+        distance[k] = np.inf if winner < 0 else sqrt(best)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def misfit(points, position, nearest, away, longest, left_out, patch, n_patches):
-    """How far points lie from a surface, patch by patch, so that what is no more than noise cancels out.
+def squared_offset(points, position, nearest, distance, longest, excluded, cluster, n_clusters):
+    """Squared mean offset of points from a surface, cluster by cluster, so that noise cancels out.
 
-    Every point is given to the vertex nearest to it. With d_i the offsets of the n points of a patch,
+    Each point belongs to the vertex nearest to it. With d_i the offsets of the n points of a cluster,
     (|sum d|^2 - sum |d|^2) / (n (n - 1)) has the squared mean offset as its expectation, however noisy the points are.
 
     Args:
         points: (N, 3) metres.
         position: (V, 3) the fitted vertices, metres.
-        nearest, away: (N,) of :func:`nearest_vertices`.
+        nearest, distance: (N,) of :func:`nearest_vertices`.
         longest: metres: points farther away do not count.
-        left_out: (V,) bool, vertices whose points do not count either.
-        patch: (V,) int32 in [0, n_patches).
+        excluded: (V,) bool, vertices whose points do not count.
+        cluster: (V,) int32 in [0, n_clusters).
+        n_clusters: number of the clusters.
 
     Returns:
-        Squared mean offset over the patches, square metres; zero where no patch has two points.
+        Squared mean offset over the clusters, square metres; zero where no cluster has two points.
     """
-    count, square, total = np.zeros(n_patches), np.zeros(n_patches), np.zeros((n_patches, 3))
+    count, square, total = np.zeros(n_clusters), np.zeros(n_clusters), np.zeros((n_clusters, 3))
     for k in range(points.shape[0]):
         v = nearest[k]
-        if v < 0 or left_out[v] or away[k] > longest:
+        if v < 0 or excluded[v] or distance[k] > longest:
             continue
-        c = patch[v]
+        c = cluster[v]
         count[c] += 1.0
-        square[c] += away[k] ** 2
+        square[c] += distance[k] ** 2
         for a in range(3):
             total[c, a] += points[k, a] - position[v, a]
     pairs = offset = 0.0
-    for c in range(n_patches):
+    for c in range(n_clusters):
         pairs += count[c] * (count[c] - 1.0)
         offset += total[c, 0] ** 2 + total[c, 1] ** 2 + total[c, 2] ** 2 - square[c]
     return max(offset / pairs, 0.0) if pairs > 0.0 else 0.0
@@ -83,13 +86,20 @@ def misfit(points, position, nearest, away, longest, left_out, patch, n_patches)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def strains(position, start, neighbour, rest_length, squared):
-    """Mean of (|x_j - x_i| / rest length - 1)^2 over the 2E edges of the one-rings; ``squared`` (V,) out, of each ring."""
+    """Mean squared strain (|x_j - x_i| / rest length - 1)^2 over the 2E entries of the one-rings.
+
+    Args:
+        position: (V, 3) metres.
+        start, neighbour: one-rings in compressed rows.
+        rest_length: (2E,) metres.
+        squared: (V,) out, mean squared strain of each ring.
+    """
     squared[:] = 0.0
     for i in range(position.shape[0]):
         x, y, z, ring = position[i, 0], position[i, 1], position[i, 2], 0.0
         for k in range(start[i + 1] - 1, start[i] - 1, -1):
             j = neighbour[k]
-            if j < i:  # ascending: the others had their part in this one's ring before
+            if j < i:  # ascending: the edges to smaller vertices were added from there
                 break
             length = sqrt((position[j, 0] - x) ** 2 + (position[j, 1] - y) ** 2 + (position[j, 2] - z) ** 2)
             strain = length / max(rest_length[k], 1e-15) - 1.0

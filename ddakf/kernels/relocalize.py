@@ -7,7 +7,7 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
-from ddakf.kernels.associate import across
+from ddakf.kernels.associate import perpendicular_axes
 from ddakf.kernels.symmetric import smallest_eigenvector
 
 TINY = np.float32(1e-3)  # added to the sum of a row or column of correspondences: one without any stays so
@@ -93,7 +93,7 @@ def outward(points, dense, directions, cell, depth, normal, signed):
     axes, low, high = np.empty((2, 3)), np.empty(2), np.empty(2)
     for d in range(len(directions)):
         view = directions[d]
-        across(view, axes)
+        perpendicular_axes(view, axes)
         low[:], high[:] = np.inf, -np.inf
         for j in range(dense.shape[1]):
             for b in range(2):

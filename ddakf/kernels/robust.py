@@ -1,4 +1,4 @@
-"""Stage C, robustness (paper, section 2.5)."""
+"""Stage C, robustness (paper, section 2.5): residuals along the normals, their robust scale, and Tukey's weights."""
 
 import numpy as np
 from numba import njit
@@ -10,7 +10,14 @@ NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its medi
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def along_normals(position, target, normal, R, squared, variance):
-    """(V,) out: (n . (z - x))^2 and n' R n."""
+    """Squared residuals (n . (z - x))^2 and their variances n' R n.
+
+    Args:
+        position: (V, 3) x, metres.
+        target, normal: (V, 3) z and n of the measurements, metres, unit.
+        R: (V, 3, 3) m^2.
+        squared, variance: (V,) m^2, out.
+    """
     for i in range(position.shape[0]):
         x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
         d = (target[i, 0] - position[i, 0]) * x + (target[i, 1] - position[i, 1]) * y + (target[i, 2] - position[i, 2]) * z
@@ -20,14 +27,22 @@ def along_normals(position, target, normal, R, squared, variance):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def scale(found, squared, variance):
-    """Robust variance of the (V,) ``squared`` residuals that were found, or the median of their ``variance`` if that is more."""
+    """Robust variance of residuals from their median absolute deviation, at least the median of their variances.
+
+    Args:
+        found: (V,) bool, vertices with a measurement.
+        squared, variance: (V,) of :func:`along_normals`, m^2.
+
+    Returns:
+        Variance, m^2.
+    """
     n = 0
-    mine = np.empty(squared.shape[0])
+    chosen = np.empty(squared.shape[0])
     for i in range(squared.shape[0]):
         if found[i]:
-            mine[n] = squared[i]
+            chosen[n] = squared[i]
             n += 1
-    scale2 = NORMAL_MAD**2 * np.median(mine[:n])
+    scale2 = NORMAL_MAD**2 * np.median(chosen[:n])
     more = 0
     for i in range(squared.shape[0]):
         more += int(found[i] and variance[i] > scale2)
@@ -36,14 +51,23 @@ def scale(found, squared, variance):
     n = 0
     for i in range(squared.shape[0]):
         if found[i]:
-            mine[n] = variance[i]
+            chosen[n] = variance[i]
             n += 1
-    return max(scale2, np.median(mine[:n]))
+    return max(scale2, np.median(chosen[:n]))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def bisquare(found, squared, variance, least, cutoff, gate, weight):
-    """(V,) weight out: Tukey's of squared / max(variance, least), zero beyond the gate and where nothing was found."""
+    """Tukey's bisquare weight of d^2 = squared / max(variance, least).
+
+    Args:
+        found: (V,) bool.
+        squared, variance: (V,) m^2.
+        least: m^2.
+        cutoff: d from which the weight is zero.
+        gate: d^2 beyond which the weight is zero.
+        weight: (V,) out, zero without a measurement.
+    """
     for i in range(weight.shape[0]):
         ratio = squared[i] / max(variance[i], least)
         rest = max(1.0 - ratio / (cutoff * cutoff), 0.0)

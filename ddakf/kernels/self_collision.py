@@ -1,14 +1,22 @@
-"""Pairs of vertices of two layers of a garment, and their contact. Twin: tests/kernels/test_self_collision.py."""
+"""Stage E, self-collision: pairs of vertices of two layers of a garment, and their contact."""
 
 import numpy as np
 from numba import njit
 
-MOST_CELLS = 64  # per axis: a stray vertex must not make the grid large
+MOST_CELLS = 64  # per axis: bounds the grid where a vertex strays
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def cell_of(position, i, low, cell, dims):
-    """Cell of a vertex along each axis."""
+    """Cell of vertex i along each axis.
+
+    Args:
+        position: (V, 3) metres.
+        i: the vertex.
+        low: (3,) corner of the grid, metres.
+        cell: metres.
+        dims: (3,) cells per axis.
+    """
     x = min(dims[0] - 1, int((position[i, 0] - low[0]) / cell))
     y = min(dims[1] - 1, int((position[i, 1] - low[1]) / cell))
     z = min(dims[2] - 1, int((position[i, 2] - low[2]) / cell))
@@ -16,11 +24,18 @@ def cell_of(position, i, low, cell, dims):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def opposite(position, normal, rest, reach, apart, partner, side):
-    """The nearest vertex of another layer under or above each vertex, -1 where there is none, and on which side of it.
+def find_opposite(position, normal, rest, reach, rest_distance, partner, side):
+    """Pairs each vertex with the nearest vertex of another layer under or above it.
 
-    Another layer is what is at least ``apart`` away at rest. Under or above: no farther along that vertex's tangent plane than
-    three quarters of the reach.
+    Two vertices are of different layers if they are at least ``rest_distance`` from each other at rest. One is under or above the
+    other if their distance along the other's tangent plane is at most three quarters of the reach.
+
+    Args:
+        position, normal: (V, 3) metres, unit.
+        rest: (V, 3) vertices at rest, metres.
+        reach, rest_distance: metres.
+        partner: (V,) int32 out, -1 where there is none.
+        side: (V,) out: 1 on the side of the partner's normal, -1 on the other, 0 without a partner.
     """
     n = position.shape[0]
     low, high = np.empty(3), np.empty(3)
@@ -41,7 +56,7 @@ def opposite(position, normal, rest, reach, apart, partner, side):
     for i in range(n - 1, -1, -1):
         start[key[i] + 1] -= 1
         order[start[key[i] + 1]] = i
-    # start[k + 1] is now where cell k begins, and start[k + 2], or n, where it ends
+    # cell k now begins at start[k + 1] and ends at start[k + 2], or at n
     for i in range(n):
         partner[i], side[i] = -1, 0.0
         best = reach * reach
@@ -58,7 +73,7 @@ def opposite(position, normal, rest, reach, apart, partner, side):
                     if squared >= best or j == i:
                         continue
                     rx, ry, rz = rest[i, 0] - rest[j, 0], rest[i, 1] - rest[j, 1], rest[i, 2] - rest[j, 2]
-                    if rx * rx + ry * ry + rz * rz < apart * apart:
+                    if rx * rx + ry * ry + rz * rz < rest_distance * rest_distance:
                         continue
                     height = normal[j, 0] * dx + normal[j, 1] * dy + normal[j, 2] * dz
                     if squared - height * height > 0.5625 * reach * reach:
@@ -68,7 +83,16 @@ def opposite(position, normal, rest, reach, apart, partner, side):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def linearize(position, stencil, normal, gap, area, residual, jacobian, weight):
-    """r = min(0, n . (p_i - p_j) - gap), dr/dp = (n, -n) where it is negative."""
+    """r = min(0, n . (p_i - p_j) - gap), dr/dp = (n, -n) where r is negative.
+
+    Args:
+        position: (V, 3) metres.
+        stencil: (C, 2) vertices i and j.
+        normal: (C, 3) n, unit.
+        gap: (C,) metres.
+        area: (C,) m^2, weight of a pair that touches.
+        residual, jacobian, weight: (C,) metres, (C, 2, 3), (C,) m^2, out; zero where a pair does not touch.
+    """
     for c in range(stencil.shape[0]):
         i, j = stencil[c, 0], stencil[c, 1]
         r = -gap[c]
@@ -85,8 +109,14 @@ def linearize(position, stencil, normal, gap, area, residual, jacobian, weight):
 def add_pairs(stencil, residual, jacobian, weight, stiffness, D, force):
     """Adds constraints on two vertices each to the normal equations.
 
-    The two are no neighbours in the mesh, and there is no block that couples them. Twice their own blocks take its place: with
-    them steps of both at the same time never overshoot.
+    The two are no neighbours in the mesh, so that A has no block that couples them. Twice their own blocks take its place: with
+    these, simultaneous steps of both never overshoot.
+
+    Args:
+        stencil, residual, jacobian, weight: of :func:`linearize`.
+        stiffness: 1/m^4.
+        D: (V, 3, 3) diagonal blocks of A, 1/m^2, added to.
+        force: (V, 3) or wider, 1/m, added to.
     """
     for c in range(stencil.shape[0]):
         k = stiffness * weight[c]

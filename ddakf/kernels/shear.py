@@ -1,10 +1,20 @@
-"""Shear: r = w_u . w_v with w_u = sum_a u_a p_a, w_v = sum_a v_a p_a, and dr/dp_a = u_a w_v + v_a w_u."""
+"""Stage E, shear (paper, section 2.4).
+
+r = w_u . w_v with w_u = sum_a u_a p_a and w_v = sum_a v_a p_a, and dr/dp_a = u_a w_v + v_a w_u.
+"""
 
 from numba import njit
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def linearize(positions, stencil, warp, weft, residual, jacobian):
+    """Residual (C,) and Jacobian (C, 3, 3) 1/m of every triangle, out.
+
+    Args:
+        positions: (V, 3) metres.
+        stencil: (C, 3) corners.
+        warp, weft: (C, 3) coefficients u_a and v_a, 1/m.
+    """
     for c in range(stencil.shape[0]):
         i, j, k = stencil[c, 0], stencil[c, 1], stencil[c, 2]
         ui, uj, uk = warp[c, 0], warp[c, 1], warp[c, 2]

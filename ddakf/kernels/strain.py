@@ -1,6 +1,7 @@
-"""Stretch and shear of a triangle at once: force and off-diagonal Gauss-Newton blocks, without Jacobians."""
+"""Stage E, strain (paper, section 2.4): stretch and shear of a triangle at once, force and blocks without Jacobians."""
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -8,9 +9,19 @@ from numba import njit
 from ddakf.kernels import FAST
 
 
+class StrainConstants(NamedTuple):
+    """F faces, each with its corners in ascending order."""
+
+    corner: np.ndarray  # (F, 3) uint32
+    edge: np.ndarray  # (F, 3) uint32, the mesh's edge of corners 0 and 1, 0 and 2, 1 and 2
+    warp: np.ndarray  # (F, 3) 1/m: w_u = sum_a warp[a] p_a
+    weft: np.ndarray  # (F, 3) 1/m
+    area: np.ndarray  # (F,) m^2
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def add_strain(position, corner, edge, warp, weft, area, stretch, shear, softness, blocks, force):
-    """Adds stretch, softened, and shear.
+def add_strain(position, constants, stretch, shear, softness, blocks, force):
+    """Adds softened stretch, and shear.
 
     With the tangents w = w_u and t = w_v and energy k_w (|w| - 1)^2 / 2 + k_t (|t| - 1)^2 / 2 + h (w . t)^2 / 2, the
     Gauss-Newton block of two corners with coefficients (a, b) and (c, d) is
@@ -18,12 +29,13 @@ def add_strain(position, corner, edge, warp, weft, area, stretch, shear, softnes
 
     Args:
         position: (V, 3) metres.
-        corner, edge, warp, weft, area: the constants of ``ddakf.physics.strain``.
+        constants: :class:`StrainConstants`.
         stretch, shear: stiffness, 1/m^2.
         softness: square of the strain at which a constraint counts half, as in ``ddakf.physics.energies.softened``.
         blocks: (E, 9) float32, added to: dE^2/dp_i dp_j of each edge i < j, by columns.
         force: (V, 3) or wider, minus the gradient is added.
     """
+    corner, edge, warp, weft, area = constants
     for f in range(corner.shape[0]):
         i, j, k = corner[f, 0], corner[f, 1], corner[f, 2]
         u0, u1, u2 = warp[f, 0], warp[f, 1], warp[f, 2]
@@ -82,15 +94,18 @@ def add_strain(position, corner, edge, warp, weft, area, stretch, shear, softnes
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
-def squared_strains(position, measured, corner, warp, weft, squared):
-    """(|w| - 1)^2 + (|t| - 1)^2 + (w . t)^2 / 2 of every face with three measured corners, the squared norm of its strain.
+def squared_strains(position, measured, constants, squared):
+    """(|w| - 1)^2 + (|t| - 1)^2 + (w . t)^2 / 2, the squared norm of the strain, of every face with three measured corners.
+
+    Returns the number of those faces.
 
     Args:
         position: (V, 3) metres.
         measured: (V,) bool.
-        corner, warp, weft: the constants of ``ddakf.physics.strain``.
-        squared: (F,) out, as many entries as the result says.
+        constants: :class:`StrainConstants`.
+        squared: (F,) out, one entry per face counted.
     """
+    corner, warp, weft = constants.corner, constants.warp, constants.weft
     n = 0
     for f in range(corner.shape[0]):
         i, j, k = corner[f, 0], corner[f, 1], corner[f, 2]

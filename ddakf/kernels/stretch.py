@@ -1,4 +1,4 @@
-"""Stretch: r = |w| - 1 with w = sum_a c_a p_a, and dr/dp_a = c_a w / |w|."""
+"""Stage E, stretch (paper, section 2.4): r = |w| - 1 with w = sum_a c_a p_a, and dr/dp_a = c_a w / |w|."""
 
 from math import sqrt
 
@@ -7,6 +7,13 @@ from numba import njit
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def linearize(positions, stencil, coefficient, residual, jacobian):
+    """Residual (C,) and Jacobian (C, 3, 3) 1/m of every constraint, out.
+
+    Args:
+        positions: (V, 3) metres.
+        stencil: (C, 3) corners of a triangle.
+        coefficient: (C, 3) c_a, 1/m.
+    """
     for c in range(stencil.shape[0]):
         i, j, k = stencil[c, 0], stencil[c, 1], stencil[c, 2]
         ci, cj, ck = coefficient[c, 0], coefficient[c, 1], coefficient[c, 2]

@@ -17,12 +17,12 @@ def invert3(a, b, c, d, e, f):
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def smallest_eigenvector(a, b, c, d, e, f):
-    """Of the symmetric matrix [[a, d, e], [d, b, f], [e, f, c]]: smallest and middle eigenvalue, and the unit eigenvector
-    of the smallest, which is the longest cross product of two rows; the last axis where all are equal.
+    """Smallest and middle eigenvalue of [[a, d, e], [d, b, f], [e, f, c]], and the unit eigenvector of the smallest.
 
-    With q the mean of the eigenvalues and p their spread they are q + p t, t^3 - 3 t = 2 r. The least root is -(1 + x) with
-    x^3 + 3 x^2 = 2 (1 - r); Newton's steps come down to it from sqrt((1 - r) / 2), six digits more with each. There is no branch
-    and no function but the root, so that many matrices go side by side.
+    The vector is the longest cross product of two rows, or the last axis where all eigenvalues are equal. With q the mean of the
+    eigenvalues and p their spread they are q + p t, t^3 - 3 t = 2 r. The least root is -(1 + x) with x^3 + 3 x^2 = 2 (1 - r);
+    Newton's steps descend to it from sqrt((1 - r) / 2), six digits more with each. There is no branch and no function but the
+    square root, so that the compiler computes many matrices side by side.
     """
     q = (a + b + c) / 3.0
     p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)

@@ -1,4 +1,6 @@
-"""Stage F, covariance (paper, section 2.7): a frame's evidence by patches, and each vertex's covariance."""
+"""Stage F, covariance (paper, section 2.7): a frame's evidence by patches, and the covariance of each vertex."""
+
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -6,24 +8,40 @@ from numba import njit
 from ddakf.kernels.symmetric import invert3
 
 
+class MeasuredPlanes(NamedTuple):
+    """Measurements of V vertices."""
+
+    weight: np.ndarray  # (V,), 0 where there is none
+    normal: np.ndarray  # (V, 3) unit
+    variance: np.ndarray  # (V,) m^2
+    isotropic: bool  # the measurements are points, as well known across the normal as along it
+
+
+class PatchSums(NamedTuple):
+    """Sums over the vertices of each of L patches."""
+
+    size: np.ndarray  # (L,) vertices
+    observed: np.ndarray  # (L,) of them measured
+    information: np.ndarray  # (L, 6) 1/m^2, xx yy zz xy xz yz
+    facing: np.ndarray  # (L, 3) normals of the measurements
+    motion: np.ndarray  # (L, 4) m and m^2, the vectors and their squares
+    innovation: np.ndarray  # (L, 4) m and m^2, the same of the measured vertices alone
+    strain: np.ndarray  # (L,) mean squared strain of the edges at each vertex
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
-def gather(
-    position, last, prior, patch, ring_strain, weight, normal, variance, isotropic,
-    size, observed, information, facing, motion, innovation, strain,
-):  # fmt: skip
-    """Sums over the vertices of each patch.
+def sum_by_patch(position, last, prior, patch, ring_strain, planes, sums):
+    """Sums a frame's evidence over the vertices of each patch.
 
     Args:
-        position, last, prior: (V, 3) m; ``last`` is where the vertex would be had it not moved.
-        patch: (V,) of the model.
+        position, last, prior: (V, 3) metres; ``last`` is the position of a vertex that has not moved.
+        patch: (V,) int32 in [0, L).
         ring_strain: (V,) mean squared strain of the edges at each vertex.
-        weight, normal, variance, isotropic: of the measurements; isotropic ones are known as well across as along.
-        size, observed: (L,) out, vertices and measured ones.
-        information: (L, 6) out, 1/m^2, xx yy zz xy xz yz.
-        facing: (L, 3) out, normals of the measurements.
-        motion, innovation: (L, 4) out, the vectors and their squares; the innovation of measured vertices alone, m and m^2.
-        strain: (L,) out, of ``ring_strain``.
+        planes: :class:`MeasuredPlanes`.
+        sums: :class:`PatchSums` out.
     """
+    weight, normal, variance, isotropic = planes
+    size, observed, information, facing, motion, innovation, strain = sums
     size[:], observed[:], strain[:] = 0.0, 0.0, 0.0
     information[:], facing[:], motion[:], innovation[:] = 0.0, 0.0, 0.0, 0.0
     for i in range(position.shape[0]):
@@ -56,32 +74,43 @@ def gather(
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def couple(B, crossing, information, smallest, coarse):
-    """coarse (3L, 3L) float32 out: what couples the patches, P' A P without what holds a vertex on its own, and what holds each,
-    the ``information`` (L, 6), xx yy zz xy xz yz, and the ``smallest``, 1/m^2.
+def couple_patches(B, crossing, information, smallest, matrix):
+    """Matrix of the patches: their coupling, P' A P without the terms on single vertices, plus the information of each.
 
-    No energy that couples vertices changes when all move alike: each row of blocks adds up to nothing. ``crossing`` (C, 3) are
-    the rows of B from patch to patch, and the two patches.
+    No energy that couples vertices changes when all move alike, so that each row of blocks adds up to zero.
+
+    Args:
+        B: (2E, 12) float32 1/m^2, blocks of the entries of the one-rings.
+        crossing: (C, 3) int32, entries from patch to patch, and the two patches.
+        information: (L, 6) 1/m^2, xx yy zz xy xz yz.
+        smallest: 1/m^2, added to the diagonal.
+        matrix: (3L, 3L) float32 1/m^2, out.
     """
-    coarse[:] = 0.0
+    matrix[:] = 0.0
     for k in range(crossing.shape[0]):
         e, p, q = crossing[k, 0], 3 * crossing[k, 1], 3 * crossing[k, 2]
         for a in range(3):
             for b in range(3):
-                coarse[p + a, q + b] += B[e, 4 * b + a]
-                coarse[p + a, p + b] -= B[e, 4 * b + a]
+                matrix[p + a, q + b] += B[e, 4 * b + a]
+                matrix[p + a, p + b] -= B[e, 4 * b + a]
     for k in range(information.shape[0]):
         p = 3 * k
         for a in range(3):
-            coarse[p + a, p + a] += information[k, a] + smallest
+            matrix[p + a, p + a] += information[k, a] + smallest
         for m, a, b in ((3, 0, 1), (4, 0, 2), (5, 1, 2)):
-            coarse[p + a, p + b] += information[k, m]
-            coarse[p + b, p + a] += information[k, m]
+            matrix[p + a, p + b] += information[k, m]
+            matrix[p + b, p + a] += information[k, m]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def retain(inverse, information, F):
-    """F (3L, 3L) float32 out: I - inverse blockdiag(information), information (L, 6)."""
+def error_transition(inverse, information, F):
+    """F = I - inverse blockdiag(information): how an update changes the error of the patches.
+
+    Args:
+        inverse: (3L, 3L) float32 m^2.
+        information: (L, 6) float32 1/m^2.
+        F: (3L, 3L) float32 out.
+    """
     for k in range(information.shape[0]):
         p = 3 * k
         a, b, c = information[k, 0], information[k, 1], information[k, 2]
@@ -96,13 +125,21 @@ def retain(inverse, information, F):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def conditioned(shared, bend, patch, weight, normal, variance, isotropic, scale2, covariance):
-    """covariance (V, 3, 3) out: the patch's (``shared``, (L, 3, 3)), for measured vertices after their own measurement.
+def vertex_covariances(shared, bend, patch, planes, scale2, covariance):
+    """Covariance of each vertex: that of its patch, conditioned on the vertex's own measurement.
 
-    A plane is known along its normal to its variance and to how far the normal turns within the patch (``bend`` (L,), mean
-    squared difference of two normals) where the patch may slide: the plane that was found is then a neighbour's.
-    ``scale2`` (V,) multiplies the result.
+    A plane is known along its normal to its variance and, where the patch may slide, to the turn of the normal within the patch:
+    the plane that was found is then a neighbour's.
+
+    Args:
+        shared: (L, 3, 3) covariance of the patches, m^2.
+        bend: (L,) mean squared difference of two normals of a patch.
+        patch: (V,) int32 in [0, L).
+        planes: :class:`MeasuredPlanes`.
+        scale2: (V,) factor on the result.
+        covariance: (V, 3, 3) m^2, out.
     """
+    weight, normal, variance, isotropic = planes
     for i in range(patch.shape[0]):
         P = shared[patch[i]]
         a, b, c, d, e, f = P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2]
@@ -126,23 +163,30 @@ def conditioned(shared, bend, patch, weight, normal, variance, isotropic, scale2
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def traces(covariance, trace):
-    """trace (V,) out, of (V, 3, 3)."""
+    """Traces of (V, 3, 3) blocks, (V,) out."""
     for i in range(covariance.shape[0]):
         trace[i] = covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def along_cloth(seen, start, neighbour, rest_length, most, distance):
-    """distance (V,) out: length of the shortest path along edges at rest to a vertex that is ``seen`` (V,), m, at most ``most``.
+def distance_along_cloth(observed, start, neighbour, rest_length, most, distance):
+    """Length of the shortest path along edges at rest from each vertex to an observed one.
 
-    A queue of the vertices whose distance has changed, each in it at most once (Moore 1959).
+    A queue holds the vertices whose distance has changed, each at most once (Moore 1959).
+
+    Args:
+        observed: (V,) bool.
+        start, neighbour: one-rings in compressed rows.
+        rest_length: (2E,) metres.
+        most: limit of the distances, metres.
+        distance: (V,) out, metres.
     """
-    n = seen.shape[0]
+    n = observed.shape[0]
     queue, waiting = np.empty(n, np.uint32), np.zeros(n, np.bool_)
     count = first = 0
     for i in range(n):
-        distance[i] = 0.0 if seen[i] else most
-        if seen[i]:
+        distance[i] = 0.0 if observed[i] else most
+        if observed[i]:
             queue[count] = i
             waiting[i] = True
             count += 1
@@ -164,7 +208,7 @@ def along_cloth(seen, start, neighbour, rest_length, most, distance):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def replace_indefinite(covariance, fallback):
-    """Blocks of (V, 3, 3) covariance that are not finite and positive definite become those of the fallback, in place."""
+    """Replaces the blocks of (V, 3, 3) ``covariance`` that are not finite and positive definite by those of ``fallback``."""
     for i in range(covariance.shape[0]):
         a, b, c = covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2]
         d, e, f = covariance[i, 0, 1], covariance[i, 0, 2], covariance[i, 1, 2]

@@ -15,6 +15,7 @@ from scipy.linalg.lapack import spotrf, spotrs
 from ddakf.body import contact
 from ddakf.config import PlaneAssociation
 from ddakf.kernels import cluster_alignment as kernels
+from ddakf.kernels.cluster_alignment import ClusterFrames, SampleNoise, SamplePlanes, SeamStiffness
 from ddakf.physics import rigidity
 from ddakf.stages import associate, fuse, robust
 from ddakf.stages.fuse import BLAS
@@ -87,23 +88,17 @@ def _solve(
     A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))
     kernels.centers(position, model.cluster, center)
     stands_for = len(position) / len(clusters.sample)
-    kernels.add_planes(
-        position, problem.prior.position, clusters.sample, model.cluster, center, measurement.target, measurement.normal, weight,
-        variance, config.associate.tangential_sd**2, 1.0 / config.coarse.prior_sd**2, stands_for, A, b,
-    )  # fmt: skip
+    frames, planes = ClusterFrames(model.cluster, center), SamplePlanes(measurement.target, measurement.normal, weight)
+    noise = SampleNoise(variance, config.associate.tangential_sd**2, 1.0 / config.coarse.prior_sd**2, stands_for)
+    kernels.add_planes(position, problem.prior.position, clusters.sample, frames, planes, noise, A, b)
     if floor is not None:
         point, normal = floor
         inside = np.einsum("va,va->v", normal, point - position) > 0
-        kernels.add_planes(
-            position, position, clusters.sample, model.cluster, center, point, normal, inside.astype(float), CONTACT_SD**2,
-            np.inf, 0.0, stands_for, A, b,
-        )  # fmt: skip
-    rest, motion, weakening = estimate.rest, estimate.motion, clusters.weakening
-    stretch = weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.stretch * physics.fabric.stretch
-    kernels.add_seams(
-        position, model.cluster, center, clusters.seam, rest.source, rest.rotation, weakening * rest.weight,
-        motion.source, motion.rotation, weakening * motion.weight, stretch, physics.strain_scale, A, b,
-    )  # fmt: skip
+        planes, noise = SamplePlanes(point, normal, inside.astype(float)), SampleNoise(CONTACT_SD**2, np.inf, 0.0, stands_for)
+        kernels.add_planes(position, position, clusters.sample, frames, planes, noise, A, b)
+    stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.stretch * physics.fabric.stretch
+    stiffness = SeamStiffness(clusters.weakening, stretch, physics.strain_scale)
+    kernels.add_seams(position, frames, clusters.seam, estimate.rest, estimate.motion, stiffness, A, b)
     A[np.diag_indices(6 * k)] += RIDGE * np.trace(A) / (6 * k)
     with BLAS.limit(limits=1, user_api="blas"):
         factor, failed = spotrf(A.astype(np.float32), lower=1)

@@ -64,7 +64,7 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> flo
     """
     strain, strain2 = problem.model.strain, problem.last.strain2
     squared = np.empty(len(strain.area))
-    n = kernels.squared_strains(position, measured, strain.corner, strain.warp, strain.weft, squared)
+    n = kernels.squared_strains(position, measured, strain, squared)
     if n < LEAST_SHARE * len(squared):
         return strain2
     old = exp(-min(problem.dt, LONGEST) / problem.config.physics.strain_memory)

@@ -46,7 +46,7 @@ def find(last: np.ndarray, position: np.ndarray, mesh: Mesh, area: np.ndarray, t
     normals.vertex_normals(last, faces, before)
     normals.vertex_normals(position, faces, now)
     partner, side = np.empty(n, np.int32), np.empty(n)
-    kernels.opposite(
+    kernels.find_opposite(
         np.ascontiguousarray(last), before, mesh.vertices, REACH * mesh.edge_length, APART * mesh.edge_length, partner, side
     )
     i = np.flatnonzero(partner >= 0)

@@ -7,22 +7,11 @@ minus the sum of its row: neither Jacobians nor diagonal blocks are formed. ``st
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
+from ddakf.kernels.strain import StrainConstants
 from ddakf.mesh import Mesh
 from ddakf.physics.rest import rest_frames
-
-
-class StrainConstants(NamedTuple):
-    """F faces, each with its corners in ascending order."""
-
-    corner: np.ndarray  # (F, 3) uint32
-    edge: np.ndarray  # (F, 3) uint32, the mesh's edge of corners 0 and 1, 0 and 2, 1 and 2
-    warp: np.ndarray  # (F, 3) 1/m: w_u = sum_a warp[a] p_a
-    weft: np.ndarray  # (F, 3) 1/m
-    area: np.ndarray  # (F,) m^2
 
 
 def build(mesh: Mesh) -> StrainConstants:

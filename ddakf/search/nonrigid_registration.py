@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import nonrigid_registration as kernels
-from ddakf.kernels.associate import seen, vertex_normals
+from ddakf.kernels.associate import VisibilityLimits, mark_visible, vertex_normals
 from ddakf.kernels.cluster_alignment import centers
 from ddakf.kernels.nonrigid_registration import ClusterGraph, Goals
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, normals, outward
@@ -106,7 +106,7 @@ def follow(
     vertex_normals(source, model.faces, normal)
     start, normal, patch = source[chosen], normal[chosen], model.cluster[chosen]
     nearest, share = clusters.nearest[chosen], clusters.share[chosen]
-    cell = OCCLUDER_CELL * model.edge_length * np.sqrt(every)
+    limits = VisibilityLimits(OCCLUDER_CELL * model.edge_length * np.sqrt(every), HIDDEN_DEPTH, FACING)
     points = OrientedPoints(*target.thinned(thinner))
     middle, rotation = np.empty((K, 3)), np.tile(np.eye(3), (K, 1, 1))
     centers(source, model.cluster, middle)
@@ -121,7 +121,7 @@ def follow(
         progress = step / max(steps - 1, 1)
         turned = np.einsum("vab,vb->va", rotation[patch], normal)
         if target.sensors is not None:
-            seen(estimate, turned, NO_BODY, NO_SURFELS, NO_ORIGIN, target.sensors, cell, HIDDEN_DEPTH, FACING, visible)
+            mark_visible(estimate, turned, NO_BODY, NO_SURFELS, NO_ORIGIN, target.sensors, limits, visible)
         vertices = OrientedVertices(rows(estimate), rows(turned), visible * area)
         pairing = Pairing(reach * (LAST_REACH / reach) ** progress, balancing, OUTLIER)
         correspond(vertices, points, pairing, pair, mass, goal)

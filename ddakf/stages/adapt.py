@@ -27,10 +27,9 @@ def adapt(problem: Problem, estimate: Estimate, measurement: Measurement, weight
     R = last.R.copy()
     match config:
         case ResidualNoise():
-            kernels.adapt_along_normals(
-                measurement.target, measurement.normal, used, estimate.position, last.P_pp,
-                config.alpha, config.epsilon, low, high, R,
-            )  # fmt: skip
+            recursion = kernels.Recursion(config.alpha, config.epsilon, low, high)
+            target, normal = measurement.target, measurement.normal
+            kernels.adapt_along_normals(estimate.position, target, normal, used, last.P_pp, recursion, R)
         case InnovationNoise():
             y = measurement.innovation(problem.prior.position)[used]
             sample = y[:, :, None] * y[:, None, :] + config.epsilon * np.eye(3)

@@ -9,6 +9,8 @@ import numpy as np
 from ddakf.config import NearestPoint, PlaneAssociation
 from ddakf.kernels import associate as kernels
 from ddakf.kernels import hem as hem_kernels
+from ddakf.kernels.associate import FoundPlanes, PlaneSearch, VisibilityLimits
+from ddakf.kernels.hem import CloudEnds, Tube
 from ddakf.types import Estimate, Hem, Measurement, Problem
 
 HEM_WIDTH = 0.012  # m to either side: points of a cloud with 1 cm between them mark its end there
@@ -51,20 +53,17 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
             eligible = seen if only is None else seen & only
             if not cloud.empty:
                 beside = config.beside * float(np.sqrt(model.area / cloud.surfels.shape[1]))
-                kernels.nearest_planes(
-                    position, normal, eligible, cloud.surfels, cloud.surfel_start, cloud.origin, cloud.cell, cloud.dims,
-                    gate, config.normal_cosine, config.turned, cloud.oriented, config.still * cloud.cell,
-                    beside, searched_at, target, plane, distance,
-                )  # fmt: skip
+                still = config.still * cloud.cell
+                search = PlaneSearch(gate, config.normal_cosine, config.turned, cloud.oriented, still, beside)
+                planes = FoundPlanes(target, plane, distance, searched_at)
+                kernels.nearest_planes(position, normal, eligible, cloud.surfels, cloud.surfel_grid, search, planes)
             hem = None if only is not None else _hem(problem, position, normal, seen)
             return Measurement(target, plane, distance, searched_at, seen, hem)
         case NearestPoint():
             n = len(position)
             target, distance = np.zeros((n, 3)), np.full(n, -1.0)
             if not cloud.empty:
-                kernels.nearest_points(
-                    position, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims, gate, target, distance
-                )
+                kernels.nearest_points(position, cloud.points, cloud.grid, gate, target, distance)
             return Measurement(target, None, distance, position, np.ones(n, bool))
 
 
@@ -81,11 +80,8 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
     if cloud.oriented:
         vertices = problem.frame.body_vertices
         body = np.empty((0, 3)) if vertices is None else vertices
-        cell = OCCLUDER_CELL * problem.model.edge_length
-        kernels.seen(
-            position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, cell, config.hidden_depth, config.facing_cosine,
-            found,
-        )  # fmt: skip
+        limits = VisibilityLimits(OCCLUDER_CELL * problem.model.edge_length, config.hidden_depth, config.facing_cosine)
+        kernels.mark_visible(position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, limits, found)
     return found
 
 
@@ -95,9 +91,7 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     n = len(model.boundary)
     if cloud.empty or n == 0 or config.hem_reach == 0:
         return None
-    direction, offset, found = np.zeros((n, 3)), np.zeros(n), np.zeros(n, bool)
-    hem_kernels.ends_of_cloud(
-        position, normal, seen, model.boundary, cloud.points, cloud.start, cloud.origin, cloud.cell, cloud.dims,
-        config.hem_reach, HEM_WIDTH, HEM_DEPTH, direction, offset, found,
-    )  # fmt: skip
+    direction, offset, found = ends = CloudEnds(np.zeros((n, 3)), np.zeros(n), np.zeros(n, bool))
+    tube = Tube(config.hem_reach, HEM_WIDTH, HEM_DEPTH)
+    hem_kernels.ends_of_cloud(position, normal, seen, model.boundary, cloud.points, cloud.grid, tube, ends)
     return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))

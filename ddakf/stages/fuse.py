@@ -13,6 +13,8 @@ from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
 from ddakf.kernels import self_collision as self_collision_kernels
 from ddakf.kernels import strain as strain_kernels
+from ddakf.kernels.fuse import BlockMatrix, Preconditioner
+from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
@@ -139,7 +141,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     rigid = (estimate.rest, estimate.motion)
     rigidity.add_force(rigid, position, model, force)
     blocks = np.zeros((len(model.mesh.edges), 9), np.float32)
-    strain_kernels.add_strain(position, *model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
+    strain_kernels.add_strain(position, model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
     D, B = energies.bending.blocks.copy(), np.empty((len(model.neighbour), 12), np.float32)
     weight = sum(term.weight for term in rigid)
     kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, unary, D, B)
@@ -162,14 +164,11 @@ class SolverLimits(NamedTuple):
 
 def solve(system: System, coarse_inverse: np.ndarray, model: Model, limits: SolverLimits) -> np.ndarray:
     """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner."""
-    n, k = len(system.D), len(coarse_inverse)
-    delta, work = np.empty((n, 4), np.float32), np.empty((4, n, 4), np.float32)
-    D, inverse = np.empty((n, 12), np.float32), np.empty((n, 12), np.float32)
+    n = len(system.D)
+    delta, D, inverse = (np.empty(shape, np.float32) for shape in ((n, 4), (n, 12), (n, 12)))
     kernels.pack(system.D, D, inverse)
-    kernels.conjugate_gradients(
-        D, system.B, model.start, model.neighbour, inverse, model.aggregate, coarse_inverse, system.force,
-        *limits, work, np.empty(k, np.float32), np.empty(k, np.float32), delta,
-    )  # fmt: skip
+    matrix = BlockMatrix(D, system.B, model.start, model.neighbour)
+    kernels.conjugate_gradients(matrix, Preconditioner(inverse, model.aggregate, coarse_inverse), system.force, *limits, delta)
     return delta
 
 
@@ -237,7 +236,6 @@ def condition(prior: State, position: np.ndarray, P_pp: np.ndarray, R: np.ndarra
     prior, u += G (p - p_prior), P_pu = P_pp' G' and P_uu += G (P_pp' - P_pp) G'.
     """
     velocity, P_pu, P_uu = prior.velocity.copy(), np.empty_like(P_pp), np.empty_like(P_pp)
-    kernels.condition(
-        prior.P_pp, prior.P_pu, prior.P_uu, position - prior.position, P_pp, velocity, P_pu, P_uu
-    )
+    before = CovarianceBlocks(prior.P_pp, prior.P_pu, prior.P_uu)
+    kernels.condition(before, position - prior.position, velocity, CovarianceBlocks(P_pp, P_pu, P_uu))
     return State(position, velocity, P_pp, P_pu, P_uu, R, prior.acceleration)

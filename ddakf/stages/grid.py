@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import preprocess as kernels
+from ddakf.kernels.preprocess import Grid
 
 
 class VertexGrid(NamedTuple):
@@ -14,10 +15,7 @@ class VertexGrid(NamedTuple):
 
     vertices: np.ndarray  # (3, V) float32, relative to origin, m
     index: np.ndarray  # (V,) int32, of each in the mesh
-    start: np.ndarray  # (cells + 2,) int32, of the vertices of each cell
-    origin: np.ndarray  # (3,) m
-    cell: float  # m
-    dims: np.ndarray  # (3,) int64
+    grid: Grid  # of the vertices
 
 
 def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
@@ -27,10 +25,10 @@ def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
     extent = upper - lower
     cell = max(cell, float(extent.max()) / most)
     dims = (extent / cell).astype(np.int64) + 1
-    start = np.empty(int(np.prod(dims)) + 2, np.int32)
+    grid = Grid(np.empty(int(np.prod(dims)) + 2, np.int32), lower, cell, dims)
     vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
-    kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), lower, cell, dims, start, vertices, index)
-    return VertexGrid(vertices, index, start, lower, cell, dims)
+    kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), grid, vertices, index)
+    return VertexGrid(vertices, index, grid)
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:

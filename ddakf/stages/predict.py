@@ -9,6 +9,7 @@ import numpy as np
 from ddakf.body import contact
 from ddakf.config import ConstantAcceleration, ConstantVelocity
 from ddakf.kernels import predict as kernels
+from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import adaptive_stiffness
 from ddakf.types import FrameInput, FrameResult, Problem, Setup, State, Track, variances
 
@@ -64,7 +65,8 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     # white acceleration over dt, saturating at the longest step so that a long gap stays bounded
     noise = q * step**3 * max(dt, step) / 4, q * step**3 / 2, q * step**2
     P_pp, P_pu, P_uu = (np.empty(state.P_pp.shape) for _ in range(3))
-    kernels.propagate(state.P_pp, state.P_pu, state.P_uu, travel, g, noise, P_pp, P_pu, P_uu)
+    last = CovarianceBlocks(state.P_pp, state.P_pu, state.P_uu)
+    kernels.propagate(last, travel, g, noise, CovarianceBlocks(P_pp, P_pu, P_uu))
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
 from ddakf.kernels import preprocess as kernels
+from ddakf.kernels.preprocess import Grid
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct
 from ddakf.types import Cloud, FrameInput, Problem
@@ -50,7 +51,7 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) 
     if isinstance(config.preprocess, GridFilter):
         stride = max(1, round(sorted_points.shape[1] / (config.preprocess.planes_per_vertex * len(position))))
     surfels = np.empty((6, -(-sorted_points.shape[1] // stride)), np.float32)
-    kernels.fit_planes(sorted_points, start, cell, dims, config.preprocess.plane_radius * cell, stride, surfels)
+    kernels.fit_planes(sorted_points, Grid(*grid[2:]), config.preprocess.plane_radius * cell, stride, surfels)
     sensor = None
     if sensor_origin is not None:
         if sensor_origin.ndim == 1:
@@ -83,7 +84,7 @@ def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndar
     start = np.empty(int(np.prod(dims)) + 2, np.int32)
     sorted_points = np.empty((3, len(chosen)), np.float32)
     index = np.empty(len(chosen), np.int32)
-    kernels.fill_grid(points, chosen, origin, cell, dims, start, sorted_points, index)
+    kernels.fill_grid(points, chosen, Grid(start, origin, cell, dims), sorted_points, index)
     return sorted_points, index, start, origin, cell, dims
 
 
@@ -93,17 +94,17 @@ def _drop_sparse(grid, config: GridFilter):
     A point whose 27 cells hold a fair share of the median is an inlier. The statistics that the others are held against are of
     all points: suspects, and a sample of the rest.
     """
-    points, index, start, _, cell, dims = grid
+    points, index, start, _, _, dims = grid
     occupied, count, suspects, rest = (np.empty(len(index), np.int32) for _ in range(4))
     n = kernels.neighbourhood_counts(start, dims, occupied, count)
-    n = kernels.split(start, occupied[:n], count[:n], config.suspect_share, suspects, rest)
+    n = kernels.split_suspects(start, occupied[:n], count[:n], config.suspect_share, suspects, rest)
     if n == 0:
         return grid
     suspects, rest = suspects[:n], rest[: len(index) - n]
     sample = rest[:: max(1, len(rest) // config.sample)]
     distance = np.empty(len(suspects) + len(sample))
     kernels.knn_mean_distances(
-        points, np.concatenate([suspects, sample]), start, cell, dims, config.neighbours - 1, SUSPECT_RINGS, distance
+        points, np.concatenate([suspects, sample]), Grid(*grid[2:]), config.neighbours - 1, SUSPECT_RINGS, distance
     )
     mine, others = distance[: len(suspects)], distance[len(suspects) :]
     total = len(index)
@@ -117,12 +118,12 @@ def _drop_sparse(grid, config: GridFilter):
 
 def _drop_far(grid, config: KnnFilter):
     """Rusu and Cousins 2011, as in Open3D: mean distance to the k nearest, the point itself among them."""
-    points, index, start, _, cell, dims = grid
+    points, index, start = grid[:3]
     if len(index) <= 1:
         return grid
     others = min(config.neighbours, len(index)) - 1
     mean = np.empty(len(index))
-    kernels.knn_mean_distances(points, np.arange(len(index)), start, cell, dims, others, len(start), mean)
+    kernels.knn_mean_distances(points, np.arange(len(index)), Grid(*grid[2:]), others, len(start), mean)
     mean *= others / (others + 1)
     return _without(grid, ~(mean < mean.mean() + config.ratio * mean.std(ddof=1)))
 

@@ -148,7 +148,7 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     left_out = np.zeros(len(position), bool)
     if np.count_nonzero(nearest < 0) > FOREIGN * len(points):
         longest, left_out[model.boundary[:, 0]] = near, True
-    offset = kernels.misfit(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
+    offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
     share = clumped(points[away > near] - position.mean(axis=0)) / len(points)
     least = min(health.least_unexplained, share)
     memory = 0.0 if health.settling else MEMORY
@@ -166,9 +166,9 @@ def nearest_vertices(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarr
         points: (N, 3) metres.
         position: (V, 3) metres.
     """
-    grid = vertex_grid(position, REACH / RINGS, CELLS)
+    _, index, grid = vertex_grid(position, REACH / RINGS, CELLS)
     nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
-    kernels.nearest_vertices(points, position, *grid[1:], REACH, nearest, away)
+    kernels.nearest_vertices(points, position, index, grid, REACH, nearest, away)
     return nearest, away
 
 

@@ -50,7 +50,7 @@ def skin(points: np.ndarray, problem: Problem, position: np.ndarray, margin: flo
 
 def apart(points: np.ndarray, position: np.ndarray, radius: float) -> np.ndarray:
     """(N,) bool: (N, 3) points farther than ``radius`` from all (V, 3) vertices, metres."""
-    grid = vertex_grid(position, radius, CELLS)
-    out = np.empty(len(points), bool)
-    kernels.apart(points, grid.vertices, grid.start, grid.origin, grid.cell, grid.dims, radius, out)
-    return out
+    vertices, _, grid = vertex_grid(position, radius, CELLS)
+    far = np.empty(len(points), bool)
+    kernels.far_from_vertices(points, vertices, grid, radius, far)
+    return far

@@ -18,6 +18,7 @@ from ddakf.body import body_anchor
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.reliability import strains
+from ddakf.kernels.uncertainty import MeasuredPlanes, PatchSums
 from ddakf.stages import predict
 from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Model, Posterior, Problem, State, variances
@@ -102,10 +103,8 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
     unseen = weight <= 0.0
     scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, estimate.clearance, body_anchor.slack(problem), model)[unseen]
-    kernels.conditioned(
-        drift.level * shared, 2.0 * evidence.bend, model.patch, weight, planes.normal, planes.variance,
-        evidence.isotropic, scale2, covariance,
-    )  # fmt: skip
+    measured = MeasuredPlanes(weight, planes.normal, planes.variance, evidence.isotropic)
+    kernels.vertex_covariances(drift.level * shared, 2.0 * evidence.bend, model.patch, measured, scale2, covariance)
     scale = _scale(covariance, limits.ceiling_sd)
     if scale is not None:
         covariance *= scale**2
@@ -130,7 +129,7 @@ def _room(seen: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | No
         loose = 1.0 if slack is None else np.maximum(slack / USUAL_SLACK, 1.0)
         return loose * (1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY)
     distance = np.empty(len(seen))
-    kernels.along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
+    kernels.distance_along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
     return 1.0 + distance / ROOM_TO_SEEN
 
 
@@ -174,12 +173,12 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
 def _updated(P: np.ndarray, evidence: PatchEvidence, B: np.ndarray, model: Model) -> np.ndarray:
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
-    kernels.couple(B, model.crossing, evidence.information, SMALLEST, coarse)
+    kernels.couple_patches(B, model.crossing, evidence.information, SMALLEST, coarse)
     G = invert(coarse)
     if not np.isfinite(G).all():
         return P
     F = np.empty_like(G)
-    kernels.retain(G, evidence.information.astype(np.float32), F)
+    kernels.error_transition(G, evidence.information.astype(np.float32), F)
     with BLAS.limit(limits=1, user_api="blas"):
         updated = F @ (P @ F.T - G) + G
     return 0.5 * (updated + updated.T)
@@ -211,14 +210,12 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position
     # an unseen part moved as is known: not at all, or, with a body to ride on, as it did
     still = problem.motion_start if problem.carried is None else position
     n, ring_strain = len(model.likeness), np.empty(len(position))
-    size, observed, strain2, information = np.empty(n), np.empty(n), np.empty(n), np.empty((n, 6))
-    facing, motion, innovation = np.empty((n, 3)), np.empty((n, 4)), np.empty((n, 4))
+    shapes = PatchSums((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,))
+    size, observed, information, facing, motion, innovation, strain2 = sums = PatchSums(*map(np.empty, shapes))
     isotropic = isinstance(problem.config.associate, NearestPoint)
     strains(position, model.start, model.neighbour, model.rest_length, ring_strain)
-    kernels.gather(
-        position, still, problem.prior.position, model.patch, ring_strain, weight, planes.normal, planes.variance, isotropic,
-        size, observed, information, facing, motion, innovation, strain2,
-    )  # fmt: skip
+    measured_planes = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
+    kernels.sum_by_patch(position, still, problem.prior.position, model.patch, ring_strain, measured_planes, sums)
     measured = np.maximum(observed, 1.0)
     bend = 1.0 - np.square(facing / measured[:, None]).sum(axis=1)
     return PatchEvidence(

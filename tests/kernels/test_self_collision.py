@@ -27,7 +27,7 @@ def test_opposite_agrees_with_all_pairs(reach, stray):
     normal = (normal - 0.5) / np.linalg.norm(normal - 0.5, axis=1, keepdims=True)
     x[7] += stray
     partner, side = np.empty(300, np.int32), np.empty(300)
-    self_collision.opposite(x, normal, rest, reach, 0.4, partner, side)
+    self_collision.find_opposite(x, normal, rest, reach, 0.4, partner, side)
     expected = slow_opposite(x, normal, rest, reach, 0.4)
     np.testing.assert_array_equal(partner, expected[0])
     np.testing.assert_array_equal(side, expected[1])

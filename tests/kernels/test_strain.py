@@ -39,7 +39,7 @@ def test_force_and_blocks_are_those_of_the_jacobians(name, flat):
     if flat:
         x[garment.mesh.faces[0]] = x[garment.mesh.faces[0, 0]]  # a face without an area has tangents without a direction
     force, blocks = np.zeros((n, 4)), np.zeros((len(garment.mesh.edges), 9), np.float32)
-    strain.add_strain(x, *garment.strain, STRETCH, SHEAR, SCALE**2, blocks, force)
+    strain.add_strain(x, garment.strain, STRETCH, SHEAR, SCALE**2, blocks, force)
     D, B = np.zeros((n, 3, 3)), np.empty((len(garment.neighbour), 12), np.float32)
     fuse.add_coupling(garment.start, garment.neighbour, garment.edge, blocks, 700.0, np.zeros((n, 3, 3)), D, B)
 

@@ -9,6 +9,7 @@ from ddakf import Config, Mesh, Tracker
 from ddakf.config import InnovationNoise, NearestPoint
 from ddakf.garment import clusters, model
 from ddakf.kernels import cluster_alignment as kernels
+from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.multiresolution import cluster_alignment
 from ddakf.types import State
 from tests.stages.scenes import about, cloud_of, inner_body, posed, problem_of, rms, scan, tube
@@ -36,9 +37,8 @@ def system(position, target, normal, weight):
     k, c = GARMENT.n_clusters, GARMENT.clusters
     A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))
     kernels.centers(position, GARMENT.cluster, center)
-    kernels.add_planes(
-        position, position, c.sample, GARMENT.cluster, center, target, normal, weight, 1e-4, 1e-2, 3.0, 2.0, A, b
-    )  # fmt: skip
+    frames, planes = kernels.ClusterFrames(GARMENT.cluster, center), kernels.SamplePlanes(target, normal, weight)
+    kernels.add_planes(position, position, c.sample, frames, planes, kernels.SampleNoise(1e-4, 1e-2, 3.0, 2.0), A, b)
     return A, b, center
 
 
@@ -108,10 +108,10 @@ def test_common_turns_cost_nothing_in_the_seams(scale):
     A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))
     kernels.centers(MESH.vertices, GARMENT.cluster, center)
     identity = np.tile(np.eye(3), (len(MESH.vertices), 1, 1))
-    kernels.add_seams(
-        MESH.vertices, GARMENT.cluster, center, c.seam, GARMENT.rest_edge, identity, 3.0 * scale, GARMENT.rest_edge, identity,
-        5.0, 7.0, 0.1, A, b,
-    )  # fmt: skip
+    rotations = identity, np.empty((0, 12), np.float32), np.empty((0, 8), np.float32)
+    rest, motion = (LocalRigidity(GARMENT.rest_edge, weight, *rotations) for weight in (3.0 * scale, 5.0))
+    frames, stiffness = kernels.ClusterFrames(GARMENT.cluster, center), kernels.SeamStiffness(1.0, 7.0, 0.1)
+    kernels.add_seams(MESH.vertices, frames, c.seam, rest, motion, stiffness, A, b)
     A = np.tril(A) + np.tril(A, -1).T
     np.testing.assert_allclose(b, 0.0, atol=1e-5)
     turn, shift = np.array([0.3, -0.2, 0.5]), np.array([0.1, 0.2, -0.3])

@@ -110,7 +110,7 @@ def misfit_of(points, mesh, patches=40):
     patch = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32)
     nearest, away = nearest_vertices(points, mesh.vertices)
     none = np.zeros(mesh.n_vertices, bool)
-    return kernels.misfit(points, mesh.vertices, nearest, away, 0.1, none, patch, patches), away
+    return kernels.squared_offset(points, mesh.vertices, nearest, away, 0.1, none, patch, patches), away
 
 
 def slow_misfit(points, mesh, patches):

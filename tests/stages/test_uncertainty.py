@@ -382,7 +382,7 @@ def test_distances_along_the_cloth_are_those_of_shortest_paths(seed, most):
     n = garment.mesh.n_vertices
     seen = rng.random(n) < rng.choice([0.0, 0.02, 0.5])
     distance = np.empty(n)
-    kernels.along_cloth(seen, garment.start, garment.neighbour, garment.rest_length, most, distance)
+    kernels.distance_along_cloth(seen, garment.start, garment.neighbour, garment.rest_length, most, distance)
     row = np.repeat(np.arange(n), np.diff(garment.start.astype(int)))
     graph = csr_array((garment.rest_length.astype(float), (row, garment.neighbour.astype(int))), (n, n))
     expected = dijkstra(graph, indices=np.flatnonzero(seen), min_only=True) if seen.any() else np.full(n, np.inf)
