@@ -45,11 +45,13 @@ def test_a_sequence_is_tracked_and_judged(capsys, view):
     assert 0 < summary["ms_p50"] <= summary["ms_p99"]
 
 
+@pytest.mark.slow
 def test_runs_with_the_same_seed_are_the_same(capsys):
     first, again, other = (_summary(capsys, SAMPLE, *SHORT, "--seed", seed)["rmse_mm"] for seed in (1, 1, 2))
     assert first == again != other
 
 
+@pytest.mark.slow
 def test_results_and_pictures_are_written(capsys, tmp_path):
     out, still, moving = (tmp_path / name for name in ("r.npz", "p.png", "a.gif"))
     assert _track(SAMPLE, *SHORT, "--body", "--out", out, "--picture", still, "--animation", moving) == 0
@@ -84,6 +86,7 @@ def test_a_depth_recording_is_tracked_with_a_template_from_its_first_frame(capsy
     assert (tmp_path / "p.png").exists()
 
 
+@pytest.mark.slow
 def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
     s = sample()
     folder = tmp_path / "frames"

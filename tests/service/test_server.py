@@ -21,6 +21,8 @@ from ddakf_service.store.store import Store
 
 from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_running
 
+pytestmark = pytest.mark.slow
+
 
 def serve(*arguments: str, **options) -> subprocess.CompletedProcess:
     command = [sys.executable, "-m", "ddakf_service", *arguments]
@@ -69,7 +71,6 @@ def test_a_port_in_use_ends_with_status_two(flag):
     assert port in ended.stderr
 
 
-@pytest.mark.slow
 def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -93,7 +94,6 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
         assert "is ready" in process.stdout.read()
 
 
-@pytest.mark.slow
 def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet):
     api = Api(own_service.grpc)
     talk = Talk(api, api.create(sheet).name)
@@ -113,7 +113,6 @@ def test_a_drain_tells_its_clients_and_ends_with_status_zero(own_service, sheet)
     api.channel.close()
 
 
-@pytest.mark.slow
 def test_a_drain_names_the_server_that_takes_over(tmp_path, sheet):
     arguments = ["--workers", "1", "--spare-workers", "0", "--drain-grace", "0.2", "--successor", "elsewhere.example:7701"]
     process = ServiceProcess(arguments, log=tmp_path / "service.log")
@@ -129,7 +128,6 @@ def test_a_drain_names_the_server_that_takes_over(tmp_path, sheet):
     assert (notices[1].kind, notices[1].target) == (pb.NOTICE_KIND_RECONNECT, "elsewhere.example:7701")
 
 
-@pytest.mark.slow
 def test_a_log_for_programs_holds_nothing_else(tmp_path):
     command = [sys.executable, "-m", "ddakf_service", "--workers", "1", "--spare-workers", "0", "--grpc-port", "0",
                "--http-port", "0", "--data-dir", "none", "--log-format", "json"]  # fmt: skip
@@ -147,7 +145,6 @@ def test_a_log_for_programs_holds_nothing_else(tmp_path):
     assert httpx.URL(lines[-1]["http"]).port
 
 
-@pytest.mark.slow
 def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     api = Api(own_service.grpc)
     with Talk(api, api.create(sheet).name) as talk:
@@ -160,7 +157,6 @@ def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     api.channel.close()
 
 
-@pytest.mark.slow
 def test_a_second_signal_forces_the_end(own_service, sheet):
     api = Api(own_service.grpc)
     with Talk(api, api.create(sheet).name) as talk:
@@ -172,7 +168,6 @@ def test_a_second_signal_forces_the_end(own_service, sheet):
     api.channel.close()
 
 
-@pytest.mark.slow
 def test_a_killed_server_leaves_no_worker(own_service):
     workers = children(own_service.pid)
     assert len(workers) == 1
@@ -180,7 +175,6 @@ def test_a_killed_server_leaves_no_worker(own_service):
     eventually(lambda: not any(is_running(pid) for pid in workers))
 
 
-@pytest.mark.slow
 def test_a_service_of_a_killed_parent_ends(tmp_path):
     script = (
         "import os, pathlib, sys; from ddakf_service.commands.service_process import ServiceProcess\n"

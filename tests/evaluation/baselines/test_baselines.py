@@ -13,6 +13,8 @@ from ddakf.evaluation.splits import NO_LABELS, RecordingLabels
 from ddakf.evaluation.trials.methods import BASELINES, make_baseline, method_factory
 from tests.evaluation.baselines.shapes import moved, tube, widened
 
+pytestmark = pytest.mark.slow
+
 METHODS = ("kf", "icp", "icp-rigid", "pf", "opt-ed", "nicp")
 SHAPED = ("icp", "opt-ed", "nicp")  # all that is not rigid, knows a surface, and no chance
 FITTED_MM = 1.0  # what an embedded deformation leaves of a shape

@@ -52,6 +52,7 @@ def test_the_command_offers_every_garment():
     assert set(simulate.GARMENTS) == set(garments.GARMENTS)
 
 
+@pytest.mark.slow
 def test_garments_are_manifold_and_consistently_wound(garment):
     directed = directed_edges(garment.mesh.faces)
     assert len(np.unique(directed, axis=0)) == len(directed)  # no edge is run twice in one direction

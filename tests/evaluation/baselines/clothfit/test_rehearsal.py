@@ -36,6 +36,7 @@ def short():
         yield rehearse([Rehearsal("tshirt", "dance", 0, 3), Rehearsal("skirt", "walk", 0, 4)])
 
 
+@pytest.mark.slow
 def test_cloth_keeps_its_lengths_and_stays_outside(short):
     for sequence in short:
         assert len(sequence) == 20
