@@ -118,7 +118,7 @@ def test_every_link_leads_to_a_source_and_every_picture_is_there(page):
 
 def test_a_number_of_the_page_is_the_mean_and_deviation_over_the_runs(folder, page):
     main = read.read(folder)["main"]
-    runs = [run["rmse_mm"] for run in main.of("ddakf")[0]["runs"]]
+    runs = [run["rmse_mm"] for run in main.cells_of("ddakf")[0]["runs"]]
     assert f"{np.mean(runs):.1f} ± {np.std(runs, ddof=1):.1f}" in page[1].cells
     pool = main.pooled("ddakf", "rmse_mm")
     assert (pool.runs, pool.cells, pool.cells_in_all) == (2, 1, 1)
