@@ -52,11 +52,11 @@ class Hausdorff:
             """The faces on which a point may be farther away."""
             return slice(None) if apart is None else apart > greatest + TOLERANCE
 
-        there = _Triangles.of(vertices, self._mesh.faces, _Target.of(self._other_tree, others))
+        there = _Triangles.from_faces(vertices, self._mesh.faces, _Target.at_pose(self._other_tree, others))
         greatest = there.distance.max()
         greatest = _farthest(there.where(left(greatest)), greatest)
         # only now, since of a torn estimate few are left, and a search in one is long
-        back = _Triangles.of(others, self._other.faces[left(greatest)], _Target.of(self._tree, vertices))
+        back = _Triangles.from_faces(others, self._other.faces[left(greatest)], _Target.at_pose(self._tree, vertices))
         return float(MM * _farthest(back, greatest))
 
 
@@ -68,7 +68,7 @@ class _Target(NamedTuple):
     triangles: np.ndarray  # (F, 3, 3) m, in the order of the tree's faces
 
     @classmethod
-    def of(cls, tree: proximity.Body, vertices: np.ndarray) -> _Target:
+    def at_pose(cls, tree: proximity.Body, vertices: np.ndarray) -> _Target:
         return cls(tree, proximity.refresh(tree, vertices), vertices[tree.faces])
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -86,7 +86,7 @@ class _Triangles(NamedTuple):
     target: _Target
 
     @classmethod
-    def of(cls, vertices: np.ndarray, faces: np.ndarray, target: _Target) -> _Triangles:
+    def from_faces(cls, vertices: np.ndarray, faces: np.ndarray, target: _Target) -> _Triangles:
         used, corner = np.unique(faces, return_inverse=True)
         distance, face = target.nearest(vertices[used])
         return cls(vertices[faces], distance[corner].reshape(-1, 3), face[corner].reshape(-1, 3), target)
