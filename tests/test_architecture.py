@@ -6,11 +6,11 @@ import grimp
 import pytest
 
 LONGEST = {"core": 11, "evaluation": 10, "service": 10}  # modules
-# The commands stand above the core and the evaluation, and start either: a chain that begins with them is as long as theirs.
+# The commands stand above everything and start it: they are no part of a chain.
 AREAS = {
     "core": lambda name: name.startswith("ddakf.") and not name.startswith(("ddakf.evaluation", "ddakf.commands")),
     "evaluation": lambda name: name.startswith("ddakf.evaluation"),
-    "service": lambda name: name.startswith("ddakf_service"),
+    "service": lambda name: name.startswith("ddakf_service.") and not name.startswith("ddakf_service.commands"),
 }
 
 
