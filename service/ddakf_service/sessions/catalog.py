@@ -89,6 +89,11 @@ class SessionCatalog:
             )
         raise not_found(name)
 
+    def require_live(self, session: Session) -> None:
+        """Checks that a session has not ended; raises as :meth:`readable`."""
+        if self.readable(session.name) is not session:  # another session has its name
+            raise not_found(session.name)
+
     def changeable(self, name: str) -> Session:
         """A live session that the caller's key may use and change; raises as :meth:`readable`.
 

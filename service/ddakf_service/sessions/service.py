@@ -49,7 +49,7 @@ class Sessions:
         self._persistence = Persistence(store.registry, store.history, store.checkpoints, store.server_id, store.require_name)
         self._catalog = catalog = SessionCatalog(self._persistence.newest_record)
         self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up)
-        self._tracker_access = TrackerAccess(catalog, self._durability)
+        self._tracker_access = TrackerAccess(catalog.require_live, self._durability.revive)
         self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability)
         self.components = SessionComponents(
             pool, settings, self._admission, catalog, self._persistence, self._durability, self._tracker_access

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 
-from ddakf_api.errors import Unavailable
+from ddakf_api.errors import ServiceError, Unavailable
 
-from .catalog import SessionCatalog, not_found
-from .durability import Durability
 from .session import Session
 
 _WORKER_TIMEOUT = 5.0  # seconds that a call waits for a restore: less than the timeout of clients
 
 
 class TrackerAccess:
-    """Exclusive access for calls. Frames of a stream wait longer; see :class:`~ddakf_service.streaming.stream.Stream`."""
+    """Exclusive access for calls. Frames of a stream wait longer; see :class:`~ddakf_service.streaming.stream.Stream`.
 
-    def __init__(self, catalog: SessionCatalog, durability: Durability):
-        self._catalog, self._durability = catalog, durability
+    Args:
+        require_live: raises the reason of a session that has ended, see :meth:`.catalog.SessionCatalog.require_live`.
+        revive: starts the restore of a session, see :meth:`.durability.Durability.revive`.
+    """
+
+    def __init__(
+        self, require_live: Callable[[Session], None], revive: Callable[[Session], asyncio.Task[ServiceError | None]]
+    ):
+        self._require_live, self._revive = require_live, revive
 
     @contextlib.asynccontextmanager
     async def exclusive(self, session: Session) -> AsyncIterator[None]:
@@ -32,8 +37,7 @@ class TrackerAccess:
             if not session.has_worker:
                 await self._wait_for_worker(session)
             async with session.lock:
-                if self._catalog.readable(session.name) is not session:  # it ended; another session has its name
-                    raise not_found(session.name)
+                self._require_live(session)
                 if session.has_worker:  # still
                     session.touch()
                     yield
@@ -45,7 +49,7 @@ class TrackerAccess:
         Raises:
             Unavailable: the restore takes longer.
         """
-        restore = self._durability.revive(session)
+        restore = self._revive(session)
         await asyncio.wait({restore}, timeout=_WORKER_TIMEOUT)
         if not restore.done():
             raise Unavailable(f"{session.name} waits for a worker; try again later", retry_after=_WORKER_TIMEOUT)
