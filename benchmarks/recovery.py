@@ -40,7 +40,6 @@ from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.trials.runs import START_FRAMES, run_trial
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.files.sequence import Sequence
-from ddakf.search.relocalize import SETTLING
 
 COSTS = ("ms_searched", "times_searched", "times_settling")
 FAR, FAR_TURN = 1.0, np.radians(45.0)  # m, rad: largest displacement of a garment that reappears
@@ -145,7 +144,8 @@ def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
 def cost(sure: Track, lost: Track) -> dict[str, float]:
     """CPU time of the frame that is searched, milliseconds, and over the median frame from the truth its and the next ones'."""
     usual = np.median(sure.ms)
-    costs = lost.ms[0], lost.ms[0] / usual, np.mean(lost.ms[1 : 1 + SETTLING]) / usual
+    settling = ddakf.Config().relocalization.settling_frames
+    costs = lost.ms[0], lost.ms[0] / usual, np.mean(lost.ms[1 : 1 + settling]) / usual
     return {what: round(float(value), 2) for what, value in zip(COSTS, costs, strict=True)}
 
 

@@ -38,6 +38,7 @@ LEVEL = 1 / 3  # weight of a run's mean error in the fit; deviations within the 
 RIDGE = 0.01
 VERTICES = 100  # saved of a frame
 SETTINGS = ddakf.Config().reliability
+ERROR, VERTEX_ERROR = reliability.law(ddakf.Config().frame_error), reliability.law(ddakf.Config().vertex_error)
 
 
 # Runs ---------------------------------------------------------------------------------------------------------------
@@ -262,7 +263,7 @@ def regressed(A: np.ndarray, b: np.ndarray) -> np.ndarray:
 def fitted(runs: list[dict]) -> Law:
     """The law of the frames: least squares on log errors, every run counting alike."""
     parts, targets, k = [], [], np.sqrt(1.0 / len(runs))
-    X = [logs(run["evidence"], reliability.ERROR) for run in runs]
+    X = [logs(run["evidence"], ERROR) for run in runs]
     Y = [np.log(np.minimum(run["rmse"], WORST)) for run in runs]
     centre, level = np.mean([x.mean(axis=0) for x in X], axis=0), np.mean([y.mean() for y in Y])
     for x, y in zip(X, Y, strict=True):
@@ -270,26 +271,26 @@ def fitted(runs: list[dict]) -> Law:
         parts += [scale * (x - x.mean(axis=0)), scale * np.sqrt(LEVEL) * (x - centre)]
         targets += [scale * (y - y.mean()), scale * np.sqrt(LEVEL) * (y - level)]
     power = regressed(np.concatenate(parts), np.concatenate(targets))
-    return Law(float(np.exp(level - centre @ power)), reliability.ERROR.scale, FrameEvidence(*map(float, power)))
+    return Law(float(np.exp(level - centre @ power)), ERROR.scale, FrameEvidence(*map(float, power)))
 
 
 def fitted_vertices(runs: list[dict]) -> Law:
     """The law of the vertices: least squares on log errors, each frame's mean taken out."""
     A, b = [], []
     for run in runs:
-        x, y = logs(run["vertex_evidence"], reliability.VERTEX_ERROR), np.log(np.maximum(run["vertex_error"], LEAST))
+        x, y = logs(run["vertex_evidence"], VERTEX_ERROR), np.log(np.maximum(run["vertex_error"], LEAST))
         scale = 1.0 / np.sqrt(y.size * len(runs))
         A.append(scale * (x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]))
         b.append(scale * (y - y.mean(axis=1, keepdims=True)).ravel())
     power = regressed(np.concatenate(A), np.concatenate(b))
-    return Law(1.0, reliability.VERTEX_ERROR.scale, VertexEvidence(*map(float, power)))
+    return Law(1.0, VERTEX_ERROR.scale, VertexEvidence(*map(float, power)))
 
 
-def rescored(runs: list[dict], law: Law, vertex_law: Law) -> list[dict]:
+def rescored(runs: list[dict], frame_law: Law, vertex_law: Law) -> list[dict]:
     """The runs as these laws score them. The vertices' spread is that of the saved ones."""
     out = []
     for run in runs:
-        error = law(run["evidence"].T)
+        error = frame_law(run["evidence"].T)
         vertices = [
             reliability.vertex_error(e, VertexEvidence(*found.T), vertex_law)
             for e, found in zip(error, run["vertex_evidence"], strict=True)
@@ -329,8 +330,9 @@ def show(title: str, report: dict) -> None:
 
 
 def source_of(law: Law) -> str:
-    values = ", ".join(f"{name}={value:.2g}" for name, value in law.power._asdict().items())
-    return f"    base={law.base:.3g},\n    power={type(law.power).__name__}({values}),"
+    """The fitted fields of the configuration."""
+    values = ", ".join(f"{name}_power={value:.2g}" for name, value in law.power._asdict().items())
+    return f"    base={law.base:.3g}, {values}"
 
 
 def main() -> int:
@@ -346,7 +348,7 @@ def main() -> int:
     runs = all_runs(arguments.sequences, arguments.views, arguments.procs, arguments.frames)
     names = sorted({run["sequence"] for run in runs})
     report |= {"recordings": names, "views": sorted({view_of(run) for run in runs})}
-    present = rescored(runs, reliability.ERROR, reliability.VERTEX_ERROR)
+    present = rescored(runs, ERROR, VERTEX_ERROR)
     report |= {"product": figures(present), "vertices": vertex_figures(present), "paper": figures(runs, "paper")}
     if len(names) > 1:
         others = left_out(runs)
@@ -355,7 +357,7 @@ def main() -> int:
         laws = fitted(runs), fitted_vertices(runs)
         again = rescored(runs, *laws)
         report |= {"fitted": figures(again), "vertices, fitted": vertex_figures(again)}
-        print("ERROR:", source_of(laws[0]), "VERTEX_ERROR:", source_of(laws[1]), sep="\n")
+        print("FrameError:", source_of(laws[0]), "VertexError:", source_of(laws[1]), sep="\n")
     for name, value in report.items():
         if isinstance(value, dict) and name != "machine":
             show(name, value)

@@ -136,9 +136,9 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
 
 
 def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
-    model, body, first = tracker._setup.model, tracker._setup.body, tracker._track
-    pose, position = like(tracker.body.vertices, arrays, "worn_pose"), like(first.state.position, arrays, "worn_position")
-    fresh = body_anchor.start(body, pose, position, model)
+    pose = like(tracker.body.vertices, arrays, "worn_pose")
+    position = like(tracker._track.state.position, arrays, "worn_position")
+    fresh = body_anchor.start(tracker._setup, pose, position)
     learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in LEARNED}
     if (learned["seen"] < 0).any() or (learned["squares"] < 0).any():
         raise InvalidSnapshot("snapshot.worn", "shares and squares that are not negative", "others")

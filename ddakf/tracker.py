@@ -56,7 +56,8 @@ class Tracker:
             raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
-        under = None if body is None else contact.build(body, self.config.predict.carry_reach)
+        reaches = self.config.predict.carry_reach, self.config.physics.collision_reach
+        under = None if body is None else contact.build(body, *reaches)
         self._setup = Setup(model.build(garment, self.config), under, self.config)
         self.reset()
 
@@ -145,10 +146,12 @@ class Tracker:
         to the bit.
 
         Raises:
-            InvalidConfig: no configuration.
+            InvalidConfig: no configuration, or one with another discretisation.
         """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
+        if config.discretisation != self.config.discretisation:
+            raise InvalidConfig("config.discretisation", "the tracker's own, which its covariance depends on", "another one")
         other = Tracker(self.garment, body=self.body, config=config)
         body = self._track.body
         if body is not None:
@@ -200,7 +203,7 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
     if body is not None:
         under = contact.start(body, position, config.physics)
         if body_anchor.enabled(config.predict):
-            anchor = body_anchor.start(body, under.vertices, position, garment)
+            anchor = body_anchor.start(setup, under.vertices, position)
     return Track(
         state=State.at(position, velocity, start.sd, start.speed_sd, config.adapt.initial_sd),
         rotation=rigidity.rotations(position, garment),

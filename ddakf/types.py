@@ -17,7 +17,7 @@ from ddakf.mesh import Mesh
 from ddakf.physics import Linearization
 from ddakf.physics.bend import BendConstants, Hinges
 from ddakf.physics.collision import CollisionConstants
-from ddakf.physics.self_collision import Layers
+from ddakf.physics.self_collision import LayerConstants, Layers
 from ddakf.physics.shear import ShearConstants
 from ddakf.physics.strain import StrainConstants
 from ddakf.physics.stretch import StretchConstants
@@ -125,6 +125,7 @@ class Model(NamedTuple):
     strain: StrainConstants  # stretch and shear at once
     bend: BendConstants
     collision: CollisionConstants
+    layers: LayerConstants
     coarser: Coarser | None  # the next level of the pyramid, which has its own; None: the last level
 
 

@@ -14,18 +14,13 @@ import numpy as np
 from ddakf.body import contact
 from ddakf.config import ConstantVelocity
 from ddakf.kernels.associate import vertex_normals
-from ddakf.types import BodyAnchor, BodyModel, Model, Planes, Problem
-
-LEAST_SD = 0.002  # m: no garment goes with its body more exactly
-# of the deviations in a patch, that count as independent: along the normal and across it, as cloth slips over longer lengths
-INDEPENDENT = np.array([2.0, 0.7])
-LEAST_SEEN = 0.05  # of a patch: as much evidence as the first guess counts for
+from ddakf.types import BodyAnchor, Model, Planes, Problem, Setup
 
 
-def start(body: BodyModel, pose: np.ndarray, position: np.ndarray, model: Model) -> BodyAnchor:
+def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
-    n = len(model.likeness)
-    bound = contact.bind(body, pose, position)
+    n = len(setup.model.likeness)
+    bound = contact.bind(setup.body, pose, position, setup.config.predict.anchor_reach)
     return BodyAnchor(bound, np.zeros(n), np.zeros((n, 2)), np.zeros(len(position), bool))
 
 
@@ -38,17 +33,18 @@ def measure(problem: Problem) -> Problem:
     """The problem with the pseudo-measurements of the vertices that were not measured lately.
 
     There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
-    count as :data:`INDEPENDENT` ones, those along the normal and across it each with its own variance. A patch of which nothing
+    count as a few independent ones, those along the normal and across it each with its own variance. A patch of which nothing
     was seen has that of the patches around it.
     """
-    anchor, body, model = problem.last.anchor, problem.body, problem.model
+    anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.predict
     if anchor is None or body is None or problem.health.settling:
         return problem
-    target = contact.follow(anchor.bound, body)
+    target = contact.follow(anchor.bound, body, config.anchor_reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
-    variance = _variance(anchor, model, problem.config.predict)
-    along, across = (len(target) / len(variance) * (variance / INDEPENDENT)[model.patch]).T
+    variance = _variance(anchor, model, config)
+    independent = np.array([config.anchor_normal_samples, config.anchor_tangential_samples])
+    along, across = (len(target) / len(variance) * (variance / independent)[model.patch]).T
     weight = np.where(anchor.measured | (anchor.bound.contact.face < 0), 0.0, 1.0)
     planes = Planes(target, normal, weight, np.ascontiguousarray(along), np.ascontiguousarray(across))
     return problem._replace(anchored=planes)
@@ -65,8 +61,9 @@ def slack(problem: Problem) -> np.ndarray | None:
 def _variance(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.ndarray:
     """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent."""
     near = model.likeness @ np.column_stack([anchor.squares, anchor.seen])
-    guess = LEAST_SEEN * config.worn_sd**2
-    return np.maximum((near[:, :2] + guess) / (near[:, 2:] + LEAST_SEEN), LEAST_SD**2)
+    first = config.anchor_first_share
+    guess = first * config.worn_sd**2
+    return np.maximum((near[:, :2] + guess) / (near[:, 2:] + first), config.anchor_least_sd**2)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
@@ -81,7 +78,8 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> Bod
     if problem.last.body is None or problem.health.settling > 0 or not enabled(config):
         return None
     if anchor is None:
-        return None if problem.body is None else start(problem.body.model, problem.body.vertices, position, model)
+        body = problem.body
+        return None if body is None else start(Setup(model, body.model, problem.config), body.vertices, position)
     if planes is None:
         return anchor
     n, used = len(anchor.seen), measured & (anchor.bound.contact.face >= 0)

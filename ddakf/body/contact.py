@@ -9,19 +9,16 @@ from ddakf.config import Physics
 from ddakf.mesh import Mesh
 from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Problem, State
 
-COLLISION_REACH = 0.05  # m: where the body does not carry, it pushes out vertices that are no deeper inside than this
-DEEPEST = 0.03  # m: more than this inside is no error of a body model
-BOUND_REACH = 0.3  # m: body surface within it is where a vertex is bound to it
 
-
-def build(mesh: Mesh, reach: float) -> BodyModel:
+def build(mesh: Mesh, reach: float, collision_reach: float = Physics.collision_reach) -> BodyModel:
     """The constants of a body.
 
     Args:
         mesh: in the pose of the start.
         reach: body surface within it carries the garment, metres; 0: it carries nothing.
+        collision_reach: depth from which a body that carries nothing pushes vertices out, metres.
     """
-    return BodyModel(mesh, proximity.build(mesh), reach if reach > 0.0 else COLLISION_REACH, reach > 0.0)
+    return BodyModel(mesh, proximity.build(mesh), reach if reach > 0.0 else collision_reach, reach > 0.0)
 
 
 def start(body: BodyModel, position: np.ndarray, config: Physics) -> BodyTrack:
@@ -46,7 +43,7 @@ def configured(body: BodyModel, track: BodyTrack, position: np.ndarray, config: 
 
 
 def _first_gap(pose: BodyPose, position: np.ndarray, config: Physics) -> np.ndarray:
-    return np.clip(nearest(pose, position).closest.distance, -DEEPEST, config.thickness)
+    return np.clip(nearest(pose, position).closest.distance, -config.deepest_gap, config.thickness)
 
 
 def posed(body: BodyModel, track: BodyTrack, vertices: np.ndarray | None = None) -> BodyPose:
@@ -82,16 +79,16 @@ def carry(
     return state, motion.position - state.position
 
 
-def bind(body: BodyModel, pose: np.ndarray, position: np.ndarray) -> Bound:
-    """A garment at (V, 3) ``position`` bound to the body in a (B, 3) ``pose``, metres."""
+def bind(body: BodyModel, pose: np.ndarray, position: np.ndarray, reach: float) -> Bound:
+    """A garment at (V, 3) ``position`` bound to the body in a (B, 3) ``pose`` within a ``reach``, metres."""
     surface = proximity.refresh(body.tree, pose)
-    return Bound(pose.copy(), position.copy(), proximity.closest_points(body.tree, surface, position, BOUND_REACH))
+    return Bound(pose.copy(), position.copy(), proximity.closest_points(body.tree, surface, position, reach))
 
 
-def follow(bound: Bound, pose: BodyPose) -> np.ndarray:
+def follow(bound: Bound, pose: BodyPose, reach: float) -> np.ndarray:
     """(V, 3) metres: where the body has brought a garment that has gone with it ever since it was bound."""
     return proximity.surface_motion(
-        pose.model.tree, bound.pose, pose.vertices, bound.position, bound.contact, 2.0 * BOUND_REACH, BOUND_REACH
+        pose.model.tree, bound.pose, pose.vertices, bound.position, bound.contact, 2.0 * reach, reach
     ).position
 
 
@@ -156,6 +153,6 @@ def learned(problem: Problem, contacts: Contacts | None, position: np.ndarray, o
         found = contacts.closest
         distance = np.einsum("va,va->v", found.normal, position - found.point)
         share = 1.0 - np.exp(-problem.dt / config.gap_time)
-        change = np.clip(distance, -DEEPEST, config.thickness) - gap
+        change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
         gap = np.where(observed & (found.face >= 0), gap + share * change, gap)
     return BodyTrack(vertices, pose is not None, velocity, contacts, gap)

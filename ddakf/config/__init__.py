@@ -13,11 +13,13 @@ from dataclasses import dataclass, field
 from ddakf.config.checked import Checked, bounded
 from ddakf.config.levels import Coarse, Discretisation, Pyramid
 from ddakf.config.physics import Physics
-from ddakf.config.search import Start
+from ddakf.config.search import Registration, Relocalization, Start
 from ddakf.config.stages import (
     ConstantAcceleration,
     ConstantVelocity,
     DecoupledUpdate,
+    ErrorEvidence,
+    FrameError,
     GridFilter,
     InnovationNoise,
     KnnFilter,
@@ -28,8 +30,10 @@ from ddakf.config.stages import (
     PlaneAssociation,
     Reliability,
     ResidualNoise,
+    SkinRemoval,
     Tukey,
     Uncertainty,
+    VertexError,
 )
 from ddakf.errors import InvalidConfig
 from ddakf.physics.fabric import Fabric
@@ -42,6 +46,8 @@ __all__ = [
     "ConstantVelocity",
     "DecoupledUpdate",
     "Discretisation",
+    "ErrorEvidence",
+    "FrameError",
     "GridFilter",
     "InnovationNoise",
     "KnnFilter",
@@ -52,11 +58,15 @@ __all__ = [
     "Physics",
     "PlaneAssociation",
     "Pyramid",
+    "Registration",
     "Reliability",
+    "Relocalization",
     "ResidualNoise",
+    "SkinRemoval",
     "Start",
     "Tukey",
     "Uncertainty",
+    "VertexError",
     "bounded",
 ]
 
@@ -69,9 +79,12 @@ class Config:
     """
 
     start: Start = field(default_factory=Start)
+    relocalization: Relocalization = field(default_factory=Relocalization)
+    registration: Registration = field(default_factory=Registration)
     discretisation: Discretisation = field(default_factory=Discretisation)
     predict: ConstantVelocity | ConstantAcceleration = field(default_factory=ConstantVelocity)
     preprocess: GridFilter | KnnFilter = field(default_factory=GridFilter)
+    skin_removal: SkinRemoval = field(default_factory=SkinRemoval)
     coarse: Coarse = field(default_factory=Coarse)
     pyramid: Pyramid = field(default_factory=Pyramid)
     associate: PlaneAssociation | NearestPoint = field(default_factory=PlaneAssociation)
@@ -81,6 +94,9 @@ class Config:
     fuse: MapUpdate | DecoupledUpdate = field(default_factory=MapUpdate)
     reliability: Reliability | PaperReliability = field(default_factory=Reliability)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    evidence: ErrorEvidence = field(default_factory=ErrorEvidence)
+    frame_error: FrameError = field(default_factory=FrameError)
+    vertex_error: VertexError = field(default_factory=VertexError)
 
     def __post_init__(self) -> None:
         points = isinstance(self.associate, NearestPoint)

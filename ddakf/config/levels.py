@@ -31,6 +31,7 @@ class Coarse(Checked):
     tolerance: float = bounded(0.002, 0, 0.1)  # m, RMS step at which the passes stop
     least_innovation: float = bounded(0.008, 0, 10)  # m, RMS along the normals; below it the prediction is good enough
     prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex
+    contact_sd: float = bounded(0.004, 1e-4, 10)  # m, of the body's surface that pushes a cluster out
 
 
 @dataclass(frozen=True)

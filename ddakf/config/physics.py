@@ -17,14 +17,23 @@ class Physics(Checked):
     strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: a larger strain counts as an error of the model
     strain_sd: float = bounded(0.03, 1e-4, 1e3)  # strain of a typical face, above which stretch and shear soften
     strain_memory: float = bounded(0.08, 1e-3, 1e3)  # s, time constant with which the garment's own strain is learned
+    softest: float = bounded(0.02, 1e-3, 1)  # share of the stiffness that softening leaves, at least
+    strain_coverage: float = bounded(0.5, 0, 1)  # share of the faces that must be measured before strain is learned
+    longest_lesson: float = bounded(0.1, 0, 10)  # s that one frame counts for, at most, when strain is learned
     bend: float = bounded(0.002, 0, 1e12)  # 1/rad^2
     bend_height: float = bounded(0.1, 1e-3, 1)  # share of a face's rest height below which bending forces stop growing
     collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, distance from the body that collision enforces
+    deepest_gap: float = bounded(0.03, 0, 1)  # m inside the body, up to which a vertex is an error of the body model
+    collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
     self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
+    layer_reach: float = bounded(1.0, 0.01, 10)  # mean edge lengths within which a vertex of another layer is sought
+    layer_separation: float = bounded(3.0, 0.01, 100)  # mean edge lengths: vertices closer at rest are of one layer
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
     uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened
     strain_followed: float = bounded(0.95, 0, 0.99)  # share of a one-ring's strain that its rest shape then follows
+    rotation_steps: int = bounded(2, 1, 50)  # steps of a rotation fit, which starts from the last pass's rotations
+    first_rotation_steps: int = bounded(4, 1, 50)  # the same in the first pass, to which other passes moved the garment
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)

@@ -19,6 +19,11 @@ class ConstantVelocity(Checked):
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: a longer gap moves the garment no further
     worn_memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the deviation from the body anchor; 0: no anchor
     worn_sd: float = bounded(0.05, 1e-3, 10)  # m, deviation from the body anchor before any is measured
+    anchor_reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
+    anchor_least_sd: float = bounded(0.002, 1e-4, 1)  # m, deviation from the body anchor, at least
+    anchor_first_share: float = bounded(0.05, 1e-4, 1)  # of a patch; a measurement of as much weighs as much as worn_sd
+    anchor_normal_samples: float = bounded(2.0, 1e-3, 1e3)  # independent deviations of a patch along the normal
+    anchor_tangential_samples: float = bounded(0.7, 1e-3, 1e3)  # the same across the normal: cloth slips over longer lengths
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,8 @@ class GridFilter(Checked):
     points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size from the garment's area and the number of points
     neighbours: int = bounded(16, 2, 64)  # as in the paper's filter
     ratio: float = bounded(2.0, 0.1, 10)  # in standard deviations, as there
+    clean_factor: float = bounded(2.0, 0, 100)  # mean distances: a point whose neighbours are nearer is no outlier
+    suspect_rings: int = bounded(4, 1, 100)  # cells around a point: with fewer neighbours in them it is an outlier
     suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood; below it a point's neighbours are computed
     sample: int = bounded(300, 1, 100_000)  # other points that enter the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
@@ -51,7 +58,19 @@ class KnnFilter(Checked):
 
     neighbours: int = bounded(16, 2, 64)
     ratio: float = bounded(2.0, 0.1, 10)
+    points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size, as above
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells, as above
+
+
+@dataclass(frozen=True)
+class SkinRemoval(Checked):
+    """Removal of points that lie on the body and not on the garment."""
+
+    skin_distance: float = bounded(0.010, 0, 0.1)  # m: a point so near to the body may be skin; three sd of a sensor's noise
+    cloth_distance: float = bounded(0.008, 0, 1)  # m, beside edge_share: a point farther from all vertices is off the garment
+    hem_distance: float = bounded(0.10, 0, 1)  # m, beside edge_share: nearer skin stays and shows that a hem does not end there
+    edge_share: float = bounded(0.75, 0, 10)  # of the mean edge length, added to both distances
+    person_share: float = bounded(0.15, 0, 1)  # of skin; a cloud with more is of a whole person
 
 
 # B. Association -----------------------------------------------------------------------------------------------------
@@ -73,7 +92,10 @@ class PlaneAssociation(Checked):
     turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(0.2, -1, 1)  # cosine between a vertex normal and its sensor, at least
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a surface in front of a vertex by more than this hides it
+    occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
+    hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there
+    hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below; another layer is farther away
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane
 
@@ -139,6 +161,8 @@ class MapUpdate(Checked):
 
     solver_iterations: int = bounded(20, 1, 1000)
     solver_tolerance: float = bounded(0.03, 0, 1)
+    later_tolerance: float = bounded(2.0, 0.01, 100)  # factor on solver_tolerance after the first pass
+    longest_secant: float = bounded(3.0, 1, 100)  # passes that an extrapolated step may replace
     prior_sd: float = bounded(0.15, 1e-4, 10)  # m, of the prior of a single vertex, at least
 
 
@@ -156,6 +180,23 @@ class Uncertainty(Checked):
     observed_scale: float = bounded(0.621, 0.01, 100)  # on the standard deviations of measured vertices
     unseen_scale: float = bounded(0.884, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m, length of cloth along which present strain adds up
+    missed_share: float = bounded(0.2, 0, 10)  # of an innovation that stays as an error of the patch's place
+    unseen_motion: float = bounded(2.0, 0, 100)  # of its own motion that an unseen patch may have moved otherwise
+    plane_persistence: float = bounded(4.0, 0.1, 1000)  # frames over which plane fits repeat their error
+    vertex_share: float = bounded(0.3, 0, 10)  # variance of a vertex about its patch, over the variance of the patch
+    growth_sd: float = bounded(0.0005, 0, 1)  # m per frame, growth that no measurement shows
+    least_information: float = bounded(100.0, 1e-3, 1e9)  # 1/m^2 of every patch, so that a free patch has a finite variance
+    innovation_memory: float = bounded(0.7, 0, 0.999)  # share of earlier frames in the running mean of the innovations
+    offset_ratio: float = bounded(9.0, 0.01, 1000)  # RMS error over the RMS offset of the cloud from the surface
+    least_offset: float = bounded(0.0002, 1e-6, 1)  # m
+    offset_trust: float = bounded(0.3, 0, 1)  # weight of the cloud's offset against the recursion in the size of the error
+    body_room: float = bounded(0.03, 1e-3, 10)  # m from the body that double the variance of unseen cloth
+    most_body_room: float = bounded(0.10, 0, 10)  # m from the body after which the variance grows no more
+    usual_slack: float = bounded(0.02, 1e-4, 10)  # m off the body anchor; looser cloth has a variance in proportion
+    cloth_room: float = bounded(0.2, 1e-3, 10)  # m along the cloth from seen cloth that double the variance; without a body
+    most_cloth_room: float = bounded(0.6, 0, 10)  # m after which it grows no more
+    least_bend: float = bounded(0.02, 1e-6, 1)  # 1 - |mean normal|^2 of a patch, as no patch is flatter
+    least_coverage: float = bounded(0.02, 0, 1)  # share of the vertices whose innovations tell how far predictions miss
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2
@@ -176,6 +217,7 @@ class Reliability(Checked):
     doubt_below: float = bounded(0.12, 0, 1)  # score below which the garment is searched elsewhere
     lost_coverage: float = bounded(0.05, 0, 1)  # coverage; a frame with points and less coverage counts towards a loss
     lost_after: float = bounded(0.5, 0, 100)  # s of such frames, or of rejected fits
+    longest_frame: float = bounded(0.3, 1e-3, 100)  # s that one frame counts for, at most, towards a loss
     lost_after_empty: float = bounded(2.0, 0, 1000)  # s of empty clouds
 
 
@@ -186,3 +228,52 @@ class PaperReliability(Checked):
     half_error: float = bounded(0.04, 1e-4, 10)  # m, as above
     threshold: float = bounded(0.3, 0, 1)  # tau; s_k tends to exp(-1) = 0.37 in the steady state
     recovery_lambda: float = bounded(5.0, 1, 1e6)
+
+
+@dataclass(frozen=True)
+class ErrorEvidence(Checked):
+    """Comparison of the cloud with the surface, as evidence of the error."""
+
+    points: int = bounded(800, 1, 1_000_000)  # of a cloud that are compared, at least, and less than twice as many
+    reach: float = bounded(0.10, 0.01, 1)  # m: a point farther from all vertices says nothing about the surface
+    foreign_share: float = bounded(0.15, 0, 1)  # of such points; a cloud with more is of more than the garment
+    unexplained_distance: float = bounded(0.04, 0, 1)  # m: no vertex explains a point farther from all of them
+    unexplained_edges: float = bounded(1.5, 0, 100)  # the same in mean edge lengths; the longer of the two counts
+    clump_points: int = bounded(3, 1, 1000)  # unexplained points in a cell, from which on they are no stray points
+    clump_size: float = bounded(0.10, 1e-3, 10)  # m, edge of such a cell
+    memory: float = bounded(0.5, 1e-3, 1e3)  # s, time constant of the evidence
+    free_clearance: float = bounded(0.05, 0, 10)  # m from the body; nothing supports a vertex farther away
+
+
+@dataclass(frozen=True)
+class FrameError(Checked):
+    """Predicted error of a frame: base times the product of (1 + evidence / scale)^power."""
+
+    base: float = bounded(0.00284, 1e-6, 1)  # m
+    offset_scale: float = bounded(1e-7, 1e-12, 1e6)  # m^2
+    offset_power: float = bounded(0.032, 0, 10)
+    unmatched_scale: float = bounded(1.5e-3, 1e-12, 1e6)  # share of the vertices
+    unmatched_power: float = bounded(0.17, 0, 10)
+    unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
+    unexplained_power: float = bounded(0.2, 0, 10)
+    uncertainty_scale: float = bounded(1.5e-5, 1e-12, 1e6)  # m^2
+    uncertainty_power: float = bounded(0.22, 0, 10)
+    strain_scale: float = bounded(1e-5, 1e-12, 1e6)  # squared strain
+    strain_power: float = bounded(0.079, 0, 10)
+    hem_scale: float = bounded(1e-6, 1e-12, 1e6)  # m^2
+    hem_power: float = bounded(0.039, 0, 10)
+
+
+@dataclass(frozen=True)
+class VertexError(Checked):
+    """Predicted error of a vertex relative to the others of its frame, as in FrameError."""
+
+    base: float = bounded(1.0, 1e-6, 1e6)  # dimensionless
+    variance_scale: float = bounded(7e-5, 1e-12, 1e6)  # m^2
+    variance_power: float = bounded(0.29, 0, 10)
+    unmeasured_scale: float = bounded(0.05, 1e-12, 1e6)  # 1 - mean weight of the measurements of a cluster
+    unmeasured_power: float = bounded(0.12, 0, 10)
+    strain_scale: float = bounded(1e-5, 1e-12, 1e6)  # squared strain
+    strain_power: float = bounded(0.047, 0, 10)
+    clearance_scale: float = bounded(0.005, 1e-12, 1e6)  # m
+    clearance_power: float = bounded(0.28, 0, 10)

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 from ddakf.config import Config, Discretisation
 from ddakf.garment import clusters, decimation
 from ddakf.mesh import Mesh
-from ddakf.physics import bend, collision, shear, strain, stretch
+from ddakf.physics import bend, collision, self_collision, shear, strain, stretch
 from ddakf.types import Coarser, Model
 
 
@@ -37,6 +37,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
     aggregates = min(pieces.aggregates, max(1, mesh.n_vertices // pieces.aggregate_vertices))
     aggregate = distance[:aggregates].argmin(axis=0).astype(np.int32)
     decimated = decimation.decimate(mesh, graph, distance[0], pieces.level_vertices)
+    contact = collision.build(mesh, config.physics.thickness)
     rest_edge = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]
     return Model(
         mesh=mesh,
@@ -62,7 +63,8 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         shear=shear.build(mesh),
         strain=strain.build(mesh),
         bend=bend.build(mesh, config.physics.bend_height),
-        collision=collision.build(mesh, config.physics.thickness),
+        collision=contact,
+        layers=self_collision.build(mesh, contact.weight, contact.thickness, config.physics),
         coarser=None if decimated is None else Coarser(build(decimated.mesh, config), *decimated[1:]),
     )
 

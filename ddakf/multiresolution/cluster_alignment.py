@@ -22,7 +22,6 @@ from ddakf.stages.fuse import BLAS
 from ddakf.types import Estimate, Problem, variances
 
 EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
-CONTACT_SD = 0.004  # m, of the body's surface where a cluster is pushed out
 RIDGE = 1e-6  # of the mean diagonal: a cluster that nothing holds
 
 
@@ -51,7 +50,7 @@ def align(problem: Problem) -> Estimate:
         moved = np.empty_like(estimate.position)
         step = kernels.move(estimate.position, clusters.nearest, clusters.share, center, motion, gate, moved)
         for term in (estimate.rest, estimate.motion):
-            rigidity.turn(term, moved, problem.model)
+            rigidity.turn(term, moved, problem.model, config.physics.rotation_steps)
         estimate = estimate._replace(position=moved)
         if step < coarse.tolerance:
             break
@@ -94,7 +93,8 @@ def _solve(
     if floor is not None:
         point, normal = floor
         inside = np.einsum("va,va->v", normal, point - position) > 0
-        planes, noise = SamplePlanes(point, normal, inside.astype(float)), SampleNoise(CONTACT_SD**2, np.inf, 0.0, stands_for)
+        planes = SamplePlanes(point, normal, inside.astype(float))
+        noise = SampleNoise(config.coarse.contact_sd**2, np.inf, 0.0, stands_for)
         kernels.add_planes(position, position, clusters.sample, frames, planes, noise, A, b)
     stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.stretch * physics.fabric.stretch
     stiffness = SeamStiffness(clusters.weakening, stretch, physics.strain_scale)

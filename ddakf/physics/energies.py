@@ -28,10 +28,9 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
     physics_lambda, contacts = problem.health.physics_lambda, estimate.contacts
     touching = layers = folded = None
     if config.self_collision > 0:
-        share, thickness = model.collision.weight, model.collision.thickness
         layers = None if last is None else last.layers
         if layers is None:
-            layers = self_collision.find(problem.motion_start, position, model.mesh, share, thickness)
+            layers = self_collision.find(problem.motion_start, position, model.layers)
         folded = self_collision.linearize(position, layers)
     if problem.body is not None and config.collision > 0:
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)

@@ -1,4 +1,4 @@
-"""Spatially correlated process noise: edges follow the rotation of their one-ring.
+"""Rigidity: spatially correlated process noise, in which edges follow the rotation of their one-ring.
 
 Two terms of the form 1/2 sum w |x_j - x_i - (R_i + R_j)/2 s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
 with s the edges of the last posterior, and to the rest shape, with s the edges of the template.
@@ -8,19 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.types import Model
-
-ROTATION_STEPS = 2  # of the fit, per pass; it starts where the last pass left it
-FIRST_STEPS = 4  # in the first pass, before which the prediction and coarser versions have moved the garment
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0) -> LocalRigidity:
     """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed.
 
-    ``share`` in [0, 1): how much of its own strain a one-ring follows. Where T_i = R_i the term resists strain; where T_i is the
-    ring's affine fit, only what differs from ring to ring: bending, folds, and uneven strain.
+    ``share`` in [0, 1) is the part of its own strain that a one-ring follows. Where T_i = R_i the term resists strain. Where T_i
+    is the ring's affine fit, it only resists differences between rings: bending, folds, and uneven strain.
     """
     n = len(rotation)
     follow = np.empty((n if share > 0 else 0, 8), np.float32)
@@ -43,13 +41,13 @@ def edges(position: np.ndarray, model: Model) -> np.ndarray:
     return edge
 
 
-def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
-    """Fits the rotations to (V, 3) ``position``, in place, by so many steps."""
+def turn(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = Physics.rotation_steps) -> None:
+    """Fits the rotations to (V, 3) ``position``, in place, in a number of steps."""
     fit(term, padded(position), model, steps)
 
 
-def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = ROTATION_STEPS) -> None:
-    """As :func:`turn`, of (V, 4) :func:`padded` positions."""
+def fit(term: LocalRigidity, position: np.ndarray, model: Model, steps: int = Physics.rotation_steps) -> None:
+    """Fits the rotations to (V, 4) :func:`padded` positions, in place."""
     kernels.fit_rotations(position, model.start, model.neighbour, term, steps)
 
 
@@ -69,7 +67,7 @@ def padded(position: np.ndarray) -> np.ndarray:
 def rotations(position: np.ndarray, model: Model) -> np.ndarray:
     """(V, 3, 3) rotations of the one-rings from rest to ``position``, exactly: the polar factor, by singular values.
 
-    A ring that is flat at rest and now leaves its turn about itself to its normal: of the two rotations the proper one.
+    The covariance of a ring that is flat at rest and now has rank two: the proper one of the two rotations is returned.
     """
     edge = edges(position, model)
     row = np.repeat(np.arange(len(position)), np.diff(model.start))
@@ -81,4 +79,5 @@ def rotations(position: np.ndarray, model: Model) -> np.ndarray:
 
 
 def identity(n: int) -> np.ndarray:
+    """(n, 3, 3) identity rotations."""
     return np.tile(np.eye(3), (n, 1, 1))

@@ -1,1 +1,1 @@
-"""Relocalization: a garment without a track is found in the cloud."""
+"""Search for a garment without a track: rigid relocalization, then non-rigid registration."""

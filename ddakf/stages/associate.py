@@ -13,10 +13,6 @@ from ddakf.kernels.associate import FoundPlanes, PlaneSearch, VisibilityLimits
 from ddakf.kernels.hem import CloudEnds, Tube
 from ddakf.types import Estimate, Hem, Measurement, Problem
 
-HEM_WIDTH = 0.012  # m to either side: points of a cloud with 1 cm between them mark its end there
-HEM_DEPTH = 0.010  # m above and below: another layer is farther away
-OCCLUDER_CELL = 1.5  # edges: wide enough that the vertices of a surface leave no holes
-
 
 def gates(problem: Problem, done: int = 0) -> Iterator[float]:
     """Search radius of each pass inside the frame, metres: wide first, then narrowing. The paper makes one pass.
@@ -80,7 +76,8 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
     if cloud.oriented:
         vertices = problem.frame.body_vertices
         body = np.empty((0, 3)) if vertices is None else vertices
-        limits = VisibilityLimits(OCCLUDER_CELL * problem.model.edge_length, config.hidden_depth, config.facing_cosine)
+        cell = config.occluder_cell * problem.model.edge_length
+        limits = VisibilityLimits(cell, config.hidden_depth, config.facing_cosine)
         kernels.mark_visible(position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, limits, found)
     return found
 
@@ -92,6 +89,6 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     if cloud.empty or n == 0 or config.hem_reach == 0:
         return None
     direction, offset, found = ends = CloudEnds(np.zeros((n, 3)), np.zeros(n), np.zeros(n, bool))
-    tube = Tube(config.hem_reach, HEM_WIDTH, HEM_DEPTH)
+    tube = Tube(config.hem_reach, config.hem_width, config.hem_depth)
     hem_kernels.ends_of_cloud(position, normal, seen, model.boundary, cloud.points, cloud.grid, tube, ends)
     return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))

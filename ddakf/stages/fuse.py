@@ -20,8 +20,6 @@ from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
 BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
-LONGEST_SECANT = 3.0  # passes that the secant may leap over
-LATER_TOLERANCE = 2.0  # times the solver's after the first pass: corrections are a few times smaller by then
 
 
 def begin(problem: Problem) -> Estimate:
@@ -58,14 +56,16 @@ def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) 
 
 def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     model, config, first = problem.model, problem.config, estimate.before is None
+    steps = config.physics.first_rotation_steps if first else config.physics.rotation_steps
     planes = _planes(estimate, config)
     rows = rigidity.padded(estimate.position)
     for term in (estimate.rest, estimate.motion):
-        rigidity.fit(term, rows, model, rigidity.FIRST_STEPS if first else rigidity.ROTATION_STEPS)
+        rigidity.fit(term, rows, model, steps)
     system = normal_equations(problem, estimate, rows, planes)
     # the coarse level of the first pass preconditions the later ones as well
     coarse = coarse_inverse(system, model) if estimate.coarse is None else estimate.coarse
-    limits = SolverLimits(config.fuse.solver_iterations, config.fuse.solver_tolerance * (1.0 if first else LATER_TOLERANCE))
+    tolerance = config.fuse.solver_tolerance * (1.0 if first else config.fuse.later_tolerance)
+    limits = SolverLimits(config.fuse.solver_iterations, tolerance)
     step, delta = solve(system, coarse, model, limits), np.empty_like(estimate.position)
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):
@@ -73,7 +73,7 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     planned = config.associate
     settled = isinstance(planned, NearestPoint) or (estimate.passes >= planned.least_iterations and rms < planned.tolerance)
     return estimate._replace(
-        position=estimate.position + accelerated(estimate.position, delta, estimate.before),
+        position=estimate.position + accelerated(estimate, delta, config.fuse),
         planes=planes,
         system=system,
         coarse=coarse,
@@ -98,17 +98,17 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
     )
 
 
-def accelerated(position: np.ndarray, delta: np.ndarray, before: tuple[np.ndarray, np.ndarray] | None) -> np.ndarray:
+def accelerated(estimate: Estimate, delta: np.ndarray, config: MapUpdate) -> np.ndarray:
     """The step (V, 3), extrapolated from two passes: Anderson acceleration of depth one.
 
     Rotations that are fitted and held make the passes converge slowly where the garment turns without measurements; the secant
     through the last two corrections sees that (Peng et al. 2018, "Anderson acceleration for geometry optimization and physics
     simulation").
     """
-    if before is None:
+    if estimate.before is None:
         return delta
     step = np.empty_like(delta)
-    kernels.secant(position, delta, *before, LONGEST_SECANT, step)
+    kernels.secant(estimate.position, delta, *estimate.before, config.longest_secant, step)
     return step
 
 

@@ -13,8 +13,6 @@ from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import adaptive_stiffness
 from ddakf.types import FrameInput, FrameResult, Problem, Setup, State, Track, variances
 
-FIRST_STEP = 1.0 / 30.0  # s assumed between the start and the first frame
-
 
 def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
     """The problem of a frame: the body in its pose, the configuration as stiff as the garment, and the prediction.
@@ -24,7 +22,7 @@ def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
         last: after the last frame.
         frame: checked.
     """
-    dt = FIRST_STEP if last.time is None else frame.timestamp - last.time
+    dt = setup.config.start.first_step if last.time is None else frame.timestamp - last.time
     config = adaptive_stiffness.adapted(last.strain2, setup.config)
     state, body, carried = last.state, None, None
     if setup.body is not None:

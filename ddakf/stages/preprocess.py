@@ -11,14 +11,12 @@ from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct
 from ddakf.types import Cloud, FrameInput, Problem
 
-MAX_CELLS = 2_000_000
-CLEAN_FACTOR = 2.0  # times the mean distance: nearer points are no outliers
-SUSPECT_RINGS = 4  # a point without k neighbours that near is an outlier, however far the next ones are
+MAX_CELLS = 2_000_000  # of a grid, so that stray points cannot exhaust the memory
 
 
 def preprocess(problem: Problem) -> Problem:
     """The problem with its cloud: without skin, cropped to the predicted garment, without outliers, with fitted planes."""
-    garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, skin_removal.BESIDE)
+    garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, problem.config.skin_removal.hem_distance)
     return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, problem.model.area, problem.config))
 
 
@@ -65,8 +63,7 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) 
 
 def _cell_size(count: int, area: float, config: GridFilter | KnnFilter) -> float:
     """Metres: cells of a surface of ``area`` square metres that hold about as many of ``count`` points as configured."""
-    per_cell = config.points_per_cell if isinstance(config, GridFilter) else 5.0
-    return float(np.sqrt(per_cell * area / max(count, 1)))
+    return float(np.sqrt(config.points_per_cell * area / max(count, 1)))
 
 
 def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float):
@@ -104,7 +101,7 @@ def _drop_sparse(grid, config: GridFilter):
     sample = rest[:: max(1, len(rest) // config.sample)]
     distance = np.empty(len(suspects) + len(sample))
     kernels.knn_mean_distances(
-        points, np.concatenate([suspects, sample]), Grid(*grid[2:]), config.neighbours - 1, SUSPECT_RINGS, distance
+        points, np.concatenate([suspects, sample]), Grid(*grid[2:]), config.neighbours - 1, config.suspect_rings, distance
     )
     mine, others = distance[: len(suspects)], distance[len(suspects) :]
     total = len(index)
@@ -112,7 +109,7 @@ def _drop_sparse(grid, config: GridFilter):
     spread = np.square(mine - mean).sum() + (len(rest) * np.square(others - mean).mean() if len(others) else 0.0)
     removed = np.zeros(total, bool)
     # a clean cloud has little spread, and its sparser parts are no outliers
-    removed[suspects[mine > max(mean + config.ratio * np.sqrt(spread / total), CLEAN_FACTOR * mean)]] = True
+    removed[suspects[mine > max(mean + config.ratio * np.sqrt(spread / total), config.clean_factor * mean)]] = True
     return _without(grid, removed)
 
 

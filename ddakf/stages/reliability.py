@@ -7,22 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.config import PaperReliability, Reliability
+from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability, VertexError
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import vertex_grid
 from ddakf.types import Estimate, FrameInput, Health, Posterior, Problem, variances
 
-EVIDENCE_POINTS = 800  # of a cloud, at least and not twice as many, that are compared with the surface
-REACH = 0.10  # m: a point farther from every vertex says nothing about the surface
-RINGS, CELLS = 4, 127  # of cells in the reach, which are searched nearest first; at most along each axis of the vertices' grid
-FOREIGN = 0.15  # share of points, above which a cloud is of more than the garment
-NEAR, NEAR_EDGES = 0.04, 1.5  # m, and mean edges: a point farther from every vertex is explained by none
-CLUMP, CLUMP_SIZE, FARTHEST_CELL = 3, 0.10, 10_000  # points, m: so many unexplained ones in a cell are no stray ones
-MEMORY = 0.5  # s
-FREE = 0.05  # m: a vertex as far from the body is supported by nothing
-LONGEST_BOOKED = 0.3  # s: a gap before a bad frame longer than frames usually are apart is no part of a loss
+# Cells in the reach, and at most along each axis of the vertices' grid: they change the time of a search, not its result.
+RINGS, CELLS = 4, 127
+FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
 
 def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> float:
@@ -57,7 +51,7 @@ class VertexEvidence(NamedTuple):
     variance: np.ndarray  # m^2, trace of the calibrated covariance
     unmeasured: np.ndarray  # in [0, 1]: 1 - mean weight of the measurements of the vertex's cluster
     strain: np.ndarray  # mean squared strain of the edges at the vertex
-    clearance: np.ndarray  # m, from the body, at most FREE; FREE where there is none
+    clearance: np.ndarray  # m, from the body, at most free_clearance; that where there is none
 
 
 class Law(NamedTuple):
@@ -73,18 +67,11 @@ class Law(NamedTuple):
         return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
 
 
-# the scales are chosen, the rest is fitted: benchmarks/reliability.py --fit prints it
-ERROR = Law(
-    base=0.00284,
-    scale=FrameEvidence(offset=1e-7, unmatched=1.5e-3, unexplained=5e-3, uncertainty=1.5e-5, strain=1e-5, hem=1e-6),
-    power=FrameEvidence(offset=0.032, unmatched=0.17, unexplained=0.2, uncertainty=0.22, strain=0.079, hem=0.039),
-)
-# of a vertex, relative to the others of its frame
-VERTEX_ERROR = Law(
-    base=1.0,
-    scale=VertexEvidence(variance=7e-5, unmeasured=0.05, strain=1e-5, clearance=0.005),
-    power=VertexEvidence(variance=0.29, unmeasured=0.12, strain=0.047, clearance=0.28),
-)
+def law(config: FrameError | VertexError) -> Law:
+    """The law with the scales and powers of a configuration."""
+    kind = FrameEvidence if isinstance(config, FrameError) else VertexEvidence
+    scale, power = (kind(*(getattr(config, f"{name}_{part}") for name in kind._fields)) for part in ("scale", "power"))
+    return Law(config.base, scale, power)
 
 
 def evidence(
@@ -95,6 +82,7 @@ def evidence(
     ``points`` (N, 3) are those of the cloud that are compared with the surface, metres.
     """
     model, health, covariance, clearance = problem.model, problem.health, posterior.covariance, estimate.clearance
+    free = problem.config.evidence.free_clearance
     position, n, used = posterior.state.position, len(posterior.state.position), estimate.observed
     measurement, weight = estimate.evidence.measurement, estimate.evidence.weight
     squared = np.empty(n)
@@ -118,14 +106,14 @@ def evidence(
         variance=3.0 * variances(covariance),
         unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
         strain=squared,
-        clearance=np.full(n, FREE) if clearance is None else np.clip(clearance, 0.0, FREE),
+        clearance=np.full(n, free) if clearance is None else np.clip(clearance, 0.0, free),
     )
     return frame, vertices, health
 
 
-def sample(frame: FrameInput) -> FrameInput:
-    """Some of a frame's points, spread over all: :data:`EVIDENCE_POINTS` of them, and not twice as many."""
-    every = max(1, len(frame.points) // EVIDENCE_POINTS)
+def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
+    """Some of a frame's points, spread over all: the configured number, and less than twice as many."""
+    every = max(1, len(frame.points) // config.points)
     return frame.only(np.arange(0, len(frame.points), every))  # no view: kernels know its layout
 
 
@@ -133,8 +121,8 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     """The memory after points were compared with the vertices nearest to them.
 
     A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
-    nearest to a boundary or farther than :data:`NEAR`. Of a relocalized garment that still settles nothing good is known from
-    before, so the frame alone counts.
+    nearest to a boundary or farther than ``unexplained_distance``. Of a relocalized garment that still settles nothing good is
+    known from before, so the frame alone counts.
 
     Args:
         problem: the frame.
@@ -142,43 +130,44 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
         points: (N, 3) metres, N > 0.
         position: (V, 3) metres.
     """
-    model, dt = problem.model, problem.dt
-    near, longest = max(NEAR, NEAR_EDGES * model.edge_length), REACH
-    nearest, away = nearest_vertices(points, position)
+    model, dt, config = problem.model, problem.dt, problem.config.evidence
+    near, longest = max(config.unexplained_distance, config.unexplained_edges * model.edge_length), config.reach
+    nearest, away = nearest_vertices(points, position, config.reach)
     left_out = np.zeros(len(position), bool)
-    if np.count_nonzero(nearest < 0) > FOREIGN * len(points):
+    if np.count_nonzero(nearest < 0) > config.foreign_share * len(points):
         longest, left_out[model.boundary[:, 0]] = near, True
     offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
-    share = clumped(points[away > near] - position.mean(axis=0)) / len(points)
+    share = clumped(points[away > near] - position.mean(axis=0), config) / len(points)
     least = min(health.least_unexplained, share)
-    memory = 0.0 if health.settling else MEMORY
+    memory = 0.0 if health.settling else config.memory
     return health._replace(
         offset=_follow(health.offset, offset, dt, memory),
-        unexplained=_follow(health.unexplained, share - (least if least > FOREIGN else 0.0), dt, memory),
+        unexplained=_follow(health.unexplained, share - (least if least > config.foreign_share else 0.0), dt, memory),
         least_unexplained=least,
     )
 
 
-def nearest_vertices(points: np.ndarray, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond REACH.
+def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
 
     Args:
         points: (N, 3) metres.
         position: (V, 3) metres.
+        reach: metres.
     """
-    _, index, grid = vertex_grid(position, REACH / RINGS, CELLS)
+    _, index, grid = vertex_grid(position, reach / RINGS, CELLS)
     nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
-    kernels.nearest_vertices(points, position, index, grid, REACH, nearest, away)
+    kernels.nearest_vertices(points, position, index, grid, reach, nearest, away)
     return nearest, away
 
 
-def clumped(points: np.ndarray) -> int:
-    """How many of (N, 3) points have :data:`CLUMP` or more, themselves among them, in their cell of CLUMP_SIZE metres."""
-    if len(points) < CLUMP:
+def clumped(points: np.ndarray, config: ErrorEvidence) -> int:
+    """Number of (N, 3) points in cells with ``clump_points`` or more; metres."""
+    if len(points) < config.clump_points:
         return 0
-    cell = np.floor(np.clip(points / CLUMP_SIZE, -FARTHEST_CELL, FARTHEST_CELL)).astype(np.int64)
+    cell = np.floor(np.clip(points / config.clump_size, -FARTHEST_CELL, FARTHEST_CELL)).astype(np.int64)
     _, count = np.unique(cell @ [4 * FARTHEST_CELL**2, 2 * FARTHEST_CELL, 1], return_counts=True)
-    return int(count[count >= CLUMP].sum())
+    return int(count[count >= config.clump_points].sum())
 
 
 def _follow(old: float, new: float, dt: float, memory: float) -> float:
@@ -190,7 +179,7 @@ def score(error, config: Reliability | PaperReliability):
     return 1.0 / (1.0 + np.square(error / config.half_error))
 
 
-def vertex_error(error: float, found: VertexEvidence, law: Law = VERTEX_ERROR) -> np.ndarray:
+def vertex_error(error: float, found: VertexEvidence, law: Law) -> np.ndarray:
     """(V,) metres: predicted errors, of the RMS ``error`` of the frame and as different from each other as the law says."""
     relative = law(found)
     return error * relative / math.sqrt(float(relative @ relative) / len(relative))
@@ -213,14 +202,16 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     config, measurement = problem.config.reliability, estimate.evidence.measurement
     coverage = float(estimate.observed.mean())
     s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
-    points = skin_removal.remove_skin(sample(problem.garment), problem, posterior.state.position, skin_removal.ON_CLOTH).points
+    cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
+    points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
     frame, vertices, health = evidence(problem, estimate, posterior, points)
-    error = float(ERROR(frame))
+    error = float(law(problem.config.frame_error)(frame))
+    errors = vertex_error(error, vertices, law(problem.config.vertex_error))
     reliability = float(score(error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
     moved = moved._replace(spacing=problem.dt)
-    return Verdict(moved, reliability, s_k, coverage, score(vertex_error(error, vertices), config), frame, vertices)
+    return Verdict(moved, reliability, s_k, coverage, score(errors, config), frame, vertices)
 
 
 class Outcome(NamedTuple):
@@ -248,7 +239,7 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
     worried = calm._replace(state="recovering", physics_lambda=config.recovery_lambda)
     if isinstance(config, PaperReliability):
         return worried if score < config.threshold else calm
-    dt = min(dt, LONGEST_BOOKED)
+    dt = min(dt, config.longest_frame)
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
         health = health._replace(empty_for=health.empty_for + dt)

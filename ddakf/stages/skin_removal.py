@@ -9,12 +9,7 @@ from ddakf.kernels import skin_removal as kernels
 from ddakf.stages.grid import vertex_grid
 from ddakf.types import FrameInput, Problem
 
-SKIN = 0.010  # m: a point so near to the body may be its skin, about three standard deviations of a sensor's noise
-ON_CLOTH = 0.008  # m, and EDGES: a point farther from every vertex does not lie on the garment
-BESIDE = 0.10  # m, and EDGES: skin within it stays in the cloud, which shows that a hem does not end there
-EDGES = 0.75
-PERSON = 0.15  # share of skin, above which a cloud is of a whole person
-CELLS = 32  # at most along each axis of the grid of vertices
+CELLS = 32  # at most along each axis of the grid of vertices: coarser cells change the time of a search, not its result
 
 
 def remove_skin(frame: FrameInput, problem: Problem, position: np.ndarray, margin: float) -> FrameInput:
@@ -24,9 +19,9 @@ def remove_skin(frame: FrameInput, problem: Problem, position: np.ndarray, margi
 
 
 def of_person(problem: Problem) -> bool:
-    """Whether more than :data:`PERSON` of the frame's points were skin."""
+    """Whether more than ``person_share`` of the frame's points were skin."""
     points = len(problem.frame.points)
-    return points - len(problem.garment.points) > PERSON * points
+    return points - len(problem.garment.points) > problem.config.skin_removal.person_share * points
 
 
 def skin(points: np.ndarray, problem: Problem, position: np.ndarray, margin: float) -> np.ndarray:
@@ -39,12 +34,13 @@ def skin(points: np.ndarray, problem: Problem, position: np.ndarray, margin: flo
         points: (N, 3) metres.
         problem: the body in its pose of this frame, and the garment.
         position: (V, 3) predicted vertices, metres.
-        margin: metres from the garment that a point must be to be skin, :data:`ON_CLOTH` or :data:`BESIDE`.
+        margin: metres from the garment that a point must be to be skin, ``cloth_distance`` or ``hem_distance``.
     """
     if problem.body is None or len(points) == 0:
         return np.zeros(len(points), bool)
-    removed = apart(points, position, margin + EDGES * problem.model.edge_length)
-    removed[removed] = contact.within(problem.body, points[removed].astype(np.float64), SKIN)
+    config = problem.config.skin_removal
+    removed = apart(points, position, margin + config.edge_share * problem.model.edge_length)
+    removed[removed] = contact.within(problem.body, points[removed].astype(np.float64), config.skin_distance)
     return removed
 
 

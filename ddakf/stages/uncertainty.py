@@ -23,22 +23,6 @@ from ddakf.stages import predict
 from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Model, Posterior, Problem, State, variances
 
-MISSED = 0.2  # of an innovation: what of it stays as error of a patch's place
-UNSEEN = 2.0  # of its motion: how far an unseen patch may have moved otherwise
-PERSISTENCE = 4.0  # frames over which plane fits repeat their error; those of a patch count as one
-WITHIN = 0.3  # of a patch's variance: how much its vertices differ from it
-GROWTH = 0.0005  # m per frame that nothing can be seen of
-SMALLEST = 100.0  # 1/m^2 added to what holds the patches, so that a patch that nothing holds has a finite variance
-MEMORY = 0.7  # share of the last frames' innovations in the running mean
-PER_OFFSET = 9.0  # error over the offset of the cloud from the surface, both RMS
-SMALLEST_OFFSET = 0.0002  # m
-TRUST = 0.3  # in the cloud's word about the size of the error, against the recursion's
-ROOM_TO_BODY, MOST_TO_BODY = 0.03, 0.10  # m: distance from the body that doubles a variance; a longer one gives no more room
-USUAL_SLACK = 0.02  # m off where the body has brought it; the variance of looser cloth is in proportion
-ROOM_TO_SEEN, MOST_TO_SEEN = 0.2, 0.6  # m: the same of the distance along the cloth from what is seen, where no body is known
-LEAST_BEND = 0.02  # of a patch's normals, as patches are flat to no more than that
-SEEN_ENOUGH = 0.02  # share of the vertices whose innovations say how far predictions go wrong
-
 
 class PatchEvidence(NamedTuple):
     """Evidence of a frame about the error of each patch. L patches."""
@@ -94,15 +78,19 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     drift = advance(problem, evidence, coupling)
     n = len(model.likeness)
     blocks = drift.covariance.reshape(n, 3, n, 3)
-    shared = (1.0 + WITHIN) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
+    shared = (1.0 + limits.vertex_share) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
     slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
     if evidence.observed.any():
-        level = _level(np.average(variances(shared), weights=evidence.size), problem.health.offset)
+        level = _level(np.average(variances(shared), weights=evidence.size), problem.health.offset, limits)
         drift = drift._replace(level=level)
     covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
     unseen = weight <= 0.0
-    scale2[unseen] = limits.unseen_scale**2 * _room(~unseen, estimate.clearance, body_anchor.slack(problem), model)[unseen]
+    if estimate.clearance is None:
+        room = _room_off_body(~unseen, model, limits)
+    else:
+        room = _room_on_body(estimate.clearance, body_anchor.slack(problem), limits)
+    scale2[unseen] = limits.unseen_scale**2 * room[unseen]
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, evidence.isotropic)
     kernels.vertex_covariances(drift.level * shared, 2.0 * evidence.bend, model.patch, measured, scale2, covariance)
     scale = _scale(covariance, limits.ceiling_sd)
@@ -111,26 +99,32 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     return covariance, drift
 
 
-def _level(variance: float, offset2: float) -> float:
+def _level(variance: float, offset2: float, limits: Uncertainty) -> float:
     """Factor on the variances, of mean ``variance``, that lies between what the recursion and what the cloud say.
 
     The recursion knows of no wrong fit. The offset of the cloud, its noise averaged away, does: the error is some multiple of it.
     Each predicts the size of the error within a factor; the product of powers, a mean of the logarithms, is better than both.
     """
-    return float((PER_OFFSET**2 * (offset2 + SMALLEST_OFFSET**2) / variance) ** TRUST)
+    return float((limits.offset_ratio**2 * (offset2 + limits.least_offset**2) / variance) ** limits.offset_trust)
 
 
-def _room(seen: np.ndarray, clearance: np.ndarray | None, slack: np.ndarray | None, model: Model) -> np.ndarray:
-    """(V,) factor on the variance of unseen vertices: cloth may be elsewhere the more, the farther it is from what holds it.
+def _room_on_body(clearance: np.ndarray, slack: np.ndarray | None, limits: Uncertainty) -> np.ndarray:
+    """(V,) factor on the variance of unseen vertices beside a body, which holds cloth the less, the looser and farther it is.
 
-    That is the body where one is known, which holds loose cloth less, and elsewhere what is seen, along the cloth.
+    Args:
+        clearance: (V,) distance from the body, metres.
+        slack: (V,) standard deviation of the place on the body, metres; None where it is unknown.
+        limits: distances that double the variance.
     """
-    if clearance is not None:
-        loose = 1.0 if slack is None else np.maximum(slack / USUAL_SLACK, 1.0)
-        return loose * (1.0 + np.clip(clearance, 0.0, MOST_TO_BODY) / ROOM_TO_BODY)
+    loose = 1.0 if slack is None else np.maximum(slack / limits.usual_slack, 1.0)
+    return loose * (1.0 + np.clip(clearance, 0.0, limits.most_body_room) / limits.body_room)
+
+
+def _room_off_body(seen: np.ndarray, model: Model, limits: Uncertainty) -> np.ndarray:
+    """(V,) factor on the variance of unseen vertices without a body: it grows along the cloth from ``seen`` (V,) vertices."""
     distance = np.empty(len(seen))
-    kernels.distance_along_cloth(seen, model.start, model.neighbour, model.rest_length, MOST_TO_SEEN, distance)
-    return 1.0 + distance / ROOM_TO_SEEN
+    kernels.distance_along_cloth(seen, model.start, model.neighbour, model.rest_length, limits.most_cloth_room, distance)
+    return 1.0 + distance / limits.cloth_room
 
 
 class Coupling(NamedTuple):
@@ -156,7 +150,7 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
         coupling: of the patches.
     """
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
-    growth2, speed2 = _growth(drift, evidence, coupling, problem.dt)
+    growth2, speed2 = _growth(problem, evidence, coupling)
     root = np.sqrt(growth2).astype(np.float32)
     covariance = drift.covariance.copy()
     added = root[:, None] * model.likeness * root
@@ -166,14 +160,15 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     if ceiling < 1.0:
         covariance *= ceiling**2
     if evidence.observed.any():
-        covariance = _updated(covariance, evidence, coupling.B, model)
+        covariance = _updated(problem, covariance, evidence, coupling.B)
     return Drift(covariance, speed2, coupling.stored2, drift.level)
 
 
-def _updated(P: np.ndarray, evidence: PatchEvidence, B: np.ndarray, model: Model) -> np.ndarray:
+def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
-    kernels.couple_patches(B, model.crossing, evidence.information, SMALLEST, coarse)
+    least = problem.config.uncertainty.least_information
+    kernels.couple_patches(B, problem.model.crossing, evidence.information, least, coarse)
     G = invert(coarse)
     if not np.isfinite(G).all():
         return P
@@ -184,29 +179,31 @@ def _updated(P: np.ndarray, evidence: PatchEvidence, B: np.ndarray, model: Model
     return 0.5 * (updated + updated.T)
 
 
-def _growth(drift: Drift, evidence: PatchEvidence, coupling: Coupling, dt: float) -> tuple[np.ndarray, float]:
+def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
 
     Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
     not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen,
     predictions go on missing as much, and a garment without a body goes where the prediction's own variance says.
     """
+    drift, dt, limits = problem.last.drift, problem.dt, problem.config.uncertainty
     seen = evidence.observed / evidence.size
-    enough = evidence.observed.sum() > SEEN_ENOUGH * evidence.size.sum()
+    enough = evidence.observed.sum() > limits.least_coverage * evidence.size.sum()
     if not enough:
         lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
-        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + GROWTH**2), drift.speed2
+        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2
     common = float(np.average(evidence.innovation2, weights=evidence.observed))
-    speed2 = common / dt**2 if drift.speed2 == 0.0 else MEMORY * drift.speed2 + (1.0 - MEMORY) * common / dt**2
+    old = limits.innovation_memory
+    speed2 = common / dt**2 if drift.speed2 == 0.0 else old * drift.speed2 + (1.0 - old) * common / dt**2
     missed = common + 0.5 * seen * (evidence.innovation2 - common)
     moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
-    growth2 = (MISSED**2 * missed + UNSEEN**2 * (1.0 - seen) * moved) / 3.0 + GROWTH**2
-    return growth2, speed2
+    grown = limits.missed_share**2 * missed + limits.unseen_motion**2 * (1.0 - seen) * moved
+    return grown / 3.0 + limits.growth_sd**2, speed2
 
 
 def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position: np.ndarray) -> PatchEvidence:
     """The evidence of a frame: ``weight`` (V,) of its measurements, posterior ``position`` (V, 3), metres."""
-    model, planes = problem.model, estimate.planes
+    model, planes, limits = problem.model, estimate.planes, problem.config.uncertainty
     # an unseen part moved as is known: not at all, or, with a body to ride on, as it did
     still = problem.motion_start if problem.carried is None else position
     n, ring_strain = len(model.likeness), np.empty(len(position))
@@ -221,8 +218,8 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position
     return PatchEvidence(
         size=size,
         observed=observed,
-        information=information / (PERSISTENCE * measured)[:, None],
-        bend=np.maximum(bend, LEAST_BEND),
+        information=information / (limits.plane_persistence * measured)[:, None],
+        bend=np.maximum(bend, limits.least_bend),
         motion2=_about_mean(motion, size),
         innovation2=_about_mean(innovation, observed),
         strain2=strain2 / size,

@@ -7,11 +7,10 @@ import pytest
 
 from ddakf import Config, Tracker
 from ddakf.body import body_anchor, contact
-from ddakf.body.body_anchor import INDEPENDENT, LEAST_SD
 from ddakf.config import ConstantVelocity
 from ddakf.garment import model
 from ddakf.kernels.associate import vertex_normals
-from ddakf.types import Health, Track
+from ddakf.types import Health, Setup, Track
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 
 MESH = tube()
@@ -19,6 +18,7 @@ BODY = inner_body(MESH)
 GARMENT = model.build(MESH)
 CONFIG = ConstantVelocity()
 FRONT = MESH.vertices[:, 2] > 0
+INDEPENDENT = np.array([CONFIG.anchor_normal_samples, CONFIG.anchor_tangential_samples])
 PER_VERTEX, SLIPPING = MESH.n_vertices / len(GARMENT.likeness) / INDEPENDENT  # variance of a vertex over that of a patch
 
 
@@ -38,7 +38,7 @@ def after(deviation, frames=30, measured=FRONT, dt=1 / FPS, start=None):
 
 def anchored(position=MESH.vertices):
     """The anchor of a garment on the body in its first pose."""
-    return body_anchor.start(contact.build(BODY, 0.1), BODY.vertices, position, GARMENT)
+    return body_anchor.start(Setup(GARMENT, contact.build(BODY, 0.1), Config()), BODY.vertices, position)
 
 
 def frame(anchor, body, dt=1 / FPS):
@@ -87,7 +87,7 @@ def test_what_is_not_seen_has_the_variance_of_what_is(size):
 
 def test_a_garment_that_goes_with_its_body_is_held_to_it_and_no_more_closely_than_the_least():
     _, held = after(np.zeros(3), frames=300)
-    assert (held.variance >= PER_VERTEX * LEAST_SD**2 - 1e-15).all()
+    assert (held.variance >= PER_VERTEX * CONFIG.anchor_least_sd**2 - 1e-15).all()
     assert held.variance[~FRONT].max() < PER_VERTEX * 0.02**2
 
 

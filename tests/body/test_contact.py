@@ -7,7 +7,6 @@ import pytest
 
 from ddakf import Config
 from ddakf.body import contact
-from ddakf.body.contact import DEEPEST
 from ddakf.config import Physics
 from ddakf.physics import collision
 from ddakf.types import Health, Track
@@ -50,9 +49,9 @@ def after(track, heights, observed, dt, searched=True):
 
 
 def test_what_starts_inside_may_stay_and_may_not_go_deeper():
-    track, allowed = contact_at(HEIGHTS), HEIGHTS >= -DEEPEST
+    track, allowed = contact_at(HEIGHTS), -Physics.deepest_gap <= HEIGHTS
     np.testing.assert_allclose(residuals(track, HEIGHTS)[allowed], 0.0, atol=1e-9)
-    np.testing.assert_allclose(residuals(track, HEIGHTS)[~allowed], (HEIGHTS + DEEPEST)[~allowed], atol=1e-9)
+    np.testing.assert_allclose(residuals(track, HEIGHTS)[~allowed], (HEIGHTS + Physics.deepest_gap)[~allowed], atol=1e-9)
     deeper = residuals(track, HEIGHTS - 0.003)
     np.testing.assert_allclose(deeper, np.minimum(0.0, HEIGHTS - 0.003 - track.gap), atol=1e-9)
     assert (deeper[CONFIG.thickness > HEIGHTS] < 0).all()

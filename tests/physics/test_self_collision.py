@@ -26,7 +26,7 @@ def layers_at(gap, rest_gap=0.2):
 def pressed(gap, start=0.01):
     mesh, before = layers_at(start)
     _, now = layers_at(gap)
-    layers = self_collision.find(before, now, mesh, collision.build(mesh).weight, THICKNESS)
+    layers = self_collision.find(before, now, self_collision.build(mesh, collision.build(mesh).weight, THICKNESS))
     return layers, self_collision.linearize(now, layers), now
 
 
@@ -56,7 +56,7 @@ def test_layers_that_are_far_apart_or_were_always_close_do_not_act():
 
 def test_what_is_close_at_rest_is_one_layer():
     mesh, x = layers_at(0.001, rest_gap=0.01)
-    assert len(self_collision.find(x, x, mesh, np.ones(2 * N), THICKNESS).gap) == 0
+    assert len(self_collision.find(x, x, self_collision.build(mesh, np.ones(2 * N), THICKNESS)).gap) == 0
 
 
 def test_gradient_and_blocks_are_the_derivatives_of_the_energy():
@@ -100,7 +100,7 @@ def test_a_tracked_layer_is_kept_on_its_side(stiffness):
 
 def test_crossings_are_counted_where_layers_changed_sides():
     mesh, truth = layers_at(0.01)
-    paired = len(self_collision.find(truth, truth, mesh, np.ones(2 * N), THICKNESS).stencil)
+    paired = len(self_collision.find(truth, truth, self_collision.build(mesh, np.ones(2 * N), THICKNESS)).stencil)
     assert paired > N
     assert metrics.crossings(truth, truth, mesh) == 0
     assert metrics.crossings(layers_at(0.001)[1], truth, mesh) == 0, "closer is not across"

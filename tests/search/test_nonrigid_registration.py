@@ -4,18 +4,23 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from ddakf.config import Registration
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.garment import model
 from ddakf.kernels import nonrigid_registration as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.cluster_alignment import centers
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, mean_distance
-from ddakf.search import nonrigid_registration
-from ddakf.search.nonrigid_registration import Target, rows
+from ddakf.search.nonrigid_registration import Target, register, rows
 from tests.stages.scenes import about, rms, scan, tube
 
 TUBE = tube()
 MODEL = model.build(TUBE)
+CONFIG = Registration()
+
+
+def target_of(points, sensor_origin=None):
+    return Target.from_points(points, sensor_origin, CONFIG)
 
 
 def bent(vertices, angle):
@@ -31,13 +36,13 @@ def bent(vertices, angle):
 @pytest.mark.parametrize("angle", [0.3, -0.5])
 def test_a_bent_garment_is_followed(angle):
     truth = bent(TUBE.vertices, angle)
-    found = nonrigid_registration.follow(TUBE.vertices, Target.of(scan(truth, TUBE), None), MODEL)
+    found = register(TUBE.vertices, target_of(scan(truth, TUBE)), MODEL, CONFIG)
     assert rms(TUBE.vertices - truth) > 0.03
     assert rms(found - truth) < 0.6 * rms(TUBE.vertices - truth)
 
 
 def test_a_garment_in_place_stays():
-    found = nonrigid_registration.follow(TUBE.vertices, Target.of(scan(TUBE.vertices, TUBE), None), MODEL)
+    found = register(TUBE.vertices, target_of(scan(TUBE.vertices, TUBE)), MODEL, CONFIG)
     assert rms(found - TUBE.vertices) < 0.01
 
 
@@ -49,13 +54,13 @@ def test_the_side_that_no_sensor_sees_is_carried_along():
     vertex_normals(truth, MODEL.faces, normal)
     facing = np.einsum("va,va->v", normal, eye - truth) > 0
     points = points[facing[cdist(points, truth).argmin(axis=1)]]
-    found = nonrigid_registration.follow(TUBE.vertices, Target.of(points, eye), MODEL)
+    found = register(TUBE.vertices, target_of(points, eye), MODEL, CONFIG)
     back = TUBE.vertices[:, 2] < -0.05
     assert rms(found[back] - truth[back]) < rms(TUBE.vertices[back] - truth[back])
 
 
 def test_without_points_near_nothing_moves():
-    assert nonrigid_registration.follow(TUBE.vertices, Target.of(TUBE.vertices + 5.0, None), MODEL) is TUBE.vertices
+    assert register(TUBE.vertices, target_of(TUBE.vertices + 5.0), MODEL, CONFIG) is TUBE.vertices
 
 
 def test_clusters_that_move_as_one_move_every_vertex_so():
@@ -84,7 +89,7 @@ def test_clusters_settle_on_a_rigid_motion_of_their_goals():
 
 def test_a_cloud_is_even_however_near_one_of_its_sensors_is():
     near, far = scan(TUBE.vertices, TUBE, 20_000), scan(TUBE.vertices + [1.0, 0.0, 0.0], TUBE, 2_000)
-    target = Target.of(np.concatenate([near, far]), None)
+    target = target_of(np.concatenate([near, far]))
     share = (target.points.T + target.origin)[:, 0] > 0.5
     assert len(share) >= 300
     assert 0.25 < share.mean() < 0.5
@@ -99,7 +104,7 @@ def test_normals_of_a_cloud_point_to_the_outside(seen_from):
     if seen_from != "all around":  # what a sensor sees hardly turned to it has no side
         kept = outward[:, 2] > 0.06 if seen_from == "one place" else np.abs(outward[:, 2]) > 0.06
         points, origin = points[kept], origin if origin.ndim == 1 else origin[kept]
-    target = Target.of(points, origin)
+    target = target_of(points, origin)
     placed = target.points.T + target.origin
     assert target.signed.mean() > 0.9
     assert 300 <= len(placed) <= 600

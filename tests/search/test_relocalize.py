@@ -13,7 +13,7 @@ from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.search.nonrigid_registration import Target
-from ddakf.search.relocalize import SETTLING, cost_in_place, interrupted, locate, places, search_due
+from ddakf.search.relocalize import Search, candidate_poses, cost_in_place, interrupted, locate, search_due
 from ddakf.stages.predict import predict
 from ddakf.types import Health, State, Track
 from tests.stages.scenes import FPS, frame_of, problem_of, random_state, rms, scan, tube, turn
@@ -22,6 +22,8 @@ SAMPLE = sample()
 SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
 SHIRT_MODEL = model.build(SHIRT)
 TUBE = tube()
+RULE = Config().relocalization
+HEADING_SD = np.radians(RULE.heading_sd)
 
 
 def captured(view, vertices, seed):
@@ -58,16 +60,21 @@ def test_a_garment_moved_by_30_cm_and_turned_by_30_degrees_is_found(view, degree
 
 
 @pytest.mark.parametrize("degrees", [0, 15, 30, 45, 100, -80])
-def test_placement_recovers_the_motion(degrees):
+def test_a_candidate_pose_recovers_the_motion(degrees):
     start = SAMPLE.garment_vertices[40].astype(float)
     truth = start @ turn(degrees).T + [0.25, -0.1, 0.1]
     points = captured("full", truth, 0)[0]
-    target = Target.of(points, None)
-    placement = places(start, SHIRT_MODEL, target)[0]
-    assert rms(placement.apply(start) - truth) < 0.03
-    np.testing.assert_allclose(placement.rotation @ placement.rotation.T, np.eye(3), atol=1e-9)
-    np.testing.assert_allclose(placement.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
-    assert placement.cost < 0.5 * cost_in_place(start, SHIRT_MODEL, target)
+    search = search_of(points, SHIRT_MODEL)
+    pose = candidate_poses(start, search, HEADING_SD)[0]
+    assert rms(pose.apply(start) - truth) < 0.03
+    np.testing.assert_allclose(pose.rotation @ pose.rotation.T, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(pose.rotation[1], [0, 1, 0], atol=1e-9)  # about the vertical alone
+    assert pose.cost < 0.5 * cost_in_place(start, search)
+
+
+def search_of(points, garment):
+    config = Config()
+    return Search(garment, Target.from_points(points, None, config.registration), config)
 
 
 def flat_tube(depth):
@@ -81,10 +88,10 @@ def headings(found):
     return [float(np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0]))) for p in found]
 
 
-def test_placements_have_different_headings_and_the_nearest_of_equals_comes_first():
+def test_candidate_poses_have_different_headings_and_the_nearest_of_equals_comes_first():
     flat = flat_tube(0.6)
-    target = Target.of(scan(flat.vertices @ turn(20).T + [0.5, 0.0, 0.2], flat), None)
-    found = headings(places(flat.vertices, model.build(flat), target, turn_sd=5.0))
+    search = search_of(scan(flat.vertices @ turn(20).T + [0.5, 0.0, 0.2], flat), model.build(flat))
+    found = headings(candidate_poses(flat.vertices, search, 5.0))
     assert found[0] == pytest.approx(20, abs=8)
     assert any(abs(heading + 160) < 8 for heading in found[1:])
     apart = np.abs(np.subtract.outer(found, found)) % 360
@@ -93,21 +100,21 @@ def test_placements_have_different_headings_and_the_nearest_of_equals_comes_firs
 
 def test_a_round_garment_keeps_its_heading():
     round_one = flat_tube(1.0)
-    target = Target.of(scan(round_one.vertices @ turn(20).T + [0.5, 0.0, 0.2], round_one), None)
-    assert abs(headings(places(round_one.vertices, model.build(round_one), target))[0]) < 25
+    search = search_of(scan(round_one.vertices @ turn(20).T + [0.5, 0.0, 0.2], round_one), model.build(round_one))
+    assert abs(headings(candidate_poses(round_one.vertices, search, HEADING_SD))[0]) < 25
 
 
 def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
     first = located(prior_at(TUBE.vertices), scan(TUBE.vertices + 0.4, TUBE), Health())
-    assert first.health.settling == SETTLING
-    health = Health(state="tracking", settling=SETTLING)
+    assert first.health.settling == RULE.settling_frames
+    health = Health(state="tracking", settling=RULE.settling_frames)
     moved = TUBE.vertices * [1.1, 1.0, 0.9] + 0.4
     normal = vertex_normals(moved, TUBE.faces)
 
     def off(position):
         return np.sqrt(np.square(np.einsum("va,va->v", position - moved, normal)).mean())
 
-    for seed in range(SETTLING):
+    for seed in range(RULE.settling_frames):
         last = located(first.prior._replace(position=TUBE.vertices + 0.4), scan(moved, TUBE, seed=seed), health)
         assert last.last.drift is None  # that of the track, which no search has replaced
         assert off(last.prior.position) < 0.5 * off(TUBE.vertices + 0.4)
@@ -204,7 +211,7 @@ def test_the_search_can_be_switched_off_and_needs_enough_points():
 
 
 def test_a_fruitless_search_is_repeated_ever_more_rarely():
-    due = [k for k in range(100) if search_due(Health(state="lost", frames_unplaced=k))]
+    due = [k for k in range(100) if search_due(Health(state="lost", frames_unplaced=k), RULE)]
     assert due[0] == 0
     assert len(due) < 8
     assert (np.diff(due, 2) >= 0).all()
@@ -223,4 +230,4 @@ def test_a_start_on_the_garment_is_tracked_from_the_first_frame():
     ("spacing", "dt", "gap"), [(1 / 30, 0.5, True), (0.5, 0.5, False), (1 / 30, 0.2, False), (0.0, 0.5, False)]
 )
 def test_a_slow_stream_is_no_gap(spacing, dt, gap):
-    assert interrupted(Health(spacing=spacing), dt) is gap
+    assert interrupted(Health(spacing=spacing), dt, RULE) is gap

@@ -12,13 +12,12 @@ from ddakf.config import KnnFilter, PaperReliability, Start
 from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
 from ddakf.stages.reliability import (
-    ERROR,
-    VERTEX_ERROR,
     FrameEvidence,
     Outcome,
     VertexEvidence,
     advance,
     clumped,
+    law,
     misfit,
     nearest_vertices,
     paper_score,
@@ -28,7 +27,8 @@ from ddakf.stages.reliability import (
 from ddakf.types import Health
 from tests.stages.scenes import FPS, blocks, problem_of, rms, scan, tube
 
-CONFIG = Config().reliability
+CONFIG, EVIDENCE_CONFIG = Config().reliability, Config().evidence
+ERROR, VERTEX_ERROR = law(Config().frame_error), law(Config().vertex_error)
 PAPER = PaperReliability()
 GOOD, DT = 0.9, 1 / FPS
 
@@ -96,11 +96,11 @@ def test_without_evidence_the_error_is_that_of_an_untroubled_track():
     assert ERROR(FrameEvidence(*[0.0] * len(FrameEvidence._fields))) == ERROR.base > 0
 
 
-@pytest.mark.parametrize("law", [ERROR, VERTEX_ERROR], ids=["frame", "vertex"])
-def test_powers_are_no_negative_numbers_and_some_count(law):
-    assert min(law.power) >= 0.0
-    assert max(law.power) > 0.0
-    assert min(law.scale) > 0.0
+@pytest.mark.parametrize("present", [ERROR, VERTEX_ERROR], ids=["frame", "vertex"])
+def test_powers_are_no_negative_numbers_and_some_count(present):
+    assert min(present.power) >= 0.0
+    assert max(present.power) > 0.0
+    assert min(present.scale) > 0.0
 
 
 # Evidence -----------------------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ def test_powers_are_no_negative_numbers_and_some_count(law):
 
 def misfit_of(points, mesh, patches=40):
     patch = (np.arange(mesh.n_vertices) * patches // mesh.n_vertices).astype(np.int32)
-    nearest, away = nearest_vertices(points, mesh.vertices)
+    nearest, away = nearest_vertices(points, mesh.vertices, EVIDENCE_CONFIG.reach)
     none = np.zeros(mesh.n_vertices, bool)
     return kernels.squared_offset(points, mesh.vertices, nearest, away, 0.1, none, patch, patches), away
 
@@ -160,10 +160,10 @@ def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
     rng = np.random.default_rng(0)
     limb = rng.uniform(0, 1, (60, 3)) * [0.4, 0.1, 0.1]
     stray = rng.uniform(-2, 2, (80, 3))
-    assert clumped(limb) > 50
-    assert clumped(stray) < 10
-    assert clumped(np.concatenate([limb, limb + 1e30])) >= clumped(limb)
-    assert clumped(limb[:0]) == 0
+    assert clumped(limb, EVIDENCE_CONFIG) > 50
+    assert clumped(stray, EVIDENCE_CONFIG) < 10
+    assert clumped(np.concatenate([limb, limb + 1e30]), EVIDENCE_CONFIG) >= clumped(limb, EVIDENCE_CONFIG)
+    assert clumped(limb[:0], EVIDENCE_CONFIG) == 0
 
 
 def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
@@ -213,11 +213,11 @@ VERTICES = st.lists(
 @settings(max_examples=100, deadline=None, derandomize=True)
 def test_errors_of_vertices_are_the_frames_and_grow_with_what_speaks_of_them(values, error, which, more):
     found = VertexEvidence(*np.array(values).T)
-    errors = vertex_error(error, found)
+    errors = vertex_error(error, found, VERTEX_ERROR)
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(error)
     worse = [array.copy() for array in found]
     worse[which][0] += more
-    shares = [e[0] / e[1] for e in (errors, vertex_error(error, VertexEvidence(*worse)))]
+    shares = [e[0] / e[1] for e in (errors, vertex_error(error, VertexEvidence(*worse), VERTEX_ERROR))]
     assert shares[1] >= shares[0] * (1 - 1e-12)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ddakf import Mesh
+from ddakf.config import SkinRemoval
 from ddakf.garment import model
 from ddakf.stages import skin_removal
 from tests.stages.scenes import frame_of, posed, problem_of
@@ -22,7 +23,7 @@ BODY, GARMENT = tube(0.20, -0.5, 0.5), tube(0.205, -0.2, 0.2)
 MODEL = model.build(GARMENT)
 
 
-def skin(points, body, margin=skin_removal.ON_CLOTH):
+def skin(points, body, margin=SkinRemoval.cloth_distance):
     return skin_removal.skin(points.astype(np.float32), problem_of(MODEL, body=body), GARMENT.vertices, margin)
 
 
@@ -47,7 +48,7 @@ def test_points_take_their_sensors_with_them():
     contact = posed(BODY)
     origin = np.arange(3.0 * BODY.n_vertices).reshape(-1, 3)
     now = frame_of(BODY.vertices.astype(np.float32), origin, BODY.vertices)
-    kept = skin_removal.remove_skin(now, problem_of(MODEL, body=contact), GARMENT.vertices, skin_removal.ON_CLOTH)
+    kept = skin_removal.remove_skin(now, problem_of(MODEL, body=contact), GARMENT.vertices, SkinRemoval.cloth_distance)
     bare = skin(BODY.vertices, contact)
     assert 0 < len(kept.points) == (~bare).sum()
     assert (kept.sensor_origin == origin[~bare]).all()
@@ -57,7 +58,7 @@ def test_a_cloud_is_of_a_whole_person_where_much_of_it_is_skin():
     contact, garment = posed(BODY), GARMENT.vertices.astype(np.float32)
     for points, person in ((garment, False), (np.concatenate([garment, BODY.vertices.astype(np.float32)]), True)):
         problem = problem_of(MODEL, body=contact, frame=frame_of(points, None, BODY.vertices))
-        cloth = skin_removal.remove_skin(problem.frame, problem, GARMENT.vertices, skin_removal.ON_CLOTH)
+        cloth = skin_removal.remove_skin(problem.frame, problem, GARMENT.vertices, SkinRemoval.cloth_distance)
         assert skin_removal.of_person(problem._replace(garment=cloth)) == person
 
 

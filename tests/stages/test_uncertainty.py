@@ -13,6 +13,7 @@ from scipy.sparse.csgraph import dijkstra
 from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.body import body_anchor
 from ddakf.body.proximity import Contact
+from ddakf.config import Uncertainty
 from ddakf.garment import model
 from ddakf.kernels import uncertainty as kernels
 from ddakf.physics import energies, rigidity
@@ -93,7 +94,7 @@ def without_room(tracker, result, slack):
     room = 1.0
     if tracker.body is not None and tracker.config == CONFIGS["default"]:
         clearance = tracker._track.body.contacts.closest.distance
-        room = np.where(result.observed, 1.0, uncertainty._room(result.observed, clearance, slack, None))
+        room = np.where(result.observed, 1.0, uncertainty._room_on_body(clearance, slack, tracker.config.uncertainty))
     return traces(result.covariance) / room
 
 
@@ -263,8 +264,8 @@ def test_drift_becomes_the_exact_marginals_where_the_coupling_is_all_that_was_kn
     """With a prior that is just what couples the vertices, the gain is the best one, and F P F' + G M G is (C + M)^-1."""
     run = solved(MESHES[name], seen)
     evidence, n = evidence_of(run), run.garment.mesh.n_vertices
-    C = run.exact("stretch", "shear", "rigid") + uncertainty.SMALLEST * np.eye(3 * n)
-    got = uncertainty._updated(np.linalg.inv(C).astype(np.float32), evidence, run.update.system.B, run.garment)
+    C = run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n)
+    got = uncertainty._updated(problem_of(run.garment, None), np.linalg.inv(C).astype(np.float32), evidence, run.update.system.B)
     exact = np.linalg.inv(C + blockdiag(evidence.information))
     ratio = traces(diagonal_blocks(got)) / traces(diagonal_blocks(exact))
     np.testing.assert_allclose(ratio, 1.0, rtol=0.02)
@@ -278,10 +279,10 @@ def test_drift_is_the_covariance_of_errors_that_go_through_the_update(seen):
     root = np.random.default_rng(1).normal(scale=0.003, size=(3 * n, 3 * n))
     P = root @ root.T
     M = blockdiag(evidence.information)
-    gain = np.linalg.inv(run.exact("stretch", "shear", "rigid") + uncertainty.SMALLEST * np.eye(3 * n) + M)
+    gain = np.linalg.inv(run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n) + M)
     left, noise = (np.eye(3 * n) - gain @ M) @ root, gain @ np.linalg.cholesky(M + 1e-9 * np.eye(3 * n))
     expected = left @ left.T + noise @ noise.T
-    got = uncertainty._updated(P.astype(np.float32), evidence, run.update.system.B, run.garment)
+    got = uncertainty._updated(problem_of(run.garment, None), P.astype(np.float32), evidence, run.update.system.B)
     assert np.abs(got - expected).max() < 0.01 * np.abs(expected).max()
     best = np.linalg.inv(np.linalg.inv(P) + M)  # no gain does better than the one that suits P
     assert (traces(diagonal_blocks(got)) >= 0.99 * traces(diagonal_blocks(best))).all()
@@ -365,11 +366,11 @@ def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_no
 def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
     garment = model.build(MESHES["larger sheet"])
     seen = garment.mesh.vertices[:, 0] < 0.03
-    room = uncertainty._room(seen, None, None, garment)
+    room = uncertainty._room_off_body(seen, garment, Uncertainty())
     order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
     assert np.corrcoef(np.arange(len(order)), room[~seen][order])[0, 1] > 0.9
     assert (room[seen] == 1.0).all()
-    nothing = uncertainty._room(np.zeros_like(seen), None, None, garment)
+    nothing = uncertainty._room_off_body(np.zeros_like(seen), garment, Uncertainty())
     assert (nothing == nothing.max()).all()
     assert nothing.max() >= room.max()
 

@@ -52,6 +52,6 @@ def crossings(estimate: np.ndarray, truth: np.ndarray, mesh: Mesh) -> int:
         mesh: the garment, at rest.
     """
     estimate, truth = (np.ascontiguousarray(pose, np.float64) for pose in (estimate, truth))
-    layers = self_collision.find(truth, estimate, mesh, np.zeros(len(truth)), 0.0)
+    layers = self_collision.find(truth, estimate, self_collision.build(mesh, np.zeros(len(truth)), 0.0))
     i, j = layers.stencil.T
     return int((np.einsum("ca,ca->c", layers.normal, estimate[i] - estimate[j]) < 0.0).sum())
