@@ -1,7 +1,8 @@
 """Compiled kernels: numba, one module per stage, same stem. Importing this package fixes where compiled code is cached.
 
 numba keys a cached function by its own file only, so a change in a function that it inlines from another file would go
-unnoticed; the cache directory therefore carries a hash of all kernel sources.
+unnoticed; the cache directory therefore carries a hash of all kernel sources. The named tuples that kernels take are declared
+beside them, so that the hash covers their fields.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numba
 
 
 def _cache_directory() -> Path:
-    """Where compiled kernels go; a place that cannot be written to is replaced by one in the temporary directory."""
+    """The folder of compiled kernels; one in the temporary directory replaces it where it cannot be written to."""
     digest = hashlib.sha256(numba.__version__.encode())
     for source in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(source.name.encode())

@@ -223,37 +223,39 @@ def search_limit(best):
     return best * (1.0 + SLACK) + SLACK**3
 
 
+# Functions that are called for every point take arrays, not named tuples of them: each call would count references to every array
+# of the tuple, a fifth of the time of a search.
 @njit(nogil=True, cache=True, error_model="numpy")
-def search_leaf(tree, leaf, point, best, best_face, squared):
+def search_leaf(triangles, leaf_start, leaf, point, best, best_face, squared):
     """Squared distance and face of the nearest so far, after the search of a leaf; of equally near faces the first.
 
     Args:
-        tree: :class:`BodyTree`.
+        triangles, leaf_start: of :class:`BodyTree`.
         leaf: its number.
         point: (x, y, z) metres.
         best, best_face: nearest face before, m^2.
         squared: (8,) workspace.
     """
-    leaf_distances(tree.triangles, leaf, point[0], point[1], point[2], squared)
-    for s in range(tree.leaf_start[leaf + 1] - tree.leaf_start[leaf]):
-        if squared[s] <= best and (squared[s] < best or tree.leaf_start[leaf] + s < best_face):
-            best, best_face = squared[s], tree.leaf_start[leaf] + s
+    leaf_distances(triangles, leaf, point[0], point[1], point[2], squared)
+    for s in range(leaf_start[leaf + 1] - leaf_start[leaf]):
+        if squared[s] <= best and (squared[s] < best or leaf_start[leaf] + s < best_face):
+            best, best_face = squared[s], leaf_start[leaf] + s
     return best, best_face
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def search_tree(tree, point, radius, start, nodes, lower, squared):
+def search_tree(triangles, boxes, leaf_start, shift, point, radius, start, workspace):
     """The nearest face to a point, -1 where none is within the radius.
 
     Args:
-        tree: :class:`BodyTree`.
+        triangles, boxes, leaf_start, shift: of :class:`BodyTree`.
         point: (x, y, z) metres.
         radius: metres.
         start: leaf that is searched first, which saves time, or -1.
-        nodes, lower: (STACK,) workspace: nodes that wait, and lower bounds of their squared distances.
-        squared: (8,) workspace.
+        workspace: (STACK,) nodes that wait, (STACK,) lower bounds of their squared distances, and (8,) squared distances.
     """
-    n_inner = tree.boxes.shape[0]
+    nodes, lower, squared = workspace
+    n_inner = boxes.shape[0]
     best, best_face = radius * radius, -1
     top = 0
     nodes[0], lower[0] = 0, 0.0
@@ -268,13 +270,13 @@ def search_tree(tree, point, radius, start, nodes, lower, squared):
         if node >= n_inner:
             leaf = node - n_inner
             if leaf != start or bound < 0.0:  # else the first leaf again
-                best, best_face = search_leaf(tree, leaf, point, best, best_face, squared)
+                best, best_face = search_leaf(triangles, leaf_start, leaf, point, best, best_face, squared)
             continue
-        box_distances(tree.boxes[node], tree.boxes.shape[2], point[0], point[1], point[2], squared)
+        box_distances(boxes[node], boxes.shape[2], point[0], point[1], point[2], squared)
         nearest = limit = search_limit(best)
         at = top
         for s in range(LANES):  # every child is written, which is cheaper than an unpredictable branch
-            nodes[top + 1], lower[top + 1] = LANES * node + tree.shift + s, squared[s]
+            nodes[top + 1], lower[top + 1] = LANES * node + shift + s, squared[s]
             top += 1 if squared[s] < limit else 0
             nearer = squared[s] < nearest
             at, nearest = top if nearer else at, squared[s] if nearer else nearest
@@ -285,25 +287,25 @@ def search_tree(tree, point, radius, start, nodes, lower, squared):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def list_leaves(tree, box, reach, nodes, squared, leaf, leaf_box):
+def list_leaves(boxes, shift, box, reach, nodes, squared, leaf, leaf_box):
     """Lists the leaves whose boxes are near a given box. Returns their number.
 
     Args:
-        tree: :class:`BodyTree`.
+        boxes, shift: of :class:`BodyTree`.
         box: its lower and upper corner, (3,) metres each.
         reach: squared distance between the boxes, m^2.
         nodes, squared: (STACK,) and (8,) workspace.
         leaf: (L + 1,) out.
         leaf_box: (6, L + 1) out, their boxes, metres.
     """
-    boxes = tree.boxes
+    lower, upper = box
     n_inner, found, top = boxes.shape[0], 0, 0
     nodes[0] = 0
     while top >= 0:
         node = nodes[top]
         top -= 1
-        distances_between_boxes(boxes, node, box[0], box[1], squared)
-        child = LANES * node + tree.shift
+        distances_between_boxes(boxes, node, lower, upper, squared)
+        child = LANES * node + shift
         if child + LANES - 1 < n_inner:
             for s in range(LANES):  # here too every child is written
                 nodes[top + 1] = child + s
@@ -356,7 +358,7 @@ def nearest_faces(tree, points, radius, hint, face):
         hint: (N,) int32 face that is probably near, or -1.
         face: (N,) int32 out; may be ``hint``.
     """
-    triangles, leaf_start, leaf_of = tree.triangles, tree.leaf_start, tree.leaf_of
+    triangles, boxes, leaf_start, leaf_of, shift = tree
     n, n_leaves = points.shape[0], leaf_start.shape[0] - 1
     nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
     squared, candidate = np.empty(LANES), np.empty(LANES)
@@ -373,11 +375,11 @@ def nearest_faces(tree, points, radius, hint, face):
         for o in range(first[start], first[start + 1]):
             i = order[o]
             point = points[i, 0], points[i, 1], points[i, 2]
-            best[i], face[i] = search_leaf(tree, start, point, radius * radius, -1, squared)
+            best[i], face[i] = search_leaf(triangles, leaf_start, start, point, radius * radius, -1, squared)
             reach = max(reach, best[i])
             for a in range(3):
                 least[a], most[a] = min(least[a], points[i, a]), max(most[a], points[i, a])
-        found = list_leaves(tree, (least, most), search_limit(reach), nodes, squared, near_leaf, leaf_box)
+        found = list_leaves(boxes, shift, (least, most), search_limit(reach), nodes, squared, near_leaf, leaf_box)
         for o in range(first[start], first[start + 1]):
             i = order[o]
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
@@ -397,7 +399,7 @@ def nearest_faces(tree, points, radius, hint, face):
     for o in range(first[n_leaves], n):
         i = order[o]
         point = points[i, 0], points[i, 1], points[i, 2]
-        face[i] = search_tree(tree, point, radius, previous, nodes, lower, squared)
+        face[i] = search_tree(triangles, boxes, leaf_start, shift, point, radius, previous, (nodes, lower, squared))
         previous = leaf_of[face[i]] if face[i] >= 0 else previous
 
 
@@ -421,16 +423,14 @@ def corner_angle(vertices, i, j, k):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def pseudo_normal(body, f, barycentric):
+def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, barycentric):
     """Normal at a point of a face, of any length: the face's, both faces' at an edge, by angle around a corner.
 
     Args:
-        body: :class:`BodyFaces`.
+        vertices, faces, neighbour, ring_start, ring_face: of :class:`BodyFaces`.
         f: the face.
         barycentric: (u, v, w) of the point.
     """
-    vertices, faces, neighbour = body.vertices, body.faces, body.neighbour
-    ring_start, ring_face = body.ring_start, body.ring_face
     u, v, w = barycentric
     on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
     x, y, z = face_normal(vertices, faces, f)
@@ -460,20 +460,18 @@ def side_of_face(vertices, faces, f, d):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def outside(body, f, barycentric, d):
+def outside(vertices, faces, neighbour, ring_start, ring_face, f, barycentric, d):
     """Whether the offset d from a point of a face does not point against the pseudo-normal there.
 
     Where all faces around the point agree, so does any positive combination of their normals. Roots and angles are needed only
     within the fold of a crease.
 
     Args:
-        body: :class:`BodyFaces`.
+        vertices, faces, neighbour, ring_start, ring_face: of :class:`BodyFaces`.
         f: the face.
         barycentric: (u, v, w) of the point.
         d: (dx, dy, dz) metres.
     """
-    vertices, faces, neighbour = body.vertices, body.faces, body.neighbour
-    ring_start, ring_face = body.ring_start, body.ring_face
     u, v, w = barycentric
     on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
     least = most = side_of_face(vertices, faces, f, d)
@@ -488,7 +486,7 @@ def outside(body, f, barycentric, d):
             side = side_of_face(vertices, faces, ring_face[r], d)
             least, most = min(least, side), max(most, side)
     if least < 0 < most:
-        return dot(pseudo_normal(body, f, barycentric), d) >= 0.0
+        return dot(pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, barycentric), d) >= 0.0
     return least >= 0
 
 
@@ -501,7 +499,7 @@ def contacts(body, points, contact):
         points: (N, 3) metres.
         contact: :class:`Contact` of N points, its faces in, the rest out.
     """
-    vertices, faces = body.vertices, body.faces
+    vertices, faces, neighbour, ring_start, ring_face = body
     face, barycentric, point, normal, distance = contact
     for i in range(points.shape[0]):
         f = face[i]
@@ -517,13 +515,14 @@ def contacts(body, points, contact):
         barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, v, w
         dx, dy, dz = ax - v * b[0] - w * c[0], ay - v * b[1] - w * c[1], az - v * b[2] - w * c[2]
         length = sqrt(dx * dx + dy * dy + dz * dz)
-        sign = 1.0 if outside(body, f, (u, v, w), (dx, dy, dz)) else -1.0
+        inside = not outside(vertices, faces, neighbour, ring_start, ring_face, f, (u, v, w), (dx, dy, dz))
+        sign = -1.0 if inside else 1.0
         point[i, 0], point[i, 1], point[i, 2] = points[i, 0] - dx, points[i, 1] - dy, points[i, 2] - dz
         distance[i] = sign * length
         if length > SURFACE:
             x, y, z, scale = dx, dy, dz, sign / length
         else:
-            x, y, z = pseudo_normal(body, f, (u, v, w))
+            x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, (u, v, w))
             norm = sqrt(x * x + y * y + z * z)
             scale = 1.0 / norm if norm > 0.0 else 0.0
         normal[i, 0], normal[i, 1], normal[i, 2] = x * scale, y * scale, z * scale

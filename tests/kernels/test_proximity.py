@@ -101,7 +101,7 @@ def test_outside_is_the_side_of_the_pseudo_normal(kind):
     smooth = ball(1)
     mesh = Mesh(smooth.vertices * rng.uniform(0.4, 1.6, (smooth.n_vertices, 1)), smooth.faces)
     body = proximity_stage.build(mesh)
-    faces = proximity.BodyFaces(mesh.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face)
+    faces = mesh.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face
     disagreed = told = 0
     for face in range(len(body.faces)):
         for turn in range(3):
@@ -113,7 +113,7 @@ def test_outside_is_the_side_of_the_pseudo_normal(kind):
                     continue
                 told += 1
                 disagreed += (proximity.side_of_face(mesh.vertices, body.faces, face, tuple(d)) > 0) != (expected > 0)
-                assert proximity.outside(faces, face, (u, v, w), tuple(d)) == (expected > 0)
+                assert proximity.outside(*faces, face, (u, v, w), tuple(d)) == (expected > 0)
     assert told > 1000
     assert (disagreed > 50) == (kind != "inside")
 
@@ -153,8 +153,7 @@ def test_pseudo_normals_of_a_corner_an_edge_and_a_face():
     ring_start, ring_face = np.array([0, 3, 5, 7, 9], np.int32), np.array([0, 1, 2, 0, 2, 0, 1, 1, 2], np.int32)
 
     def normal(f, *coordinates):
-        body = proximity.BodyFaces(vertices, faces, neighbour, ring_start, ring_face)
-        return proximity.pseudo_normal(body, f, coordinates)
+        return proximity.pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, coordinates)
 
     edges = vertices[faces[:, 1:]] - vertices[0]
     units = np.cross(edges[:, 0], edges[:, 1])
