@@ -270,6 +270,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--budget", type=float, default=20.0, help="seconds of tests per mutant, default 20")
     parser.add_argument("--processes", type=int, default=os.cpu_count(), help="default: as many as there are cores")
     parser.add_argument("--folders", nargs="+", default=FOLDERS, help=f"of ddakf, default {' '.join(FOLDERS)}")
+    parser.add_argument("--only", nargs="+", metavar="MODULE", help="names of modules, default: all of the folders")
     parser.add_argument("--tests", nargs="+", default=TESTS, help="that may run, default: those of the stages and the tracker")
     parser.add_argument("--out", type=Path, default=RESULT)
     arguments = parser.parse_args(argv)
@@ -277,6 +278,7 @@ def main(argv: list[str] | None = None) -> int:
     sys.path.insert(0, str(ROOT))
 
     paths = sorted(path for folder in arguments.folders for path in (ROOT / "ddakf" / folder).glob("*.py"))
+    paths = [path for path in paths if not arguments.only or path.stem in arguments.only]
     every = [mutant for path in paths for mutant in mutants_of(path)]
     sample = random.Random(arguments.seed).sample(every, min(arguments.mutants, len(every)))
     print(f"{len(sample)} of {len(every)} mutants of {len(paths)} modules", flush=True)
