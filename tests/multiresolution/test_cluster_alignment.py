@@ -121,6 +121,7 @@ def test_common_turns_cost_nothing_in_the_seams(scale):
     assert bent @ A @ bent > 1e-4 * (bent @ bent)
 
 
+@pytest.mark.slow
 def test_large_motion_is_found():
     truth = moved_by(about([1, 0, 0.2], np.radians(9.0)), [0.03, -0.01, 0.02])
     assert rms(aligned(truth) - truth) < 0.5 * rms(MESH.vertices - truth)

@@ -74,6 +74,7 @@ def test_clusters_that_move_as_one_move_every_vertex_so():
     np.testing.assert_allclose(moved, TUBE.vertices @ turn.T + 0.3, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_clusters_settle_on_a_rigid_motion_of_their_goals():
     turn, K, cluster = about([1, 2, 3], 0.4), MODEL.n_clusters, MODEL.cluster
     middle, rotation = np.empty((K, 3)), np.tile(np.eye(3), (K, 1, 1))

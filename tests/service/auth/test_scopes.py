@@ -102,6 +102,7 @@ def test_a_websocket_is_refused_before_it_opens(guarded, what):
         assert connection.subprotocol == "ddakf.v1"
 
 
+@pytest.mark.slow
 def test_without_keys_only_loopback_is_served(tmp_path):
     with running(["--host", "0.0.0.0", "--workers", "1"], tmp_path) as service:
         assert isinstance(call(service, "ListSessions", None), Unauthenticated)
@@ -125,6 +126,7 @@ def test_a_refused_call_of_grpc_is_not_read(guarded):
             assert isinstance(from_rpc_error(refused.value), Unauthenticated), method
 
 
+@pytest.mark.slow
 def test_on_loopback_a_key_is_asked_of_whom_a_proxy_forwards_and_of_names_that_point_here(service):
     port = service.http.rsplit(":", 1)[1]
     for headers, status in (

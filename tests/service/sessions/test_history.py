@@ -215,6 +215,7 @@ def test_a_database_that_goes_away_stops_nothing_and_misses_nothing(api, http, s
     assert "ddakf_store_dropped_total 0.0" in http.get("/metrics").text
 
 
+@pytest.mark.slow
 def test_the_history_goes_on_after_a_restart(api, sheet, service, arguments, tmp_path):
     """History of a live session and of an ended one. The last test: it ends the shared service."""
     ended, alive = api.create(sheet).name, api.create(sheet).name

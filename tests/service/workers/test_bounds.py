@@ -45,6 +45,7 @@ def test_sessions_whose_memory_finds_no_room_are_refused_until_there_is_some(bou
         api.delete(name)
 
 
+@pytest.mark.slow
 def test_a_worker_is_replaced_in_order_and_no_frame_is_lost(bounded, api, sheet):
     name = api.create(sheet).name
     seen, none = [], "ddakf_workers_recycled_total 0.0"
