@@ -61,14 +61,12 @@ def build(mesh: Mesh) -> Body:
     )
 
 
-def refresh(body: Body, vertices: np.ndarray, out: BodySurface | None = None) -> BodySurface:
-    """The body with its vertices (B, 3) at a new place. ``out``, a former surface of this body, is overwritten."""
-    if out is None:
-        triangles = np.zeros((len(body.leaf_start) - 1, 15, kernels.LANES))
-        out = BodySurface(np.empty((len(vertices), 3)), triangles, np.empty((body.n_inner, 6, kernels.LANES)))
-    out.vertices[:] = vertices
-    kernels.refit(out.vertices, body.faces, body.leaf_start, body.shift, out.triangles, out.boxes)
-    return out
+def refresh(body: Body, vertices: np.ndarray) -> BodySurface:
+    """The body with its vertices (B, 3) at a new place, metres."""
+    triangles = np.zeros((len(body.leaf_start) - 1, 15, kernels.LANES))
+    surface = BodySurface(np.array(vertices, np.float64), triangles, np.empty((body.n_inner, 6, kernels.LANES)))
+    kernels.refit(surface.vertices, body.faces, body.leaf_start, body.shift, surface.triangles, surface.boxes)
+    return surface
 
 
 def closest_points(
@@ -77,7 +75,6 @@ def closest_points(
     points: np.ndarray,
     radius: float,
     hint: np.ndarray | None = None,
-    out: Contact | None = None,
 ) -> Contact:
     """Exact closest points on the body's surface.
 
@@ -86,12 +83,10 @@ def closest_points(
         points: (N, 3) metres.
         radius: how far to look, metres.
         hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the iteration before; makes the
-            search a fifth faster and never changes the result. May be ``out.face``.
-        out: a former result for N points, overwritten and returned.
+            search a fifth faster and never changes the result.
     """
     n = len(points)
-    if out is None:
-        out = Contact(np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
+    out = Contact(np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
     if hint is None:
         hint = np.full(n, -1, np.int32)
     tree = BodyTree(surface.triangles, surface.boxes, body.leaf_start, body.leaf_of, body.shift)

@@ -51,7 +51,6 @@ def linearize(
     constants: CollisionConstants,
     contact: Contact,
     gap: np.ndarray | None = None,
-    out: Linearization | None = None,
 ) -> Linearization:
     """Residuals (penetration, metres, at most 0) and Jacobians at positions (V, 3) metres.
 
@@ -60,12 +59,10 @@ def linearize(
         constants: of the garment.
         contact: for every vertex, the body's closest point.
         gap: (V,) metres, negative inside; the thickness if None.
-        out: a former result for a garment of the same size, overwritten and returned.
     """
     if gap is None:
         gap = np.full(len(constants.stencil), constants.thickness)
-    if out is None:
-        count = len(constants.stencil)
-        out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
+    count = len(constants.stencil)
+    out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
     kernels.linearize(positions, contact, gap, constants.weight, out.residual, out.jacobian, out.weight)
     return out
