@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf import Config, Tracker, snapshot
-from ddakf.errors import InvalidSnapshot
+from ddakf.errors import InvalidConfig, InvalidSnapshot
 from tests.stages.scenes import FPS, inner_body, scan, tube
 
 GARMENT = tube(around=16, along=8)
@@ -91,6 +91,14 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     changed, restored, unchanged = (t.step(points, **how) for t in (other, twin, tracker))
     assert_same(changed, restored)
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
+
+
+def test_another_subdivision_of_the_garment_needs_a_new_tracker():
+    tracker = tracked(2)
+    before = tracker.snapshot()
+    with pytest.raises(InvalidConfig, match="discretisation"):
+        tracker.configured(Config.from_dict({"discretisation": {"patches": 12}}))
+    assert tracker.snapshot() == before
 
 
 def test_a_snapshot_that_is_not_compressed_is_the_same_state():

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.config import Physics
+from ddakf.config.physics import Physics
 from ddakf.kernels import bend as kernels
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization, allocate
