@@ -1,7 +1,8 @@
 """Configuration of a tracker: frozen dataclasses, one per stage.
 
-Every field has a default, a unit, a meaning and a range. Constants that do not shape the result stay beside their use:
-tolerances of algorithms, sizes of buffers, limits on input. ``docs/configuration.md`` lists the reason for every value.
+Every field has a default, a unit, a meaning and a range. Clients may send configurations: the range of a count that sets the
+cost of a search ends a few times above its default. Constants that do not shape the result stay beside their use: tolerances of
+algorithms, sizes of buffers, limits on input. ``docs/configuration.md`` lists the reason for every value.
 """
 
 from __future__ import annotations

@@ -11,13 +11,13 @@ from ddakf.config.checked import Checked, bounded
 class Discretisation(Checked):
     """Subdivision of a garment mesh into clusters, patches, aggregates and levels."""
 
-    clusters: int = bounded(80, 1, 500)  # at most: pieces that move rigidly in cluster alignment
-    patches: int = bounded(48, 1, 500)  # at most: regions whose error covariance is carried from frame to frame
-    aggregates: int = bounded(40, 1, 500)  # at most: groups of vertices, the coarse level of the solver's preconditioner
+    clusters: int = bounded(80, 1, 160)  # at most: pieces that move rigidly in cluster alignment
+    patches: int = bounded(48, 1, 128)  # at most: regions whose error covariance is carried from frame to frame
+    aggregates: int = bounded(40, 1, 160)  # at most: groups of vertices, the coarse level of the solver's preconditioner
     cluster_vertices: int = bounded(8, 1, 10_000)  # vertices per cluster, at least, on average
     aggregate_vertices: int = bounded(32, 1, 10_000)  # vertices per aggregate, at least, on average
     followed_clusters: int = bounded(4, 1, 16)  # clusters whose motion a vertex blends
-    cluster_samples: int = bounded(1200, 1, 1_000_000)  # vertices that cluster alignment measures
+    cluster_samples: int = bounded(1200, 1, 10_000)  # vertices that cluster alignment measures
     probe_stride: int = bounded(4, 1, 1000)  # every so-many-th of these decides whether clusters are aligned at all
     level_vertices: int = bounded(250, 3, 1_000_000)  # vertices of the smallest level of the pyramid, at least
     correlation_length: float = bounded(0.2, 1e-3, 10)  # m, distance at rest over which patches move alike
