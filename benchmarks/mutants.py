@@ -201,7 +201,6 @@ def load() -> None:
     """Loads everything but the stages: libraries, and the kernels in machine code."""
     import hypothesis  # noqa: F401
     import pytest  # noqa: F401
-    import pytest_asyncio  # noqa: F401
     import scipy.spatial  # noqa: F401
 
     from ddakf.commands import warmup
@@ -211,8 +210,8 @@ def load() -> None:
         del sys.modules[name]
 
 
-def child(mutant: Mutant, tests: Sequence[str]) -> None:
-    """Runs the tests in this process and ends it, with status 0 where all pass."""
+def child(mutant: Mutant | None, tests: Sequence[str]) -> None:
+    """Runs the tests in this process and ends it with pytest's status."""
     import pytest
 
     os.setsid()
@@ -220,7 +219,8 @@ def child(mutant: Mutant, tests: Sequence[str]) -> None:
     null = os.open(os.devnull, os.O_RDWR)
     for descriptor in range(3):
         os.dup2(null, descriptor)
-    sys.meta_path.insert(0, Finder(mutant))
+    if mutant is not None:
+        sys.meta_path.insert(0, Finder(mutant))
     os._exit(int(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", *tests])))
 
 
@@ -230,6 +230,14 @@ class Outcome:
     result: str  # killed, timeout, survived, not executed
     tests: int
     seconds: float
+
+
+def check_unchanged(tests: Sequence[str]) -> None:
+    """Ends the program where a test fails in a fork although nothing has been changed."""
+    if (pid := os.fork()) == 0:
+        child(None, tests)
+    if status := os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]):
+        raise SystemExit(f"the tests end with status {status} although nothing has been changed")
 
 
 def outcomes(sample: Sequence[tuple[Mutant, list[str], float]], processes: int) -> Iterator[Outcome]:
@@ -251,7 +259,9 @@ def outcomes(sample: Sequence[tuple[Mutant, list[str], float]], processes: int) 
             ended, status = os.waitpid(pid, os.WNOHANG)
             elapsed = time.monotonic() - begun
             if ended:
-                result = "survived" if status == 0 else "killed"
+                if (code := os.waitstatus_to_exitcode(status)) in (3, 4, 5):  # pytest's own errors, no test at all
+                    raise SystemExit(f"pytest ends with status {code} after {mutant}")
+                result = "survived" if code == 0 else "killed"
             elif elapsed > limit:
                 os.killpg(pid, signal.SIGKILL)
                 os.waitpid(pid, 0)
@@ -288,6 +298,7 @@ def main(argv: list[str] | None = None) -> int:
         tests = chosen_tests(mutant, seconds, executed, arguments.budget)
         plan.append((mutant, tests, sum(seconds[test] for test in tests)))
     load()
+    check_unchanged(sorted({test for _, tests, _ in plan for test in tests}))
     done = []
     with contextlib.suppress(KeyboardInterrupt):  # the sample is in random order: what is done is a sample too
         for outcome in outcomes(plan, arguments.processes):
