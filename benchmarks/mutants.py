@@ -221,7 +221,8 @@ def child(mutant: Mutant | None, tests: Sequence[str]) -> None:
         os.dup2(null, descriptor)
     if mutant is not None:
         sys.meta_path.insert(0, Finder(mutant))
-    os._exit(int(pytest.main(["-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", *tests])))
+    options = ["-x", "-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:cov", "-W", "ignore:Module already imported"]
+    os._exit(int(pytest.main([*options, *tests])))
 
 
 @dataclass(frozen=True)
