@@ -22,6 +22,8 @@ from ddakf.evaluation.tracking import replay
 from ddakf.evaluation.tracking.sources import open_source
 from ddakf.files import io
 
+pytestmark = pytest.mark.slow
+
 SHORT = ["--frames", "0:5", "--points", "3000"]
 
 
@@ -45,13 +47,11 @@ def test_a_sequence_is_tracked_and_judged(capsys, view):
     assert 0 < summary["ms_p50"] <= summary["ms_p99"]
 
 
-@pytest.mark.slow
 def test_runs_with_the_same_seed_are_the_same(capsys):
     first, again, other = (_summary(capsys, SAMPLE, *SHORT, "--seed", seed)["rmse_mm"] for seed in (1, 1, 2))
     assert first == again != other
 
 
-@pytest.mark.slow
 def test_results_and_pictures_are_written(capsys, tmp_path):
     out, still, moving = (tmp_path / name for name in ("r.npz", "p.png", "a.gif"))
     assert _track(SAMPLE, *SHORT, "--body", "--out", out, "--picture", still, "--animation", moving) == 0
@@ -86,7 +86,6 @@ def test_a_depth_recording_is_tracked_with_a_template_from_its_first_frame(capsy
     assert (tmp_path / "p.png").exists()
 
 
-@pytest.mark.slow
 def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
     s = sample()
     folder = tmp_path / "frames"

@@ -58,6 +58,7 @@ PATTERNS = st.lists(
 )
 
 
+@pytest.mark.slow
 @PRESETS
 @given(pattern=PATTERNS)
 @settings(max_examples=2, deadline=None, derandomize=True)

@@ -24,6 +24,8 @@ from ddakf.evaluation.trials import methods
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.evaluation.trials.variants import ablations, refinements
 
+pytestmark = pytest.mark.slow
+
 SMALL = Trial("", points=800, surfaces=True)
 QUIET = Console(quiet=True)
 
@@ -105,7 +107,6 @@ def page(folder):
     return out, parser
 
 
-@pytest.mark.slow
 def test_every_link_leads_to_a_source_and_every_picture_is_there(page):
     out, parser = page
     for link in parser.links:
@@ -245,7 +246,6 @@ def test_the_same_results_give_the_same_page(folder, page):
     assert (folder / "again/index.html").read_bytes() == (page[0] / "index.html").read_bytes()
 
 
-@pytest.mark.slow
 def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
     document = tmp_path / "results.md"
     document.write_text(f"before\n{markdown.BEGIN}\nold\n{markdown.END}\nafter\n")

@@ -16,6 +16,8 @@ from websockets.sync.client import connect as websocket
 from ..conftest import TIMEOUT
 from .conftest import As
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_session_belongs_to_its_key(guarded):
     mine, other, reader, admin = (As(guarded, key) for key in ("stream", "other", "read", "admin"))

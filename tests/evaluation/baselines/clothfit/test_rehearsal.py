@@ -8,6 +8,8 @@ from ddakf.evaluation.baselines.clothfit.rehearsal import Rehearsal, colours, hi
 from ddakf.evaluation.metrics import Penetration
 from ddakf.mesh import Mesh
 
+pytestmark = pytest.mark.slow
+
 SQUARE = Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]]))
 
 
@@ -36,7 +38,6 @@ def short():
         yield rehearse([Rehearsal("tshirt", "dance", 0, 3), Rehearsal("skirt", "walk", 0, 4)])
 
 
-@pytest.mark.slow
 def test_cloth_keeps_its_lengths_and_stays_outside(short):
     for sequence in short:
         assert len(sequence) == 20
