@@ -20,13 +20,14 @@ SHAPES = {
 def test_every_vertex_is_once_in_its_cell(shape, cell, most):
     position = SHAPES[shape]
     grid = vertex_grid(position, cell, most)
+    cells = grid.grid
     np.testing.assert_array_equal(np.sort(grid.index), np.arange(len(position)))
-    np.testing.assert_allclose(grid.vertices.T + grid.origin, position[grid.index], atol=1e-3)
-    assert grid.cell >= cell
-    assert (grid.dims <= most + 1).all()
-    place = np.clip(((position[grid.index] - grid.origin) / grid.cell).astype(int), 0, grid.dims - 1)
-    number = (place[:, 0] * grid.dims[1] + place[:, 1]) * grid.dims[2] + place[:, 2]
-    assert (np.diff(number) >= 0).all() or (np.diff(place @ [1, grid.dims[0], grid.dims[0] * grid.dims[1]]) >= 0).all()
+    np.testing.assert_allclose(grid.vertices.T + cells.origin, position[grid.index], atol=1e-3)
+    assert cells.cell >= cell
+    assert (cells.dims <= most + 1).all()
+    place = np.clip(((position[grid.index] - cells.origin) / cells.cell).astype(int), 0, cells.dims - 1)
+    number = (place[:, 0] * cells.dims[1] + place[:, 1]) * cells.dims[2] + place[:, 2]
+    assert (np.diff(number) >= 0).all() or (np.diff(place @ [1, cells.dims[0], cells.dims[0] * cells.dims[1]]) >= 0).all()
 
 
 @pytest.mark.parametrize("rows", [[0] * 20, [0] * 5 + [1] * 9, [0, 1, 2] * 7, [2, 2, 1, 1, 0, 2]])
