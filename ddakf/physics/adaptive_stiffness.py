@@ -62,7 +62,7 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> flo
     strain, strain2, config = problem.model.strain, problem.last.strain2, problem.config.physics
     squared = np.empty(len(strain.area))
     n = kernels.squared_strains(position, measured, strain, squared)
-    if n < config.strain_coverage * len(squared):
+    if n == 0 or n < config.strain_coverage * len(squared):
         return strain2
     old = exp(-min(problem.dt, config.longest_lesson) / config.strain_memory)
     return old * strain2 + (1.0 - old) * float(np.median(squared[:n]))
