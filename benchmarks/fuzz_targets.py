@@ -151,7 +151,7 @@ def _depth_images() -> list[pb.DepthImage]:
 def _depth_image() -> Target:
     def run(data: bytes) -> None:
         frame = pb.Frame(depth_image=pb.DepthImage.FromString(data))
-        require_frame_within_bounds(frame, LIMITS.max_points, LIMITS.max_image_pixels)
+        require_frame_within_bounds(FrameMessage.of(frame), LIMITS.max_points, LIMITS.max_image_pixels)
         arguments = decode.step_arguments(frame, LIMITS, None)
         assert len(arguments["points"]) <= LIMITS.max_image_pixels
 

@@ -257,7 +257,7 @@ async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
     plain = pool.snapshot("one")
     after = track(pool, "one", frame_of(sheet, 2))
     before, plain, _ = await asyncio.gather(before, plain, after)
-    assert Tracker.restore(before)._time == Tracker.restore(plain)._time == frame_of(sheet, 1).capture_time
+    assert Tracker.restore(before)._track.time == Tracker.restore(plain)._track.time == frame_of(sheet, 1).capture_time
 
 
 @pytest.mark.slow
