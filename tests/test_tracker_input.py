@@ -1,4 +1,4 @@
-"""What a tracker is given: what is refused, and any finite input."""
+"""Input of a tracker: refused arguments, and any finite input."""
 
 import dataclasses
 
