@@ -1,5 +1,17 @@
 """Errors. Each message is one sentence: the field, what was expected, what came."""
 
+import difflib
+from collections.abc import Iterable
+
+_MOST_NEAREST, _SIMILAR = 2, 0.6  # names in a hint, and their least similarity to the given one
+_LONGEST = 80  # characters of it that are compared
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The known names that a mistyped one resembles, to be added to a message; empty: none does."""
+    found = difflib.get_close_matches(str(name)[:_LONGEST], map(str, known), _MOST_NEAREST, _SIMILAR)
+    return f"; did you mean {' or '.join(found)}?" if found else ""
+
 
 class DdakfError(Exception):
     """Base of every error that ddakf raises on purpose."""
@@ -28,6 +40,10 @@ class InvalidMesh(InvalidArgument):
 
 class InvalidFrame(InvalidArgument):
     """A frame that cannot be tracked: points, time, origin or body."""
+
+
+class FrameTooCostly(DdakfError):
+    """A frame that exceeded its limit of processor time; nothing has been changed."""
 
 
 class InvalidConfig(InvalidArgument):

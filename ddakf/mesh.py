@@ -110,6 +110,13 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
 
 
+def same_mesh(one: Mesh | None, other: Mesh | None) -> bool:
+    """Whether both are the same mesh, or both None."""
+    if one is None or other is None or one is other:
+        return one is other
+    return np.array_equal(one.faces, other.faces) and np.array_equal(one.vertices, other.vertices)
+
+
 def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     vertices, faces = _rectangular("mesh.vertices", vertices), _rectangular("mesh.faces", faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":

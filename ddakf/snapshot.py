@@ -12,17 +12,22 @@ from typing import get_args
 
 import numpy as np
 
+from ddakf.appearance import colour
 from ddakf.body import body_anchor
 from ddakf.body.proximity import Contact
 from ddakf.config import Config
 from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
-from ddakf.types import BodyAnchor, BodyModel, BodyTrack, Contacts, Drift, Health, State, Track, TrackerState
+from ddakf.physics import rigidity
+from ddakf.planning.work import Costs, Rate
+from ddakf.results import TrackerState, WarningCode
+from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, Drift, Health, Resting, State, Track, View
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 6
+VERSION = 11
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
+SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
 
 def save(tracker, level: int) -> bytes:
@@ -44,11 +49,17 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
     if track.anchor is not None:
         arrays |= {"worn_pose": track.anchor.bound.pose, "worn_position": track.anchor.bound.position}
         arrays |= {f"worn_{name}": getattr(track.anchor, name) for name in LEARNED}
+    if track.resting is not None:
+        arrays["resting_position"] = track.resting.position
+    if track.appearance is not None:
+        arrays |= {f"appearance_{name}": getattr(track.appearance, name) for name in SEEN}
     if track.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **_body_arrays(track.body)}
     numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
     numbers["drift"] = list(track.drift[1:])
     numbers["elasticity"] = track.strain2
+    numbers["view"], numbers["signs"] = track.view._asdict(), dict(track.signs)
+    numbers["costs"] = track.costs
     return numbers, arrays
 
 
@@ -74,8 +85,13 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             strain2=_strain2(numbers["elasticity"]),
             health=_health(numbers["health"]),
             time=_time(numbers["time"]),
-            body=None if body is None else _body(tracker._setup.body, arrays, tracker.garment.n_vertices),
+            body=None if body is None else _body(tracker._setup.body, arrays, tracker._setup.model.mesh.n_vertices),
             anchor=_anchor(tracker, arrays) if "worn_pose" in arrays and body is not None else None,
+            view=_view(numbers["view"]),
+            signs=_signs(numbers["signs"]),
+            costs=_costs(numbers.get("costs")),  # absent from earlier snapshots
+            resting=_resting(tracker, arrays),
+            appearance=_appearance(tracker, arrays),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
@@ -84,6 +100,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
 
 def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:
     arrays = {"contact_vertices": track.vertices, "contact_present": np.array(track.present)}
+    arrays["contact_turn"] = np.array(track.turn)
     if track.velocity is not None:
         arrays["contact_velocity"] = track.velocity
     if track.contacts is not None:
@@ -114,7 +131,8 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
         closest = Contact(*(arrays[f"contact_{name}"] for name in Contact._fields))
         contacts = Contacts(closest, arrays["contact_asked_at"])
     vertices, present = arrays["contact_vertices"], bool(arrays["contact_present"])
-    return BodyTrack(vertices, present, arrays.get("contact_velocity"), contacts, arrays.get("contact_gap"))
+    turn = int(arrays.get("contact_turn", 0))  # absent from earlier snapshots
+    return BodyTrack(vertices, present, arrays.get("contact_velocity"), contacts, arrays.get("contact_gap"), turn)
 
 
 def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -129,10 +147,30 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    speed2, stored2, level = (float(value) for value in values)
-    if not (0 <= speed2 < math.inf and 0 <= stored2 < math.inf and 0 < level < math.inf):
-        raise InvalidSnapshot("snapshot.drift", "two finite squares and a positive factor", repr(values))
-    return Drift(covariance, speed2, stored2, level)
+    speed2, stored2, hem2 = (float(value) for value in values)
+    if not (min(speed2, stored2, hem2) >= 0 and max(speed2, stored2, hem2) < math.inf):
+        raise InvalidSnapshot("snapshot.drift", "three finite squares", repr(values))
+    return Drift(covariance, speed2, stored2, hem2)
+
+
+def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:
+    if "resting_position" not in arrays:
+        return None
+    return rigidity.resting(like(tracker._track.state.position, arrays, "resting_position"), tracker._setup)
+
+
+def _appearance(tracker, arrays: dict[str, np.ndarray]) -> Appearance | None:
+    if not any(name.startswith("appearance_") for name in arrays):
+        return None
+    fresh = colour.start(tracker._setup.model, tracker.config.colour)
+    found = {name: arrays[f"appearance_{name}"] for name in SEEN}
+    for name, array in found.items():
+        model, least = getattr(fresh, name), 0.0 if name == "weight" else -math.inf if name == "mean" else 1e-12
+        finite = np.isfinite(array) | (name == "registered2")  # infinite where nothing was learned
+        if array.shape != model.shape or array.dtype != model.dtype or not (finite & (array >= least)).all():
+            what = f"finite {model.dtype} of shape {model.shape}"
+            raise InvalidSnapshot(f"snapshot.appearance_{name}", what, f"{array.dtype} {array.shape}")
+    return fresh._replace(**found)
 
 
 def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
@@ -163,6 +201,31 @@ def _like_number(value, model: bool | int | float) -> bool:
     """Whether a value is a flag, a count or a finite number that is not negative, as ``model`` is."""
     kinds = int | float if isinstance(model, float) else int
     return isinstance(value, bool) == isinstance(model, bool) and isinstance(value, kinds) and 0 <= value < math.inf
+
+
+def _view(values: dict) -> View:
+    view = View(**values | {"side": tuple(values["side"])})
+    length = math.hypot(*view.side)
+    numbers = all(_like_number(*pair) for pair in zip((*view[:2], *view[3:]), (False, 0.0, 0.0, 0), strict=True))
+    if not numbers or len(view.side) != 3 or not (length == 0 or abs(length - 1) < 1e-6):
+        raise InvalidSnapshot("snapshot.view", "a share, a unit vector or 0, and a count", str(values))
+    return view
+
+
+def _signs(values: dict) -> dict[str, int]:
+    if not values.keys() <= set(get_args(WarningCode)) or not all(_like_number(count, 0) for count in values.values()):
+        raise InvalidSnapshot("snapshot.signs", "a count of frames by code", str(values))
+    return values
+
+
+def _costs(values: list | None) -> Costs | None:
+    if values is None:
+        return None
+    costs = Costs(*(Rate(*rate) for rate in values[:-1]), values[-1])
+    numbers = [(value, model) for rate in costs[:-1] for value, model in zip(rate, Rate(1.0, 1.0), strict=True)]
+    if not all(_like_number(*pair) for pair in [*numbers, (costs.overruns, 1.0)]) or min(rate.mean for rate in costs[:-1]) <= 0:
+        raise InvalidSnapshot("snapshot.costs", "pairs of positive seconds, and a count", str(values))
+    return costs
 
 
 def _time(value) -> float | None:

@@ -2,36 +2,28 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+import dataclasses
+from math import inf
 
 import numpy as np
 
 from ddakf import snapshot as snapshots
+from ddakf.appearance import colour
 from ddakf.body import body_anchor, contact
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
-from ddakf.garment import model
-from ddakf.mesh import Mesh
-from ddakf.multiresolution import cluster_alignment, pyramid
+from ddakf.garment import model, working_mesh
+from ddakf.mesh import Mesh, same_mesh
+from ddakf.multiresolution import cluster_alignment
 from ddakf.physics import adaptive_stiffness, energies, rigidity
+from ddakf.planning import omission, plan
+from ddakf.planning.clock import Clock
+from ddakf.plausibility import admission, units, warnings
+from ddakf.results import FrameResult, Usage
 from ddakf.search import relocalize
 from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
-from ddakf.types import (
-    Drift,
-    Estimate,
-    Evidence,
-    FrameInput,
-    FrameResult,
-    Health,
-    Posterior,
-    Problem,
-    Setup,
-    State,
-    Track,
-    variances,
-)
+from ddakf.transfer import Discretised, transferred
+from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior, Problem, Setup, State, Track, variances
 
 
 class Tracker:
@@ -43,7 +35,7 @@ class Tracker:
         config: ``Config()`` or ``Config.paper()``, or a variation of them.
 
     Raises:
-        InvalidMesh: not meshes, or metres beyond 10 km.
+        InvalidMesh: not meshes, metres beyond 10 km, or a garment ten times as large as its body.
         InvalidConfig: no configuration.
     """
 
@@ -54,53 +46,68 @@ class Tracker:
             raise InvalidMesh("body", "a ddakf.Mesh or None", type(body).__name__)
         if config is not None and not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
+        if body is not None:
+            units.require_like_sizes(garment, body)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
         reaches = self.config.predict.carry_reach, self.config.physics.collision_reach
         under = None if body is None else contact.build(body, *reaches)
-        self._setup = Setup(model.build(garment, self.config), under, self.config)
+        self._working = working_mesh.build(garment, self.config.discretisation)
+        cloth = model.build(self._working.mesh, self.config)
+        self._setup = Setup(cloth, under, self.config, warnings.reference(cloth, body, self.config.sidedness))
         self.reset()
 
+    @property
+    def working_vertices(self) -> int:
+        """Number of vertices that are tracked; the garment's others are carried along."""
+        return self._working.mesh.n_vertices
+
     def reset(self, vertices=None, *, velocities=None) -> None:
-        """Starts again from these vertices; rest lengths and angles stay the garment's, the body is in its first pose.
+        """Starts again from these vertices; rest lengths stay the garment's, the body is in its first pose.
 
         Args:
-            vertices: (V, 3) metres; the rest shape if None.
+            vertices: (V, 3) metres, in whose folds the cloth is at rest from now on; the rest shape if None.
             velocities: (V, 3) metres per second; zero if None.
 
         Raises:
-            InvalidFrame: wrong shape or not finite; nothing is changed then.
+            InvalidFrame: wrong shape, not finite, or of another unit; nothing is changed then.
         """
         n = self.garment.n_vertices
         position = self.garment.vertices.copy() if vertices is None else frame_input.positions("vertices", vertices, n)
         velocity = np.zeros((n, 3)) if velocities is None else frame_input.positions("velocities", velocities, n)
-        self._track = _start(self._setup, position, velocity)
+        units.require_start(self.garment, position, velocity)
+        track = _start(self._setup, self._working.sampled(position), self._working.sampled(velocity))
+        if vertices is not None:
+            track = track._replace(resting=rigidity.resting(track.state.position, self._setup))
+        self._track = track
 
-    def step(self, points, *, timestamp: float, sensor_origin=None, body_vertices=None) -> FrameResult:
+    def step(
+        self, points, *, timestamp: float, sensor_origin=None, body_vertices=None, colors=None, budget=None, limit=inf
+    ) -> FrameResult:
         """Tracks one frame.
 
         Args:
             points: (N, 3) metres; none is a frame without measurements.
             timestamp: seconds of the sensor's clock, later than the last frame's.
-            sensor_origin: (3,), or (N, 3) when several cameras are fused, metres; None if unknown.
-            body_vertices: (B, 3) metres, the body in this frame, or None.
+            sensor_origin: (3,), or (N, 3) when up to 64 cameras are fused, metres; None if unknown.
+            body_vertices, colors: (B, 3) metres, the body in this frame; (N, 3) uint8, RGB of the points; or None.
+            budget, limit: processor seconds: to plan the work with, or None; and beyond which the frame is given up.
 
         Raises:
-            InvalidFrame: input that cannot be used; the tracker is as it was.
+            InvalidFrame: input that cannot be used. FrameTooCostly: beyond the limit. The tracker is as it was.
         """
-        clock, given = Clock(), FrameInput(points, timestamp, sensor_origin, body_vertices)
-        frame = frame_input.checked(given, self._track.time, self.body)
+        clock, given = Clock(budget, limit), FrameInput(points, timestamp, sensor_origin, body_vertices, colors)
+        with clock("input"):
+            frame, last = admission.admitted(self._setup, self._track, given)
         with clock("predict"):  # A. Prediction (2.2), riding on the body
-            problem = relocalize.locate(predict.begin(self._setup, self._track, frame))
+            problem = relocalize.locate(plan.search(clock, predict.begin(self._setup, last, frame)))
         with clock("preprocess"):  # Preprocessing (2.1)
-            problem = body_anchor.measure(preprocess.preprocess(problem))
+            problem = colour.begin(body_anchor.measure(preprocess.preprocess(plan.points(clock, problem))))
         with clock("coarse"):
-            estimate = cluster_alignment.align(problem)
-        with clock("pyramid"):
-            estimate = pyramid.descend(problem, estimate)
-        for gate in associate.gates(problem, estimate.passes):
+            estimate = cluster_alignment.align(plan.clusters(clock, problem))
+        for gate in associate.gates(plan.passes(clock, problem)):
             with clock("associate"):  # B. Association (2.3)
-                measurement = associate.associate(problem, estimate, gate)
+                measurement = colour.register(problem, estimate, associate.associate(problem, estimate, gate))
             with clock("robust"):  # C. Robustness (2.5)
                 weight = robust.weigh(problem, estimate, measurement)
             with clock("adapt"):  # D. Adaptation (2.3, 2.7)
@@ -113,12 +120,19 @@ class Tracker:
                 break
         with clock("uncertainty"):
             posterior = uncertainty.posterior(problem, estimate)
-        with clock("reliability"):  # G. Reliability (2.6)
-            verdict = reliability.judge(problem, estimate, posterior)
-        # H. Output
-        result = _result(problem, estimate, posterior, verdict)
-        self._track = _learned(problem, estimate, posterior, verdict.health)
+        with clock("reliability"):  # G. Reliability (2.6), and warnings of wrong input
+            verdict = warnings.warned(problem, estimate, reliability.judge(problem, estimate, posterior))
+        with clock("output"):  # H. Output
+            track, result = self._output(problem, estimate, posterior, verdict)
+        self._track = plan.learned(clock, track, problem, estimate)
         return clock.timed(result)
+
+    def _output(
+        self, problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict
+    ) -> tuple[Track, FrameResult]:
+        """The track after a frame, and the frame's result at the template's vertices."""
+        track = _learned(problem, estimate, posterior, verdict)
+        return track, self._working.result(_result(problem, estimate, posterior, verdict), track.rotation)
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
         """The last result as it will be ``seconds`` after its frame: stage A's prediction, the body moving on as it last did.
@@ -133,31 +147,56 @@ class Tracker:
         Raises:
             InvalidArgument: a result that is not the last step's, a time that is no finite number of 0 or more.
         """
-        if not np.array_equal(result.vertices, self._track.state.position):
+        track, working = self._track, self._working
+        if not np.array_equal(result.vertices, working.carried(track.state.position, track.rotation)):
             raise InvalidArgument("result", "that of the last step", "another one")
         if not 0 <= seconds < np.inf:
             raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
-        return predict.ahead(result, self._track, seconds, self.config.predict)
+        if seconds == 0.0:
+            return result
+        later = predict.ahead(track, seconds, self.config.predict)
+        covariance = result.covariance + (later.growth if later.growth.ndim == 2 else working.spread(later.growth))
+        return dataclasses.replace(
+            result,
+            vertices=working.carried(later.position, track.rotation),
+            velocities=working.spread(later.velocity),
+            covariance=covariance,
+            sigma=np.sqrt(variances(covariance)),
+        )
 
     def configured(self, config: Config) -> Tracker:
-        """A tracker that goes on from here with another configuration; this one stays as it is.
-
-        What was learned stays: covariances, drift, the garment's strain. With the same configuration the next step is the same
-        to the bit.
+        """A tracker that goes on from here with another configuration; this one stays as it is, see :meth:`continue_from`.
 
         Raises:
-            InvalidConfig: no configuration, or one with another discretisation.
+            InvalidConfig: no configuration.
         """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
-        if config.discretisation != self.config.discretisation:
-            raise InvalidConfig("config.discretisation", "the tracker's own, which its covariance depends on", "another one")
         other = Tracker(self.garment, body=self.body, config=config)
-        body = self._track.body
-        if body is not None:
-            body = contact.configured(other._setup.body, body, self._track.state.position, config.physics)
-        other._track = self._track._replace(body=body)
+        if self.body is not None and other._setup.body.reach == self._setup.body.reach:
+            other._setup = other._setup._replace(body=self._setup.body)  # its tree once in memory
+        other.continue_from(self)
         return other
+
+    def continue_from(self, other: Tracker) -> None:
+        """Goes on from where another tracker is, of the same garment and body; that one stays as it is.
+
+        What it has learned stays: covariances, drift, the garment's strain. With the same configuration the next step is the same
+        to the bit. Between two working meshes all of it is interpolated.
+
+        Raises:
+            InvalidArgument: a tracker of another garment or body.
+        """
+        if not (same_mesh(self.garment, other.garment) and same_mesh(self.body, other.body)):
+            raise InvalidArgument("other", "a tracker of the same garment and body", "one of others")
+        track, config = other._track, self.config
+        if config.discretisation != other.config.discretisation:
+            source, target = Discretised(other._working, other._setup), Discretised(self._working, self._setup)
+            track = transferred(track, source, target, self._track.resting)
+        if track.body is not None:
+            body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
+            track = track._replace(body=body)
+        self._track = track
 
     def snapshot(self, *, compressed: bool = True) -> bytes:
         """The whole tracker; the next step of :meth:`restore` 's tracker is exact to the bit.
@@ -177,28 +216,9 @@ class Tracker:
         return snapshots.load(data, Tracker)
 
 
-class Clock:
-    """Adds up the seconds of each stage: ``with clock("fuse"): ...``."""
-
-    def __init__(self) -> None:
-        self._start = time.perf_counter()
-        self._seconds: dict[str, float] = {}
-
-    @contextmanager
-    def __call__(self, stage: str) -> Iterator[None]:
-        begun = time.perf_counter()
-        yield
-        self._seconds[stage] = self._seconds.get(stage, 0.0) + time.perf_counter() - begun
-
-    def timed(self, result: FrameResult) -> FrameResult:
-        """The result with the seconds of its stages, and of the whole."""
-        result.timings.update(self._seconds, total=time.perf_counter() - self._start)
-        return result
-
-
 def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
     """The track before the first frame, of vertices at (V, 3) ``position``, metres."""
-    garment, body, config = setup
+    garment, body, config = setup.model, setup.body, setup.config
     start, under, anchor = config.start, None, None
     if body is not None:
         under = contact.start(body, position, config.physics)
@@ -216,18 +236,23 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
     )
 
 
-def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, health: Health) -> Track:
+def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict) -> Track:
     """The track after a frame."""
     state, position, measured = posterior.state, posterior.state.position, estimate.learnable
     return Track(
         state=state,
-        rotation=problem.rotation if estimate.rejected else estimate.rest.rotation,
+        rotation=problem.rotation if estimate.rejected else rigidity.against_template(estimate.rest, problem.resting),
         drift=posterior.drift,
         strain2=adaptive_stiffness.learned(problem, position, measured),
-        health=health,
+        health=verdict.health,
         time=problem.frame.timestamp,
         body=contact.learned(problem, estimate.contacts, position, measured),
         anchor=body_anchor.learned(problem, position, measured),
+        view=problem.last.view,
+        signs=verdict.signs,
+        costs=problem.last.costs,
+        resting=problem.last.resting,
+        appearance=colour.learned(problem, estimate, posterior, verdict.reliability),
     )
 
 
@@ -244,4 +269,6 @@ def _result(problem: Problem, estimate: Estimate, posterior: Posterior, verdict:
         paper_score=verdict.paper_score,
         coverage=verdict.coverage,
         state=verdict.health.state,
+        warnings=verdict.warnings,
+        usage=Usage(widening=omission.widening(problem, estimate), working_vertices=len(state.position)),
     )

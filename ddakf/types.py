@@ -1,9 +1,9 @@
-"""Data types of a step: its result, the track, and what flows between the stages. V vertices, N points; metres, seconds."""
+"""Data types of a step: the track, and what flows between the stages. V vertices, N points; metres, seconds."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,8 @@ from ddakf.body import proximity
 from ddakf.config import Config
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.associate import FAR_AWAY
+from ddakf.kernels.cluster_alignment import Elimination
+from ddakf.kernels.colour import Slides
 from ddakf.kernels.preprocess import Grid
 from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.mesh import Mesh
@@ -21,39 +23,15 @@ from ddakf.physics.self_collision import LayerConstants, Layers
 from ddakf.physics.shear import ShearConstants
 from ddakf.physics.strain import StrainConstants
 from ddakf.physics.stretch import StretchConstants
+from ddakf.planning.work import Costs, Effort, Work
+from ddakf.results import TrackerState
 
-TrackerState = Literal["initializing", "tracking", "recovering", "lost"]
 
+class Sign(NamedTuple):
+    """A sign of wrong input in one frame; one that lasts is a warning."""
 
-@dataclass(frozen=True, eq=False)
-class FrameResult:
-    """The garment after one frame.
-
-    Attributes:
-        vertices: (V, 3) positions, metres.
-        velocities: (V, 3) metres per second.
-        covariance: (V, 3, 3) position covariance, square metres.
-        sigma: (V,) sqrt(trace(covariance) / 3), metres.
-        vertex_reliability: (V,) in [0, 1].
-        observed: (V,) bool, a measurement passed the gate in this frame.
-        reliability: the frame's score in [0, 1]; high means low error.
-        paper_score: s_k of the paper, section 2.6.
-        coverage: share of the vertices that were observed.
-        state: what the tracker is doing.
-        timings: seconds per stage, by the stage's name, and "total".
-    """
-
-    vertices: np.ndarray
-    velocities: np.ndarray
-    covariance: np.ndarray
-    sigma: np.ndarray
-    vertex_reliability: np.ndarray
-    observed: np.ndarray
-    reliability: float
-    paper_score: float
-    coverage: float
-    state: TrackerState
-    timings: dict[str, float] = field(default_factory=dict)
+    field: str  # that is probably wrong
+    message: str  # one sentence, with the numbers that gave it away
 
 
 class State(NamedTuple):
@@ -93,6 +71,7 @@ class Clusters(NamedTuple):
     share: np.ndarray  # (V, N) weights of the blend, rows sum to one
     seam: np.ndarray  # (C, 3) int32 edges between two clusters: vertices i and j, and the entry i to j of the one-rings
     ends: np.ndarray  # (G, 2) int32 neighbouring clusters, both ways
+    elimination: Elimination  # in which their equations are solved
     weakening: float  # factor on the seams' stiffness: true over overstated energy of a uniform strain
     sample: np.ndarray  # (S,) int32 vertices that cluster alignment measures
     probe: np.ndarray  # (S / probe_stride,) int32 of these, measured first: they decide whether clusters are aligned
@@ -126,16 +105,6 @@ class Model(NamedTuple):
     bend: BendConstants
     collision: CollisionConstants
     layers: LayerConstants
-    coarser: Coarser | None  # the next level of the pyramid, which has its own; None: the last level
-
-
-class Coarser(NamedTuple):
-    """The next level of the pyramid: a decimated garment of W of the V vertices."""
-
-    model: Model
-    vertex: np.ndarray  # (W,) in [0, V)
-    corner: np.ndarray  # (V, 3) int32 in [0, W): the face on which each finer vertex lies at rest
-    share: np.ndarray  # (V, 3) its barycentric coordinates there
 
 
 # Input of a frame ---------------------------------------------------------------------------------------------------
@@ -148,13 +117,22 @@ class FrameInput(NamedTuple):
     timestamp: float  # s
     sensor_origin: np.ndarray | None  # (3,) or (N, 3) float64, m
     body_vertices: np.ndarray | None  # (B, 3) float64, m
+    colors: np.ndarray | None = None  # (N, 3) uint8, red, green, blue; None: not known
 
     def only(self, rows: np.ndarray | slice) -> FrameInput:
-        """The frame with some of the points, and their sensors where each has its own."""
+        """The frame with some of the points, their colours, and their sensors where each has its own."""
         origin = self.sensor_origin
         if origin is not None and origin.ndim == 2:
             origin = origin[rows]
-        return self._replace(points=self.points[rows], sensor_origin=origin)
+        colors = None if self.colors is None else self.colors[rows]
+        return self._replace(points=self.points[rows], sensor_origin=origin, colors=colors)
+
+
+class Surfels(NamedTuple):
+    """S surfels sorted by grid cell."""
+
+    planes: np.ndarray  # (6, S) float32: point on its local plane, relative to the grid's origin, m; unit normal
+    grid: Grid
 
 
 class Cloud(NamedTuple):
@@ -164,21 +142,18 @@ class Cloud(NamedTuple):
     index: np.ndarray  # (M,) int32, of each in the input
     start: np.ndarray  # (cells + 2,) int32, of the points of each cell
     surfels: np.ndarray  # (6, S) float32: point on its local plane, relative to origin, m; unit normal, 0 where no plane
-    surfel_start: np.ndarray  # (cells + 2,) int32, of the surfels of each cell
+    surfel_grid: Grid  # of the surfels; its cells are larger where these are fewer than the points
     origin: np.ndarray  # (3,) m
     cell: float  # m
     dims: np.ndarray  # (3,) int64
     sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
+    sparse: Surfels | None  # a sample in larger cells, for vertices far from all surfels; None where the cells are as large
+    channels: np.ndarray | None = None  # (2, M) float32, log chromaticities of the points; None: their colours are not known
 
     @property
     def grid(self) -> Grid:
         """The grid of the points."""
         return Grid(self.start, self.origin, self.cell, self.dims)
-
-    @property
-    def surfel_grid(self) -> Grid:
-        """The grid of the surfels."""
-        return Grid(self.surfel_start, self.origin, self.cell, self.dims)
 
     @property
     def oriented(self) -> bool:
@@ -215,7 +190,8 @@ class BodyPose(NamedTuple):
     model: BodyModel
     surface: proximity.BodySurface
     gap: np.ndarray | None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
-    hint: np.ndarray | None  # (V,) int32, faces that are probably closest; they change the time of a search, not its result
+    hint: np.ndarray | None  # (V,) int32, faces that were closest in the last frame
+    turn: int  # of the search in the whole body, see Physics.faces_followed
 
     @property
     def vertices(self) -> np.ndarray:
@@ -230,6 +206,7 @@ class BodyTrack(NamedTuple):
     velocity: np.ndarray | None  # (V, 3) m/s with which the body carried each vertex; None where it did not
     contacts: Contacts | None  # of the last frame; None: not searched
     gap: np.ndarray | None  # (V,) m, as in BodyPose
+    turn: int = 0  # frames
 
 
 class Bound(NamedTuple):
@@ -247,6 +224,8 @@ class BodyAnchor(NamedTuple):
     seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
     squares: np.ndarray  # (L, 2) m^2, squared deviation of these along the normal, and along either tangent, times that share
     measured: np.ndarray  # (V,) bool, in the last frame
+    slippage: float  # of the bound garment: least share of a rigid motion that is along its normals
+    guess: np.ndarray  # (L, 2) m^2, as squares of patches of which all is measured: before anything is
 
 
 # What changes from frame to frame -----------------------------------------------------------------------------------
@@ -258,12 +237,12 @@ class Drift(NamedTuple):
     covariance: np.ndarray  # (3L, 3L) float32 m^2
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
-    level: float  # factor on the variances that the last cloud called for
+    hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:
         """A start whose error has this standard deviation, metres in each direction."""
-        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2, 1.0)
+        return cls(np.kron(np.float32(sd**2) * model.likeness, np.eye(3, dtype=np.float32)), 0.0, sd**2)
 
 
 class Health(NamedTuple):
@@ -282,6 +261,7 @@ class Health(NamedTuple):
     offset: float = 0.0  # m^2
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far
+    postponed: bool = False  # a search is due for which the last frame's budget did not suffice
 
     def relocalized(self) -> Health:
         """The health where a search found the garment: the memory of the old track says nothing about the new one."""
@@ -291,6 +271,39 @@ class Health(NamedTuple):
     def unplaced(self) -> bool:
         """The garment's place has not been seen lately: before the first fit, lost, out of sight or without a fit."""
         return self.state in ("initializing", "lost") or self.poor_for > 0.0 or self.empty_for > 0.0 or self.doubtful
+
+
+class View(NamedTuple):
+    """The side that clouds without a sensor origin show."""
+
+    looked: bool = False  # at a cloud
+    hidden_share: float = 0.0  # of its points, in a second layer, along the direction where these are fewest; running mean
+    side: tuple[float, float, float] = (0.0, 0.0, 0.0)  # unit vector toward the sensor; 0: all sides, or not known
+    bulge: float = 0.0  # of the cloud toward that side, in cells; running mean
+    wait: int = 0  # frames until the next look
+
+    @property
+    def one_sided(self) -> bool:
+        return any(self.side)
+
+
+class Resting(NamedTuple):
+    """Shape in which folds are at rest: where tracking started. There gravity and the body balance what bends the cloth."""
+
+    position: np.ndarray  # (V, 3) m
+    edge: np.ndarray  # (2E, 3) float32 m, of the one-rings
+    rotation: np.ndarray  # (V, 3, 3) of the one-rings against the template
+    source: np.ndarray | None = None  # ``edge`` on the working mesh from which it was carried over; None: it was not
+
+
+class Appearance(NamedTuple):
+    """Colours of the garment around each vertex: patches of texels in its tangent plane."""
+
+    axis: np.ndarray  # (V, 3) of the patches' first axes, unit, at rest
+    mean: np.ndarray  # (V, SIDE, SIDE, 2) float32, log chromaticities of the texels
+    weight: np.ndarray  # (V, SIDE, SIDE) float32 1/m^2, sum of the inverse variances of the places that they were learned at
+    registered2: np.ndarray  # (V,) m^2, least variance of a vertex in its plane while its patch was learned
+    noise2: np.ndarray  # (2,) variance of these in a cloud
 
 
 class Track(NamedTuple):
@@ -304,9 +317,22 @@ class Track(NamedTuple):
     time: float | None  # s, of the last frame; None before the first
     body: BodyTrack | None  # None: no body was declared
     anchor: BodyAnchor | None  # None: not known yet
+    view: View = View()
+    signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
+    costs: Costs | None = None  # learned in frames with a budget; None: there was none
+    resting: Resting | None = None  # None: the rest shape is the template's
+    appearance: Appearance | None = None  # None: no frame had colours
 
 
 # One frame ----------------------------------------------------------------------------------------------------------
+
+
+class InputReference(NamedTuple):
+    """What the frames of a garment are held against."""
+
+    hidden_share: float  # of its surface, in a second layer, along the direction where that is least
+    outward: float  # mean cosine of its normals to the outside
+    body_outward: float  # of the body's; 1 without a body
 
 
 class Setup(NamedTuple):
@@ -315,6 +341,7 @@ class Setup(NamedTuple):
     model: Model
     body: BodyModel | None
     config: Config
+    reference: InputReference | None = None
 
 
 class Hem(NamedTuple):
@@ -328,6 +355,13 @@ class Hem(NamedTuple):
     weight: np.ndarray  # (H,) bisquare of the offset, 0 where the cloud does not end
 
 
+class Slide(NamedTuple):
+    """Where the colours of each vertex are, along two directions of its tangent plane."""
+
+    registered: Slides
+    information: np.ndarray  # (2, V) 1/m^2 with which they enter the update, 0 where colours say nothing
+
+
 class Planes(NamedTuple):
     """Plane-aligned measurements: one per vertex with a positive weight."""
 
@@ -338,6 +372,7 @@ class Planes(NamedTuple):
     tangential: np.ndarray  # (V,) m^2 in the plane
     hem: Hem | None = None  # ends of the cloud beside open boundaries
     hem_variance: float = 1.0  # m^2, of each
+    slide: Slide | None = None  # along the surface, by its colours
 
 
 class Measurement(NamedTuple):
@@ -349,6 +384,8 @@ class Measurement(NamedTuple):
     searched_at: np.ndarray  # (V, 3) m, where the vertex was when its plane was searched
     visible: np.ndarray | None  # (V,) bool, vertices that a sensor may see; None: not asked yet
     hem: Hem | None = None  # None: no boundary, or no cloud
+    judged_at: np.ndarray | None = None  # (V, 3) m, where the vertices were when it was judged which are visible
+    slide: Slide | None = None  # None: nothing is known of the colours
 
     @classmethod
     def none(cls, n: int) -> Measurement:
@@ -359,6 +396,13 @@ class Measurement(NamedTuple):
     def found(self) -> np.ndarray:
         """(V,) bool."""
         return self.distance >= 0.0
+
+    @property
+    def squared_hem(self) -> float | None:
+        """Mean squared distance of hems from where the cloud ends, m^2; None where no end was found."""
+        if self.hem is None or not self.hem.weight.any():
+            return None
+        return float(self.hem.weight @ np.square(self.hem.offset) / max(self.hem.weight.sum(), 1.0))
 
     def innovation(self, position: np.ndarray) -> np.ndarray:
         """(V, 3) y = z - p, of a plane only its part along the normal; zero where nothing was found."""
@@ -412,7 +456,20 @@ class Problem(NamedTuple):
     garment: FrameInput | None = None  # the frame without the body's skin
     cloud: Cloud | None = None
     anchored: Planes | None = None  # pseudo-measurements of unseen vertices by the body anchor
-    visible: np.ndarray | None = None  # (V,) bool, vertices that a sensor may see, where that is known beforehand
+    reference: InputReference | None = None
+    overturned: tuple[float, float] | None = None  # m, costs of the garment upright and upside down, where a search prefers that
+    effort: Effort = Effort()  # of the next stage
+    resting: Resting | None = None  # of the track
+
+    @property
+    def coloured(self) -> bool:
+        """The colours of the cloud are known."""
+        return self.cloud is not None and self.cloud.channels is not None
+
+    @property
+    def blind(self) -> bool:
+        """The cloud shows one side, and no sensor origin, given or estimated, tells the vertices of the other."""
+        return self.last.view.one_sided and self.frame.sensor_origin is None and len(self.frame.points) > 0
 
 
 class System(NamedTuple):
@@ -437,14 +494,20 @@ class Estimate(NamedTuple):
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
     coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it
-    passes: int = 0  # of this frame, those on decimated levels among them
+    passes: int = 0  # of this frame, at full size
     settled: bool = False
     rejected: bool = False
+    work: Work = Work()
 
     @property
     def observed(self) -> np.ndarray:
         """(V,) bool: a measurement passed the gate."""
         return self.evidence.weight > 0
+
+    @property
+    def unmatched(self) -> float:
+        """Share of the vertices that a sensor may see and that no measurement was found for."""
+        return float((self.evidence.measurement.visible & ~self.observed).mean())
 
     @property
     def learnable(self) -> np.ndarray:
@@ -463,3 +526,4 @@ class Posterior(NamedTuple):
     state: State
     covariance: np.ndarray  # (V, 3, 3) m^2, calibrated
     drift: Drift
+    tangential2: np.ndarray | None = None  # (V,) m^2, variance in the tangent plane without the colours; None: there are none

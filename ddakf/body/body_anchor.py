@@ -1,8 +1,12 @@
-"""Body anchor: the garment's place on the body as a pseudo-measurement of the vertices that no sensor sees.
+"""Body anchor: the garment's place on the body as a pseudo-measurement of its vertices.
 
 Prediction rides on the body from frame to frame, and unseen cloth adds up the errors of all frames. Its place on the body since
 the start does not. The variance of this pseudo-measurement is learned where the garment is seen, as stage D learns R: a shirt
 that fits tightly is held, a skirt that swings is not.
+
+A seen vertex is known along its normal, but planes do not tell where it is along the cloth: a skirt turns about the hips
+unnoticed. So the body also holds what is seen, across the normal alone, and the less the better the garment's shape tells where
+it is: sleeves keep a shirt from turning.
 """
 
 from __future__ import annotations
@@ -13,15 +17,28 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import ConstantVelocity
+from ddakf.garment.slippage import least_normal_share
 from ddakf.kernels.associate import vertex_normals
-from ddakf.types import BodyAnchor, Model, Planes, Problem, Setup
+from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
+
+UNKNOWN = 1e4  # m^2: variance of what is not measured
 
 
 def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
     n = len(setup.model.likeness)
     bound = contact.bind(setup.body, pose, position, setup.config.predict.anchor_reach)
-    return BodyAnchor(bound, np.zeros(n), np.zeros((n, 2)), np.zeros(len(position), bool))
+    slippage, guess = least_normal_share(position, setup.model.faces), _first_guess(setup, bound)
+    return BodyAnchor(bound, np.zeros(n), np.zeros((n, 2)), np.zeros(len(position), bool), slippage, guess)
+
+
+def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:
+    """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent, that grow with its clearance."""
+    patch, config, (face, distance) = setup.model.patch, setup.config.predict, (bound.contact.face, bound.contact.distance)
+    clearance = np.where(face < 0, config.anchor_reach, np.clip(distance, 0.0, config.anchor_reach))
+    mean = np.bincount(patch, clearance) / np.bincount(patch)
+    on_body = np.array([config.worn_normal_sd, config.worn_tangential_sd])
+    return np.square(np.minimum(on_body + config.worn_slope * mean[:, None], config.worn_sd))
 
 
 def enabled(config: ConstantVelocity) -> bool:
@@ -30,7 +47,7 @@ def enabled(config: ConstantVelocity) -> bool:
 
 
 def measure(problem: Problem) -> Problem:
-    """The problem with the pseudo-measurements of the vertices that were not measured lately.
+    """The problem with the pseudo-measurements of the vertices: in all directions, or across the normal where one was measured.
 
     There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
     count as a few independent ones, those along the normal and across it each with its own variance. A patch of which nothing
@@ -42,11 +59,17 @@ def measure(problem: Problem) -> Problem:
     target = contact.follow(anchor.bound, body, config.anchor_reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
-    variance = _variance(anchor, model, config)
-    independent = np.array([config.anchor_normal_samples, config.anchor_tangential_samples])
-    along, across = (len(target) / len(variance) * (variance / independent)[model.patch]).T
-    weight = np.where(anchor.measured | (anchor.bound.contact.face < 0), 0.0, 1.0)
-    planes = Planes(target, normal, weight, np.ascontiguousarray(along), np.ascontiguousarray(across))
+    size = len(target) / len(model.likeness)
+    along, across = size * _variance(anchor, model, config)[model.patch].T
+    hold = min(1.0, (config.anchor_slippage / max(anchor.slippage, 1e-6)) ** config.anchor_slippage_power)
+    seen_across = (across + size * config.anchor_seen_sd**2) / (config.anchor_seen_samples * hold)
+    planes = Planes(
+        target=target,
+        normal=normal,
+        weight=np.where(anchor.bound.contact.face < 0, 0.0, 1.0),
+        variance=np.where(anchor.measured, UNKNOWN, along / config.anchor_normal_samples),
+        tangential=np.where(anchor.measured, seen_across, across / config.anchor_tangential_samples),
+    )
     return problem._replace(anchored=planes)
 
 
@@ -62,8 +85,7 @@ def _variance(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.
     """(L, 2) m^2 of the deviations in a patch, along the normal and along either tangent."""
     near = model.likeness @ np.column_stack([anchor.squares, anchor.seen])
     first = config.anchor_first_share
-    guess = first * config.worn_sd**2
-    return np.maximum((near[:, :2] + guess) / (near[:, 2:] + first), config.anchor_least_sd**2)
+    return np.maximum((near[:, :2] + first * anchor.guess) / (near[:, 2:] + first), config.anchor_least_sd**2)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:

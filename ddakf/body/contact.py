@@ -49,11 +49,11 @@ def _first_gap(pose: BodyPose, position: np.ndarray, config: Physics) -> np.ndar
 def posed(body: BodyModel, track: BodyTrack, vertices: np.ndarray | None = None) -> BodyPose:
     """The body with its (B, 3) ``vertices``, metres; None: in the pose of the track."""
     surface = proximity.refresh(body.tree, track.vertices if vertices is None else vertices)
-    return BodyPose(body, surface, track.gap, None if track.contacts is None else track.contacts.closest.face)
+    return BodyPose(body, surface, track.gap, None if track.contacts is None else track.contacts.closest.face, track.turn)
 
 
 def carry(
-    body: BodyModel, track: BodyTrack, state: State, pose: BodyPose | None
+    body: BodyModel, track: BodyTrack, state: State, pose: BodyPose | None, decay: float = 0.0
 ) -> tuple[State, np.ndarray | None]:
     """What the body's motion does to a garment.
 
@@ -62,6 +62,7 @@ def carry(
         track: the body after the last frame.
         state: posterior of the last frame; its velocities are relative to the body if that frame had one.
         pose: the body now; None: its pose is not known.
+        decay: of the logarithm of the velocities relative to the body, by friction, of vertices that are fully carried.
 
     Returns:
         The state with velocities relative to the body, and the displacement (V, 3) in metres; None where nothing is carried.
@@ -76,7 +77,8 @@ def carry(
     motion = proximity.surface_motion(
         body.tree, track.vertices, pose.vertices, state.position, contacts.closest, body.reach
     )
-    return state, motion.position - state.position
+    kept = np.exp(-decay * motion.weight)
+    return state._replace(velocity=kept[:, None] * state.velocity), motion.position - state.position
 
 
 def bind(body: BodyModel, pose: np.ndarray, position: np.ndarray, reach: float) -> Bound:
@@ -92,19 +94,31 @@ def follow(bound: Bound, pose: BodyPose, reach: float) -> np.ndarray:
     ).position
 
 
-def nearest(pose: BodyPose, position: np.ndarray, contacts: Contacts | None = None) -> Contacts:
-    """Closest points on the body for (V, 3) ``position``, metres; former ``contacts`` make the search faster, no different."""
-    hint = pose.hint if contacts is None else contacts.closest.face
-    return Contacts(proximity.closest_points(pose.model.tree, pose.surface, position, pose.model.reach, hint), position.copy())
+def nearest(pose: BodyPose, position: np.ndarray) -> Contacts:
+    """Closest points on the body for (V, 3) ``position``, metres."""
+    found = proximity.closest_points(pose.model.tree, pose.surface, position, pose.model.reach, pose.hint)
+    return Contacts(found, position.copy())
 
 
-def closest(pose: BodyPose, position: np.ndarray, contacts: Contacts | None, thickness: float) -> Contacts:
-    """Closest points of all vertices in this pose the first time, then of those that may be closer than ``thickness`` metres.
+def followed(problem: Problem, position: np.ndarray) -> Contacts:
+    """Closest points of all vertices at (V, 3) ``position``, metres, where the surface around the former ones has them.
+
+    In each frame one vertex in ``faces_followed`` is searched in the whole body, another one each time. All are while the garment
+    is not tracked, and before they had closest points.
+    """
+    pose, health, every = problem.body, problem.health, problem.config.physics.faces_followed
+    if pose.hint is None or health.unplaced or health.settling:
+        return nearest(pose, position)
+    due = slice(pose.turn % every, None, every)
+    found = proximity.followed_points(pose.model.tree, pose.surface, position, pose.model.reach, pose.hint, due)
+    return Contacts(found, position.copy())
+
+
+def closest(pose: BodyPose, position: np.ndarray, contacts: Contacts, thickness: float) -> Contacts:
+    """Former ``contacts`` with the closest points of the vertices that may be closer than ``thickness`` metres.
 
     The others keep their closest points: a signed distance changes by no more than the vertex has moved since its search.
     """
-    if contacts is None:
-        return nearest(pose, position)
     step = position - contacts.asked_at
     moved = np.sqrt(np.einsum("va,va->v", step, step))
     near = np.flatnonzero(contacts.closest.distance - moved < thickness)
@@ -155,4 +169,4 @@ def learned(problem: Problem, contacts: Contacts | None, position: np.ndarray, o
         share = 1.0 - np.exp(-problem.dt / config.gap_time)
         change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
         gap = np.where(observed & (found.face >= 0), gap + share * change, gap)
-    return BodyTrack(vertices, pose is not None, velocity, contacts, gap)
+    return BodyTrack(vertices, pose is not None, velocity, contacts, gap, track.turn + 1)

@@ -12,9 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.kernels import face_walk as walk_kernels
 from ddakf.kernels import proximity as kernels
+from ddakf.kernels import signed_distance as distance_kernels
 from ddakf.kernels import surface_motion as motion_kernels
-from ddakf.kernels.proximity import BodyFaces, BodyTree, Contact
+from ddakf.kernels.proximity import BodyTree
+from ddakf.kernels.signed_distance import BodyFaces, Contact
 from ddakf.kernels.surface_motion import BodyMotion
 from ddakf.mesh import Mesh
 
@@ -85,13 +88,42 @@ def closest_points(
         hint: (N,) int32 faces that are probably close, such as ``Contact.face`` of the iteration before; makes the
             search a fifth faster and never changes the result.
     """
-    n = len(points)
-    out = Contact(np.empty(n, np.int32), np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
-    if hint is None:
-        hint = np.full(n, -1, np.int32)
+    return _contacts(body, surface, points, _nearest_faces(body, surface, points, radius, hint))
+
+
+def followed_points(
+    body: Body, surface: BodySurface, points: np.ndarray, radius: float, face: np.ndarray, due: slice
+) -> Contact:
+    """Closest points on the surface around former closest faces, and exact ones of a part of the points.
+
+    Args:
+        body, surface, points, radius: as for :func:`closest_points`.
+        face: (N,) int32 faces that were closest a moment ago, or -1.
+        due: points that are searched in the whole body.
+    """
+    found = face.copy()
+    walk_kernels.walk(_faces(body, surface), points, radius, found)
+    found[due] = _nearest_faces(body, surface, np.ascontiguousarray(points[due]), radius, np.ascontiguousarray(found[due]))
+    return _contacts(body, surface, points, found)
+
+
+def _faces(body: Body, surface: BodySurface) -> BodyFaces:
+    return BodyFaces(surface.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face)
+
+
+def _nearest_faces(
+    body: Body, surface: BodySurface, points: np.ndarray, radius: float, hint: np.ndarray | None
+) -> np.ndarray:
+    face = np.empty(len(points), np.int32)
     tree = BodyTree(surface.triangles, surface.boxes, body.leaf_start, body.leaf_of, body.shift)
-    kernels.nearest_faces(tree, points, radius, hint, out.face)
-    kernels.contacts(BodyFaces(surface.vertices, body.faces, body.neighbour, body.ring_start, body.ring_face), points, out)
+    kernels.nearest_faces(tree, points, radius, np.full(len(points), -1, np.int32) if hint is None else hint, face)
+    return face
+
+
+def _contacts(body: Body, surface: BodySurface, points: np.ndarray, face: np.ndarray) -> Contact:
+    n = len(points)
+    out = Contact(face, np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n))
+    distance_kernels.contacts(_faces(body, surface), points, out)
     return out
 
 

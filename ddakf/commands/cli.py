@@ -13,7 +13,9 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 
 import ddakf
-from ddakf.commands import doctor, evaluate, report, simulate, track
+from ddakf.commands import benchmark, doctor, evaluate, report, simulate, track
+from ddakf.commands.parser import Parser
+from ddakf.commands.remote import recordings, sessions
 from ddakf.errors import DdakfError
 
 GROUP = "ddakf.commands"
@@ -21,6 +23,7 @@ FAILURE, INTERRUPTED = 2, 130
 EXTRAS = {
     "matplotlib": "evaluation",
     "open3d": "evaluation",
+    "scipy": "evaluation",
     "torch": "learned",
     "newton": "simulation",
     "warp": "simulation",
@@ -43,6 +46,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DdakfError as error:
         print(f"ddakf: {error}", file=sys.stderr)
         return FAILURE
+    except OSError as error:  # a full disk, a folder without permission
+        if error.filename is None:
+            raise
+        print(f"ddakf: {error.filename}: {error.strerror}", file=sys.stderr)
+        return FAILURE
     except ModuleNotFoundError as error:
         print(f"ddakf: {_what_to_install(arguments.command, error)}", file=sys.stderr)
         return FAILURE
@@ -51,15 +59,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         return INTERRUPTED
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="ddakf", description="Real-time garment tracking from 3D point clouds.")
+def _parser() -> Parser:
+    parser = Parser(prog="ddakf", description="Real-time garment tracking from 3D point clouds.")
     parser.add_argument("--version", action="version", version=f"ddakf {ddakf.__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     track.register(commands)
     evaluate.register(commands)
     report.register(commands)
+    benchmark.register(commands)
     doctor.register(commands)
     simulate.register(commands)
+    sessions.register(commands)
+    recordings.register(commands)
     for entry_point in sorted(metadata.entry_points(group=GROUP), key=lambda e: e.name):
         if entry_point.name not in commands.choices:
             _load(entry_point)(commands)

@@ -30,8 +30,10 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all available"
     )
-    parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 2 views, 2 seeds, 30 frames")
+    parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 3 conditions, 2 seeds, 30 frames")
     parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
+    what = "of --paper: neither Hausdorff distances nor silhouettes, which take longer than a frame"
+    parser.add_argument("--no-surfaces", action="store_true", help=what)
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
     what = "default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study"
     parser.add_argument("--methods", default="", metavar="A,B", help=what)
@@ -43,6 +45,10 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     what = "run these systems again, or all, if their runs are of another commit or did not apply"
     parser.add_argument("--again", default="", metavar="A,B", help=what)
+    what = "a tracker of your own, by import: a class with start and step (docs/benchmark.md); beside --methods"
+    parser.add_argument("--submit", action="append", default=[], metavar="MODULE:CLASS", help=what)
+    what = "write into results/ of the checkout although its code has uncommitted changes"
+    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path, metavar="OUT.json", help="the result; needed without --paper")
     sensor_options.add(parser, several_views=True)
     parser.set_defaults(run=run)
@@ -63,18 +69,24 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.paper:
         _refuse_beside_paper(arguments)
         return _paper(arguments, Console(stderr=True))
+    for name in ("quick", "only"):
+        if given := getattr(arguments, name):
+            raise InvalidArgument(name, "to be used with --paper", str(given))
     if arguments.json is None:
         raise InvalidArgument("json", "OUT.json for the result, or --paper", "neither")
-    if arguments.json.suffix != ".json" or not arguments.json.parent.is_dir():
-        raise InvalidArgument("json", "OUT.json in a folder that exists", str(arguments.json))
+    if arguments.json.suffix != ".json":
+        raise InvalidArgument("json", "a name that ends in .json", str(arguments.json))
+    if not arguments.json.parent.is_dir():
+        raise InvalidArgument("json", "a file in a folder that exists", str(arguments.json))
     sensor = asdict(sensor_options.sensor(arguments, view="ring4"))  # the plan sets the view, and checks the sensor with it
     settings = Trial("", **sensor, surfaces=True)
-    methods = tuple(_names(arguments.methods)) or SYSTEMS
+    methods = (*(tuple(_names(arguments.methods)) or (("ddakf",) if arguments.submit else SYSTEMS)), *arguments.submit)
     sequences, views = tuple(arguments.sequences), tuple(_names(arguments.view))
     plan = StudyPlan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
     plan.check()
+    plan.require_all_frames()
     console, again = Console(stderr=True), _again(arguments, plan.systems)
-    result = run_study(plan, arguments.json, arguments.procs, console, again)
+    result = run_study(plan, arguments.json, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
     shown = Console()
     shown.width = max(shown.width, WIDE)
     shown.print(table(result))
@@ -102,7 +114,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     if arguments.runs:
         size = replace(size, runs=arguments.runs, swept_runs=arguments.runs)
     if arguments.frames != ":":
-        size = replace(size, frames=arguments.frames, swept=arguments.frames)
+        size = replace(size, frames=arguments.frames, moving=arguments.frames)
     plans = paper_studies.studies(size, arguments.sequences or None)
     chosen = _names(arguments.only) or list(plans)
     if unknown := [name for name in chosen if name not in plans]:
@@ -114,13 +126,17 @@ def _paper(arguments: argparse.Namespace, console) -> int:
             raise InvalidArgument("methods", f"some of {', '.join(known)}", unknown[0])
         of_each = {name: tuple(system for system in plan.systems if system in methods) for name, plan in plans.items()}
         plans = {name: replace(plans[name], systems=systems) for name, systems in of_each.items() if systems}
+    plans = {name: replace(plan, systems=(*plan.systems, *arguments.submit)) for name, plan in plans.items()}
+    if arguments.no_surfaces:
+        plans = {name: replace(plan, settings=replace(plan.settings, surfaces=False)) for name, plan in plans.items()}
     for plan in plans.values():
         plan.check()
     again = _again(arguments, {system for plan in plans.values() for system in plan.systems})
     arguments.results.mkdir(parents=True, exist_ok=True)
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
-        run_study(plan, arguments.results / f"{name}.json", arguments.procs, console, again)
+        out = arguments.results / f"{name}.json"
+        run_study(plan, out, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
     if not arguments.only:
         paper_studies.save_error_maps(size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")

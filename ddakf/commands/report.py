@@ -15,7 +15,8 @@ def register(commands: argparse._SubParsersAction) -> None:
         "--results", type=Path, default=RESULTS, metavar="DIR", help=f"of ddakf evaluate --paper (default {RESULTS})"
     )
     parser.add_argument("--out", type=Path, default=OUT, metavar="DIR", help=f"for index.html and the pictures (default {OUT})")
-    parser.add_argument("--markdown", type=Path, metavar="DOC.md", help="also write the tables into this document")
+    what = "also write the tables that these documents name into them"
+    parser.add_argument("--markdown", type=Path, nargs="+", default=[], metavar="DOC.md", help=what)
     parser.set_defaults(run=run)
 
 
@@ -32,6 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
         content.write(found, arguments.results, arguments.out)
         if arguments.markdown:
             tables = content.tables_of(found, arguments.results, brief=True)
-            arguments.markdown.write_text(markdown.rewritten(arguments.markdown, tables))
+            for document in arguments.markdown:
+                document.write_text(markdown.rewritten(document, tables, arguments.results))
     Console().print(str(arguments.out / "index.html"))
     return 0

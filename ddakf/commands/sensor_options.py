@@ -68,6 +68,9 @@ def sensor(arguments: argparse.Namespace, virtual: bool = True, view: str | None
     """
     from ddakf.evaluation.sensors import Sensor
 
+    for name in ("noise_mm", "depth_noise_mm", "depth_step_mm"):  # a message of Sensor's would be in metres
+        if (given := getattr(arguments, name)) is not None and not 0 <= given < 1000:
+            raise InvalidArgument(name, "millimetres in [0, 1000)", str(given))
     noise_mm = arguments.noise_mm
     if noise_mm is None:
         noise_mm = VIRTUAL_NOISE_MM if virtual else 0.0

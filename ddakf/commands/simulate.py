@@ -8,10 +8,16 @@ from pathlib import Path
 
 from ddakf.errors import InvalidArgument
 
-GARMENTS = ("tshirt", "tank", "skirt", "dress")
-MOTIONS = ("walk", "swing", "crossed-arms", "jump", "twist", "squat", "dance")
+GARMENTS = (
+    "tshirt", "tank", "skirt", "dress", "long-shirt", "trousers", "shorts", "straight-skirt", "jacket", "hoodie", "cape",
+)  # fmt: skip
+MOTIONS = (
+    "walk", "swing", "crossed-arms", "jump", "twist", "squat", "dance", "turn", "sit", "run", "overhead", "lie", "random",
+)  # fmt: skip
+FITS = ("close", "regular", "loose")
+FABRICS = ("cotton", "silk", "jersey", "wool", "denim")
 EPILOG = """
-The first frame compiles for about two minutes, once per installation; after that 0.5 to 3 seconds per frame. Quality figures
+The first frame compiles for about two minutes, once per installation; after that 0.3 to 3 seconds per frame. Quality figures
 (stretch, penetration, displacement) go into a .json file beside the recording; a recording that fails them is not written.
 """
 
@@ -26,6 +32,10 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--vertices", type=int, default=2700, metavar="V", help="of the garment, approximately (default 2700)")
     seed_help = "varies the garment's measures and the motion (default 0: unchanged)"
     parser.add_argument("--seed", type=int, default=0, metavar="N", help=seed_help)
+    parser.add_argument("--fit", choices=FITS, default="regular", help="default regular")
+    parser.add_argument("--fabric", choices=FABRICS, default="cotton", help="weight, stretch, bending, friction (default cotton)")
+    body_help = "seed of the body's shape (default 0: the body that ships)"
+    parser.add_argument("--body", type=int, default=0, metavar="N", help=body_help)
     parser.add_argument("--out", type=Path, metavar="FILE.npz", help="default GARMENT_MOTION.npz")
     parser.set_defaults(run=run)
 
@@ -38,8 +48,10 @@ def run(arguments: argparse.Namespace) -> int:
     from ddakf.evaluation.simulation import simulated_recording, solver
 
     target = _target(arguments.out or Path(f"{arguments.garment}_{arguments.motion}.npz"))
-    numbers = arguments.frames, arguments.vertices, arguments.fps, arguments.seed
-    order = simulated_recording.Order(arguments.garment, arguments.motion, *numbers)
+    order = simulated_recording.Order(
+        arguments.garment, arguments.motion, arguments.frames, arguments.vertices, arguments.fps, arguments.seed,
+        arguments.fit, arguments.fabric, arguments.body,
+    )  # fmt: skip
     version = solver.version()  # refuses before any work where Newton is missing
     console = Console()
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("time left"), TimeRemainingColumn()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 from rich.console import Console
@@ -12,6 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from ddakf.commands import sensor_options
+from ddakf.commands.live import LiveView
+from ddakf.commands.remote import server_options
 from ddakf.errors import InvalidArgument
 
 EPILOG = """
@@ -19,6 +22,9 @@ A sequence (.npz, a clip of FAUST, a garment of CLOTH3D) has the true garment: i
 reported. A recording (.mat of UTD-MHAD, a folder with depth/*.png, or one of .ply, .obj, .xyz or .pcd files) has none: the
 distance of the cloud to the fitted surface is reported. Of several parts one is named: MPI-FAUST#s3_p7, 00042#Tshirt.
 """
+
+
+FPS = 30.0  # frames per second of a recording that does not state them
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -29,7 +35,15 @@ def register(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("--seed", type=int, default=1, help="of the sensor's random numbers (default 1)")
 
     sensor = sensor_options.add(parser)
-    sensor.add_argument("--fps", type=float, default=30.0, help="of a recording (default 30)")
+    sensor.add_argument("--fps", type=float, help=f"of a recording that does not state them (default {FPS:g})")
+    sensor.add_argument(
+        "--sensor-origin",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "Z"),
+        help="where the camera of a folder of clouds was, in the files' unit (default: as a .pcd's VIEWPOINT or a .ply's "
+        "comment sensor_origin says)",
+    )
 
     tracker = parser.add_argument_group("tracker")
     tracker.add_argument(
@@ -44,13 +58,16 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
     tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")
-    tracker.add_argument("--server", metavar="HOST:PORT", help="track on a server, through its client; DDAKF_API_KEY has its key")
-    tracker.add_argument("--codec", metavar="NAME", help="of the clouds that are sent to the server")
+
+    remote = parser.add_argument_group("server")
+    server_options.add(remote, server=None, meaning="track on the server with this gRPC address, through its client")
+    remote.add_argument("--codec", metavar="NAME", help="of the clouds that are sent to the server")
 
     output = parser.add_argument_group("output")
     output.add_argument("--out", metavar="R.npz", help="vertices, sigma, reliability, states, timestamps")
     output.add_argument("--picture", metavar="P.png", help="picture of the frame in the middle")
     output.add_argument("--animation", metavar="P.gif|P.webp", help="animation of the run")
+    output.add_argument("--live", action="store_true", help="show reliability, rate and times of stages while it tracks")
     output.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     parser.set_defaults(run=run)
 
@@ -64,13 +81,13 @@ def run(arguments: argparse.Namespace) -> int:
     source = _source(arguments)
     scores = Scoreboard(source.garment)
     album = _Album(len(source)) if arguments.picture or arguments.animation else None
-    with _progress(console) as bar:
-        task = bar.add_task(source.title, total=len(source), note="")
-        for frame, result, seconds in _replay(arguments, source, console):
+    replayed = _replay(arguments, source, console)
+    with LiveView(source.title, len(source), console) if arguments.live else _Bar(source.title, len(source), console) as view:
+        for frame, result, seconds in replayed:
             scores.add(frame, result, seconds)
             if album:
                 album.add(frame, result)
-            bar.update(task, advance=1, note=f"{1 / seconds:4.0f} fps  reliability {result.reliability:.2f}")
+            view.add(result, seconds)
     if arguments.out:
         scores.save(arguments.out)
     if album:
@@ -97,6 +114,8 @@ def table(title: str, summary: dict) -> Table:
         residual = f"{summary['residual_mean_mm']:.1f} / {summary['residual_p95_mm']:.1f} mm"
         rows.add_row("cloud to surface, mean / p95", residual)
     rows.add_row("reliability, mean", f"{summary['reliability']:.2f}")
+    for warning in summary["warnings"]:
+        rows.add_row(f"warning in {warning['frames']} frames", f"{warning['field']}: {warning['message']} ({warning['code']})")
     return rows
 
 
@@ -142,19 +161,36 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
         raise InvalidArgument("animation", "a name that ends in .gif or .webp", arguments.animation)
     for name in ("out", "picture", "animation"):
         path = getattr(arguments, name)
-        if path and not Path(path).parent.is_dir():
-            raise InvalidArgument(name, "a path in a folder that exists", path)
-    if arguments.codec and not arguments.server:
-        raise InvalidArgument("codec", "to be used with --server", arguments.codec)
+        if path and (Path(path).is_dir() or not Path(path).parent.is_dir()):
+            raise InvalidArgument(name, "a file in a folder that exists", path)
+    if arguments.picture:
+        _require_picture_format(arguments.picture)
+    if not arguments.server:
+        for name in ("codec", *server_options.given(arguments)):
+            if getattr(arguments, name) is not None:
+                raise InvalidArgument(name, "to be used with --server", "none of it")
+
+
+def _require_picture_format(path: str) -> None:
+    from ddakf.evaluation.drawing.pictures import writable_formats
+
+    if (suffix := Path(path).suffix.lower()) not in (known := writable_formats()):
+        raise InvalidArgument("picture", f"a name that ends in .png or another of {len(known)} formats", suffix or path)
 
 
 def _source(arguments: argparse.Namespace):
+    if arguments.seed < 0:
+        raise InvalidArgument("seed", "a number from 0", str(arguments.seed))
     from ddakf.evaluation.datasets import open_dataset
     from ddakf.evaluation.tracking.sources import source_of
     from ddakf.files.sequence import Sequence
 
-    recording = open_dataset(arguments.path, fps=arguments.fps)
-    return source_of(
+    recording = open_dataset(arguments.path, fps=FPS if arguments.fps is None else arguments.fps)
+    if isinstance(recording, Sequence) and arguments.fps is not None:
+        raise InvalidArgument("fps", "none for a sequence, which has its own", f"{arguments.fps:g}")
+    if arguments.sensor_origin is not None:
+        recording = _placed(recording, arguments.sensor_origin)
+    source = source_of(
         recording,
         sensor_options.sensor(arguments, virtual=isinstance(recording, Sequence)),
         frames=arguments.frames,
@@ -163,6 +199,20 @@ def _source(arguments: argparse.Namespace):
         template=arguments.template,
         seed=arguments.seed,
     )
+    if not len(source):
+        raise InvalidArgument("every", "frames to track after the first one", f"--every {arguments.every}, which leaves none")
+    return source
+
+
+def _placed(recording, sensor_origin: list[float]):
+    """A folder of clouds whose camera stood at these (3,) coordinates."""
+    from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording
+
+    if not isinstance(recording, FolderRecording):
+        raise InvalidArgument("sensor_origin", "a folder of clouds; other recordings state their own", recording.name)
+    if not all(map(math.isfinite, sensor_origin)):
+        raise InvalidArgument("sensor_origin", "three finite numbers", " ".join(map(str, sensor_origin)))
+    return replace(recording, sensor_origin=tuple(sensor_origin))
 
 
 def _replay(arguments: argparse.Namespace, source, console: Console):
@@ -172,12 +222,27 @@ def _replay(arguments: argparse.Namespace, source, console: Console):
 
     config = ddakf.Config.paper() if arguments.paper else None
     if arguments.server:
-        return replay.remote(source, arguments.server, config, arguments.codec)
+        return replay.remote(source, server_options.server_of(arguments), config, arguments.codec)
     warm(console)
     return replay.local(source, config)
 
 
-def _progress(console: Console) -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
-               TextColumn("{task.fields[note]}"))  # fmt: skip
-    return Progress(*columns, console=console)
+class _Bar:
+    """A progress bar with the rate and the reliability of the last frame, as a context."""
+
+    def __init__(self, title: str, frames: int, console: Console):
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+                   TextColumn("{task.fields[note]}"))  # fmt: skip
+        self._progress = Progress(*columns, console=console)
+        self._task = self._progress.add_task(title, total=frames, note="")
+
+    def __enter__(self) -> _Bar:
+        self._progress.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._progress.stop()
+
+    def add(self, result, seconds: float) -> None:
+        note = f"{1 / seconds:4.0f} fps  reliability {result.reliability:.2f}"
+        self._progress.update(self._task, advance=1, note=note)

@@ -11,9 +11,11 @@ import dataclasses
 import typing
 from dataclasses import dataclass, field
 
-from ddakf.config.checked import Checked, bounded
-from ddakf.config.levels import Coarse, Discretisation, Pyramid
+from ddakf.config.checked import Checked, bounded, derived
+from ddakf.config.colour import Colour
+from ddakf.config.levels import Coarse, Discretisation, Omission
 from ddakf.config.physics import Physics
+from ddakf.config.plausibility import Sidedness
 from ddakf.config.search import Registration, Relocalization, Start
 from ddakf.config.stages import (
     ConstantAcceleration,
@@ -26,22 +28,25 @@ from ddakf.config.stages import (
     KnnFilter,
     MapUpdate,
     NearestPoint,
+    NormalError,
     NoWeight,
     PaperReliability,
     PlaneAssociation,
     Reliability,
     ResidualNoise,
     SkinRemoval,
+    TangentialError,
     Tukey,
     Uncertainty,
     VertexError,
 )
-from ddakf.errors import InvalidConfig
+from ddakf.errors import InvalidConfig, nearest
 from ddakf.physics.fabric import Fabric
 
 __all__ = [
     "Checked",
     "Coarse",
+    "Colour",
     "Config",
     "ConstantAcceleration",
     "ConstantVelocity",
@@ -55,20 +60,24 @@ __all__ = [
     "MapUpdate",
     "NearestPoint",
     "NoWeight",
+    "NormalError",
+    "Omission",
     "PaperReliability",
     "Physics",
     "PlaneAssociation",
-    "Pyramid",
     "Registration",
     "Reliability",
     "Relocalization",
     "ResidualNoise",
+    "Sidedness",
     "SkinRemoval",
     "Start",
+    "TangentialError",
     "Tukey",
     "Uncertainty",
     "VertexError",
     "bounded",
+    "derived",
 ]
 
 
@@ -76,9 +85,10 @@ __all__ = [
 class Config:
     """Every number that shapes a tracker's result.
 
-    ``Config()`` is the product, ``Config.paper()`` the method as printed.
+    ``Config()`` is the product, ``Config.fast()`` a cheaper one, ``Config.paper()`` the method as printed.
     """
 
+    sidedness: Sidedness = field(default_factory=Sidedness)
     start: Start = field(default_factory=Start)
     relocalization: Relocalization = field(default_factory=Relocalization)
     registration: Registration = field(default_factory=Registration)
@@ -87,17 +97,20 @@ class Config:
     preprocess: GridFilter | KnnFilter = field(default_factory=GridFilter)
     skin_removal: SkinRemoval = field(default_factory=SkinRemoval)
     coarse: Coarse = field(default_factory=Coarse)
-    pyramid: Pyramid = field(default_factory=Pyramid)
     associate: PlaneAssociation | NearestPoint = field(default_factory=PlaneAssociation)
+    colour: Colour = field(default_factory=Colour)
     robust: Tukey | NoWeight = field(default_factory=Tukey)
     adapt: ResidualNoise | InnovationNoise = field(default_factory=ResidualNoise)
     physics: Physics = field(default_factory=Physics)
     fuse: MapUpdate | DecoupledUpdate = field(default_factory=MapUpdate)
     reliability: Reliability | PaperReliability = field(default_factory=Reliability)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    normal_error: NormalError = field(default_factory=NormalError)
+    tangential_error: TangentialError = field(default_factory=TangentialError)
     evidence: ErrorEvidence = field(default_factory=ErrorEvidence)
     frame_error: FrameError = field(default_factory=FrameError)
     vertex_error: VertexError = field(default_factory=VertexError)
+    omission: Omission = field(default_factory=Omission)
 
     def __post_init__(self) -> None:
         points = isinstance(self.associate, NearestPoint)
@@ -110,17 +123,55 @@ class Config:
     def paper(cls) -> Config:
         """DD-AKF as printed: k-NN outlier removal, one association, isotropic point targets, gradient pseudo-measurement."""
         return cls(
+            discretisation=Discretisation(working_edge=0.0),
             start=Start(search=False),
-            predict=ConstantVelocity(damping=0.0, carry_reach=0.0),
+            predict=ConstantVelocity(damping=0.0, carry_reach=0.0, acceleration_time=10.0),
             preprocess=KnnFilter(),
             coarse=Coarse(iterations=0),
-            pyramid=Pyramid(iterations=0),
             associate=NearestPoint(),
             adapt=InnovationNoise(),
             physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0),
             fuse=DecoupledUpdate(),
             reliability=PaperReliability(),
         )
+
+    @classmethod
+    def fast(cls) -> Config:
+        """About half of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
+        return cls(
+            discretisation=Discretisation(
+                working_edge=0.045,
+                working_vertices_least=600,
+                working_vertices_most=2000,
+                working_finest=1.0,
+                clusters=32,
+                cluster_samples=400,
+                patches=24,
+                aggregates=20,
+            ),
+            preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
+            coarse=Coarse(iterations=1),
+            associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.003),
+            evidence=ErrorEvidence(points=300),
+        )
+
+    def lighter(self) -> Config:
+        """The same configuration with a coarser working mesh, and the passes of :meth:`fast` where it has the default's.
+
+        A tracker that has too little time goes on with it, see :meth:`ddakf.Tracker.continue_from`. Its mesh is finer than that
+        of :meth:`fast`, and all its clusters are aligned: frames are left out where time is short, and motion is fast then. A
+        configuration with another discretisation than the default's has no lighter one, and is returned as it is.
+        """
+        default, fast = Config(), Config.fast()
+        if self.discretisation != default.discretisation:
+            return self
+        mesh = {"working_edge": 0.025, "working_vertices_least": 900, "working_vertices_most": 3000, "working_finest": 1.0}
+        less = {"patches": fast.discretisation.patches, "aggregates": fast.discretisation.aggregates}
+        discretisation = dataclasses.replace(default.discretisation, **mesh, **less)
+        fast = dataclasses.replace(fast, coarse=default.coarse, discretisation=discretisation)
+        stages = [stage.name for stage in dataclasses.fields(self)]
+        usual = [name for name in stages if getattr(self, name) == getattr(default, name)]
+        return dataclasses.replace(self, **{name: getattr(fast, name) for name in usual})
 
     def with_fabric(self, fabric: Fabric) -> Config:
         """The same configuration for another fabric."""
@@ -132,7 +183,9 @@ class Config:
 
     @classmethod
     def from_dict(cls, values: dict) -> Config:
-        """The inverse of :meth:`to_dict`. Missing stages and fields keep their defaults, or those of ``{"preset": "paper"}``.
+        """The inverse of :meth:`to_dict`. Missing stages and fields have the values of the preset.
+
+        ``{"preset": "fast"}`` is :meth:`fast`, "paper" :meth:`paper`; the default otherwise.
 
         Raises:
             InvalidConfig: an unknown stage, field or variant, or a value outside its range.
@@ -141,14 +194,16 @@ class Config:
             raise InvalidConfig("config", "a mapping", type(values).__name__)
         values = dict(values)
         preset = values.pop("preset", "default")
-        if preset not in ("default", "paper"):
-            raise InvalidConfig("config.preset", "default or paper", repr(preset))
-        base = cls.paper() if preset == "paper" else cls()
+        presets = {"default": cls, "fast": cls.fast, "paper": cls.paper}
+        if not isinstance(preset, str) or preset not in presets:
+            raise InvalidConfig("config.preset", "default, fast or paper", repr(preset))
+        base = presets[preset]()
         variants = typing.get_type_hints(cls)
         changes = {}
         for stage, fields in values.items():
             if stage not in variants:
-                raise InvalidConfig(f"config.{stage}", f"one of {', '.join(variants)}", "an unknown stage")
+                hint = nearest(stage, variants)
+                raise InvalidConfig(f"config.{stage}", f"one of {', '.join(variants)}", f"an unknown stage{hint}")
             changes[stage] = _stage(f"config.{stage}", fields, getattr(base, stage), variants[stage])
         return dataclasses.replace(base, **changes)
 
@@ -173,20 +228,22 @@ def _stage(name: str, fields, base, variants):
     known = {f.name for f in dataclasses.fields(allowed[kind])}
     for key in fields:
         if key not in known:
-            raise InvalidConfig(f"{name}.{key}", f"one of {', '.join(sorted(known))}", "an unknown field")
-    if "fabric" in fields and not isinstance(fields["fabric"], Fabric):
-        fields["fabric"] = _fabric(f"{name}.fabric", fields["fabric"])
-    if kind == type(base).__name__:
-        return dataclasses.replace(base, **fields)
-    return allowed[kind](**fields)
+            raise InvalidConfig(f"{name}.{key}", f"one of {', '.join(sorted(known))}", f"an unknown field{nearest(key, known)}")
+    try:
+        if "fabric" in fields and not isinstance(fields["fabric"], Fabric):
+            fields["fabric"] = _fabric(fields["fabric"])
+        return dataclasses.replace(base, **fields) if kind == type(base).__name__ else allowed[kind](**fields)
+    except InvalidConfig as error:  # names the class, which the dictionary does not
+        field = error.field.removeprefix(f"{kind}.")
+        raise InvalidConfig(f"{name}.{field}", error.expected, error.got) from None
 
 
-def _fabric(name: str, value) -> Fabric:
+def _fabric(value) -> Fabric:
     if isinstance(value, str):
         return Fabric.named(value)
     if not isinstance(value, dict):
-        raise InvalidConfig(name, "a fabric's name or a mapping", type(value).__name__)
-    try:
-        return Fabric(**value)
-    except TypeError:
-        raise InvalidConfig(name, f"fields {', '.join(f.name for f in dataclasses.fields(Fabric))}", repr(value)) from None
+        raise InvalidConfig("fabric", "a fabric's name or a mapping", type(value).__name__)
+    known = [f.name for f in dataclasses.fields(Fabric)]
+    if unknown := [key for key in value if key not in known]:
+        raise InvalidConfig(f"fabric.{unknown[0]}", f"one of {', '.join(known)}", f"an unknown field{nearest(unknown[0], known)}")
+    return Fabric(**value)

@@ -8,6 +8,8 @@ from dataclasses import field
 
 from ddakf.errors import InvalidConfig
 
+C = typing.TypeVar("C")
+
 
 def bounded(default: float, low: float, high: float) -> typing.Any:
     """A numeric field whose value must lie in [low, high]."""
@@ -29,3 +31,10 @@ class Checked:
                 raise InvalidConfig(f"{type(self).__name__}.{f.name}", f"a number in [{low:g}, {high:g}]", repr(value))
             if isinstance(f.default, int) and not isinstance(value, int):
                 raise InvalidConfig(f"{type(self).__name__}.{f.name}", "an integer", repr(value))
+
+
+def derived(config: C, **values: typing.Any) -> C:
+    """A copy with other values, which are not checked: they were computed from checked ones, in each frame anew."""
+    copy = object.__new__(type(config))
+    vars(copy).update(vars(config), **values)
+    return copy

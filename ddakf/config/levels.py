@@ -1,4 +1,4 @@
-"""Configuration of the garment's subdivision, and of the passes on clusters and on decimated meshes."""
+"""Configuration of the garment's subdivision, of the passes on its clusters, and of what a budget leaves out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ddakf.config.checked import Checked, bounded
 
 @dataclass(frozen=True)
 class Discretisation(Checked):
-    """Subdivision of a garment mesh into clusters, patches, aggregates and levels."""
+    """Subdivision of a garment mesh into clusters, patches and aggregates."""
 
     clusters: int = bounded(80, 1, 160)  # at most: pieces that move rigidly in cluster alignment
     patches: int = bounded(48, 1, 128)  # at most: regions whose error covariance is carried from frame to frame
@@ -19,7 +19,11 @@ class Discretisation(Checked):
     followed_clusters: int = bounded(4, 1, 16)  # clusters whose motion a vertex blends
     cluster_samples: int = bounded(1200, 1, 10_000)  # vertices that cluster alignment measures
     probe_stride: int = bounded(4, 1, 1000)  # every so-many-th of these decides whether clusters are aligned at all
-    level_vertices: int = bounded(250, 3, 1_000_000)  # vertices of the smallest level of the pyramid, at least
+    working_edge: float = bounded(0.018, 0, 1)  # m, edges of the working mesh; 0: the template's vertices are tracked
+    working_vertices_least: int = bounded(2500, 3, 100_000)  # of a small garment, whose edges are shorter
+    working_vertices_most: int = bounded(5000, 3, 100_000)  # of a large garment, whose edges are longer
+    working_finest: float = bounded(0.7, 0, 100)  # edges over the working ones from which an even template is tracked itself
+    working_unevenness: float = bounded(0.65, 0, 100)  # standard deviation of log vertex areas up to which a template is even
     correlation_length: float = bounded(0.2, 1e-3, 10)  # m, distance at rest over which patches move alike
 
 
@@ -27,19 +31,19 @@ class Discretisation(Checked):
 class Coarse(Checked):
     """Cluster alignment: passes in which clusters move rigidly, before all vertices move on their own."""
 
-    iterations: int = bounded(2, 0, 50)  # at most in a frame; 0: none
+    iterations: int = bounded(4, 0, 50)  # at most in a frame; 0: none
     tolerance: float = bounded(0.002, 0, 0.1)  # m, RMS step at which the passes stop
     least_innovation: float = bounded(0.008, 0, 10)  # m, RMS along the normals; below it the prediction is good enough
-    prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex
+    prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex 1/30 s ahead; in proportion to the time
+    longest_prior_sd: float = bounded(0.1, 1e-4, 10)  # m, at most
     contact_sd: float = bounded(0.004, 1e-4, 10)  # m, of the body's surface that pushes a cluster out
 
 
 @dataclass(frozen=True)
-class Pyramid(Checked):
-    """Passes on decimated versions of the garment, whose physics is multiplied by these factors."""
+class Omission(Checked):
+    """Growth of the error (of its logarithm) by the work that a budget leaves out of a frame."""
 
-    iterations: int = bounded(5, 0, 50)  # at most on each level; 0: none
-    tolerance: float = bounded(0.001, 0, 0.1)  # m, RMS correction at which the passes of a level stop
-    strain: float = bounded(0.5, 0, 1e3)  # on stretch and shear
-    rest: float = bounded(1.5, 0, 1e3)  # on the rigidity to the rest shape
-    motion: float = bounded(4.0, 0, 1e3)  # on the rigidity since the last frame
+    sparsest: float = bounded(1.0, 0.01, 100)  # points per vertex that thinning leaves at least
+    points_growth: float = bounded(0.136, 0, 10)  # of each halving of the cloud
+    clusters_growth: float = bounded(0.28, 0, 10)  # of cluster alignment
+    passes_growth: float = bounded(0.009, 0, 10)  # of passes at full size after the last one

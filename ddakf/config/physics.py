@@ -27,12 +27,15 @@ class Physics(Checked):
     deepest_gap: float = bounded(0.03, 0, 1)  # m inside the body, up to which a vertex is an error of the body model
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
+    faces_followed: int = bounded(16, 1, 1000)  # frames in which each vertex's nearest face is sought in the whole body once
     self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
     layer_reach: float = bounded(1.0, 0.01, 10)  # mean edge lengths within which a vertex of another layer is sought
     layer_separation: float = bounded(3.0, 0.01, 100)  # mean edge lengths: vertices closer at rest are of one layer
     motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
-    rest_rigidity: float = bounded(6.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the rest template
+    motion_time: float = bounded(1.0 / 30.0, 1e-3, 10)  # s: change over a longer time is less rigid in proportion
+    rest_rigidity: float = bounded(3.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the start, or of the template
     uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened
+    start_strain: float = bounded(0.1, 1e-3, 1e3)  # of a one-ring at the start, whose rest shape is then half the template's
     strain_followed: float = bounded(0.95, 0, 0.99)  # share of a one-ring's strain that its rest shape then follows
     rotation_steps: int = bounded(2, 1, 50)  # steps of a rotation fit, which starts from the last pass's rotations
     first_rotation_steps: int = bounded(4, 1, 50)  # the same in the first pass, to which other passes moved the garment

@@ -45,8 +45,9 @@ class Relocalization(Checked):
     cost_density: int = bounded(20, 1, 80)  # points to which the distance of a vertex is measured, per cost_samples
     truncation: float = bounded(0.10, 0.01, 10)  # m: a longer distance counts as this one
     in_place_cost: float = bounded(0.015, 0, 1)  # m: a garment whose cost in place is lower is in its place
-    partial_view_cost: float = bounded(0.010, 0, 1)  # m, of the first cloud alone, below which a start seen in part is right
+    partial_view_cost: float = bounded(0.015, 0, 1)  # m, of the first cloud alone, below which a start seen in part is right
     highest_cost: float = bounded(0.04, 0, 1)  # m: a cloud whose best cost is higher is of something else
+    overturned_ratio: float = bounded(0.6, 0, 1)  # cost upside down over the cost upright, below which a cloud is upside down
     cost_ratio: float = bounded(0.8, 0, 1)  # best cost over the cost in place, at most
     heading_separation: float = bounded(30.0, 0, 180)  # degrees between candidate poses, at least
     candidates: int = bounded(3, 1, 12)  # poses of each shape that are registered

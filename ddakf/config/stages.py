@@ -14,16 +14,25 @@ class ConstantVelocity(Checked):
     """The paper's motion model, section 2.2, with optional damping and with contact-aware prediction."""
 
     damping: float = bounded(4.0, 0, 1e3)  # 1/s: velocities decay as exp(-damping dt)
-    acceleration: float = bounded(12.0, 1e-6, 1e4)  # m/s^2, sd of the white acceleration behind Q_i
+    acceleration: float = bounded(12.0, 1e-6, 1e4)  # m/s^2, sd of the acceleration behind Q_i
+    acceleration_time: float = bounded(1.0 / 30.0, 1e-3, 10)  # s that an acceleration lasts, before another one follows
     carry_reach: float = bounded(0.10, 0, 1)  # m: a body surface within it carries the garment; 0: none does
+    friction: float = bounded(8.0, 0, 1e3)  # 1/s: added to damping where the body carries a vertex, of its motion on the body
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: a longer gap moves the garment no further
     worn_memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the deviation from the body anchor; 0: no anchor
-    worn_sd: float = bounded(0.05, 1e-3, 10)  # m, deviation from the body anchor before any is measured
+    worn_normal_sd: float = bounded(0.003, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
+    worn_tangential_sd: float = bounded(0.01, 1e-4, 10)  # m, the same across it
+    worn_slope: float = bounded(0.12, 0, 10)  # m more of both per m from the body
+    worn_sd: float = bounded(0.05, 1e-3, 10)  # m, first guess at most
     anchor_reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
     anchor_least_sd: float = bounded(0.002, 1e-4, 1)  # m, deviation from the body anchor, at least
-    anchor_first_share: float = bounded(0.05, 1e-4, 1)  # of a patch; a measurement of as much weighs as much as worn_sd
+    anchor_first_share: float = bounded(0.6, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
     anchor_normal_samples: float = bounded(2.0, 1e-3, 1e3)  # independent deviations of a patch along the normal
     anchor_tangential_samples: float = bounded(0.7, 1e-3, 1e3)  # the same across the normal: cloth slips over longer lengths
+    anchor_seen_samples: float = bounded(2.3, 1e-3, 1e3)  # the same of a patch that is seen
+    anchor_seen_sd: float = bounded(0.01, 0, 1)  # m, added to the deviation of one that is seen: part of it is the tracker's own
+    anchor_slippage: float = bounded(0.04, 1e-3, 1)  # least normal share of a garment, above which what is seen is held less
+    anchor_slippage_power: float = bounded(4.0, 0, 100)  # how fast that hold fades
 
 
 @dataclass(frozen=True)
@@ -42,6 +51,11 @@ class GridFilter(Checked):
     """k-NN statistical outlier removal that computes neighbours only where the 27 cells around a point are nearly empty."""
 
     points_per_cell: float = bounded(5.0, 0.5, 100)  # sets the cell size from the garment's area and the number of points
+    widest_cell: float = bounded(0.04, 1e-3, 10)  # m, of a sparse cloud, whose cells hold fewer points instead
+    least_per_cell: float = bounded(2.0, 0.5, 100)  # points, however sparse the cloud; points_per_cell if that is less
+    flat_share: float = bounded(0.75, 0, 1)  # of neighbourhoods; where fewer are flat, cells are as narrow as noise and grow
+    crowded: float = bounded(8.0, 1, 1e3)  # points in the cell of a point, from which cells grow no more
+    doublings: int = bounded(2, 0, 8)  # of points_per_cell at most, by which cells grow
     neighbours: int = bounded(16, 2, 64)  # as in the paper's filter
     ratio: float = bounded(2.0, 0.1, 10)  # in standard deviations, as there
     clean_factor: float = bounded(2.0, 0, 100)  # mean distances: a point whose neighbours are nearer is no outlier
@@ -70,7 +84,6 @@ class SkinRemoval(Checked):
     cloth_distance: float = bounded(0.008, 0, 1)  # m, beside edge_share: a point farther from all vertices is off the garment
     hem_distance: float = bounded(0.10, 0, 1)  # m, beside edge_share: nearer skin stays and shows that a hem does not end there
     edge_share: float = bounded(0.75, 0, 10)  # of the mean edge length, added to both distances
-    person_share: float = bounded(0.15, 0, 1)  # of skin; a cloud with more is of a whole person
 
 
 # B. Association -----------------------------------------------------------------------------------------------------
@@ -80,7 +93,8 @@ class SkinRemoval(Checked):
 class PlaneAssociation(Checked):
     """Plane-aligned measurements with visibility, repeated inside the frame."""
 
-    iterations: int = bounded(8, 1, 50)  # re-associations in a frame at most, those of decimated levels included
+    iterations: int = bounded(8, 1, 50)  # re-associations in a frame, at most
+    slow_iterations: int = bounded(16, 1, 50)  # the same of frames that are twice as far apart as at 30 per second, or more
     least_iterations: int = bounded(2, 1, 50)
     tolerance: float = bounded(0.0007, 0, 0.1)  # m, RMS correction at which re-association stops
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
@@ -92,6 +106,7 @@ class PlaneAssociation(Checked):
     turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(0.2, -1, 1)  # cosine between a vertex normal and its sensor, at least
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a surface in front of a vertex by more than this hides it
+    sighting: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
     hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there
@@ -175,10 +190,8 @@ class DecoupledUpdate(Checked):
 
 @dataclass(frozen=True)
 class Uncertainty(Checked):
-    """Drift of the estimate from the truth, the two calibrated factors, and the bounds."""
+    """Drift of the estimate from the truth, and the bounds."""
 
-    observed_scale: float = bounded(0.621, 0.01, 100)  # on the standard deviations of measured vertices
-    unseen_scale: float = bounded(0.884, 0.01, 100)  # of the others
     strain_reach: float = bounded(0.15, 0, 10)  # m, length of cloth along which present strain adds up
     missed_share: float = bounded(0.2, 0, 10)  # of an innovation that stays as an error of the patch's place
     unseen_motion: float = bounded(2.0, 0, 100)  # of its own motion that an unseen patch may have moved otherwise
@@ -187,19 +200,79 @@ class Uncertainty(Checked):
     growth_sd: float = bounded(0.0005, 0, 1)  # m per frame, growth that no measurement shows
     least_information: float = bounded(100.0, 1e-3, 1e9)  # 1/m^2 of every patch, so that a free patch has a finite variance
     innovation_memory: float = bounded(0.7, 0, 0.999)  # share of earlier frames in the running mean of the innovations
-    offset_ratio: float = bounded(9.0, 0.01, 1000)  # RMS error over the RMS offset of the cloud from the surface
-    least_offset: float = bounded(0.0002, 1e-6, 1)  # m
-    offset_trust: float = bounded(0.3, 0, 1)  # weight of the cloud's offset against the recursion in the size of the error
-    body_room: float = bounded(0.03, 1e-3, 10)  # m from the body that double the variance of unseen cloth
-    most_body_room: float = bounded(0.10, 0, 10)  # m from the body after which the variance grows no more
-    usual_slack: float = bounded(0.02, 1e-4, 10)  # m off the body anchor; looser cloth has a variance in proportion
-    cloth_room: float = bounded(0.2, 1e-3, 10)  # m along the cloth from seen cloth that double the variance; without a body
-    most_cloth_room: float = bounded(0.6, 0, 10)  # m after which it grows no more
     least_bend: float = bounded(0.02, 1e-6, 1)  # 1 - |mean normal|^2 of a patch, as no patch is flatter
     least_coverage: float = bounded(0.02, 0, 1)  # share of the vertices whose innovations tell how far predictions miss
     floor_sd: float = bounded(0.0005, 1e-9, 1)  # m
     ceiling_sd: float = bounded(1.0, 1e-3, 100)  # m: trace(P_pp) is at most 3 ceiling_sd^2
     ceiling_speed_sd: float = bounded(10.0, 1e-3, 1e4)  # m/s: trace(P_uu) is at most 3 ceiling_speed_sd^2
+
+
+@dataclass(frozen=True)
+class EvidenceScales(Checked):
+    """Evidence about the size of an error, at which it begins to count."""
+
+    unmatched_scale: float = bounded(0.01, 1e-12, 1e6)  # share of the vertices
+    hem_scale: float = bounded(1e-05, 1e-12, 1e6)  # m^2
+    unseen_scale: float = bounded(0.1, 1e-12, 1e6)  # share of the patch
+    clearance_scale: float = bounded(0.02, 1e-12, 1e6)  # m
+    slack_scale: float = bounded(0.01, 1e-12, 1e6)  # m
+    strain_scale: float = bounded(0.0001, 1e-12, 1e6)  # squared strain
+    slip_scale: float = bounded(5.0, 1e-12, 1e6)  # inverse share
+    offset_scale: float = bounded(0.0005, 1e-12, 1e6)  # m
+    distance_scale: float = bounded(0.1, 1e-12, 1e6)  # m
+    reached_scale: float = bounded(0.1, 1e-12, 1e6)  # m
+    turned_scale: float = bounded(0.01, 1e-12, 1e6)  # squared sine
+    moved_scale: float = bounded(0.003, 1e-12, 1e6)  # m
+    soft_scale: float = bounded(0.0004, 1e-12, 1e6)  # squared strain
+    blind_scale: float = bounded(0.1, 1e-12, 1e6)  # share of the vertices
+
+
+@dataclass(frozen=True)
+class NormalError(EvidenceScales):
+    """Size of a vertex's error along its normal: a base times the product of (1 + evidence / scale)^power."""
+
+    seen: float = bounded(0.00059, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00063, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00084, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.332, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.0, 0, 10)
+    hem_power: float = bounded(0.158, 0, 10)
+    unseen_power: float = bounded(0.088, 0, 10)
+    clearance_power: float = bounded(0.719, 0, 10)
+    slack_power: float = bounded(0.159, 0, 10)
+    strain_power: float = bounded(0.089, 0, 10)
+    slip_power: float = bounded(0.139, 0, 10)
+    offset_power: float = bounded(0.299, 0, 10)
+    distance_power: float = bounded(1.326, 0, 10)
+    reached_power: float = bounded(0.644, 0, 10)
+    turned_power: float = bounded(0.38, 0, 10)
+    moved_power: float = bounded(0.243, 0, 10)
+    soft_power: float = bounded(0.068, 0, 10)
+    blind_power: float = bounded(0.154, 0, 10)
+
+
+@dataclass(frozen=True)
+class TangentialError(EvidenceScales):
+    """The same across its normal."""
+
+    seen: float = bounded(0.00083, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00069, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00083, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.349, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.062, 0, 10)
+    hem_power: float = bounded(0.23, 0, 10)
+    unseen_power: float = bounded(0.038, 0, 10)
+    clearance_power: float = bounded(0.18, 0, 10)
+    slack_power: float = bounded(0.473, 0, 10)
+    strain_power: float = bounded(0.0, 0, 10)
+    slip_power: float = bounded(0.399, 0, 10)
+    offset_power: float = bounded(0.329, 0, 10)
+    distance_power: float = bounded(0.409, 0, 10)
+    reached_power: float = bounded(0.339, 0, 10)
+    turned_power: float = bounded(0.168, 0, 10)
+    moved_power: float = bounded(0.311, 0, 10)
+    soft_power: float = bounded(0.233, 0, 10)
+    blind_power: float = bounded(0.183, 0, 10)
 
 
 # G. Reliability -----------------------------------------------------------------------------------------------------
@@ -210,6 +283,7 @@ class Reliability(Checked):
     """Score, recovery with hysteresis, and loss."""
 
     half_error: float = bounded(0.04, 1e-4, 10)  # m, predicted error at which the score is 1/2
+    sigma_share: float = bounded(0.8, 0, 10)  # of the RMS sigma in the predicted error: ellipsoids hold the tails as well
 
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends
@@ -226,6 +300,7 @@ class PaperReliability(Checked):
     """Section 2.6 as printed: a score s_k below a threshold raises lambda, without hysteresis and without loss."""
 
     half_error: float = bounded(0.04, 1e-4, 10)  # m, as above
+    sigma_share: float = bounded(0.0, 0, 10)  # as above
     threshold: float = bounded(0.3, 0, 1)  # tau; s_k tends to exp(-1) = 0.37 in the steady state
     recovery_lambda: float = bounded(5.0, 1, 1e6)
 

@@ -12,8 +12,8 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from ddakf.data.rotation import rotation_matrices
 from ddakf.errors import InvalidArgument
 
 BODY = Path(__file__).with_name("body.npz")
@@ -108,7 +108,7 @@ class Body:
     def transforms(self, pose: Pose) -> tuple[np.ndarray, np.ndarray]:
         """Chained rotations (T, J, 3, 3) and places of the joints (T, J, 3), metres."""
         n_frames, n_joints = pose.rotations.shape[:2]
-        local = Rotation.from_rotvec(pose.rotations.reshape(-1, 3)).as_matrix().reshape(n_frames, n_joints, 3, 3)
+        local = rotation_matrices(pose.rotations)
         turn, place = np.empty((n_frames, n_joints, 3, 3)), np.empty((n_frames, n_joints, 3))
         for j, parent in enumerate(self.parents):
             if parent < 0:

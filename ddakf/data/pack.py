@@ -1,36 +1,29 @@
 """Packs a sequence file so that it may ship: ``python -m ddakf.data.pack SOURCE.npz TARGET.npz [--quantum METRES]``.
 
-Coordinates are rounded to multiples of the quantum and stored as second differences in time, which deflate squeezes to
-about half the size of the plain coordinates under LZMA: smooth motion leaves only small numbers.
+Coordinates are rounded to multiples of the quantum and stored as what :mod:`ddakf.files.moving_mesh` leaves of them, which
+deflate squeezes to an eighth of the plain coordinates.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ddakf.errors import DdakfError, InvalidFile
-from ddakf.files.sequence import PACKED, Sequence, load_sequence
+from ddakf.files import moving_mesh
+from ddakf.files.sequence import FIRST, RESIDUAL, Sequence, load_sequence
 
 DEFAULT_QUANTUM = 2.0**-13  # m
-
-
-def second_differences(vertices: np.ndarray, quantum: float) -> np.ndarray:
-    """(T, 3, V) int16 second differences in time of (T, V, 3) metres / quantum; frames before the first are zero."""
-    steps = np.rint(vertices.astype(np.float64) / quantum).astype(np.int64).transpose(0, 2, 1)
-    differences = np.diff(steps, n=2, axis=0, prepend=np.zeros((2, *steps.shape[1:]), np.int64))
-    if np.abs(differences).max() > np.iinfo(np.int16).max:
-        raise InvalidFile("vertices", f"second differences below {2**15} quanta", str(np.abs(differences).max()))
-    return differences.astype(np.int16)
+POSE = ("body_rotations", "body_shift", "body_shape")
 
 
 def packed(sequence: Sequence, quantum: float = DEFAULT_QUANTUM) -> dict[str, np.ndarray]:
     """The arrays of a packed file."""
     arrays = {
-        "garment_V" + PACKED: second_differences(sequence.garment_vertices, quantum),
-        "garment_F": sequence.garment_faces.astype(np.int32),
+        **_moving_mesh("garment", sequence.garment_vertices, sequence.garment_faces, quantum),
         "fps": np.float32(sequence.fps),
         "quantum": np.float64(quantum),
         "garment": np.array(sequence.garment),
@@ -39,9 +32,21 @@ def packed(sequence: Sequence, quantum: float = DEFAULT_QUANTUM) -> dict[str, np
     if sequence.garment_rest is not None:
         arrays["garment_rest"] = sequence.garment_rest
     if sequence.has_body:
-        arrays["body_V" + PACKED] = second_differences(sequence.body_vertices, quantum)
-        arrays["body_F"] = sequence.body_faces.astype(np.int32)
+        arrays |= _moving_mesh("body", sequence.body_vertices, sequence.body_faces, quantum)
     return arrays
+
+
+def _moving_mesh(name: str, vertices: np.ndarray, faces: np.ndarray, quantum: float) -> dict[str, np.ndarray]:
+    steps = np.rint(vertices.astype(np.float64) / quantum)
+    if np.abs(steps).max() > np.iinfo(np.int32).max:
+        raise InvalidFile(f"{name}_V", f"coordinates of up to {2**31} quanta", f"{np.abs(steps).max():g}")
+    steps = steps.astype(np.int64)
+    try:
+        residuals = moving_mesh.encode(steps, faces)
+    except OverflowError as error:
+        raise InvalidFile(f"{name}_V", f"motion of up to {2**15} quanta in a frame", str(error)) from error
+    first = steps[0].astype(np.int32)
+    return {f"{name}_V{FIRST}": first, f"{name}_V{RESIDUAL}": residuals, f"{name}_F": faces.astype(np.int32)}
 
 
 def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
@@ -59,11 +64,10 @@ def pack(source, target, quantum: float = DEFAULT_QUANTUM) -> float:
     if Path(target).suffix != ".npz":
         raise InvalidFile(str(target), "a name that ends in .npz", Path(target).suffix or "none")
     sequence = load_sequence(source)
-    arrays = packed(sequence, quantum)
     with np.load(source, allow_pickle=False) as archive:
-        pose = {key: archive[key] for key in ("body_rotations", "body_shift") if key in archive.files}
-    if len(pose) == 2:
-        arrays = {key: array for key, array in arrays.items() if not key.startswith("body_")} | pose
+        pose = {key: archive[key] for key in POSE if key in archive.files}
+    kept = replace(sequence, body_vertices=None, body_faces=None) if pose else sequence
+    arrays = packed(kept, quantum) | pose
     np.savez_compressed(target, **arrays)
     written = load_sequence(target)
     errors = [np.abs(written.garment_vertices - sequence.garment_vertices).max()]

@@ -5,13 +5,17 @@ from __future__ import annotations
 import contextlib
 import os
 import platform
+import re
 import subprocess
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
 import ddakf
+from ddakf.errors import InvalidArgument
 
+DIRTY = "-dirty"  # after a commit: of its changes nobody knows
+WRITTEN = ("results", "benchmarks/results", "docs")  # folders of a checkout that results and their report are written to
 PACKAGES = ("ddakf", "numpy", "scipy", "numba", "grpcio", "protobuf", "zstandard", "open3d-cpu", "open3d", "torch")
 
 
@@ -47,10 +51,53 @@ def one_core() -> Iterator[None]:
 
 
 def commit() -> str | None:
-    """The short commit of the checkout, with ``-dirty`` if files were changed since; None outside one."""
-    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+    """The short commit of the checkout, with ``-dirty`` if a file was changed since that is no result or document; None outside
+    a checkout."""
+    return revision_of(Path(__file__).parent)
+
+
+def revision_of(folder: Path) -> str | None:
+    """:func:`commit` of the checkout that a folder lies in."""
+    head = _git(folder, "rev-parse", "--short", "HEAD")
+    if head is None:
+        return None
+    changed = _git(folder, "diff", "--name-only", "HEAD", "--", ":(top)", *(f":(top,exclude){part}" for part in WRITTEN))
+    return head.strip() + (DIRTY if changed and changed.strip() else "")
+
+
+def is_traceable(revision: str) -> bool:
+    """False for a revision with uncommitted changes, or one that the history of this checkout does not have. True outside one."""
+    if revision.endswith(DIRTY):
+        return False
+    here = Path(__file__).parent
+    if _git(here, "rev-parse", "HEAD") is None or not re.fullmatch(r"[0-9a-f]{6,40}", revision):
+        return True
+    return _git(here, "merge-base", "--is-ancestor", revision, "HEAD") is not None
+
+
+def require_committed(target: Path, allowed: bool) -> None:
+    """Refuses to write a result of uncommitted code into the checkout, where it would be taken for one of the project's.
+
+    Args:
+        target: file or folder of the result.
+        allowed: the caller wants it all the same; the report marks it.
+
+    Raises:
+        InvalidArgument: ``target`` is in a folder of results of this checkout, and a source file has uncommitted changes.
+    """
+    here = Path(__file__).parent
+    top, code = _git(here, "rev-parse", "--show-toplevel"), commit()
+    if allowed or top is None or not code.endswith(DIRTY):
+        return
+    place = target.resolve()
+    if any(place.is_relative_to(Path(top.strip(), part)) for part in WRITTEN):
+        raise InvalidArgument("results", "committed code, or --allow-dirty", f"uncommitted changes, for results in {target}")
+
+
+def _git(folder: Path, *arguments: str) -> str | None:
+    """What a command of git prints; None if it fails."""
     try:
-        return subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(["git", *arguments], cwd=folder, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
         return None
 

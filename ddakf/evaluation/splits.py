@@ -8,13 +8,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.datasets.faust import CLIP
 from ddakf.files.sequence import Sequence, read_names
 
 FAUST_TRAINING_SUBJECTS = frozenset(range(8))  # as in the paper, which tests on the other two
+FAUST_NAME = re.compile(r"(?:faust_|FAUST#)s(\d+)_p\d+$")
+UNTOUCHED, TUNED = "untouched", "tuned"
 BODY = "whole body"
 # Words of a garment's or a sequence's name. CLOTH3D's garments are Tshirt, Top, Trousers, Skirt, Jumpsuit and Dress.
 # The recordings of some origins have one garment only.
@@ -26,6 +30,7 @@ CATEGORIES = {
     "trousers": ("trousers", "pants", "shorts"),
     "jumpsuit": ("jumpsuit", "overall"),
     "jacket": ("jacket", "hoodie", "coat"),
+    "cape": ("cape", "poncho"),
     BODY: ("whole", "body"),
 }
 ORIGINS = {"sample": "T-shirt", "pergamo": "T-shirt", "faust": BODY}
@@ -92,6 +97,27 @@ def _category(words: list[str]) -> str | None:
 
 def _words(text: str) -> list[str]:
     return [word for word in re.split(r"[^a-z0-9]+", text.lower()) if word]
+
+
+def unit_of(sequence: str) -> str:
+    """The unit of a test: the sequence, or of a clip of FAUST (``faust_s3_p7``, ``MPI-FAUST#s3_p7``) its subject."""
+    found = FAUST_NAME.search(sequence)
+    return f"FAUST, subject {found[1]}" if found else sequence
+
+
+def is_untouched(sequence: str) -> bool:
+    """True for the held-out recordings of the collection. No constant was chosen on them; of all others one may have been."""
+    return Path(sequence).name.removesuffix(".npz") in _held_out()
+
+
+def standing_of(sequence: str) -> str:
+    """:data:`UNTOUCHED` or :data:`TUNED`."""
+    return UNTOUCHED if is_untouched(sequence) else TUNED
+
+
+@lru_cache(maxsize=1)
+def _held_out() -> frozenset[str]:
+    return frozenset(each.name for each in collection.listed(collection.HELD_OUT))
 
 
 def faust_split(clips: Iterable[str]) -> Split:

@@ -1,26 +1,26 @@
 """Comparison of methods: paired permutation test, effect size, correction for several tests; ``docs/metrics.md``, Statistics.
 
-The unit is a disjoint clip of a sequence in one view. Its score is the mean over the seeded runs, since seeds vary the noise and
-not the motion. Units are paired: all methods have scores of the same ones.
+The unit is the sequence; of FAUST the subject. Clips, views and seeds of one sequence share garment, body and motion, so that its
+score is their mean. Units are paired: all methods have scores of the same ones.
 """
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.special import gammaln, nctdtrinc
+from scipy.special import gammaln
 
 CLIP = 60  # frames
-LEAST_SEQUENCES = 8  # from here on signs are flipped per sequence: the smallest p is 2^-7
 ENUMERATED = 16  # groups of which all flips are tried, 2^16 at most
 RANDOM_FLIPS, SEED = 100_000, 1  # a standard error of 0.0007 at p = 0.05
+RESAMPLES = 10_000  # of the bootstrap
 LEVEL = 0.05  # of the tests; intervals hold with probability 1 - LEVEL
+BLIND = ("clothfit", "still", "carried")  # methods that use no cloud
 LOST_MM = 100.0  # RMSE of a run: the width of a sleeve, so that vertices are on another part of the garment
-DEPENDENCE = "clips of one sequence share garment, body and kind of motion: p is too small if their gains go together"
 
 # Scores -------------------------------------------------------------------------------------------------------------
 
@@ -61,32 +61,41 @@ def _finite(values: Iterable[float | None]) -> np.ndarray:
 
 
 class Comparison(NamedTuple):
-    """One method against another on the same units."""
+    """One method against another on the same sequences."""
 
-    n: int  # units that both have a score of
-    dropped: int  # units that only one of them, or none, has a score of
-    groups: int  # of units, whose signs are flipped together
-    flipped: Literal["sequence", "clip"]  # content of a group; the views of a clip are always in one group
-    dependence: str | None  # between groups, in a sentence
-    gain: float | None  # mean over the units of how much better the first is, in the unit of the score
-    effect: float | None  # Hedges' g of the groups' mean gains
-    effect_low: float | None  # 95 % confidence interval of the standardised mean gain
+    n: int  # sequences that both have a score of
+    dropped: int  # sequences that only one of them, or none, has a score of
+    gain: float | None  # mean over the sequences of how much better the first is, in the unit of the score
+    gain_low: float | None  # 95 % interval of the gain, by a bootstrap over sequences
+    gain_high: float | None
+    effect: float | None  # Hedges' g of the sequences' gains
+    effect_low: float | None  # 95 % interval of the effect, by the same bootstrap
     effect_high: float | None
     p: float | None  # two-tailed
-    p_smallest: float  # smallest p that the number of groups allows
+    p_smallest: float  # smallest p that the number of sequences allows
     exact: bool  # all flips were tried
     p_holm: float | None = None  # see :func:`corrected`
     p_holm_smallest: float | None = None
 
     @property
     def verdict(self) -> str:
-        """``better``, ``worse``, ``n.s.`` or, where no data could have been significant, ``n too small``."""
-        return _verdict(self.gain, self.p, self.p_smallest)
+        """``better``, ``worse``, ``n.s.`` or, where no data could have been significant, ``n too small``.
+
+        A small p beside an interval that holds zero is ``n.s.``.
+        """
+        return self._verdict(self.p, self.p_smallest)
 
     @property
     def verdict_holm(self) -> str | None:
         """The same by the corrected p; None before :func:`corrected`."""
-        return None if self.p_holm_smallest is None else _verdict(self.gain, self.p_holm, self.p_holm_smallest)
+        return None if self.p_holm_smallest is None else self._verdict(self.p_holm, self.p_holm_smallest)
+
+    def _verdict(self, p: float | None, smallest: float) -> str:
+        if smallest > LEVEL:
+            return "n too small"
+        if p is None or p > LEVEL or self.gain_low is None or self.gain_low <= 0.0 <= self.gain_high:
+            return "n.s."
+        return "better" if self.gain > 0 else "worse"
 
     def as_json(self) -> dict:
         """The fields and both verdicts."""
@@ -94,54 +103,41 @@ class Comparison(NamedTuple):
 
 
 def compare(
-    ours: Sequence[float | None],
-    theirs: Sequence[float | None],
-    sequences: Sequence[Hashable],
-    clip: Sequence[Hashable],
+    ours: Mapping[Hashable, float | None],
+    theirs: Mapping[Hashable, float | None],
     better: Literal["lower", "higher"] = "lower",
 ) -> Comparison:
-    """A two-tailed paired permutation test by sign flips, with the size of the effect.
+    """A two-tailed paired permutation test by sign flips of whole sequences, with the size of the effect.
 
     Args:
-        ours, theirs: (n,) scores of two methods per unit, means over the seeds; None or NaN for a missing one.
-        sequences: (n,) the sequence of each unit.
-        clip: (n,) the number of the clip within its sequence; a clip's views share it.
+        ours, theirs: scores of two methods by sequence, means over its views and seeds; None or NaN for a missing one.
         better: which way the score goes.
-
-    Returns:
-        Signs are flipped per sequence where at least :data:`LEAST_SEQUENCES` have a pair of scores, or all have one clip only;
-        otherwise per clip, and ``dependence`` says so.
     """
-    one, other = (np.array([np.nan if x is None else x for x in scores], np.float64) for scores in (ours, theirs))
-    gain = one - other if better == "higher" else other - one
-    paired = np.flatnonzero(np.isfinite(gain))
-    whole, parts = (defaultdict(list) for _ in range(2))
-    for k in paired:
-        whole[sequences[k]].append(gain[k])
-        parts[sequences[k], clip[k]].append(gain[k])
-    by_sequence = len(whole) >= LEAST_SEQUENCES or len(whole) == len(parts)
-    groups = list((whole if by_sequence else parts).values())
-    p, smallest, exact = sign_flips([sum(group) for group in groups])
+    units = list(dict.fromkeys([*ours, *theirs]))
+    one, other = (np.array([np.nan if part.get(unit) is None else part[unit] for unit in units], np.float64)
+                  for part in (ours, theirs))  # fmt: skip
+    gains = one - other if better == "higher" else other - one
+    gains = gains[np.isfinite(gains)]
+    p, smallest, exact = sign_flips(gains)
+    found = len(gains) > 0
     return Comparison(
-        len(paired), len(gain) - len(paired), len(groups),
-        "sequence" if by_sequence else "clip", None if by_sequence else DEPENDENCE,
-        float(gain[paired].mean()) if len(paired) else None, *effect([np.mean(group) for group in groups]),
-        p if groups else None, smallest, exact,
+        len(gains), len(units) - len(gains), float(gains.mean()) if found else None, *interval(gains), *effect(gains),
+        p if found else None, smallest, exact,
     )  # fmt: skip
 
 
 def sign_flips(sums: Sequence[float]) -> tuple[float, float, bool]:
     """The probability that random signs give a sum as far from zero as the one that is.
 
-    Under the hypothesis that neither method is better, a group's gain is as likely as its negative. Fisher 1935; flips of whole
-    groups: Winkler et al. 2014, "Permutation inference for the general linear model".
+    Under the hypothesis that neither method is better, a sequence's gain is as likely as its negative. Fisher 1935; flips of
+    whole groups: Winkler et al. 2014, "Permutation inference for the general linear model".
 
     Args:
-        sums: (g,) total gain of each group.
+        sums: (g,) gain of each sequence.
 
     Returns:
-        Two-tailed p: exact up to :data:`ENUMERATED` groups that are not zero, else (b + 1) / (m + 1) with b of m random flips as
-        far (Phipson and Smyth 2010); the smallest p that the number of groups allows; and True if p is exact.
+        Two-tailed p: exact up to :data:`ENUMERATED` gains that are not zero, else (b + 1) / (m + 1) with b of m random flips as
+        far (Phipson and Smyth 2010); the smallest p that their number allows; and True if p is exact.
     """
     sums = np.asarray(sums, np.float64)
     sums = sums[sums != 0]
@@ -159,33 +155,63 @@ def sign_flips(sums: Sequence[float]) -> tuple[float, float, bool]:
     return (as_far + 1) / (RANDOM_FLIPS + 1), 1 / (RANDOM_FLIPS + 1), False
 
 
+def resampled(values: np.ndarray) -> np.ndarray:
+    """(RESAMPLES, n) the values (n,) drawn with replacement: the bootstrap (Efron 1979), with a fixed seed."""
+    return np.asarray(values)[_drawn(len(values), RESAMPLES)]
+
+
+@lru_cache(maxsize=4)
+def _drawn(n: int, times: int) -> np.ndarray:
+    return np.random.default_rng(SEED).integers(0, n, (times, n))
+
+
+def interval(values: Sequence[float]) -> tuple[float | None, float | None]:
+    """95 % interval of the mean of (n,) values, by percentiles of the bootstrap; None with fewer than three values."""
+    values = np.asarray(values, np.float64)
+    if len(values) < 3:
+        return None, None
+    low, high = np.percentile(resampled(values).mean(axis=1), [50 * LEVEL, 100 - 50 * LEVEL])
+    return float(low), float(high)
+
+
 def effect(gains: Sequence[float]) -> tuple[float | None, float | None, float | None]:
-    """The mean gain in standard deviations of the gains, nearly unbiased, with its confidence interval.
+    """The mean gain in standard deviations of the gains, nearly unbiased, with its interval.
 
     Args:
-        gains: (g,) mean gain of each group, taken as independent and normal.
+        gains: (n,) gain of each sequence.
 
     Returns:
-        Hedges' g = J d_z, with d_z = mean / SD and J = Gamma(f / 2) / (sqrt(f / 2) Gamma((f - 1) / 2)), f = g - 1 (Hedges 1981);
-        and the bounds on the population's mean / SD between which the noncentral t distribution puts sqrt(g) d_z with 95 %
-        (Steiger and Fouladi 1997; Cumming and Finch 2001). None with fewer than three groups, or when all gains are equal.
+        Hedges' g = J d_z, with d_z = mean / SD and J = Gamma(f / 2) / (sqrt(f / 2) Gamma((f - 1) / 2)), f = n - 1 (Hedges 1981);
+        and the percentiles of g over a bootstrap of the sequences. None with fewer than three, or when all gains are equal.
     """
     gains = np.asarray(gains, np.float64)
     f = len(gains) - 1
     if f < 2 or np.ptp(gains) <= 1e-12 * np.abs(gains).max():
         return None, None, None
-    d, root = float(gains.mean() / gains.std(ddof=1)), np.sqrt(len(gains))
-    unbiased = d * np.exp(gammaln(f / 2) - gammaln((f - 1) / 2)) / np.sqrt(f / 2)
-    low, high = (nctdtrinc(f, q, root * d) / root for q in (1 - LEVEL / 2, LEVEL / 2))
-    return float(unbiased), float(low), float(high)
+    unbiased = np.exp(gammaln(f / 2) - gammaln((f - 1) / 2)) / np.sqrt(f / 2)
+    drawn = resampled(gains)
+    sd = drawn.std(axis=1, ddof=1)
+    sd = np.maximum(sd, 1e-12 * np.abs(gains).max())  # a sample of one sequence alone
+    low, high = np.percentile(unbiased * drawn.mean(axis=1) / sd, [50 * LEVEL, 100 - 50 * LEVEL])
+    return float(unbiased * gains.mean() / gains.std(ddof=1)), float(low), float(high)
 
 
-def _verdict(gain: float | None, p: float | None, smallest: float) -> str:
-    if smallest > LEVEL:
-        return "n too small"
-    if p is None or p > LEVEL:
-        return "n.s."
-    return "better" if gain > 0 else "worse"
+class Ratio(NamedTuple):
+    """Error of another method over that of the first."""
+
+    mean: float | None  # geometric, over the sequences
+    low: float | None  # 95 % interval by a bootstrap over sequences
+    high: float | None
+    n: int  # sequences
+
+
+def ratio(ours: Mapping[Hashable, float | None], theirs: Mapping[Hashable, float | None]) -> Ratio:
+    """The geometric mean over the sequences of another method's error over that of the first: no sequence counts for more."""
+    logs = [np.log(theirs[unit] / ours[unit]) for unit in ours if ours[unit] and theirs.get(unit)]
+    if not logs:
+        return Ratio(None, None, None, 0)
+    low, high = (None if bound is None else float(np.exp(bound)) for bound in interval(logs))
+    return Ratio(float(np.exp(np.mean(logs))), low, high, len(logs))
 
 
 # Many methods -------------------------------------------------------------------------------------------------------
@@ -242,7 +268,7 @@ class Standing(NamedTuple):
 def standing(
     comparisons: Mapping[str, Comparison],
     rmse_mm: Mapping[str, Sequence[float | None]],
-    blind: Iterable[str] = ("clothfit",),
+    blind: Iterable[str] = BLIND,
 ) -> Standing:
     """Rank of a method among the others.
 

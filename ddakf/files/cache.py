@@ -1,4 +1,4 @@
-"""What is made once and kept in the user's cache folder, until nobody uses it: compiled kernels, trained weights."""
+"""Cache of what is made once, in a folder of the user's, until nobody uses it: compiled kernels, trained weights."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ def _size(entry: Path) -> int:
 
 
 def _dropped(entry: Path) -> bool:
-    """Whoever comes meanwhile finds all of it or nothing; False where another process was first, or this one may not."""
+    """Whoever comes meanwhile finds all of it or nothing; False where another process was first, or this one cannot."""
     gone = entry if entry.name.endswith(DROPPED) else entry.with_name(f"{entry.name}.{uuid4().hex[:8]}{DROPPED}")
     try:
         entry.rename(gone)
         gone.unlink() if gone.is_file() else shutil.rmtree(gone)
-    except (FileNotFoundError, PermissionError):
+    except OSError:  # gone, another user's, or on a read-only disk
         return False
     return True

@@ -14,10 +14,13 @@ from ddakf.errors import InvalidFile
 from ddakf.files.ply import read_ply, write_ply
 from ddakf.files.sequence import Sequence, load_sequence
 
-__all__ = ["Sequence", "load_sequence", "read_mesh", "read_points", "write_mesh", "write_points"]
+__all__ = ["Sequence", "load_sequence", "read_mesh", "read_points", "read_sensor_origin", "write_mesh", "write_points"]
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".csv")
 POINT_SUFFIXES = (".ply", ".obj", *TEXT_SUFFIXES, ".pcd")
+ORIGIN_KEYWORDS = {".pcd": "viewpoint ", ".ply": "comment sensor_origin "}  # before the place of a cloud's sensor
+UNKNOWN_VIEWPOINT = [0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]  # of a .pcd whose writer did not know it
+HEADER_BYTES = 1 << 16  # of a cloud, at most
 MESH_SUFFIXES = (".ply", ".obj", ".stl", ".off", ".gltf", ".glb")
 
 
@@ -47,6 +50,41 @@ def read_points(path) -> np.ndarray:
 
         points = open3d_bridge.read_points(path)
     return _finite(path, points)
+
+
+def read_sensor_origin(path) -> np.ndarray | None:
+    """Where the sensor of a point cloud was, in the unit of the file.
+
+    Args:
+        path: a .pcd with a line ``VIEWPOINT X Y Z QW QX QY QZ``, or a .ply with ``comment sensor_origin X Y Z``.
+
+    Returns:
+        (3,) float64; None where the file does not say, or has the VIEWPOINT that writers put where they do not know it.
+
+    Raises:
+        InvalidFile: no such file, or a line that is not of that form.
+    """
+    path = _existing(path)
+    if (keyword := ORIGIN_KEYWORDS.get(path.suffix.lower())) is None:
+        return None
+    with path.open("rb") as file:
+        header = re.split(rb"(?m)^(?:end_header|DATA)\b", file.read(HEADER_BYTES))[0].decode("latin-1")
+    for line in header.splitlines():
+        if line.lower().startswith(keyword):
+            values = _numbers(path, line, line[len(keyword) :].split())
+            return None if values == UNKNOWN_VIEWPOINT else np.array(values[:3])
+    return None
+
+
+def _numbers(path: Path, line: str, words: list[str]) -> list[float]:
+    """Three or more finite numbers of a line."""
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = []
+    if len(values) < 3 or not np.isfinite(values).all():
+        raise InvalidFile(f"{path.name}: sensor origin", "three finite numbers", line.strip()[:60])
+    return values
 
 
 def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:

@@ -2,8 +2,11 @@
 
 Keys: ``garment_V (T, V, 3)``, ``garment_F (F, 3)``, ``fps``; optionally ``body_V (T, B, 3)`` with ``body_F``, and
 ``garment_rest (V, 3)``, and the names ``garment`` and ``motion``. Metres, y up. In a packed file, which ``ddakf.data.pack``
-writes, ``garment_V`` and ``body_V`` are replaced by the second differences in time of whole multiples of ``quantum``
-metres; or ``body_V`` by the pose of the body that ships with ddakf, ``body_rotations (T, J, 3)`` and ``body_shift (T, 3)``.
+writes, coordinates are whole multiples of ``quantum`` metres: ``garment_V_first (V, 3)`` and the ``garment_V_residual
+(T - 1, 3, V)`` of :mod:`ddakf.files.moving_mesh` replace ``garment_V``, likewise ``body_V``; in older files the second
+differences in time do. Or
+``body_V`` is replaced by the pose of the body that ships with ddakf, ``body_rotations (T, J, 3)`` and ``body_shift (T, 3)``, with
+its :class:`ddakf.data.body_shape.BodyShape` as ``body_shape (8,)`` where it has another one.
 """
 
 from __future__ import annotations
@@ -17,9 +20,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ddakf.errors import InvalidFile
+from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.files import moving_mesh
 
-PACKED = "_second_difference"
+FIRST, RESIDUAL = "_first", "_residual"
+OLD_PACKED = "_second_difference"  # what the sample and the training recordings have
 UNREADABLE = (ValueError, OSError, EOFError, KeyError, MemoryError, NotImplementedError, RuntimeError, TypeError,
               zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError)  # fmt: skip
 
@@ -107,8 +112,7 @@ def _arrays(path: Path, wanted: tuple[str, ...] | None = None) -> dict[str, np.n
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
-    garment = _vertices(path, arrays, "garment_V", "(T, V, 3)")
-    faces = _faces(path, arrays, "garment_F", garment.shape[1])
+    garment, faces = _moving_mesh(path, arrays, "garment", "(T, V, 3)")
     fps = _required(path, arrays, "fps")
     if fps.shape != () or fps.dtype.kind not in "fiu" or not 1e-6 < fps < 1e6:
         raise InvalidFile(f"{path.name}: fps", "one positive number", f"{fps.dtype} {fps!s:.40}")
@@ -117,9 +121,8 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
         rest = _finite(path, "garment_rest", arrays["garment_rest"])
         if rest.shape != garment.shape[1:]:
             raise InvalidFile(f"{path.name}: garment_rest", f"shape {garment.shape[1:]} as garment_V", f"{rest.shape}")
-    if any(key in arrays for key in ("body_V", "body_V" + PACKED)):
-        body = _vertices(path, arrays, "body_V", "(T, B, 3)")
-        body_faces = _faces(path, arrays, "body_F", body.shape[1])
+    if any("body_V" + ending in arrays for ending in ("", RESIDUAL, OLD_PACKED)):
+        body, body_faces = _moving_mesh(path, arrays, "body", "(T, B, 3)")
     elif "body_rotations" in arrays:
         body, body_faces = _posed(path, arrays, len(garment))
     if body is not None and len(body) != len(garment):
@@ -129,10 +132,16 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Sequence:
 
 
 def _posed(path: Path, arrays: dict[str, np.ndarray], n_frames: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (T, B, 3) and faces of the body that ships with ddakf, in the poses of a file."""
+    """Vertices (T, B, 3) and faces of the body that ships with ddakf, in the shape and the poses of a file."""
     from ddakf.data.body import Pose, load_body
+    from ddakf.data.body_shape import BodyShape, shaped
 
     body = load_body()
+    if "body_shape" in arrays:
+        try:
+            body = shaped(body, BodyShape.from_array(_finite(path, "body_shape", arrays["body_shape"])))
+        except InvalidArgument as error:
+            raise InvalidFile(f"{path.name}: body_shape", error.expected, error.got) from error
     rotations = _finite(path, "body_rotations", arrays["body_rotations"])
     shift = _finite(path, "body_shift", _required(path, arrays, "body_shift"))
     expected = (n_frames, len(body.names), 3), (n_frames, 3)
@@ -157,14 +166,39 @@ def _required(path: Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray
     return arrays[key]
 
 
-def _vertices(path: Path, arrays: dict[str, np.ndarray], key: str, shape: str) -> np.ndarray:
-    if key + PACKED in arrays:
-        vertices = _unpacked(path, key + PACKED, arrays[key + PACKED], _required(path, arrays, "quantum"))
+def _moving_mesh(path: Path, arrays: dict[str, np.ndarray], name: str, shape: str) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces of the garment or the body."""
+    key = f"{name}_V"
+    if key + RESIDUAL in arrays:
+        return _decoded(path, arrays, name)
+    if key + OLD_PACKED in arrays:
+        vertices = _unpacked(path, key + OLD_PACKED, arrays[key + OLD_PACKED], _quantum(path, arrays))
     else:
         vertices = _required(path, arrays, key)
     if vertices.ndim != 3 or vertices.shape[2] != 3 or 0 in vertices.shape:
         raise InvalidFile(f"{path.name}: {key}", f"shape {shape}", str(vertices.shape))
-    return _finite(path, key, vertices)
+    return _finite(path, key, vertices), _faces(path, arrays, f"{name}_F", vertices.shape[1])
+
+
+def _decoded(path: Path, arrays: dict[str, np.ndarray], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces from residuals."""
+    key = f"{name}_V"
+    first, residuals = _required(path, arrays, key + FIRST), arrays[key + RESIDUAL]
+    if first.ndim != 2 or first.shape[1] != 3 or len(first) == 0 or first.dtype != np.int32:
+        raise InvalidFile(f"{path.name}: {key + FIRST}", "int32 of shape (V, 3)", f"{first.dtype} of shape {first.shape}")
+    narrow = residuals.dtype in (moving_mesh.SMALL, moving_mesh.WIDE)
+    if residuals.ndim != 3 or residuals.shape[1:] != (3, len(first)) or not narrow:
+        expected = f"int8 or int16 of shape (T - 1, 3, {len(first)})"
+        raise InvalidFile(f"{path.name}: {key + RESIDUAL}", expected, f"{residuals.dtype} of shape {residuals.shape}")
+    faces, quantum = _faces(path, arrays, f"{name}_F", len(first)), _quantum(path, arrays)
+    return (moving_mesh.decode(first, residuals, faces) * quantum).astype(np.float32), faces
+
+
+def _quantum(path: Path, arrays: dict[str, np.ndarray]) -> float:
+    quantum = _required(path, arrays, "quantum")
+    if quantum.shape != () or quantum.dtype.kind != "f" or not 0 < quantum <= 1:
+        raise InvalidFile(f"{path.name}: quantum", "one float in (0, 1], metres", f"{quantum.dtype} {quantum!s:.40}")
+    return float(quantum)
 
 
 def _finite(path: Path, key: str, values: np.ndarray) -> np.ndarray:
@@ -187,11 +221,9 @@ def _faces(path: Path, arrays: dict[str, np.ndarray], key: str, n_vertices: int)
     return faces.astype(np.int64)
 
 
-def _unpacked(path: Path, key: str, differences: np.ndarray, quantum: np.ndarray) -> np.ndarray:
-    """(T, V, 3) metres from int16 (T, 3, V); inverse of :func:`ddakf.data.pack.second_differences`."""
+def _unpacked(path: Path, key: str, differences: np.ndarray, quantum: float) -> np.ndarray:
+    """(T, V, 3) metres from second differences in time, int16 (T, 3, V), frames before the first being zero."""
     if differences.ndim != 3 or differences.dtype.kind != "i" or differences.dtype.itemsize != 2:
         raise InvalidFile(f"{path.name}: {key}", "int16 of shape (T, 3, V)", f"{differences.dtype} of shape {differences.shape}")
-    if quantum.shape != () or quantum.dtype.kind != "f" or not 0 < quantum <= 1:
-        raise InvalidFile(f"{path.name}: quantum", "one float in (0, 1], metres", f"{quantum.dtype} {quantum!s:.40}")
     steps = np.cumsum(np.cumsum(differences, axis=0, dtype=np.int64), axis=0)
-    return (steps * float(quantum)).astype(np.float32).transpose(0, 2, 1)
+    return (steps * quantum).astype(np.float32).transpose(0, 2, 1)

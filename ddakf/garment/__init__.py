@@ -1,1 +1,1 @@
-"""Garment constants: topology, rest shape, clusters, patches, aggregates and decimated levels."""
+"""Garment constants: topology, rest shape, clusters, patches and aggregates."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.config import Discretisation
+from ddakf.kernels.cluster_alignment import Elimination
 from ddakf.mesh import Mesh
 from ddakf.types import Clusters
 
@@ -35,15 +36,47 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray, config: Discretisa
     across = np.flatnonzero((cluster[ends[:, 0]] != cluster[ends[:, 1]]) & (ends[:, 0] < ends[:, 1]))
     seam = np.column_stack([ends[across], across]).astype(np.int32)
     sample = np.lexsort((near[:, 0], cluster))[:: max(1, n // config.cluster_samples)].astype(np.int32)
+    neighbours = np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32)
     return Clusters(
         nearest.astype(np.int32),
         share / share.sum(axis=1, keepdims=True),
         seam,
-        np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32),
+        neighbours,
+        elimination(neighbours, k),
         _weakening(mesh.vertices, cluster, ends, seam),
         np.sort(sample),
         np.sort(sample[:: config.probe_stride]),
     )
+
+
+def elimination(ends: np.ndarray, k: int) -> Elimination:
+    """Reverse Cuthill-McKee order of the clusters: level by level away from one at an end, those of few neighbours first.
+
+    Args:
+        ends: (G, 2) neighbouring clusters, both ways.
+        k: number of clusters.
+    """
+    near = [ends[ends[:, 0] == c, 1] for c in range(k)]
+    degree = np.array([len(found) for found in near])
+    order: list[int] = []
+    while len(order) < k:
+        rest = np.setdiff1d(np.arange(k), order)
+        begin = int(rest[degree[rest].argmin()])
+        order += _levels(near, degree, _levels(near, degree, begin)[-1])
+    order.reverse()
+    place = np.argsort(order)
+    first = np.array([min(place[near[c]].min(initial=k), place[c]) for c in order])
+    return Elimination(np.array(order, np.int32), first.astype(np.int32), int(6 * (np.arange(k) - first + 1).max()))
+
+
+def _levels(near: list[np.ndarray], degree: np.ndarray, begin: int) -> list[int]:
+    """The clusters that are connected with ``begin``, in the order of a breadth-first search."""
+    order, seen = [begin], {begin}
+    for cluster in order:
+        new = [int(other) for other in near[cluster] if int(other) not in seen]
+        order += sorted(new, key=lambda other: (degree[other], other))
+        seen.update(new)
+    return order
 
 
 def _weakening(vertices: np.ndarray, cluster: np.ndarray, ends: np.ndarray, seam: np.ndarray) -> float:

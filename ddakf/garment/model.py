@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array
-from scipy.sparse.csgraph import dijkstra
-from scipy.spatial.distance import cdist
 
 from ddakf.config import Config, Discretisation
-from ddakf.garment import clusters, decimation
+from ddakf.garment import clusters, geodesic
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, self_collision, shear, strain, stretch
-from ddakf.types import Coarser, Model
+from ddakf.types import Model
 
 
 def build(mesh: Mesh, config: Config | None = None) -> Model:
@@ -30,13 +27,12 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     vertex_area = np.bincount(mesh.faces.ravel(), np.repeat(area, 3), mesh.n_vertices)
-    graph = _graph(edges, mesh)
+    graph = geodesic.graph_of(mesh.edges, np.linalg.norm(np.subtract(*mesh.vertices[mesh.edges.T]), axis=1), mesh.n_vertices)
     distance = _distances(graph, mesh, pieces)
     cluster = distance.argmin(axis=0).astype(np.int32)
     patch = distance[: pieces.patches].argmin(axis=0).astype(np.int32)
     aggregates = min(pieces.aggregates, max(1, mesh.n_vertices // pieces.aggregate_vertices))
     aggregate = distance[:aggregates].argmin(axis=0).astype(np.int32)
-    decimated = decimation.decimate(mesh, graph, distance[0], pieces.level_vertices)
     contact = collision.build(mesh, config.physics.thickness)
     rest_edge = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]
     return Model(
@@ -65,7 +61,6 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         bend=bend.build(mesh, config.physics.bend_height),
         collision=contact,
         layers=self_collision.build(mesh, contact.weight, contact.thickness, config.physics),
-        coarser=None if decimated is None else Coarser(build(decimated.mesh, config), *decimated[1:]),
     )
 
 
@@ -75,14 +70,7 @@ def crossings(edges: np.ndarray, patch: np.ndarray) -> np.ndarray:
     return np.column_stack([entry, patch[edges[entry]]]).astype(np.int32)
 
 
-def _graph(edges: np.ndarray, mesh: Mesh) -> csr_array:
-    """(V, V) lengths of the edges, metres."""
-    ends = mesh.vertices[edges]
-    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
-    return coo_array((length, (edges[:, 0], edges[:, 1])), (mesh.n_vertices, mesh.n_vertices)).tocsr()
-
-
-def _distances(graph: csr_array, mesh: Mesh, config: Discretisation) -> np.ndarray:
+def _distances(graph: geodesic.Graph, mesh: Mesh, config: Discretisation) -> np.ndarray:
     """(K, V) along the surface from each of K seeds, metres.
 
     The first seed is the vertex farthest from the middle, each later one the vertex farthest from the seeds before it. In a
@@ -90,12 +78,12 @@ def _distances(graph: csr_array, mesh: Mesh, config: Discretisation) -> np.ndarr
     """
     n = mesh.n_vertices
     away = np.square(mesh.vertices - mesh.vertices.mean(axis=0)).sum(axis=1)
-    nearest, distances = np.full(n, np.inf), [dijkstra(graph, indices=int(np.argmax(away)))]
-    np.minimum(nearest, distances[-1], out=nearest)
-    for _ in range(min(config.clusters, max(1, n // config.cluster_vertices)) - 1):
-        distances.append(dijkstra(graph, indices=int(np.argmax(nearest))))
-        np.minimum(nearest, distances[-1], out=nearest)
-    return np.array(distances)
+    distance = np.empty((min(config.clusters, max(1, n // config.cluster_vertices)), n))
+    nearest = np.full(n, np.inf)
+    for k in range(len(distance)):
+        distance[k], _ = geodesic.distances(graph, [int(np.argmax(nearest if k else away))])
+        np.minimum(nearest, distance[k], out=nearest)
+    return distance
 
 
 def _boundary(mesh: Mesh) -> np.ndarray:
@@ -115,4 +103,5 @@ def _likeness(vertices: np.ndarray, patch: np.ndarray, length: float) -> np.ndar
     """(L, L) float32 correlation of the motion of patches, of a correlation length in metres."""
     size = np.bincount(patch)
     centre = np.column_stack([np.bincount(patch, vertices[:, a]) for a in range(3)]) / size[:, None]
-    return np.exp(-0.5 * cdist(centre, centre, "sqeuclidean") / length**2).astype(np.float32)
+    squared = np.square(centre[:, None] - centre[None]).sum(axis=2)
+    return np.exp(-0.5 * squared / length**2).astype(np.float32)

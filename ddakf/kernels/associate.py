@@ -16,6 +16,10 @@ NONE = np.int32(2**31 - 1)
 TOO_FAR = np.float32(1e30)  # m^2
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: place of the last search of a vertex that was never searched for
+NO_SURFEL, PAST_THE_END = -1.0, -2.0  # distance of a vertex without a measurement, by reason
+# Surfels after which no farther cells are searched. A vertex of an ordinary cloud finds its plane among a few hundred; of a clump
+# whose normals agree with none it would search all.
+MOST_SEEN = 4096
 
 
 class PlaneSearch(NamedTuple):
@@ -34,7 +38,7 @@ class FoundPlanes(NamedTuple):
 
     target: np.ndarray  # (V, 3) m, blended surface point
     normal: np.ndarray  # (V, 3) unit, on the side of the vertex normal
-    distance: np.ndarray  # (V,) m to the nearest surfel, the difference of the normals included; negative: no measurement
+    distance: np.ndarray  # (V,) m to the nearest surfel, the difference of the normals included; NO_SURFEL, PAST_THE_END
     searched_at: np.ndarray  # (V, 3) m, position at the last search; FAR_AWAY before the first
 
 
@@ -203,7 +207,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
     bits = squared.view(np.int32)
     for v in range(position.shape[0]):
         if not eligible[v]:
-            distance[v] = -1.0
+            distance[v] = NO_SURFEL
             searched_at[v, 0] = FAR_AWAY
             continue
         moved = 0.0
@@ -213,7 +217,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
             continue
         for a in range(3):
             searched_at[v, a] = position[v, a]
-        distance[v] = -1.0
+        distance[v] = NO_SURFEL
         px = np.float32(position[v, 0] - origin[0])
         py = np.float32(position[v, 1] - origin[1])
         pz = np.float32(position[v, 2] - origin[2])
@@ -223,7 +227,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
             px - ix * cell, (ix + 1) * cell - px, py - iy * cell, (iy + 1) * cell - py, pz - iz * cell, (iz + 1) * cell - pz
         )
         vertex = px, py, pz, ax, ay, az
-        found, n = 0, np.uint64(0)
+        found, n, seen = 0, np.uint64(0), np.uint64(0)
         for ring in range(1, reach + 1):
             for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
                 for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
@@ -237,6 +241,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
                         if z0 > z1 or z0 < 0 or z1 >= nz:
                             continue
                         k, end = np.uint64(start[row + z0]), np.uint64(start[row + z1 + 1])
+                        seen += end - k
                         while k < end:  # surfels read past the end are overwritten by the next ones
                             if k + np.uint64(LANES) <= size:
                                 append_candidates(surfels, k, vertex, metric, squared, index, n)
@@ -253,6 +258,8 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
                 break
             # one surfel well inside the searched ball is enough: the others only smooth
             if found > 0 and squared[0] <= 0.25 * searched * searched:
+                break
+            if seen > np.uint64(MOST_SEEN):
                 break
         if found == 0:
             continue
@@ -275,6 +282,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
         dx, dy, dz = tx / sw - px, ty / sw - py, tz / sw - pz
         along = (mx * dx + my * dy + mz * dz) / length
         if dx * dx + dy * dy + dz * dz - along * along > beside * beside:
+            distance[v] = PAST_THE_END
             continue
         distance[v] = sqrt(squared[0])
         target[v, 0] = tx / sw + origin[0]

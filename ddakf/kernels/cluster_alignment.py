@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from ddakf.kernels import FAST
+
 
 class ClusterFrames(NamedTuple):
     """K clusters of V vertices."""
@@ -37,6 +39,14 @@ class SeamStiffness(NamedTuple):
     weakening: float  # factor on the weights of local rigidity
     stretch: float  # 1/m^2
     strain_scale: float  # strain beyond which it counts as an error of the model
+
+
+class Elimination(NamedTuple):
+    """Order in which the clusters' unknowns are eliminated, so that clusters with a seam are near each other."""
+
+    order: np.ndarray  # (K,) int32, the clusters
+    first: np.ndarray  # (K,) int32, by place in the order: the first place whose cluster has a seam with this one
+    width: int  # unknowns in the longest row of the factor
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -269,3 +279,103 @@ def move(position, nearest, share, center, motion, limit, moved):
         total += (x - position[i, 0]) ** 2 + (y - position[i, 1]) ** 2 + (z - position[i, 2]) ** 2
         moved[i, 0], moved[i, 1], moved[i, 2] = x, y, z
     return sqrt(total / max(position.shape[0], 1))
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def factorise(A, elimination, ridge, factor):
+    """Cholesky factor L L' of A + ridge I, in float32, of its envelope alone. Returns whether all pivots were positive.
+
+    A cluster has seams with a few others, and in the order of elimination a row of L begins at the first of them.
+
+    Args:
+        A: (6K, 6K) lower triangle.
+        elimination: :class:`Elimination`.
+        ridge: added to the diagonal.
+        factor: (6K, W) float32 out; row i of L from column 6 first[i // 6] on.
+    """
+    order, first, _ = elimination
+    for p in range(order.shape[0]):
+        begin = 6 * first[p]
+        for q in range(first[p], p + 1):
+            high, low = max(order[p], order[q]), min(order[p], order[q])
+            for a in range(6):
+                for b in range(6 if q < p else a + 1):
+                    c, d = (a, b) if order[p] == high else (b, a)
+                    factor[6 * p + a, 6 * q + b - begin] = A[6 * high + c, 6 * low + d]
+    for i in range(A.shape[0]):
+        begin = 6 * first[i // 6]
+        row = factor[i]
+        for q in range(first[i // 6], i // 6):
+            eliminate(row, begin, factor[6 * q : 6 * q + 6], 6 * first[q], 6 * q)
+        for j in range(6 * (i // 6), i):
+            row[j - begin] = factor[j, j - begin] * (row[j - begin] - inner(row, 0, factor[j], 0, j - begin))
+        pivot = row[i - begin] + np.float32(ridge) - inner(row, 0, row, 0, i - begin)
+        if not 0.0 < pivot < np.inf:
+            return False
+        row[i - begin] = np.float32(1.0) / sqrt(pivot)  # the inverse of the diagonal, which is all that is needed of it
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def eliminate(row, begin, others, other_begin, at):
+    """Entries ``at`` to ``at`` + 5 of a row of L, from the six rows of L that end there.
+
+    Args:
+        row, begin: (W,) the row, in and out, and its first column.
+        others, other_begin: (6, W) the rows of the cluster ``at`` // 6, and their first column.
+        at: column.
+    """
+    common = max(begin, other_begin)
+    i, j, n = common - begin, common - other_begin, at - common
+    a = b = c = d = e = f = np.float32(0.0)
+    for m in range(n):
+        value = row[i + m]
+        a += value * others[0, j + m]
+        b += value * others[1, j + m]
+        c += value * others[2, j + m]
+        d += value * others[3, j + m]
+        e += value * others[4, j + m]
+        f += value * others[5, j + m]
+    i, j = at - begin, at - other_begin
+    a = (row[i] - a) * others[0, j]
+    b = (row[i + 1] - b - a * others[1, j]) * others[1, j + 1]
+    c = (row[i + 2] - c - a * others[2, j] - b * others[2, j + 1]) * others[2, j + 2]
+    d = (row[i + 3] - d - a * others[3, j] - b * others[3, j + 1] - c * others[3, j + 2]) * others[3, j + 3]
+    row[i], row[i + 1], row[i + 2], row[i + 3] = a, b, c, d
+    e = row[i + 4] - e - inner(row, i, others[4], j, 4)
+    row[i + 4] = e * others[4, j + 4]
+    f = row[i + 5] - f - inner(row, i, others[5], j, 5)
+    row[i + 5] = f * others[5, j + 5]
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def inner(a, i, b, j, n):
+    """Sum of a[i + m] b[j + m] over n entries."""
+    total = np.float32(0.0)
+    for m in range(n):
+        total += a[i + m] * b[j + m]
+    return total
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def substitute(factor, elimination, b, x):
+    """Solves L L' x = b by forward and backward substitution.
+
+    Args:
+        factor, elimination: of :func:`factorise`.
+        b: (6K,).
+        x: (6K,) out.
+    """
+    order, first, _ = elimination
+    n = len(b)
+    y = np.empty(n, np.float32)
+    for i in range(n):
+        begin = 6 * first[i // 6]
+        total = np.float32(b[6 * order[i // 6] + i % 6]) - inner(factor[i], 0, y, begin, i - begin)
+        y[i] = total * factor[i, i - begin]
+    for i in range(n - 1, -1, -1):
+        begin = 6 * first[i // 6]
+        y[i] *= factor[i, i - begin]
+        for j in range(begin, i):
+            y[j] -= factor[i, j - begin] * y[i]
+        x[6 * order[i // 6] + i % 6] = y[i]

@@ -10,6 +10,7 @@ NOWHERE = -1e30  # m
 LEAST_POINTS = 4  # in the tube
 BEYOND = 1.0  # mean distances between the tube's points, by which the cloth extends past the second last of them
 GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
+MOST_SEEN = 16_384  # points around a vertex that are looked at; of more, an even sample is
 
 
 class Tube(NamedTuple):
@@ -76,10 +77,18 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
         z0, z1 = max(int((pz - radius) * inverse), 0), min(int((pz + radius) * inverse), nz - 1)
         if z0 > z1:
             continue
+        total = 0
         for jx in range(x0, x1 + 1):
             for jy in range(y0, y1 + 1):
                 row = (jx * ny + jy) * nz
-                for k in range(start[row + z0], start[row + z1 + 1]):
+                total += start[row + z1 + 1] - start[row + z0]
+        every, skipped = max(1, (total + MOST_SEEN - 1) // MOST_SEEN), 0
+        for jx in range(x0, x1 + 1):
+            for jy in range(y0, y1 + 1):
+                row = (jx * ny + jy) * nz
+                begin, end = start[row + z0] + skipped, start[row + z1 + 1]
+                skipped = (begin - end) % every
+                for k in range(begin, end, every):
                     dx, dy, dz = points[0, k] - px, points[1, k] - py, points[2, k] - pz
                     a = cx * dx + cy * dy + cz * dz
                     beside, above = abs(tx * dx + ty * dy + tz * dz), abs(ax * dx + ay * dy + az * dz)

@@ -183,8 +183,27 @@ def remove(start, removed, points, index, new_start, new_points, new_index):
         new_start[c] = n
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def mark_surplus(start, most, surplus):
+    """Marks the points by which a cell is too full, evenly spread over the cell's points. Returns the number of the others.
+
+    Args:
+        start: of :class:`Grid`.
+        most: points of a cell that stay.
+        surplus: (M,) bool out, of the sorted points.
+    """
+    left = 0
+    for c in range(start.shape[0] - 2):
+        first, n = start[c], start[c + 1] - start[c]
+        stays = min(n, most)
+        for k in range(n):
+            surplus[first + k] = (k + 1) * stays // n == k * stays // n
+        left += stays
+    return left
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
-def fit_planes(points, grid, radius, stride, surfels):
+def fit_planes(points, grid, radius, stride, most, surfels):
     """Fits a plane to the neighbours of every ``stride``-th point: the point moved onto it, and its unit normal.
 
     Neighbours weigh (1 - d^2 / radius^2)^2. Where they do not span a plane the normal is zero. All sums are in float32, of
@@ -195,6 +214,7 @@ def fit_planes(points, grid, radius, stride, surfels):
         grid: :class:`Grid` of the points.
         radius: metres, at most one cell.
         stride: of the sorted points, so that each cell has its share of the planes.
+        most: points of the 27 cells around that are neighbours; of more, an even sample is.
         surfels: (6, ceil(M / stride)) float32 out: projected point, normal.
     """
     start, _, cell, dims = grid
@@ -204,7 +224,7 @@ def fit_planes(points, grid, radius, stride, surfels):
     zero, one = np.float32(0.0), np.float32(1.0)
     nx, ny, nz = dims[0], dims[1], dims[2]
     X, Y, Z = points[0], points[1], points[2]
-    near, moments = np.empty((3, points.shape[1] + LANES), np.float32), np.empty(10 * BLOCK, np.float32)
+    near, moments = np.empty((3, min(most, points.shape[1]) + LANES), np.float32), np.empty(10 * BLOCK, np.float32)
     AX, AY, AZ = near[0], near[1], near[2]
     here, padded = -1, 0
     for first in range(0, surfels.shape[1], BLOCK):
@@ -220,11 +240,18 @@ def fit_planes(points, grid, radius, stride, surfels):
                 here = (ix * ny + iy) * nz + iz
                 z0 = max(iz - 1, 0)
                 z1 = min(iz + 1, nz - 1)
-                n = 0
+                total = 0
                 for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
                     for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
                         row = (jx * ny + jy) * nz
-                        for k in range(start[row + z0], start[row + z1 + 1]):
+                        total += start[row + z1 + 1] - start[row + z0]
+                every, skipped, n = max(1, (total + most - 1) // most), 0, 0
+                for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+                    for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+                        row = (jx * ny + jy) * nz
+                        begin, end = start[row + z0] + skipped, start[row + z1 + 1]
+                        skipped = (begin - end) % every
+                        for k in range(begin, end, every):
                             AX[n], AY[n], AZ[n] = X[k], Y[k], Z[k]
                             n += 1
                 padded = (n + LANES - 1) // LANES * LANES

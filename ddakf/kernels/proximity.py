@@ -1,22 +1,26 @@
-"""Closest points on a body through a tree of boxes, and signs by pseudo-normals.
+"""Nearest faces of a body through a tree of boxes.
 
 The tree has eight children per node and eight faces per leaf, side by side in memory, so that one pass of vector
 instructions tests all eight. Inner nodes are 0..G-1, leaves follow; the children of node n are 8 n + shift + lane. The
 root has 1 to 8 children, in its last lanes, which makes shift = (number of them) - 7 the same for every node.
 """
 
-from math import acos, inf, sqrt
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from ddakf.kernels.triangles import dot, edges
+
 LANES = 8
 STACK = 128  # nodes waiting in a depth-first search: at most eight per level, and 2^31 faces have eleven levels
 FAR = 1e30  # m: bound of an empty box, finite because the vectorised sums below assume that
 SLACK = 1e-6  # relative, its cube in m^2: more than the rounding of any squared distance
-SURFACE = 1e-7  # m: closer than this, the direction to the closest point is rounding noise
-FEATURE = 1e-9  # barycentric coordinate below which the closest point lies on an edge or a corner
+# Bounds of a search in a folded body, where all faces are equally near: it ends with the nearest so far. In a true body a search
+# visits up to 70 nodes.
+MOST_NODES = 256  # visited for a point
+MOST_SHARED = 1024  # leaves that the points of a hint share; with more, each point searches on its own
 
 
 class BodyTree(NamedTuple):
@@ -27,48 +31,6 @@ class BodyTree(NamedTuple):
     leaf_start: np.ndarray  # (L + 1,) int32, first face of each leaf
     leaf_of: np.ndarray  # (F,) int32, leaf of each face
     shift: int  # the children of node n are 8 n + shift + 0..7
-
-
-class BodyFaces(NamedTuple):
-    """The faces of a body in the pose of one frame, and their adjacency."""
-
-    vertices: np.ndarray  # (B, 3) m
-    faces: np.ndarray  # (F, 3) int32, in leaf order
-    neighbour: np.ndarray  # (F, 3) int32, the face across the edge from corner c to c + 1; -1 at a boundary
-    ring_start: np.ndarray  # (B + 1,) int32
-    ring_face: np.ndarray  # (3 F,) int32, the faces around vertex i are ring_face[ring_start[i]:ring_start[i + 1]]
-
-
-class Contact(NamedTuple):
-    """Closest points of N points on a body. With none within the radius: face -1, distance infinite, the rest 0."""
-
-    face: np.ndarray  # (N,) int32, in leaf order
-    barycentric: np.ndarray  # (N, 3)
-    point: np.ndarray  # (N, 3) m, on the body
-    normal: np.ndarray  # (N, 3) unit, outward: the gradient of the signed distance
-    distance: np.ndarray  # (N,) m, negative inside
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def edges(vertices, faces, f):
-    """Corner 0 of a face and the edges from it to corners 1 and 2."""
-    i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-    a = vertices[i, 0], vertices[i, 1], vertices[i, 2]
-    b = vertices[j, 0] - a[0], vertices[j, 1] - a[1], vertices[j, 2] - a[2]
-    c = vertices[k, 0] - a[0], vertices[k, 1] - a[1], vertices[k, 2] - a[2]
-    return a, b, c
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def dot(a, b):
-    """Scalar product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def cross(a, b):
-    """Vector product of two vectors."""
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -176,30 +138,6 @@ def keep_nearer(candidate, leaf, squared, nearest_leaf):
         nearest_leaf[s] = leaf if better else nearest_leaf[s]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def closest_on_triangle(p, b, c):
-    """Coordinates (v, w) on edges b and c of the point closest to p, relative to corner 0 (Ericson 2005, 5.1.5)."""
-    bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
-    d1, d2 = dot(b, p), dot(c, p)
-    d3, d4, d5, d6 = d1 - bb, d2 - bc, d1 - bc, d2 - cc
-    va, vb, vc = d3 * d6 - d5 * d4, d5 * d2 - d1 * d6, d1 * d4 - d3 * d2
-    if d1 <= 0.0 and d2 <= 0.0:
-        return 0.0, 0.0
-    if d3 >= 0.0 and d4 <= d3:
-        return 1.0, 0.0
-    if d6 >= 0.0 and d5 <= d6:
-        return 0.0, 1.0
-    if vc <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and bb > 0.0:
-        return d1 / bb, 0.0
-    if vb <= 0.0 and d2 >= 0.0 and d6 <= 0.0:
-        return 0.0, d2 / cc
-    if va <= 0.0 and d4 - d3 >= 0.0 and d5 - d6 >= 0.0:
-        w = (d4 - d3) / ((d4 - d3) + (d5 - d6))
-        return 1.0 - w, w
-    total = max(va + vb + vc, 1e-300)  # zero only by rounding, on a face without area; any point of it will do then
-    return min(vb / total, 1.0), min(vc / total, 1.0)
-
-
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def distances_between_boxes(boxes, node, lower, upper, squared):
     """squared (8,) out, m^2: squared distances from a box to those of a node's children, 0 where they meet.
@@ -245,7 +183,7 @@ def search_leaf(triangles, leaf_start, leaf, point, best, best_face, squared):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def search_tree(triangles, boxes, leaf_start, shift, point, radius, start, workspace):
-    """The nearest face to a point, -1 where none is within the radius.
+    """The nearest face to a point, -1 where none is within the radius; after MOST_NODES the nearest so far.
 
     Args:
         triangles, boxes, leaf_start, shift: of :class:`BodyTree`.
@@ -257,16 +195,17 @@ def search_tree(triangles, boxes, leaf_start, shift, point, radius, start, works
     nodes, lower, squared = workspace
     n_inner = boxes.shape[0]
     best, best_face = radius * radius, -1
-    top = 0
+    top = visited = 0
     nodes[0], lower[0] = 0, 0.0
     if start >= 0:  # a good bound first: it is on the stack above the root
         top = 1
         nodes[1], lower[1] = n_inner + start, -1.0
-    while top >= 0:
+    while top >= 0 and visited < MOST_NODES:
         node, bound = nodes[top], lower[top]
         top -= 1
         if bound > search_limit(best):
             continue
+        visited += 1
         if node >= n_inner:
             leaf = node - n_inner
             if leaf != start or bound < 0.0:  # else the first leaf again
@@ -288,7 +227,7 @@ def search_tree(triangles, boxes, leaf_start, shift, point, radius, start, works
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def list_leaves(boxes, shift, box, reach, nodes, squared, leaf, leaf_box):
-    """Lists the leaves whose boxes are near a given box. Returns their number.
+    """Lists the leaves whose boxes are near a given box. Returns their number, or one above MOST_SHARED.
 
     Args:
         boxes, shift: of :class:`BodyTree`.
@@ -301,7 +240,7 @@ def list_leaves(boxes, shift, box, reach, nodes, squared, leaf, leaf_box):
     lower, upper = box
     n_inner, found, top = boxes.shape[0], 0, 0
     nodes[0] = 0
-    while top >= 0:
+    while top >= 0 and found <= MOST_SHARED:
         node = nodes[top]
         top -= 1
         distances_between_boxes(boxes, node, lower, upper, squared)
@@ -348,8 +287,8 @@ def sort_by_leaf(leaf_of, hint, n_leaves, first, order):
 def nearest_faces(tree, points, radius, hint, face):
     """The nearest face of every point, of equally near ones the first; -1 where none is within the radius.
 
-    A hint saves time and never changes the result: everything within rounding of the best is searched. Points whose hints
-    are in one leaf share one search of the tree for near leaves; each point then searches those leaves on its own.
+    A hint saves time and never changes the result: everything within rounding of the best is searched, up to MOST_NODES. Points
+    whose hints are in one leaf share one search of the tree for near leaves; each point then searches those leaves on its own.
 
     Args:
         tree: :class:`BodyTree`.
@@ -383,6 +322,9 @@ def nearest_faces(tree, points, radius, hint, face):
         for o in range(first[start], first[start + 1]):
             i = order[o]
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            if found > MOST_SHARED:
+                face[i] = search_tree(triangles, boxes, leaf_start, shift, (x, y, z), radius, start, (nodes, lower, squared))
+                continue
             box_distances(leaf_box, found, x, y, z, box_squared)
             n_chosen, limit = 0, search_limit(best[i])
             for k in range(found):
@@ -401,128 +343,3 @@ def nearest_faces(tree, points, radius, hint, face):
         point = points[i, 0], points[i, 1], points[i, 2]
         face[i] = search_tree(triangles, boxes, leaf_start, shift, point, radius, previous, (nodes, lower, squared))
         previous = leaf_of[face[i]] if face[i] >= 0 else previous
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def face_normal(vertices, faces, f):
-    """Unit normal of a face, zero where it has no area."""
-    _, b, c = edges(vertices, faces, f)
-    n = cross(b, c)
-    length = sqrt(dot(n, n))
-    scale = 1.0 / length if length > 0.0 else 0.0
-    return n[0] * scale, n[1] * scale, n[2] * scale
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def corner_angle(vertices, i, j, k):
-    """Angle at vertex i of the face i, j, k; 0 where an edge has no length."""
-    b = vertices[j, 0] - vertices[i, 0], vertices[j, 1] - vertices[i, 1], vertices[j, 2] - vertices[i, 2]
-    c = vertices[k, 0] - vertices[i, 0], vertices[k, 1] - vertices[i, 1], vertices[k, 2] - vertices[i, 2]
-    lengths = sqrt(dot(b, b) * dot(c, c))
-    return acos(min(1.0, max(-1.0, dot(b, c) / lengths))) if lengths > 0.0 else 0.0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, barycentric):
-    """Normal at a point of a face, of any length: the face's, both faces' at an edge, by angle around a corner.
-
-    Args:
-        vertices, faces, neighbour, ring_start, ring_face: of :class:`BodyFaces`.
-        f: the face.
-        barycentric: (u, v, w) of the point.
-    """
-    u, v, w = barycentric
-    on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
-    x, y, z = face_normal(vertices, faces, f)
-    if on_edges == 1:
-        other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
-        if other >= 0:
-            ox, oy, oz = face_normal(vertices, faces, other)
-            x, y, z = x + ox, y + oy, z + oz
-    elif on_edges == 2:
-        corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
-        x = y = z = 0.0
-        for r in range(ring_start[corner], ring_start[corner + 1]):
-            g = ring_face[r]
-            s = 0 if faces[g, 0] == corner else (1 if faces[g, 1] == corner else 2)
-            angle = corner_angle(vertices, corner, faces[g, (s + 1) % 3], faces[g, (s + 2) % 3])
-            gx, gy, gz = face_normal(vertices, faces, g)
-            x, y, z = x + angle * gx, y + angle * gy, z + angle * gz
-    return x, y, z
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def side_of_face(vertices, faces, f, d):
-    """1 where the vector d points to the outside of a face, 0 where it lies in the face's plane, -1 to the inside."""
-    _, b, c = edges(vertices, faces, f)
-    along = dot(cross(b, c), d)
-    return (1 if along > 0.0 else 0) - (1 if along < 0.0 else 0)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def outside(vertices, faces, neighbour, ring_start, ring_face, f, barycentric, d):
-    """Whether the offset d from a point of a face does not point against the pseudo-normal there.
-
-    Where all faces around the point agree, so does any positive combination of their normals. Roots and angles are needed only
-    within the fold of a crease.
-
-    Args:
-        vertices, faces, neighbour, ring_start, ring_face: of :class:`BodyFaces`.
-        f: the face.
-        barycentric: (u, v, w) of the point.
-        d: (dx, dy, dz) metres.
-    """
-    u, v, w = barycentric
-    on_edges = (1 if u <= FEATURE else 0) + (1 if v <= FEATURE else 0) + (1 if w <= FEATURE else 0)
-    least = most = side_of_face(vertices, faces, f, d)
-    if on_edges == 1:
-        other = neighbour[f, 1 if u <= FEATURE else (2 if v <= FEATURE else 0)]
-        if other >= 0:
-            side = side_of_face(vertices, faces, other, d)
-            least, most = min(least, side), max(most, side)
-    elif on_edges == 2:
-        corner = faces[f, 0 if u > FEATURE else (1 if v > FEATURE else 2)]
-        for r in range(ring_start[corner], ring_start[corner + 1]):
-            side = side_of_face(vertices, faces, ring_face[r], d)
-            least, most = min(least, side), max(most, side)
-    if least < 0 < most:
-        return dot(pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, barycentric), d) >= 0.0
-    return least >= 0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def contacts(body, points, contact):
-    """Closest point of every point on its face, and its signed distance from the body.
-
-    Args:
-        body: :class:`BodyFaces`.
-        points: (N, 3) metres.
-        contact: :class:`Contact` of N points, its faces in, the rest out.
-    """
-    vertices, faces, neighbour, ring_start, ring_face = body
-    face, barycentric, point, normal, distance = contact
-    for i in range(points.shape[0]):
-        f = face[i]
-        if f < 0:
-            for a in range(3):
-                barycentric[i, a] = point[i, a] = normal[i, a] = 0.0
-            distance[i] = inf
-            continue
-        p, b, c = edges(vertices, faces, f)
-        ax, ay, az = points[i, 0] - p[0], points[i, 1] - p[1], points[i, 2] - p[2]
-        v, w = closest_on_triangle((ax, ay, az), b, c)
-        u = 1.0 - v - w
-        barycentric[i, 0], barycentric[i, 1], barycentric[i, 2] = u, v, w
-        dx, dy, dz = ax - v * b[0] - w * c[0], ay - v * b[1] - w * c[1], az - v * b[2] - w * c[2]
-        length = sqrt(dx * dx + dy * dy + dz * dz)
-        inside = not outside(vertices, faces, neighbour, ring_start, ring_face, f, (u, v, w), (dx, dy, dz))
-        sign = -1.0 if inside else 1.0
-        point[i, 0], point[i, 1], point[i, 2] = points[i, 0] - dx, points[i, 1] - dy, points[i, 2] - dz
-        distance[i] = sign * length
-        if length > SURFACE:
-            x, y, z, scale = dx, dy, dz, sign / length
-        else:
-            x, y, z = pseudo_normal(vertices, faces, neighbour, ring_start, ring_face, f, (u, v, w))
-            norm = sqrt(x * x + y * y + z * z)
-            scale = 1.0 / norm if norm > 0.0 else 0.0
-        normal[i, 0], normal[i, 1], normal[i, 2] = x * scale, y * scale, z * scale

@@ -5,6 +5,7 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+from ddakf.kernels.skin_removal import cell_along
 from ddakf.kernels.symmetric import along
 
 
@@ -16,7 +17,7 @@ def nearest_vertices(points, position, index, grid, reach, nearest, distance):
         points: (N, 3) metres.
         position: (V, 3) metres.
         index: (V,) int32 vertices sorted by cell.
-        grid: ``Grid`` of the vertices.
+        grid: ``Grid`` of the vertices; its cells at the rim extend without end.
         reach: metres.
         nearest: (N,) int32 out, -1 where none is within the reach.
         distance: (N,) out, metres; infinite there.
@@ -27,13 +28,11 @@ def nearest_vertices(points, position, index, grid, reach, nearest, distance):
     for k in range(points.shape[0]):
         px, py, pz = np.float64(points[k, 0]), np.float64(points[k, 1]), np.float64(points[k, 2])
         fx, fy, fz = (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell
-        ix, iy, iz = int(np.floor(fx)), int(np.floor(fy)), int(np.floor(fz))
-        margin = cell * min(fx - ix, ix + 1 - fx, fy - iy, iy + 1 - fy, fz - iz, iz + 1 - fz)
+        ix, iy, iz = cell_along(fx, 1.0, nx), cell_along(fy, 1.0, ny), cell_along(fz, 1.0, nz)
+        margin = cell * max(min(fx - ix, ix + 1 - fx, fy - iy, iy + 1 - fy, fz - iz, iz + 1 - fz), 0.0)
         best, winner = reach * reach, -1
         for ring in range(1, rings + 1):
             z0, z1 = max(iz - ring, 0), min(iz + ring, nz - 1)
-            if z0 > z1:
-                continue
             for jx in range(max(ix - ring, 0), min(ix + ring + 1, nx)):
                 for jy in range(max(iy - ring, 0), min(iy + ring + 1, ny)):
                     row = (jx * ny + jy) * nz

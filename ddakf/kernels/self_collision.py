@@ -4,6 +4,7 @@ import numpy as np
 from numba import njit
 
 MOST_CELLS = 64  # per axis: bounds the grid where a vertex strays
+MOST_SEEN = 1024  # vertices in the 27 cells around that are looked at; of more, an even sample is
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -21,6 +22,20 @@ def cell_of(position, i, low, cell, dims):
     y = min(dims[1] - 1, int((position[i, 1] - low[1]) / cell))
     z = min(dims[2] - 1, int((position[i, 2] - low[2]) / cell))
     return x, y, z
+
+
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def row_of(start, row, z, cells, n):
+    """First and last entry of the cells z - 1 to z + 1 in a row of cells.
+
+    Args:
+        start: of the cells, where cell k begins at start[k + 1].
+        row: first cell of the row.
+        z, cells: cell in the row, and their number.
+        n: of all entries.
+    """
+    last = row + min(cells, z + 2) - 1
+    return start[row + max(0, z - 1) + 1], start[last + 2] if last + 2 < start.shape[0] else n
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -61,12 +76,16 @@ def find_opposite(position, normal, rest, reach, rest_distance, partner, side):
         partner[i], side[i] = -1, 0.0
         best = reach * reach
         x, y, z = cell_of(position, i, low, cell, dims)
+        total = 0
         for cx in range(max(0, x - 1), min(dims[0], x + 2)):
             for cy in range(max(0, y - 1), min(dims[1], y + 2)):
-                first = (cx * dims[1] + cy) * dims[2] + max(0, z - 1)
-                last = (cx * dims[1] + cy) * dims[2] + min(dims[2], z + 2) - 1
-                end = start[last + 2] if last + 2 < start.shape[0] else n
-                for o in range(start[first + 1], end):
+                first, end = row_of(start, (cx * dims[1] + cy) * dims[2], z, dims[2], n)
+                total += end - first
+        every = total // MOST_SEEN + 1
+        for cx in range(max(0, x - 1), min(dims[0], x + 2)):
+            for cy in range(max(0, y - 1), min(dims[1], y + 2)):
+                first, end = row_of(start, (cx * dims[1] + cy) * dims[2], z, dims[2], n)
+                for o in range(first, end, every):
                     j = order[o]
                     dx, dy, dz = position[i, 0] - position[j, 0], position[i, 1] - position[j, 1], position[i, 2] - position[j, 2]
                     squared = dx * dx + dy * dy + dz * dz

@@ -4,6 +4,12 @@ import numpy as np
 from numba import njit
 
 
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def cell_along(x, inverse, n):
+    """Cell of a coordinate x along an axis of n cells, 1 / ``inverse`` metres wide; the outermost extend without end."""
+    return int(np.floor(min(max(x * inverse, 0.0), n - 1.0)))
+
+
 @njit(nogil=True, cache=True, error_model="numpy")
 def any_near(vertices, first, last, x, y, z, squared):
     """Whether one of the vertices first..last - 1 of (3, V), metres, is nearer to (x, y, z) than the ``squared`` radius, m^2."""
@@ -20,27 +26,28 @@ def far_from_vertices(points, vertices, grid, radius, far):
     Args:
         points: (N, 3) metres.
         vertices: (3, V) float32 sorted by cell, relative to the grid's origin, metres.
-        grid: ``Grid`` of the vertices; its cells are at least ``radius`` wide.
+        grid: ``Grid`` of the vertices; its cells are at least ``radius`` wide, those at the rim extend without end.
         radius: metres.
         far: (N,) bool out.
     """
     start, origin, cell, dims = grid
     inverse, squared = 1.0 / cell, radius * radius
     nx, ny, nz = dims[0], dims[1], dims[2]
+    low, high = np.full(3, np.inf), np.full(3, -np.inf)
+    for k in range(vertices.shape[1]):
+        for a in range(3):
+            low[a], high[a] = min(low[a], vertices[a, k] - radius), max(high[a], vertices[a, k] + radius)
     for n in range(points.shape[0]):
         far[n] = True
         x, y, z = points[n, 0] - origin[0], points[n, 1] - origin[1], points[n, 2] - origin[2]
-        if min(x, y, z) < -radius or x > nx * cell + radius or y > ny * cell + radius or z > nz * cell + radius:
+        if not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
             continue
-        ix, iy, iz = int(np.floor(x * inverse)), int(np.floor(y * inverse)), int(np.floor(z * inverse))
-        if 0 <= ix < nx and 0 <= iy < ny and 0 <= iz < nz:  # most points have a vertex in their own cell
-            c = (ix * ny + iy) * nz + iz
-            if any_near(vertices, start[c], start[c + 1], x, y, z, squared):
-                far[n] = False
-                continue
-        z0, z1 = max(int(np.floor((z - radius) * inverse)), 0), min(int(np.floor((z + radius) * inverse)), nz - 1)
-        if z0 > z1:
+        ix, iy, iz = cell_along(x, inverse, nx), cell_along(y, inverse, ny), cell_along(z, inverse, nz)
+        c = (ix * ny + iy) * nz + iz  # most points have a vertex in their own cell
+        if any_near(vertices, start[c], start[c + 1], x, y, z, squared):
+            far[n] = False
             continue
+        z0, z1 = cell_along(z - radius, inverse, nz), cell_along(z + radius, inverse, nz)
         for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
             for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
                 row = (jx * ny + jy) * nz

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ddakf.kernels.proximity import cross, dot, edges
+from ddakf.kernels.triangles import cross, dot, edges
 
 FACE_AREA = 1e-12  # m^2 of double area, weight of the identity: a degenerate face's rotation counts for nothing against it
 

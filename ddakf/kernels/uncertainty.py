@@ -7,6 +7,8 @@ from numba import njit
 
 from ddakf.kernels.symmetric import invert3
 
+LEAST = 1e-14  # m^2: variances are at least this
+
 
 class MeasuredPlanes(NamedTuple):
     """Measurements of V vertices."""
@@ -125,7 +127,7 @@ def error_transition(inverse, information, F):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def vertex_covariances(shared, bend, patch, planes, scale2, covariance):
+def vertex_covariances(shared, bend, patch, planes, covariance):
     """Covariance of each vertex: that of its patch, conditioned on the vertex's own measurement.
 
     A plane is known along its normal to its variance and, where the patch may slide, to the turn of the normal within the patch:
@@ -136,14 +138,13 @@ def vertex_covariances(shared, bend, patch, planes, scale2, covariance):
         bend: (L,) mean squared difference of two normals of a patch.
         patch: (V,) int32 in [0, L).
         planes: :class:`MeasuredPlanes`.
-        scale2: (V,) factor on the result.
         covariance: (V, 3, 3) m^2, out.
     """
     weight, normal, variance, isotropic = planes
     for i in range(patch.shape[0]):
         P = shared[patch[i]]
         a, b, c, d, e, f = P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2]
-        w, k = weight[i], scale2[i]
+        w = weight[i]
         if w > 0.0 and not isotropic:
             x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
             gx, gy, gz = a * x + d * y + e * z, d * x + b * y + f * z, e * x + f * y + c * z
@@ -155,10 +156,41 @@ def vertex_covariances(shared, bend, patch, planes, scale2, covariance):
             added = w / variance[i]
             a, b, c, d, e, f = invert3(a, b, c, d, e, f)
             a, b, c, d, e, f = invert3(a + added, b + added, c + added, d, e, f)
-        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = k * a, k * b, k * c
-        covariance[i, 0, 1] = covariance[i, 1, 0] = k * d
-        covariance[i, 0, 2] = covariance[i, 2, 0] = k * e
-        covariance[i, 1, 2] = covariance[i, 2, 1] = k * f
+        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = a, b, c
+        covariance[i, 0, 1] = covariance[i, 1, 0] = d
+        covariance[i, 0, 2] = covariance[i, 2, 0] = e
+        covariance[i, 1, 2] = covariance[i, 2, 1] = f
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def resize(covariance, normal, sizes, usual, resized):
+    """Covariances with other sizes along the normals and across them: M C M with M = a n n' + b (I - n n').
+
+    A size is a standard deviation, across the normal the root mean square of two directions. It becomes factor (size /
+    usual)^power.
+
+    Args:
+        covariance: (V, 3, 3) m^2.
+        normal: (V, 3) unit.
+        sizes: factors (V,) along and across, metres, and both powers.
+        usual: metres.
+        resized: (V, 3, 3) m^2, out.
+    """
+    along, across, powers = sizes
+    for i in range(normal.shape[0]):
+        C, n = covariance[i], normal[i]
+        g0 = C[0, 0] * n[0] + C[0, 1] * n[1] + C[0, 2] * n[2]
+        g1 = C[1, 0] * n[0] + C[1, 1] * n[1] + C[1, 2] * n[2]
+        g2 = C[2, 0] * n[0] + C[2, 1] * n[1] + C[2, 2] * n[2]
+        v = max(g0 * n[0] + g1 * n[1] + g2 * n[2], LEAST)
+        t = max(0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - v), LEAST)
+        a = along[i] * (np.sqrt(v) / usual) ** powers[0] / np.sqrt(v)
+        b = across[i] * (np.sqrt(t) / usual) ** powers[1] / np.sqrt(t)
+        g = (g0, g1, g2)
+        for r in range(3):
+            for c in range(3):
+                mixed = b * (a - b) * (g[r] * n[c] + n[r] * g[c])
+                resized[i, r, c] = b * b * C[r, c] + mixed + (a - b) ** 2 * v * n[r] * n[c]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -1,1 +1,1 @@
-"""Passes before the full resolution: rigid clusters, then a pyramid of decimated meshes."""
+"""Passes before the full resolution: rigid clusters."""

@@ -10,15 +10,14 @@ from __future__ import annotations
 from itertools import islice
 
 import numpy as np
-from scipy.linalg.lapack import spotrf, spotrs
 
 from ddakf.body import contact
 from ddakf.config import PlaneAssociation
 from ddakf.kernels import cluster_alignment as kernels
 from ddakf.kernels.cluster_alignment import ClusterFrames, SampleNoise, SamplePlanes, SeamStiffness
 from ddakf.physics import rigidity
+from ddakf.planning.work import Work
 from ddakf.stages import associate, fuse, robust
-from ddakf.stages.fuse import BLAS
 from ddakf.types import Estimate, Problem, variances
 
 EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
@@ -29,7 +28,7 @@ def align(problem: Problem) -> Estimate:
     """The estimate before the first pass over all vertices: the prediction, or where the clusters went from there.
 
     Nothing is done while the prediction is good, the innovations along the normals below ``least_innovation``; and by the paper's
-    association, which has no normals.
+    association, which has no normals. A budget may leave passes out.
     """
     begun, config, clusters = fuse.begin(problem), problem.config, problem.model.clusters
     coarse, floor = config.coarse, None
@@ -39,9 +38,12 @@ def align(problem: Problem) -> Estimate:
     estimate = _measured(problem, begun, clusters.probe, gates[0])
     if not _needed(estimate, clusters.probe, coarse.least_innovation):
         return estimate  # its planes need not be sought again
+    if problem.effort.passes < 1:
+        return estimate._replace(work=Work(unaligned=True))
     if problem.body is not None and config.physics.collision > 0:
-        begun = begun._replace(contacts=contact.nearest(problem.body, begun.position))
+        begun = begun._replace(contacts=contact.followed(problem, begun.position))
         floor = contact.planes(problem.body, begun.contacts, config.physics)
+    work = Work()
     for gate in gates:
         estimate = _measured(problem, estimate, clusters.sample, gate)
         motion, center = _solve(problem, estimate, floor)
@@ -52,9 +54,11 @@ def align(problem: Problem) -> Estimate:
         for term in (estimate.rest, estimate.motion):
             rigidity.turn(term, moved, problem.model, config.physics.rotation_steps)
         estimate = estimate._replace(position=moved)
-        if step < coarse.tolerance:
+        settled = step < coarse.tolerance
+        work = Work(clusters=work.clusters + 1, unaligned=not settled and problem.effort.passes < coarse.iterations)
+        if settled:
             break
-    return begun._replace(position=estimate.position)
+    return begun._replace(position=estimate.position, work=work)
 
 
 def _measured(problem: Problem, estimate: Estimate, vertex: np.ndarray, gate: float) -> Estimate:
@@ -73,6 +77,13 @@ def _needed(estimate: Estimate, vertex: np.ndarray, least: float) -> bool:
     return len(y) > 0 and float(y @ y) > least**2 * len(y)
 
 
+def _prior_sd(problem: Problem) -> float:
+    """Standard deviation of the prediction of a vertex, metres: it misses more, the longer ago the last frame was."""
+    coarse = problem.config.coarse
+    later = coarse.prior_sd * associate.USUAL_RATE * problem.dt
+    return max(coarse.prior_sd, min(later, coarse.longest_prior_sd))
+
+
 def _solve(
     problem: Problem, estimate: Estimate, floor: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -88,7 +99,7 @@ def _solve(
     kernels.centers(position, model.cluster, center)
     stands_for = len(position) / len(clusters.sample)
     frames, planes = ClusterFrames(model.cluster, center), SamplePlanes(measurement.target, measurement.normal, weight)
-    noise = SampleNoise(variance, config.associate.tangential_sd**2, 1.0 / config.coarse.prior_sd**2, stands_for)
+    noise = SampleNoise(variance, config.associate.tangential_sd**2, 1.0 / _prior_sd(problem) ** 2, stands_for)
     kernels.add_planes(position, problem.prior.position, clusters.sample, frames, planes, noise, A, b)
     if floor is not None:
         point, normal = floor
@@ -99,8 +110,7 @@ def _solve(
     stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.stretch * physics.fabric.stretch
     stiffness = SeamStiffness(clusters.weakening, stretch, physics.strain_scale)
     kernels.add_seams(position, frames, clusters.seam, estimate.rest, estimate.motion, stiffness, A, b)
-    A[np.diag_indices(6 * k)] += RIDGE * np.trace(A) / (6 * k)
-    with BLAS.limit(limits=1, user_api="blas"):
-        factor, failed = spotrf(A.astype(np.float32), lower=1)
-        moves = np.full(6 * k, np.nan) if failed else spotrs(factor, b.astype(np.float32), lower=1)[0]
-    return moves.astype(np.float64).reshape(k, 6), center
+    moves, factor = np.full(6 * k, np.nan), np.empty((6 * k, clusters.elimination.width), np.float32)
+    if kernels.factorise(A, clusters.elimination, RIDGE * np.trace(A) / (6 * k), factor):
+        kernels.substitute(factor, clusters.elimination, b, moves)
+    return moves.reshape(k, 6), center

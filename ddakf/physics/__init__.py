@@ -5,6 +5,8 @@ fabric's stiffness k multiplies it from outside. As pseudo-measurements the cons
 1 / (lambda k w_c).
 
 Each module has ``build(mesh, ...) -> constants`` and ``linearize(positions, constants, ...) -> Linearization``.
+
+The compiled sums are imported when they are called: a program that reads the names of the fabrics needs no numba.
 """
 
 from __future__ import annotations
@@ -13,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.physics import assembly
 from ddakf.physics.fabric import Fabric
 
 __all__ = ["Fabric", "Linearization", "allocate", "diagonal_blocks", "energy", "gradient"]
@@ -36,6 +37,8 @@ def allocate(stencil: np.ndarray, weight: np.ndarray) -> Linearization:
 
 def energy(linearization: Linearization) -> float:
     """E = 1/2 sum w r^2, for unit stiffness."""
+    from ddakf.kernels import assembly
+
     return float(assembly.energy(linearization.residual, linearization.weight))
 
 
@@ -44,6 +47,8 @@ def gradient(linearization: Linearization, n_vertices: int, out: np.ndarray | No
 
     ``out`` (V, 3), where given, is added to, so that energies sum up without temporaries.
     """
+    from ddakf.kernels import assembly
+
     total = np.zeros((n_vertices, 3)) if out is None else out
     assembly.add_gradient(*linearization, total)
     return total
@@ -54,6 +59,8 @@ def diagonal_blocks(linearization: Linearization, n_vertices: int, out: np.ndarr
 
     ``out`` (V, 3, 3), where given, is added to.
     """
+    from ddakf.kernels import assembly
+
     total = np.zeros((n_vertices, 3, 3)) if out is None else out
     stencil, _, jacobian, weight = linearization
     assembly.add_diagonal_blocks(stencil, jacobian, weight, total)

@@ -8,12 +8,11 @@ strain's prior variance. That variance follows the residual strain, as stage D's
 
 from __future__ import annotations
 
-import dataclasses
 from math import exp
 
 import numpy as np
 
-from ddakf.config import Config, Physics
+from ddakf.config import Config, Physics, derived
 from ddakf.kernels import strain as kernels
 from ddakf.types import Problem
 
@@ -34,9 +33,9 @@ def adapted(strain2: float, config: Config) -> Config:
     """
     physics = config.physics
     share = min(1.0, max(physics.softest, physics.strain_sd**2 / max(strain2, 1e-12)))
-    return dataclasses.replace(
+    return derived(
         config,
-        physics=dataclasses.replace(
+        physics=derived(
             physics,
             stretch=share * physics.stretch,
             shear=share * physics.shear,

@@ -1,7 +1,7 @@
 """Rigidity: spatially correlated process noise, in which edges follow the rotation of their one-ring.
 
 Two terms of the form 1/2 sum w |x_j - x_i - (R_i + R_j)/2 s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
-with s the edges of the last posterior, and to the rest shape, with s the edges of the template.
+with s the edges of the last posterior, and to the rest shape, with s the edges of the template or of the start.
 """
 
 from __future__ import annotations
@@ -11,20 +11,44 @@ import numpy as np
 from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
-from ddakf.types import Model
+from ddakf.types import Model, Resting, Setup
 
 
-def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0) -> LocalRigidity:
-    """The term that holds the shape of the template; its rotations start from ``rotation``, which is not changed.
+def resting(position: np.ndarray, setup: Setup) -> Resting:
+    """The rest shape with which :func:`to_rest` exerts no force at (V, 3) ``position``, metres, where that is a shape of cloth.
+
+    There s = x_j - x_i. Cloth folds and hardly stretches: a ring strained by ``start_strain`` has half of its shape from the
+    template, and one that noise has strained farther nearly all.
+    """
+    model, strain_sd = setup.model, setup.config.physics.start_strain
+    row, degree = np.repeat(np.arange(len(position)), np.diff(model.start)), np.maximum(np.diff(model.start), 1)
+    edge, rotation = edges(position, model), rotations(position, model)
+    length, rest_length = (np.linalg.norm(each, axis=1) for each in (edge, model.rest_edge))
+    strain2 = np.bincount(row, np.square(length / np.maximum(rest_length, 1e-12) - 1.0), len(position)) / degree
+    share = 1.0 / (1.0 + 0.5 * (strain2[row] + strain2[model.neighbour]) / strain_sd**2)
+    turned = np.einsum("eab,eb->ea", 0.5 * (rotation[row] + rotation[model.neighbour]), model.rest_edge)
+    return Resting(position, (turned + share[:, None] * (edge - turned)).astype(np.float32), rotation)
+
+
+def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0, shape: Resting | None = None) -> LocalRigidity:
+    """The term that holds the shape of the template, or another one at rest; its rotations start from ``rotation``, unchanged.
+
+    ``rotation`` (V, 3, 3) is against the template. The term's own are against the shape at rest, see :func:`against_template`.
 
     ``share`` in [0, 1) is the part of its own strain that a one-ring follows. Where T_i = R_i the term resists strain. Where T_i
     is the ring's affine fit, it only resists differences between rings: bending, folds, and uneven strain.
     """
-    n = len(rotation)
+    n, edge = len(rotation), model.rest_edge if shape is None else shape.edge
     follow = np.empty((n if share > 0 else 0, 8), np.float32)
     if share > 0:
-        kernels.followers(model.start, model.rest_edge, share, follow)
-    return LocalRigidity(model.rest_edge, float(weight), rotation.copy(), np.empty((n, 12), np.float32), follow)
+        kernels.followers(model.start, edge, share, follow)
+    rotation = rotation.copy() if shape is None else rotation @ shape.rotation.transpose(0, 2, 1)
+    return LocalRigidity(edge, float(weight), rotation, np.empty((n, 12), np.float32), follow)
+
+
+def against_template(term: LocalRigidity, shape: Resting | None) -> np.ndarray:
+    """(V, 3, 3) rotations of :func:`to_rest` 's term against the template."""
+    return term.rotation if shape is None else term.rotation @ shape.rotation
 
 
 def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:

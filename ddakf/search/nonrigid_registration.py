@@ -46,9 +46,9 @@ class Target(NamedTuple):
         origin = np.median(points, axis=0)
         points -= origin
         chosen = _subsampled(points, config.spacing)
-        dense = points[chosen[:: -(-len(chosen) // config.dense_points)]].T.astype(np.float32)
+        dense = rows(points[chosen[:: -(-len(chosen) // config.dense_points)]])
         chosen = chosen[:: max(1, len(chosen) // config.points)]
-        sample = points[chosen].T.astype(np.float32)
+        sample = rows(points[chosen])
         normal = np.empty_like(sample)
         normals(sample, dense, config.normal_radius, normal)
         signed = np.ones(len(chosen), bool)
@@ -127,5 +127,5 @@ def register(position: np.ndarray, target: Target, model: Model, config: Registr
 
 
 def rows(position: np.ndarray) -> np.ndarray:
-    """(3, V) float32 of (V, 3)."""
+    """(3, V) float32 of (V, 3), row after row: the transpose of a single row would be another type to a kernel."""
     return np.ascontiguousarray(position.T, np.float32)

@@ -233,15 +233,21 @@ def locate(problem: Problem) -> Problem:
 
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
     a fit lately. The search lays the last shape on the cloud, and beside it the template where that shape may be as wrong as the
-    place. A relocalized garment is registered again in the ``settling_frames`` that follow.
+    place. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that exceeds the frame's
+    budget is due in the next one.
     """
     prior, model, frame, health, config = problem.prior, problem.model, problem.frame, problem.health, problem.config
     rule = config.relocalization
-    if not config.start.search or len(frame.points) < config.start.least_points:
+    if not due(problem):
         return problem
     after_gap = interrupted(health, problem.dt, rule)
-    if not (search_due(health, rule) or after_gap):
-        return _settle(problem) if health.settling else problem
+    searching = search_due(health, rule) or after_gap
+    if not problem.effort.search:
+        return problem._replace(health=health._replace(postponed=searching, settling=max(health.settling - 1, 0)))
+    if not searching:
+        return _settle(problem)
+    health = health._replace(postponed=False)
+    problem = problem._replace(health=health)
     shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
         shapes.append(model.mesh.vertices)
@@ -252,7 +258,10 @@ def locate(problem: Problem) -> Problem:
     unseen = problem.dt + health.empty_for + health.poor_for
     heading_sd = np.radians(rule.heading_sd) + np.radians(rule.heading_rate) * unseen
     target = Target.from_points(frame.points, frame.sensor_origin, config.registration)
-    found, cost = _best(shapes, Search(model, target, config), heading_sd)
+    search = Search(model, target, config)
+    found, cost = _best(shapes, search, heading_sd)
+    if cost > rule.in_place_cost:
+        problem = problem._replace(overturned=_overturned(shapes[-1], search, heading_sd))
     if cost > min(rule.cost_ratio * staying, rule.highest_cost):
         return problem
     start = State.at(found, np.zeros_like(found), rule.found_sd, config.start.speed_sd, 1.0)
@@ -265,10 +274,25 @@ def locate(problem: Problem) -> Problem:
     )
 
 
+def _overturned(shape: np.ndarray, search: Search, heading_sd: float) -> tuple[float, float] | None:
+    """Metres: the costs of the best rigid poses upright and upside down, where the second is much lower; otherwise None."""
+    upright, over = (candidate_poses(shape * way, search, heading_sd)[0].cost for way in ([1, 1, 1], [1, -1, -1]))
+    return (upright, over) if over < search.config.relocalization.overturned_ratio * upright else None
+
+
+def due(problem: Problem) -> bool:
+    """Whether :func:`locate` has something to do: a search, or a registration after one."""
+    health, config = problem.health, problem.config
+    if not config.start.search or len(problem.frame.points) < config.start.least_points:
+        return False
+    rule = config.relocalization
+    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
+
+
 def search_due(health: Health, config: Relocalization) -> bool:
     """Whether the frame is searched: a search takes as long as several frames, and a stream of nonsense must not stall."""
     rounds, rest = divmod(health.frames_unplaced, config.search_interval)
-    return health.unplaced and rest == 0 and rounds & (rounds - 1) == 0
+    return health.postponed or (health.unplaced and rest == 0 and rounds & (rounds - 1) == 0)
 
 
 def interrupted(health: Health, dt: float, config: Relocalization) -> bool:

@@ -9,23 +9,29 @@ import numpy as np
 from ddakf.config import NearestPoint, PlaneAssociation
 from ddakf.kernels import associate as kernels
 from ddakf.kernels import hem as hem_kernels
-from ddakf.kernels.associate import FoundPlanes, PlaneSearch, VisibilityLimits
+from ddakf.kernels.associate import FAR_AWAY, NO_SURFEL, FoundPlanes, PlaneSearch, VisibilityLimits
 from ddakf.kernels.hem import CloudEnds, Tube
-from ddakf.types import Estimate, Hem, Measurement, Problem
+from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
+
+USUAL_RATE = 30.0  # frames per second up to which a frame makes its usual passes
+NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
-def gates(problem: Problem, done: int = 0) -> Iterator[float]:
-    """Search radius of each pass inside the frame, metres: wide first, then narrowing. The paper makes one pass.
-
-    Of ``done`` passes that were made already, the rest, and at least one.
-    """
+def gates(problem: Problem) -> Iterator[float]:
+    """Search radius of each pass that the budget allows, one at least, metres: wide, then narrowing. The paper makes one."""
     match problem.config.associate:
         case PlaneAssociation() as config:
-            passes = 1 if problem.cloud.empty else config.iterations
-            for k in range(min(done, passes - 1), passes):
+            passes = 1 if problem.cloud.empty else _most_passes(problem.dt, config)
+            for k in range(int(min(passes, max(problem.effort.passes, 1)))):
                 yield max(config.narrow_gate, config.wide_gate * config.narrowing**k)
         case NearestPoint(gate=gate):
             yield gate
+
+
+def _most_passes(dt: float, config: PlaneAssociation) -> int:
+    """Passes at most, ``dt`` seconds after the last frame: the more, the farther the garment has moved."""
+    slow = max(config.slow_iterations, config.iterations)
+    return min(slow, max(config.iterations, round(config.iterations * USUAL_RATE * dt)))
 
 
 def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarray | None = None) -> Measurement:
@@ -41,20 +47,16 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
     """
     position, cloud, model = estimate.position, problem.cloud, problem.model
     match problem.config.associate:
-        case PlaneAssociation() as config:
+        case PlaneAssociation():
             normal = np.empty_like(position)
             target, plane, distance, searched_at = (a.copy() for a in estimate.evidence.measurement[:4])
             kernels.vertex_normals(position, model.faces, normal)
-            seen = _visible(problem, position, normal) if problem.visible is None else problem.visible
+            seen, judged_at = _known(problem, estimate) or (_visible(problem, position, normal), position)
             eligible = seen if only is None else seen & only
             if not cloud.empty:
-                beside = config.beside * float(np.sqrt(model.area / cloud.surfels.shape[1]))
-                still = config.still * cloud.cell
-                search = PlaneSearch(gate, config.normal_cosine, config.turned, cloud.oriented, still, beside)
-                planes = FoundPlanes(target, plane, distance, searched_at)
-                kernels.nearest_planes(position, normal, eligible, cloud.surfels, cloud.surfel_grid, search, planes)
+                _find_planes(problem, gate, (position, normal, eligible), FoundPlanes(target, plane, distance, searched_at))
             hem = None if only is not None else _hem(problem, position, normal, seen)
-            return Measurement(target, plane, distance, searched_at, seen, hem)
+            return Measurement(target, plane, distance, searched_at, seen, hem, judged_at)
         case NearestPoint():
             n = len(position)
             target, distance = np.zeros((n, 3)), np.full(n, -1.0)
@@ -63,11 +65,47 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
             return Measurement(target, None, distance, position, np.ones(n, bool))
 
 
-def visible(problem: Problem, position: np.ndarray) -> np.ndarray:
-    """(V,) bool: vertices at ``position`` (V, 3) that a sensor may see, by plane association."""
-    normal = np.empty_like(position)
-    kernels.vertex_normals(position, problem.model.faces, normal)
-    return _visible(problem, position, normal)
+def _find_planes(problem: Problem, gate: float, where: tuple[np.ndarray, np.ndarray, np.ndarray], found: FoundPlanes) -> None:
+    """Updates the planes of the eligible vertices: of the nearest surfels, or of sparser ones for a vertex far from all of them.
+
+    The cells of a dense cloud are small, and within a wide gate there are thousands.
+
+    Args:
+        problem: the frame.
+        gate: search radius, metres.
+        where: (V, 3) positions, (V, 3) unit normals, (V,) eligible.
+        found: in and out.
+    """
+    cloud, config, (position, normal, eligible) = problem.cloud, problem.config.associate, where
+
+    def search(surfels: Surfels, radius: float, vertices: tuple, planes: FoundPlanes) -> None:
+        beside = config.beside * float(np.sqrt(problem.model.area / surfels.planes.shape[1]))
+        still = config.still * surfels.grid.cell
+        limits = PlaneSearch(radius, config.normal_cosine, config.turned, cloud.oriented, still, beside)
+        kernels.nearest_planes(*vertices, *surfels, limits, planes)
+
+    near = gate if cloud.sparse is None else min(gate, NEAR_CELLS * cloud.surfel_grid.cell)
+    search(Surfels(cloud.surfels, cloud.surfel_grid), near, where, found)
+    if near < gate:
+        far = np.flatnonzero(eligible & (found.distance == NO_SURFEL))
+        beyond = FoundPlanes(*(array[far] for array in found))
+        beyond.searched_at[:] = FAR_AWAY
+        search(cloud.sparse, gate, (position[far], normal[far], np.ones(len(far), bool)), beyond)
+        for array, new in zip(found, beyond, strict=True):
+            array[far] = new
+
+
+def _known(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray] | None:
+    """The visible vertices (V,) as they were judged, and the positions (V, 3) at which they were.
+
+    None before, and once the garment has moved by ``sighting`` metres (RMS) since.
+    """
+    last = estimate.evidence.measurement
+    if last.visible is None:
+        return None
+    step = estimate.position - last.judged_at
+    still = np.einsum("va,va->", step, step) < problem.config.associate.sighting**2 * len(step)
+    return (last.visible, last.judged_at) if still else None
 
 
 def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.ndarray:

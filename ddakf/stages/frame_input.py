@@ -9,9 +9,11 @@ import numpy as np
 from ddakf.errors import InvalidFrame
 from ddakf.kernels.preprocess import bounds
 from ddakf.mesh import MAX_COORDINATE, Mesh  # float32 keeps a millimetre up to there
+from ddakf.stages.grid import first_rows
 from ddakf.types import FrameInput
 
 MAX_POINTS = 1_000_000
+MAX_SENSORS = 64  # each costs a test of visibility per vertex
 MAX_TIME = 1e12  # s: 30,000 years
 BODY_FACTOR = 4.0  # a pose changes a body's extent by less; millimetres for metres change it by 1,000
 LEAST_STEP = 1e-6  # s: two frames closer than that are one
@@ -31,6 +33,7 @@ def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameIn
     points, sensor_origin, body_vertices = _positions("points", given.points), given.sensor_origin, given.body_vertices
     if len(points) > MAX_POINTS:
         raise InvalidFrame("points", f"at most {MAX_POINTS} points", str(len(points)))
+    colors = None if given.colors is None else _colors(given.colors, len(points))
     time = _time(given.timestamp, last)
     if sensor_origin is not None:
         origin = _array("sensor_origin", sensor_origin, f"(3,) or ({len(points)}, 3)")
@@ -39,6 +42,8 @@ def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameIn
         sensor_origin = _finite("sensor_origin", np.atleast_2d(origin)).astype(np.float64).reshape(origin.shape)
         if sensor_origin.shape == (0, 3):
             sensor_origin = None
+        elif sensor_origin.ndim == 2 and (sensors := len(first_rows(sensor_origin))) > MAX_SENSORS:
+            raise InvalidFrame("sensor_origin", f"at most {MAX_SENSORS} sensors", f"{sensors} distinct origins")
     if body_vertices is not None:
         if body is None:
             raise InvalidFrame("body_vertices", "none, as the tracker was made without a body", "an array")
@@ -51,7 +56,7 @@ def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameIn
         size = (upper - lower).max()
         if not body.size / BODY_FACTOR < size < body.size * BODY_FACTOR:
             raise InvalidFrame("body_vertices", f"a body about {body.size:.2g} m in size, as declared", f"{size:.2g} m")
-    return FrameInput(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices)
+    return FrameInput(np.ascontiguousarray(points, np.float32), time, sensor_origin, body_vertices, colors)
 
 
 def positions(name: str, values, n: int) -> np.ndarray:
@@ -60,6 +65,17 @@ def positions(name: str, values, n: int) -> np.ndarray:
     if len(array) != n:
         raise InvalidFrame(name, f"shape ({n}, 3)", str(array.shape))
     return np.array(array, np.float64, order="C")
+
+
+def _colors(values, n: int) -> np.ndarray:
+    array = _array("colors", values, f"({n}, 3)")
+    if array.size == n == 0:
+        return np.empty((0, 3), np.uint8)
+    if array.shape != (n, 3):
+        raise InvalidFrame("colors", f"shape ({n}, 3), one colour per point", str(array.shape))
+    if array.dtype != np.uint8:
+        raise InvalidFrame("colors", "numbers of type uint8", f"dtype {array.dtype}")
+    return np.ascontiguousarray(array)
 
 
 def _positions(name: str, values) -> np.ndarray:
@@ -99,5 +115,5 @@ def _time(timestamp, last: float | None) -> float:
     if abs(time) > MAX_TIME:
         raise InvalidFrame("timestamp", f"seconds within {MAX_TIME:g}", f"{time:g}")
     if last is not None and time < last + LEAST_STEP:
-        raise InvalidFrame("timestamp", f"later than the last frame's {last:.6f} s", f"{time:.6f} s")
+        raise InvalidFrame("timestamp", f"later than the last frame's {last:.9f} s by {LEAST_STEP:g} s", f"{time:.9f} s")
     return time

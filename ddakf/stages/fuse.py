@@ -8,12 +8,14 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
+from ddakf.kernels import colour as colour_kernels
+from ddakf.kernels import conjugate_gradients as solver
 from ddakf.kernels import fuse as kernels
 from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
 from ddakf.kernels import self_collision as self_collision_kernels
 from ddakf.kernels import strain as strain_kernels
-from ddakf.kernels.fuse import BlockMatrix, Preconditioner
+from ddakf.kernels.conjugate_gradients import BlockMatrix, Preconditioner
 from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
@@ -28,10 +30,11 @@ def begin(problem: Problem) -> Estimate:
     n, physics = len(prior.position), config.physics
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
     rest_weight = problem.health.physics_lambda * physics.rest_rigidity
+    motion_weight = physics.motion_rigidity * min(1.0, physics.motion_time / problem.dt)
     return Estimate(
         position=prior.position,
-        rest=rigidity.to_rest(model, rest_weight, problem.rotation, physics.strain_followed),
-        motion=rigidity.since(problem.motion_start, model, physics.motion_rigidity),
+        rest=rigidity.to_rest(model, rest_weight, problem.rotation, physics.strain_followed, problem.resting),
+        motion=rigidity.since(problem.motion_start, model, motion_weight),
         information=inverse_blocks(prior.P_pp, floor),
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
     )
@@ -94,7 +97,14 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
     variance = np.maximum(variance, config.adapt.lowest_sd**2)
     tangential = np.full(n, config.associate.tangential_sd**2)
     return Planes(
-        measurement.target, measurement.normal, weight, variance, tangential, measurement.hem, config.associate.hem_sd**2
+        measurement.target,
+        measurement.normal,
+        weight,
+        variance,
+        tangential,
+        measurement.hem,
+        config.associate.hem_sd**2,
+        measurement.slide,
     )
 
 
@@ -133,6 +143,9 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
             hem_kernels.add_ends_of_cloud(
                 model.boundary[:, 0], hem.direction, hem.offset, hem.weight, measured.hem_variance, unary, force
             )
+    if planes.slide is not None:
+        registered, information = planes.slide
+        colour_kernels.add_slides(position, registered.target, registered.direction, information, unary, force)
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, unary, force)
@@ -140,7 +153,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
         self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, unary, force)
     rigid = (estimate.rest, estimate.motion)
     rigidity.add_force(rigid, position, model, force)
-    blocks = np.zeros((len(model.mesh.edges), 9), np.float32)
+    blocks = np.zeros((len(model.mesh.edges), 12), np.float32)
     strain_kernels.add_strain(position, model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
     D, B = energies.bending.blocks.copy(), np.empty((len(model.neighbour), 12), np.float32)
     weight = sum(term.weight for term in rigid)
@@ -151,7 +164,7 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
 def coarse_inverse(system: System, model: Model) -> np.ndarray:
     """(3A, 3A) float32, inverse of P' A P on the aggregates: the coarse level of the preconditioner."""
     coarse = np.empty((3 * model.n_aggregates, 3 * model.n_aggregates))
-    kernels.coarsen(system.D, system.B, model.start, model.neighbour, model.aggregate, coarse)
+    solver.coarsen(system.D, system.B, model.start, model.neighbour, model.aggregate, coarse)
     return invert(coarse)
 
 
@@ -166,9 +179,9 @@ def solve(system: System, coarse_inverse: np.ndarray, model: Model, limits: Solv
     """(V, 4) float32 delta in metres, padded, A delta = force, by conjugate gradients under a two-level preconditioner."""
     n = len(system.D)
     delta, D, inverse = (np.empty(shape, np.float32) for shape in ((n, 4), (n, 12), (n, 12)))
-    kernels.pack(system.D, D, inverse)
+    solver.pack(system.D, D, inverse)
     matrix = BlockMatrix(D, system.B, model.start, model.neighbour)
-    kernels.conjugate_gradients(matrix, Preconditioner(inverse, model.aggregate, coarse_inverse), system.force, *limits, delta)
+    solver.conjugate_gradients(matrix, Preconditioner(inverse, model.aggregate, coarse_inverse), system.force, *limits, delta)
     return delta
 
 
@@ -185,7 +198,7 @@ def invert(matrix: np.ndarray) -> np.ndarray:
     Rounding can leave a very stiff one indefinite; it is then inverted with a growing share of its largest entry added.
     """
     inverse, share, tried = np.empty(matrix.shape, np.float32), 1e-7, matrix
-    while not kernels.invert(tried, inverse):
+    while not solver.invert(tried, inverse):
         if share > 1.0 or not np.isfinite(matrix).all():
             return np.full(matrix.shape, np.nan, np.float32)
         tried = matrix + share * np.abs(matrix).max() * np.eye(len(matrix))

@@ -9,6 +9,11 @@ import numpy as np
 from ddakf.kernels import preprocess as kernels
 from ddakf.kernels.preprocess import Grid
 
+CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
+ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
+
+_KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
+
 
 class VertexGrid(NamedTuple):
     """Vertices sorted by grid cell."""
@@ -19,9 +24,26 @@ class VertexGrid(NamedTuple):
 
 
 def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
-    """(V, 3) vertices, metres, in cells of ``cell`` metres, or larger ones where that were more than ``most`` along an axis."""
+    """(V, 3) vertices, metres, in cells of ``cell`` metres, or larger ones where that were more than ``most`` along an axis.
+
+    Vertices astray would leave all the others in one cell. The cells then fill the box of most vertices, and those at its rim
+    extend without end. In a cell that a folded garment crowds nevertheless, an even sample of the vertices counts.
+    """
     lower, upper = np.empty(3), np.empty(3)
     kernels.bounds(position, 0.0, lower, upper)
+    vertices, index, grid = _filled(position, (lower, upper), cell, most)
+    if np.diff(grid.start[:-1]).max() <= CROWDED:
+        return VertexGrid(vertices, index, grid)
+    vertices, index, grid = _filled(position, np.quantile(position, (ASTRAY, 1.0 - ASTRAY), axis=0), cell, most)
+    surplus = np.empty(len(position), bool)
+    left = kernels.mark_surplus(grid.start, CROWDED, surplus)
+    start, some, their_index = np.empty_like(grid.start), np.empty((3, left), np.float32), np.empty(left, np.int32)
+    kernels.remove(grid.start, surplus, vertices, index, start, some, their_index)
+    return VertexGrid(some, their_index, grid._replace(start=start))
+
+
+def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float, most: int) -> VertexGrid:
+    lower, upper = box
     extent = upper - lower
     cell = max(cell, float(extent.max()) / most)
     dims = (extent / cell).astype(np.int64) + 1
@@ -32,6 +54,16 @@ def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:
-    """The distinct rows of (N, 3), without sorting floats where there is one row or a few runs of them."""
+    """The distinct rows of (N, 3), without sorting rows of floats where few are distinct."""
+    return np.unique(origins[first_rows(origins)], axis=0)
+
+
+def first_rows(origins: np.ndarray) -> np.ndarray:
+    """Indices of the first row of each kind in (N, 3), one or few per kind. Kinds are told apart by keys of 64 bits."""
     changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
-    return np.unique(origins[np.concatenate([[0], changes])], axis=0)
+    starts = np.concatenate([[0], changes])
+    if len(starts) == 1:
+        return starts
+    rows = origins[starts] + 0.0  # a negative zero is a zero
+    _, first = np.unique(rows.view(np.uint64) @ _KEY, return_index=True)
+    return starts[first]

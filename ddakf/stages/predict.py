@@ -1,17 +1,22 @@
-"""Stage A, prediction (paper, section 2.2): constant velocity per vertex, riding on the body where one is given."""
+"""Stage A, prediction (paper, section 2.2): constant velocity per vertex, riding on the body where one is given.
+
+Damping keeps unseen vertices from running on. A garment without a body also turns and travels as a whole with its wearer, and a
+prediction that lags behind a turn is not corrected where planes slide along the cloth. So damping spares rigid motion.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import ConstantAcceleration, ConstantVelocity
+from ddakf.data.rotation import rotation_matrices
 from ddakf.kernels import predict as kernels
 from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import adaptive_stiffness
-from ddakf.types import FrameInput, FrameResult, Problem, Setup, State, Track, variances
+from ddakf.types import FrameInput, Problem, Setup, State, Track
 
 
 def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
@@ -28,30 +33,40 @@ def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
     if setup.body is not None:
         if frame.body_vertices is not None:
             body = contact.posed(setup.body, last.body, frame.body_vertices)
-        state, carried = contact.carry(setup.body, last.body, state, body)
-    prior = predict(state, dt, carried, config.predict)
+        state, carried = contact.carry(setup.body, last.body, state, body, config.predict.friction * dt)
+    prior = predict(state, dt, carried, config.predict, seen=not last.health.unplaced)
     return Problem(
-        setup.model, config, last, frame, dt, state, carried, body, prior, state.position, last.rotation, last.health
-    )
+        setup.model, config, last, frame, dt, state, carried, body, prior, state.position, last.rotation, last.health,
+        reference=setup.reference, resting=last.resting,
+    )  # fmt: skip
 
 
-def predict(state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration) -> State:
+def predict(
+    state: State, dt: float, carried: np.ndarray | None, config: ConstantVelocity | ConstantAcceleration, *, seen: bool = True
+) -> State:
     """The prior of the next frame.
 
-    x = F x, P = F P F' + Q with F = [[I, dt I], [0, g I]], g = exp(-damping dt), and Q of white acceleration. A gap longer
-    than ``longest_step`` moves the mean no further than that step, while P grows with all of it. An acceleration enters as a
-    known input: it moves the mean and leaves P as it is.
+    x = F x, P = F P F' + Q with F = [[I, dt I], [0, g I]], g = exp(-damping dt), and Q of accelerations that each last
+    ``acceleration_time``: of one in a short step, of white ones in a long step. One acceleration over a long step would set the
+    velocity to twice the innovation over dt, which makes it ring. A gap longer than ``longest_step`` moves the mean no further
+    than that step, while P grows with all of it. A known acceleration is an input: it moves the mean and leaves P as it is.
+    Without a body the rigid part of the velocities turns the garment, and is damped less, the larger its share of them.
 
     Args:
         state: posterior of the last frame.
         dt: seconds since.
         carried: (V, 3) metres, displacement of each vertex with the body; the velocity is then the residual one.
         config: damping and process noise, and how long an acceleration lasts.
+        seen: the last frame showed where the garment is; if not, rigid motion is damped as all motion.
     """
     g = float(np.exp(-config.damping * dt))
     step = min(dt, config.longest_step)
-    travel = step if config.damping == 0 else (1.0 - np.exp(-config.damping * step)) / config.damping
-    position, velocity, acceleration = state.position + travel * state.velocity, g * state.velocity, state.acceleration
+    travel = _travel(config.damping, step)
+    if carried is None and seen and config.damping > 0:
+        position, velocity = _rigidly_moved(state.position, state.velocity, dt, step, config.damping)
+    else:
+        position, velocity = state.position + travel * state.velocity, g * state.velocity
+    acceleration = state.acceleration
     if isinstance(config, ConstantAcceleration):
         lasting = min(travel, config.memory)
         gain = config.share * lasting * state.acceleration
@@ -60,44 +75,79 @@ def predict(state: State, dt: float, carried: np.ndarray | None, config: Constan
     if carried is not None:
         position = position + carried
     q = config.acceleration**2
-    # white acceleration over dt, saturating at the longest step so that a long gap stays bounded
-    noise = q * step**3 * max(dt, step) / 4, q * step**3 / 2, q * step**2
+    # of n accelerations one after the other, saturating at the longest step so that a long gap stays bounded
+    part = min(step, config.acceleration_time)
+    n = step / part
+    noise = q * part**4 * (n**3 / 3 - n / 12) * max(dt, step) / step, q * part**3 * n**2 / 2, q * part**2 * n
     P_pp, P_pu, P_uu = (np.empty(state.P_pp.shape) for _ in range(3))
     last = CovarianceBlocks(state.P_pp, state.P_pu, state.P_uu)
     kernels.propagate(last, travel, g, noise, CovarianceBlocks(P_pp, P_pu, P_uu))
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
 
 
-def ahead(result: FrameResult, track: Track, seconds: float, config: ConstantVelocity | ConstantAcceleration) -> FrameResult:
-    """A frame's result moved on in time.
+def _travel(damping: float, step: float) -> float:
+    """Seconds for which a velocity would travel as far, undamped, as it does damped in ``step`` seconds."""
+    return step if damping == 0 else (1.0 - float(np.exp(-damping * step))) / damping
 
-    The mean goes where :func:`predict` takes it. The covariance grows by what predictions of this garment have missed lately:
-    a frame ahead by the innovations, further with the cube of the time, as under white acceleration. Before there are any, by as
-    much as P does.
+
+def _rigidly_moved(
+    position: np.ndarray, velocity: np.ndarray, dt: float, step: float, damping: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions after ``step`` and velocities after ``dt`` seconds, (V, 3) each, of vertices that turn with their rigid motion.
+
+    The rigid motion is the least-squares one, of all vertices alike. With r its share of sum |u|^2 it is damped by (1 - r)
+    ``damping``, what remains of u by ``damping``.
+    """
+    center, mean, turning = _rigid_motion(position, velocity)
+    rigid = mean + np.cross(turning, position - center)
+    lasting = damping * (1.0 - min(1.0, float(np.square(rigid).sum() / max(np.square(velocity).sum(), 1e-30))))
+    kept, travel = float(np.exp(-lasting * dt)), _travel(lasting, step)
+    turned = rotation_matrices(travel * turning).T
+    own = velocity - rigid
+    moved = (position + _travel(damping, step) * own - center) @ turned
+    return (
+        moved + center + travel * mean,
+        float(np.exp(-damping * dt)) * own @ turned + kept * (mean + np.cross(turning, moved)),
+    )
+
+
+def _rigid_motion(position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Centre (m), its velocity (m/s), and the angular velocity (rad/s), (3,) each, of the least-squares rigid motion."""
+    center, mean = position.mean(axis=0), velocity.mean(axis=0)
+    arm = position - center
+    inertia = np.square(arm).sum() * np.eye(3) - arm.T @ arm
+    momentum = np.cross(arm, velocity - mean).sum(axis=0)
+    return center, mean, np.linalg.solve(inertia + (1e-9 * np.trace(inertia) + 1e-30) * np.eye(3), momentum)
+
+
+class Ahead(NamedTuple):
+    """The garment some time after a frame."""
+
+    position: np.ndarray  # (V, 3) m
+    velocity: np.ndarray  # (V, 3) m/s, the body's motion included
+    growth: np.ndarray  # (V, 3, 3) or (3, 3) m^2, by which the position's covariance has grown
+
+
+def ahead(track: Track, seconds: float, config: ConstantVelocity | ConstantAcceleration) -> Ahead:
+    """The garment moved on in time.
+
+    The mean goes where :func:`predict` takes it with all velocity damped, which a client computes for itself from a result. The
+    covariance grows by what predictions of this garment have missed lately: a frame ahead by the innovations, further with the
+    cube of the time, as under white acceleration. Before there are any, by as much as P does.
 
     Args:
-        result: of the frame.
-        track: after the same frame.
-        seconds: since the frame.
+        track: after a frame.
+        seconds: since that frame.
         config: of stage A.
     """
     state, speed2, dt = track.state, track.drift.speed2, track.health.spacing
     carrying = None if track.body is None else track.body.velocity
-    if seconds == 0.0:
-        return result
-    prior = predict(state, seconds, None if carrying is None else seconds * carrying, config)
+    prior = predict(state, seconds, None if carrying is None else seconds * carrying, config, seen=False)
     if speed2 > 0.0:
         grown = speed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)
     else:
         grown = prior.P_pp - state.P_pp
-    covariance = result.covariance + grown
-    return replace(
-        result,
-        vertices=prior.position,
-        velocities=prior.velocity if carrying is None else prior.velocity + carrying,
-        covariance=covariance,
-        sigma=np.sqrt(variances(covariance)),
-    )
+    return Ahead(prior.position, prior.velocity if carrying is None else prior.velocity + carrying, grown)
 
 
 def learned(problem: Problem, posterior: State, measured: np.ndarray) -> State:

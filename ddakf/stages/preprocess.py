@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
@@ -9,15 +11,57 @@ from ddakf.kernels import preprocess as kernels
 from ddakf.kernels.preprocess import Grid
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct
-from ddakf.types import Cloud, FrameInput, Problem
+from ddakf.types import Cloud, FrameInput, Problem, Surfels
 
-MAX_CELLS = 2_000_000  # of a grid, so that stray points cannot exhaust the memory
+MAX_CELLS, CELLS_PER_POINT = 2_000_000, 32  # of a grid at most, so that stray points cost neither memory nor time
+# Points of a cell, and neighbours of a plane fit, that are used, over the points that a cell of the garment's surface holds. One
+# camera's clouds reach 8 and 65. A clump of points says no more than these, and its cost would grow with its square.
+CROWDED, NEIGHBOURS = 13.0, 80.0
+SPARSE_RINGS = 8  # cells of the sparse surfels within the widest gate
+
+
+class Density(NamedTuple):
+    """The points that a cell of the garment's surface holds."""
+
+    area: float  # of the garment, m^2
+    points_per_cell: float
+    widest: float = np.inf  # m: cells of a sparse cloud hold fewer points instead
+    least_per_cell: float = 0.0  # points, however sparse the cloud
+
+    def cell(self, count: int) -> float:
+        """Metres: cells that hold about so many of ``count`` points.
+
+        A plane that is fitted to wide cells lies inside a curved sleeve and flattens folds.
+        """
+        spacing = np.sqrt(self.area / max(count, 1))
+        least = max(self.widest, np.sqrt(self.least_per_cell) * spacing)
+        return float(min(np.sqrt(self.points_per_cell) * spacing, least))
+
+    def doubled(self) -> Density:
+        """Twice as many points in a cell."""
+        return Density(self.area, 2.0 * self.points_per_cell)
+
+    @property
+    def most_per_cell(self) -> int:
+        """Points of a cell that are used."""
+        return max(1, int(CROWDED * self.points_per_cell))
 
 
 def preprocess(problem: Problem) -> Problem:
-    """The problem with its cloud: without skin, cropped to the predicted garment, without outliers, with fitted planes."""
+    """The problem with its cloud: without skin, cropped to the predicted garment, without outliers, with fitted planes.
+
+    A budget may leave a share of the points out of the frame.
+    """
+    problem = problem._replace(frame=thinned(problem.frame, problem.effort.points))
     garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, problem.config.skin_removal.hem_distance)
     return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, problem.model.area, problem.config))
+
+
+def thinned(frame: FrameInput, share: float) -> FrameInput:
+    """The frame with so large a share of its points, spread over all."""
+    if share >= 1.0:
+        return frame
+    return frame.only((np.arange(int(share * len(frame.points))) / share).astype(np.int64))
 
 
 def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) -> Cloud:
@@ -36,34 +80,93 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) 
     lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(points), np.int32)
     kernels.bounds(position, margin, lower, upper)
     chosen = chosen[: kernels.crop(points, lower, upper, chosen)]
-    grid = _grid(points, chosen, (lower, upper), _cell_size(len(chosen), area, config.preprocess))
-    if len(chosen):
+    density = _density(area, config.preprocess)
+    grid = _uncrowded(points, chosen, (lower, upper), density)
+    if grid[0].size:
         match config.preprocess:
             case GridFilter():
+                for _ in range(config.preprocess.doublings):
+                    if not _noisy(grid, config.preprocess):
+                        break
+                    density = density.doubled()
+                    grid = _uncrowded(points, chosen, (lower, upper), density)
                 grid = _drop_sparse(grid, config.preprocess)
             case KnnFilter():
                 grid = _drop_far(grid, config.preprocess)
-    sorted_points, index, start, origin, cell, dims = grid
-    # a cloud denser than the garment is fitted with planes at the density that the garment can use
+    surfels, sensor = _surfels(grid, len(position), sensor_origin, config.preprocess)
+    sparse = None
+    if isinstance(config.associate, PlaneAssociation) and surfels.grid.cell < gate / SPARSE_RINGS:
+        sparse = _sparse(surfels, gate / SPARSE_RINGS, density)
+    return Cloud(*grid[:3], *surfels, *grid[3:], sensor, sparse)
+
+
+def _density(area: float, config: GridFilter | KnnFilter) -> Density:
+    """Of a garment with this area, square metres."""
+    if isinstance(config, GridFilter):
+        return Density(area, config.points_per_cell, config.widest_cell, config.least_per_cell)
+    return Density(area, config.points_per_cell)
+
+
+def _surfels(grid, n_vertices: int, sensor_origin: np.ndarray | None, config: GridFilter | KnnFilter):
+    """Surfels of a grid of points, and the distinct sensors to which their normals point; None where these are unknown.
+
+    A cloud denser than the garment is fitted with planes at the density that the garment can use.
+    """
+    points, index, start, origin, cell, dims = grid
     stride = 1
-    if isinstance(config.preprocess, GridFilter):
-        stride = max(1, round(sorted_points.shape[1] / (config.preprocess.planes_per_vertex * len(position))))
-    surfels = np.empty((6, -(-sorted_points.shape[1] // stride)), np.float32)
-    kernels.fit_planes(sorted_points, Grid(*grid[2:]), config.preprocess.plane_radius * cell, stride, surfels)
-    sensor = None
+    if isinstance(config, GridFilter):
+        stride = max(1, round(points.shape[1] / (config.planes_per_vertex * n_vertices)))
+    planes, sensor = np.empty((6, -(-points.shape[1] // stride)), np.float32), None
+    neighbours = max(1, int(NEIGHBOURS * config.points_per_cell))
+    kernels.fit_planes(points, Grid(*grid[2:]), config.plane_radius * cell, stride, neighbours, planes)
     if sensor_origin is not None:
         if sensor_origin.ndim == 1:
             sensor = per_point = sensor_origin[None, :]
         else:
             sensor, per_point = distinct(sensor_origin), sensor_origin[index[::stride]]
-        kernels.orient_normals(surfels, per_point - origin)
-    surfel_start = (start + (stride - 1)) // stride
-    return Cloud(sorted_points, index, start, surfels, surfel_start, origin, cell, dims, sensor)
+        kernels.orient_normals(planes, per_point - origin)
+    surfels = Surfels(planes, Grid(start, origin, cell, dims))
+    return surfels if stride == 1 else _in_larger_cells(surfels, stride), sensor
 
 
-def _cell_size(count: int, area: float, config: GridFilter | KnnFilter) -> float:
-    """Metres: cells of a surface of ``area`` square metres that hold about as many of ``count`` points as configured."""
-    return float(np.sqrt(config.points_per_cell * area / max(count, 1)))
+def _in_larger_cells(surfels: Surfels, stride: int) -> Surfels:
+    """Surfels of every ``stride``-th point, sorted into cells that hold as many of them as the points' cells do points."""
+    planes, (_, origin, cell, dims) = surfels
+    larger = cell * float(np.sqrt(stride))
+    dims = (dims * cell / larger).astype(np.int64) + 1
+    start, index = np.empty(int(np.prod(dims)) + 2, np.int32), np.empty(planes.shape[1], np.int32)
+    points, moved = np.ascontiguousarray(planes[:3].T), np.empty_like(planes)
+    kernels.fill_grid(points, _all(points), Grid(start, np.zeros(3), larger, dims), moved[:3], index)
+    moved[3:] = planes[3:, index]
+    return Surfels(moved, Grid(start, origin, larger, dims))
+
+
+def _sparse(surfels: Surfels, cell: float, density: Density) -> Surfels | None:
+    """Surfels as a small cloud has them: as many in a cell, in cells of ``cell`` metres; None without any plane."""
+    planes = surfels.planes
+    chosen = np.flatnonzero(planes[3:].any(axis=0))
+    chosen = chosen[:: max(1, round(len(chosen) * cell**2 / (density.points_per_cell * density.area)))]
+    if len(chosen) == 0:
+        return None
+    points, surplus = np.ascontiguousarray(planes[:3, chosen].T), np.empty(len(chosen), bool)
+    box = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
+    grid = _grid(points, _all(points), box, cell)
+    kernels.mark_surplus(grid[2], density.most_per_cell, surplus)
+    points, index, start, corner, cell, dims = _without(grid, surplus)
+    return Surfels(np.concatenate([points, planes[3:, chosen[index]]]), Grid(start, surfels.grid.origin + corner, cell, dims))
+
+
+def _all(points: np.ndarray) -> np.ndarray:
+    return np.arange(len(points), dtype=np.int32)
+
+
+def _uncrowded(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], density: Density):
+    """The grid of the chosen points without those that crowd its cells; where these are most of them, in larger cells."""
+    while True:
+        grid, surplus = _grid(points, chosen, box, density.cell(len(chosen))), np.empty(len(chosen), bool)
+        if 2 * kernels.mark_surplus(grid[2], density.most_per_cell, surplus) >= len(chosen):
+            return _without(grid, surplus)
+        chosen = np.sort(grid[1][~surplus])
 
 
 def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float):
@@ -73,9 +176,10 @@ def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndar
     lower, upper = box
     origin = lower - 1e-6
     extent = upper - origin + 1e-6
-    cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / MAX_CELLS ** (1 / 3))) ** (1 / 3))
+    cells = min(MAX_CELLS, CELLS_PER_POINT * len(chosen))
+    cell = max(cell, 1e-4, float(np.prod(np.maximum(extent, 1e-3) / cells ** (1 / 3))) ** (1 / 3))
     dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
-    while np.prod(dims.astype(float)) > 2 * MAX_CELLS:
+    while np.prod(dims.astype(float)) > 2 * cells:
         cell *= 1.3
         dims = np.maximum((extent / cell).astype(np.int64) + 1, 1)
     start = np.empty(int(np.prod(dims)) + 2, np.int32)
@@ -83,6 +187,22 @@ def _grid(points: np.ndarray, chosen: np.ndarray, box: tuple[np.ndarray, np.ndar
     index = np.empty(len(chosen), np.int32)
     kernels.fill_grid(points, chosen, Grid(start, origin, cell, dims), sorted_points, index)
     return sorted_points, index, start, origin, cell, dims
+
+
+def _noisy(grid, config: GridFilter) -> bool:
+    """Whether the noise is about as large as the cells, so that few neighbourhoods are flat, and the cells are not crowded.
+
+    Planes then need more points. Judged by a sample of them.
+    """
+    points, start, cell = grid[0], grid[2], grid[4]
+    count = np.diff(start[:-1]).astype(np.float64)
+    if count @ count > config.crowded * count.sum():
+        return False
+    stride = max(1, points.shape[1] // config.sample)
+    planes = np.empty((6, -(-points.shape[1] // stride)), np.float32)
+    neighbours = max(1, int(NEIGHBOURS * config.points_per_cell))
+    kernels.fit_planes(points, Grid(*grid[2:]), config.plane_radius * cell, stride, neighbours, planes)
+    return np.count_nonzero(planes[3:].any(axis=0)) < config.flat_share * planes.shape[1]
 
 
 def _drop_sparse(grid, config: GridFilter):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -10,6 +11,8 @@ import numpy as np
 from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability, VertexError
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
+from ddakf.planning import omission
+from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import vertex_grid
 from ddakf.types import Estimate, FrameInput, Health, Posterior, Problem, variances
@@ -83,8 +86,7 @@ def evidence(
     """
     model, health, covariance, clearance = problem.model, problem.health, posterior.covariance, estimate.clearance
     free = problem.config.evidence.free_clearance
-    position, n, used = posterior.state.position, len(posterior.state.position), estimate.observed
-    measurement, weight = estimate.evidence.measurement, estimate.evidence.weight
+    position, n, weight = posterior.state.position, len(posterior.state.position), estimate.evidence.weight
     squared = np.empty(n)
     strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, squared))
     health = health._replace(least_strain=min(health.least_strain, strain))
@@ -92,14 +94,13 @@ def evidence(
         health = misfit(problem, health, points, position)
     normal = np.empty_like(position)
     vertex_normals(position, model.faces, normal)
-    hem = measurement.hem
     frame = FrameEvidence(
         offset=health.offset,
-        unmatched=float((measurement.visible & ~used).mean()),
+        unmatched=estimate.unmatched,
         unexplained=health.unexplained,
         uncertainty=kernels.variance_along(normal, covariance) / n,
         strain=(strain - health.least_strain) ** 2,
-        hem=0.0 if hem is None else float(hem.weight @ np.square(hem.offset) / max(hem.weight.sum(), 1.0)),
+        hem=estimate.evidence.measurement.squared_hem or 0.0,
     )
     measured = np.bincount(model.cluster, weight, model.n_clusters) / np.bincount(model.cluster)
     vertices = VertexEvidence(
@@ -195,6 +196,8 @@ class Verdict(NamedTuple):
     vertex_reliability: np.ndarray  # (V,)
     evidence: FrameEvidence
     vertex_evidence: VertexEvidence
+    warnings: tuple[InputWarning, ...] = ()  # of wrong input
+    signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
 
 
 def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict:
@@ -205,7 +208,11 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
     frame, vertices, health = evidence(problem, estimate, posterior, points)
-    error = float(law(problem.config.frame_error)(frame))
+    # what the cloud shows of a wrong fit, and what the covariance knows of an error that no cloud shows
+    shown = omission.widening(problem, estimate) * law(problem.config.frame_error)(frame)
+    error = math.hypot(shown, config.sigma_share * math.sqrt(vertices.variance.mean()))
+    if problem.blind:
+        error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, vertices, law(problem.config.vertex_error))
     reliability = float(score(error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)

@@ -3,19 +3,34 @@
 from __future__ import annotations
 
 from functools import lru_cache
+from math import erfc, exp, inf, pi, sqrt
 
 import numpy as np
-from scipy.special import chdtri
 
 from ddakf.config import NoWeight
 from ddakf.kernels import robust as kernels
 from ddakf.types import Estimate, Measurement, Problem
 
+_LARGEST_GATE = 2000.0  # squared Mahalanobis distance beyond which the probability is below the smallest number
+
 
 @lru_cache(maxsize=16)
 def gate_threshold(probability: float, dimension: int) -> float:
-    """Chi-square quantile for a Mahalanobis gate."""
-    return float(chdtri(dimension, 1.0 - probability))
+    """Chi-square quantile for a Mahalanobis gate in 1 or 3 dimensions; to the last digits, by bisection."""
+    outside = 1.0 - probability
+    if outside <= 0.0:
+        return inf
+    low, high = 0.0, _LARGEST_GATE
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if beyond(middle, dimension) > outside else (low, middle)
+    return high
+
+
+def beyond(squared: float, dimension: int) -> float:
+    """Probability of a greater chi-square value with 1 or 3 degrees of freedom (Abramowitz and Stegun, 26.4.4)."""
+    assert dimension in (1, 3)
+    in_one = erfc(sqrt(0.5 * squared))
+    return in_one if dimension == 1 else in_one + sqrt(2.0 * squared / pi) * exp(-0.5 * squared)
 
 
 def weigh(problem: Problem, estimate: Estimate, measurement: Measurement) -> np.ndarray:

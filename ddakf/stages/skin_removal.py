@@ -18,12 +18,6 @@ def remove_skin(frame: FrameInput, problem: Problem, position: np.ndarray, margi
     return frame.only(~removed) if removed.any() else frame
 
 
-def of_person(problem: Problem) -> bool:
-    """Whether more than ``person_share`` of the frame's points were skin."""
-    points = len(problem.frame.points)
-    return points - len(problem.garment.points) > problem.config.skin_removal.person_share * points
-
-
 def skin(points: np.ndarray, problem: Problem, position: np.ndarray, margin: float) -> np.ndarray:
     """(N,) bool: points that lie on the body and not on the garment.
 

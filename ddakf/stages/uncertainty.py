@@ -3,9 +3,8 @@
 The recursion stores, as in the paper, one block per vertex: the covariance of a vertex given its neighbours, A_ii^-1. That is
 overconfident as an answer to "how wrong may this vertex be", since the neighbours are not known either, and a garment that has
 slid along its own surface stays there, which no frame shows again. What is reported therefore comes from a second recursion,
-over patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. How large
-it is in all is also told by the cloud, which lies off a surface that is wrong; how it is spread over unseen vertices, by how
-much room each has.
+over patches of vertices: the covariance of the error that the tracker's own update leaves and carries on, its drift. It gives
+each covariance its shape; :mod:`ddakf.stages.error_size` its sizes.
 """
 
 from __future__ import annotations
@@ -14,34 +13,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.body import body_anchor
+from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.uncertainty import MeasuredPlanes, PatchSums
-from ddakf.stages import predict
+from ddakf.planning import omission
+from ddakf.stages import error_size, predict
+from ddakf.stages.error_size import PatchEvidence
 from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
-from ddakf.types import Drift, Estimate, Model, Posterior, Problem, State, variances
-
-
-class PatchEvidence(NamedTuple):
-    """Evidence of a frame about the error of each patch. L patches."""
-
-    size: np.ndarray  # (L,) vertices
-    observed: np.ndarray  # (L,) of them measured
-    information: np.ndarray  # (L, 6) 1/m^2 of the measurements, counted as one: xx yy zz xy xz yz
-    bend: np.ndarray  # (L,) 1 - |mean normal|^2 of the measurements
-    motion2: np.ndarray  # (L,) m^2, mean squared motion, the garment's common one taken out
-    innovation2: np.ndarray  # (L,) m^2, mean squared innovation of the measured vertices, the common one taken out
-    strain2: np.ndarray  # (L,) mean squared strain of the edges against rest
-    isotropic: bool  # the measurements are points, as well known across as along
+from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     """The garment after the update: mean and stored covariance of every vertex, the calibrated covariance, and the drift."""
     state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
-    return Posterior(state, covariance, drift)
+    tangential2 = colour.conditioned(problem, estimate, covariance)
+    if problem.blind:
+        covariance = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
+    widening = omission.widening(problem, estimate)
+    if widening > 1.0:
+        covariance = _capped(widening**2 * covariance, problem.config.uncertainty)
+    return Posterior(state, covariance, drift, tangential2)
 
 
 def _conditioned(problem: Problem, estimate: Estimate) -> State:
@@ -81,50 +75,21 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     shared = (1.0 + limits.vertex_share) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
     slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
     shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
-    if evidence.observed.any():
-        level = _level(np.average(variances(shared), weights=evidence.size), problem.health.offset, limits)
-        drift = drift._replace(level=level)
-    covariance, scale2 = np.empty((len(weight), 3, 3)), np.full(len(weight), float(limits.observed_scale) ** 2)
-    unseen = weight <= 0.0
-    if estimate.clearance is None:
-        room = _room_off_body(~unseen, model, limits)
-    else:
-        room = _room_on_body(estimate.clearance, body_anchor.slack(problem), limits)
-    scale2[unseen] = limits.unseen_scale**2 * room[unseen]
+    covariance = np.empty((len(weight), 3, 3))
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, evidence.isotropic)
-    kernels.vertex_covariances(drift.level * shared, 2.0 * evidence.bend, model.patch, measured, scale2, covariance)
+    kernels.vertex_covariances(shared, 2.0 * evidence.bend, model.patch, measured, covariance)
+    found = error_size.evidence(problem, estimate, state.position, evidence)
+    drift = drift._replace(hem2=found.hem)
+    covariance = error_size.resized(problem, state.position, covariance, error_size.sizes(problem, estimate, found))
+    return _capped(covariance, limits), drift
+
+
+def _capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
+    """(V, 3, 3) covariance with a trace of at most 3 ceiling_sd^2; the array itself is scaled."""
     scale = _scale(covariance, limits.ceiling_sd)
     if scale is not None:
         covariance *= scale**2
-    return covariance, drift
-
-
-def _level(variance: float, offset2: float, limits: Uncertainty) -> float:
-    """Factor on the variances, of mean ``variance``, that lies between what the recursion and what the cloud say.
-
-    The recursion knows of no wrong fit. The offset of the cloud, its noise averaged away, does: the error is some multiple of it.
-    Each predicts the size of the error within a factor; the product of powers, a mean of the logarithms, is better than both.
-    """
-    return float((limits.offset_ratio**2 * (offset2 + limits.least_offset**2) / variance) ** limits.offset_trust)
-
-
-def _room_on_body(clearance: np.ndarray, slack: np.ndarray | None, limits: Uncertainty) -> np.ndarray:
-    """(V,) factor on the variance of unseen vertices beside a body, which holds cloth the less, the looser and farther it is.
-
-    Args:
-        clearance: (V,) distance from the body, metres.
-        slack: (V,) standard deviation of the place on the body, metres; None where it is unknown.
-        limits: distances that double the variance.
-    """
-    loose = 1.0 if slack is None else np.maximum(slack / limits.usual_slack, 1.0)
-    return loose * (1.0 + np.clip(clearance, 0.0, limits.most_body_room) / limits.body_room)
-
-
-def _room_off_body(seen: np.ndarray, model: Model, limits: Uncertainty) -> np.ndarray:
-    """(V,) factor on the variance of unseen vertices without a body: it grows along the cloth from ``seen`` (V,) vertices."""
-    distance = np.empty(len(seen))
-    kernels.distance_along_cloth(seen, model.start, model.neighbour, model.rest_length, limits.most_cloth_room, distance)
-    return 1.0 + distance / limits.cloth_room
+    return covariance
 
 
 class Coupling(NamedTuple):
@@ -161,7 +126,7 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
         covariance *= ceiling**2
     if evidence.observed.any():
         covariance = _updated(problem, covariance, evidence, coupling.B)
-    return Drift(covariance, speed2, coupling.stored2, drift.level)
+    return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2)
 
 
 def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:
@@ -223,6 +188,7 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position
         motion2=_about_mean(motion, size),
         innovation2=_about_mean(innovation, observed),
         strain2=strain2 / size,
+        strain=ring_strain,
         isotropic=isotropic,
     )
 

@@ -26,8 +26,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 
+from ddakf.evaluation.baselines.body_support import support_of
 from ddakf.evaluation.baselines.linear_algebra import conjugate_gradients, factorised
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, MatchSettings, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, Matches, MatchSettings, Scan, VertexNormals, rigid_motion
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
@@ -36,6 +37,7 @@ TYPICAL_ROTATION = 2.0  # eigenvalue of Rot's Hessian at a rotation, likewise
 PRIOR = 1e-6  # keeps unknowns that nothing determines where they are
 SOLVER_STEPS, SOLVER_TOLERANCE = 12, 0.1  # of conjugate gradients in one Gauss-Newton step: the next step corrects the rest
 STARTING_STEPS, STARTING_WEIGHT = 10, 100.0  # of Gauss-Newton, and of the vertices of the start in them
+CARRYING_STEPS = 2  # of Gauss-Newton, in which the nodes follow the garment that the body has carried on
 STILL = 5e-4  # m: a frame is done when its vertices move less, RMS
 
 
@@ -48,22 +50,26 @@ class EmbeddedSettings(MatchSettings):
         influences: nearest nodes that move a vertex.
         point, rotation, regularisation, smoothness: weights of the terms, see the module.
         iterations: of Gauss-Newton per frame, at most.
+        hold: weight of a hidden vertex on the body, see :mod:`.body_support`.
     """
 
-    nodes: int = 300
+    nodes: int = 675
     influences: int = 4
     point: float = 0.003
     rotation: float = 1.0
     regularisation: float = 1.0
-    smoothness: float = 3.0
+    smoothness: float = 1.0
     iterations: int = 8
+    hold: float = 0.03
+    gate: float = 0.4
 
 
 TUNED = EmbeddedSettings()
 
 
 class EmbeddedDeformation:
-    """See the module. Knows no body and no time."""
+    """See the module. Uses no time. A body carries the graph on, holds hidden vertices, and pushes out the vertices, not the
+    graph."""
 
     def __init__(self, settings: EmbeddedSettings = TUNED):
         self.settings = settings
@@ -81,25 +87,40 @@ class EmbeddedDeformation:
         data = TYPICAL_WEIGHT * graph.blend.T @ graph.blend
         self._factor = factorised(self._smooth + data + self._rotation * TYPICAL_ROTATION * affine + PRIOR * sparse.eye_array(n))
         self._unknowns = graph.moved(*rigid_motion(garment.vertices, vertices))
-        everywhere = np.full((len(vertices), 1), STARTING_WEIGHT)
-        for _ in range(STARTING_STEPS):
-            self._unknowns = self._unknowns + self._step(vertices, np.zeros_like(vertices), everywhere, 1.0)
+        self._support = support_of(body, vertices, settings.hold)
+        self._lay_onto(vertices, STARTING_STEPS)
 
     def step(self, frame: CapturedFrame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         x = self._graph.blend @ self._unknowns
+        carried = self._support.begin(frame, x)
+        if carried is not x:
+            self._lay_onto(carried, CARRYING_STEPS)
+            x = self._graph.blend @ self._unknowns
         if len(frame.points) < LEAST_POINTS:
-            return x
-        settings, scan = self.settings, Scan(frame, self.settings)
-        for _ in range(settings.iterations):
-            found = scan.match(x, self._normals(x))
-            self._unknowns = self._unknowns + self._step(found.points, found.normals, found.weight[:, None], settings.point)
+            return self._support.outside(x)
+        scan = Scan(frame, self.settings)
+        for _ in range(self.settings.iterations):
+            self._unknowns = self._unknowns + self._step(*self._targets(scan.match(x, self._normals(x))))
             before, x = x, self._graph.blend @ self._unknowns
             if np.square(x - before).sum(axis=1).mean() < STILL**2:
                 break
-        return x
+        return self._support.outside(x)
 
-    def _step(self, points: np.ndarray, normals: np.ndarray, weight: np.ndarray, point: float) -> np.ndarray:
+    def _lay_onto(self, vertices: np.ndarray, steps: int) -> None:
+        """Moves the graph so that the garment comes near to vertices (V, 3)."""
+        everywhere = np.full((len(vertices), 1), STARTING_WEIGHT)
+        for _ in range(steps):
+            self._unknowns = self._unknowns + self._step(vertices, np.zeros_like(vertices), everywhere, 1.0)
+
+    def _targets(self, found: Matches) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Targets, normals, weights and shares of the point term: matches, and places on the body where there are none."""
+        held = self._support.held(found.weight)[:, None]
+        hidden = held > 0
+        targets, normals = np.where(hidden, self._support.place, found.points), np.where(hidden, 0.0, found.normals)
+        return targets, normals, found.weight[:, None] + held, np.where(hidden, 1.0, self.settings.point)
+
+    def _step(self, points: np.ndarray, normals: np.ndarray, weight: np.ndarray, point: np.ndarray | float) -> np.ndarray:
         """Gauss-Newton's, of the unknowns."""
         blend, smooth, u = self._graph.blend, self._smooth, self._unknowns
         blend_transposed = self._graph.blend_transposed

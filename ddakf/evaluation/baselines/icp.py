@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from ddakf.evaluation.baselines.body_support import HOLD, BodySupport
 from ddakf.evaluation.baselines.linear_algebra import conjugate_gradients, factorised, graph_laplacian
 from ddakf.evaluation.baselines.matching import Matches, MatchSettings, Scan, rigid_motion
 from ddakf.evaluation.baselines.optional_packages import package
@@ -26,10 +27,13 @@ class IcpSettings(MatchSettings):
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
         iterations: per frame.
+        hold: weight of a hidden vertex on the body, see :mod:`.body_support`.
     """
 
     stiffness: float = 2.0
     iterations: int = 12
+    hold: float = HOLD
+    gate: float = 0.05
 
 
 TUNED = IcpSettings()
@@ -42,7 +46,7 @@ class NonRigidPointToPlane(Registration):
     n_i its normal, w_i its weight, and the displacement field d = x - T r from the rest shape r, which T lays rigidly onto the
     present estimate (Kabsch 1976). Every iteration finds new correspondences and T, and the linear system is solved by
     conjugate gradients, preconditioned by the factors of the system in which every correspondence weighs the same along all axes.
-    Uses no body and no time.
+    With a body, vertices without a correspondence are held to their places on it with all three coordinates. Uses no time.
     """
 
     def __init__(self, settings: IcpSettings = TUNED):
@@ -54,15 +58,21 @@ class NonRigidPointToPlane(Registration):
         self._smoothness = self.settings.stiffness * graph_laplacian(garment)
         self._factor = factorised(self._smoothness + (TYPICAL_WEIGHT + DAMPING) * sparse.eye_array(garment.n_vertices))
 
+    @property
+    def hold(self) -> float:
+        """See :class:`Registration`."""
+        return self.settings.hold
+
     def _registered(self, x: np.ndarray, frame: CapturedFrame) -> np.ndarray:
         scan = Scan(frame, self.settings)
         for _ in range(self.settings.iterations):
-            x = x + self._move(x, scan.match(x, self._normals(x)))
+            x = self._support.outside(x + self._move(x, scan.match(x, self._normals(x))))
         return x
 
     def _move(self, x: np.ndarray, matches: Matches) -> np.ndarray:
         """(V, 3) from x (V, 3) to the least energy, for these correspondences."""
         points, normals, weight = matches.points, matches.normals, matches.weight[:, None]
+        held = self._support.held(matches.weight)[:, None]
         turn, shift = rigid_motion(self._rest, x)
         displacement = x - (self._rest @ turn.T + shift)
 
@@ -70,9 +80,9 @@ class NonRigidPointToPlane(Registration):
             return weight * normals * (normals * vectors).sum(axis=1, keepdims=True)
 
         def system(move: np.ndarray) -> np.ndarray:
-            return across(move) + self._smoothness @ move + DAMPING * move
+            return across(move) + held * move + self._smoothness @ move + DAMPING * move
 
-        descent = across(points - x) - self._smoothness @ displacement
+        descent = across(points - x) + held * (self._support.place - x) - self._smoothness @ displacement
         return conjugate_gradients(system, descent, self._factor.solve, SOLVER_STEPS, SOLVER_TOLERANCE)
 
 
@@ -99,7 +109,8 @@ class RigidPointToPlane(Registration):
     whose shape stays that of the start.
 
     The cloud is laid onto the vertices and their normals, and the garment moved by the inverse: so every point of a partial cloud
-    has a counterpart, and unseen vertices need none. Uses no body and no time.
+    has a counterpart, and unseen vertices need none. With a body the shape is the one that the body has brought along since the
+    start. Uses no time.
 
     Raises:
         NotApplicable: Open3D cannot be imported.
@@ -109,7 +120,15 @@ class RigidPointToPlane(Registration):
         self.settings = settings
         self._open3d = package("open3d", "'ddakf[evaluation]'")
 
+    @property
+    def hold(self) -> float:
+        """None is held by a weight: the shape is that of the body's motion as a whole."""
+        return 0.0
+
     def _registered(self, x: np.ndarray, frame: CapturedFrame) -> np.ndarray:
+        if isinstance(self._support, BodySupport) and frame.body_vertices is not None:
+            turn, shift = rigid_motion(self._support.place, x)
+            x = self._support.place @ turn.T + shift
         motion = self._motion(x, np.array(frame.points, np.float64))
         return x @ motion[:3, :3].T + motion[:3, 3]
 

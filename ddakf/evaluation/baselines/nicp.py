@@ -20,6 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from ddakf.evaluation.baselines.body_support import HOLD, support_of
 from ddakf.evaluation.baselines.linear_algebra import best_rotations, graph_laplacian
 from ddakf.evaluation.baselines.matching import facing
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
@@ -40,13 +41,15 @@ class NicpSettings:
         gate: metres; a correspondence at distance d weighs (1 - (d / gate)^2)^2, and nothing beyond.
         neighbours: nearest points that a correspondence is the mean of.
         momentum: share of the last frame's displacement with which the next one begins.
+        hold: weight of a hidden vertex on the body, at most 1, see :mod:`.body_support`.
     """
 
-    stiffness: float = 24.0
+    stiffness: float = 6.0
     iterations: int = 24
     gate: float = 0.1
     neighbours: int = 4
     momentum: float = 0.8
+    hold: float = HOLD
 
 
 TUNED = NicpSettings()
@@ -54,7 +57,8 @@ TWELVE_ITERATIONS = NicpSettings(stiffness=8.0, iterations=12)  # half the time 
 
 
 class NonRigidIcp:
-    """See the module. Uses no body and no time: the displacement of a frame is that of the last one, whatever their durations."""
+    """See the module. Uses no time: the displacement of a frame is that of the last one, whatever their durations; relative to
+    the body where one is given."""
 
     def __init__(self, settings: NicpSettings = TUNED):
         self.settings = settings
@@ -73,19 +77,21 @@ class NonRigidIcp:
         self._faces = garment.faces
         self._rotation = best_rotations(self._edge_products(np.asarray(vertices, np.float64)))
         self._position = np.array(vertices, np.float64)
-        self._last = self._position.copy()
+        self._displacement = np.zeros_like(self._position)  # of the last frame, beyond what the body carried
+        self._support = support_of(body, self._position, self.settings.hold)
 
     def step(self, frame: CapturedFrame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
-        x = self._position + self.settings.momentum * (self._position - self._last)
-        self._last = self._position
+        carried = self._support.begin(frame, self._position)
+        x = carried + self.settings.momentum * self._displacement
         if len(frame.points) >= max(LEAST_POINTS, self.settings.neighbours):
             # an unbalanced tree with loose boxes is quicker to build, and rejects distant queries quickly
             tree = cKDTree(np.asarray(frame.points, np.float64), balanced_tree=False, compact_nodes=False)
             for _ in range(self.settings.iterations):
-                x = self._iterate(x, tree, frame.sensor_origin)
-        self._position = x
-        return x.copy()
+                x = self._support.outside(self._iterate(x, tree, frame.sensor_origin))
+        self._position = self._support.outside(x)
+        self._displacement = self._position - carried
+        return self._position.copy()
 
     def _iterate(self, x: np.ndarray, tree: cKDTree, sensor_origin: np.ndarray | None) -> np.ndarray:
         settings = self.settings
@@ -96,6 +102,7 @@ class NonRigidIcp:
         if sensor_origin is not None:
             weight *= facing(x, vertex_normals(x, self._faces), sensor_origin, nearest[:, 0])
         pull = weight[:, None] * (tree.data[nearest].mean(axis=1) - x)
+        pull += self._support.held(weight)[:, None] * (self._support.place - x)
         self._rotation = turned(self._rotation, self._edge_products(x), ROTATION_STEPS)
         # sum_j (R_i + R_j) / 2 (r_i - r_j), by both ends of every edge
         rigid = -0.5 * (self._lever_transposed @ self._rotation.transpose(0, 2, 1).reshape(-1, 3))

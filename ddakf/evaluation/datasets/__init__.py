@@ -10,13 +10,13 @@ import zipfile
 from pathlib import Path
 
 from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording, load_folder
+from ddakf.evaluation.datasets.captures.deepdeform import Pair, load_pair, pairs
+from ddakf.evaluation.datasets.captures.recording import DepthRecording, Recording
+from ddakf.evaluation.datasets.captures.rgbd import is_rgbd, load_rgbd
+from ddakf.evaluation.datasets.captures.utd_mhad import KINECT, load_depth
 from ddakf.evaluation.datasets.cloth3d import garments, is_cloth3d, load_cloth3d
-from ddakf.evaluation.datasets.cloud_folder import FolderRecording, load_folder
-from ddakf.evaluation.datasets.deepdeform import Pair, load_pair, pairs
 from ddakf.evaluation.datasets.faust import REGISTRATION, Faust, is_faust, load_faust
-from ddakf.evaluation.datasets.recording import DepthRecording, Recording
-from ddakf.evaluation.datasets.rgbd import is_rgbd, load_rgbd
-from ddakf.evaluation.datasets.utd_mhad import KINECT, load_depth
 from ddakf.files.sequence import Sequence, load_sequence
 
 __all__ = [

@@ -12,12 +12,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from ddakf.data.rotation import rotation_matrices
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.datasets.matlab import read_arrays
-from ddakf.evaluation.datasets.point_cache import read_point_cache
-from ddakf.evaluation.datasets.smpl import load_smpl
+from ddakf.evaluation.datasets.formats.matlab import read_arrays
+from ddakf.evaluation.datasets.formats.point_cache import read_point_cache
+from ddakf.evaluation.datasets.formats.smpl import load_smpl
 from ddakf.files.io import read_mesh
 from ddakf.files.sequence import Sequence
 
@@ -45,8 +45,8 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
     Args:
         path: folder of the sequence.
         garment: its name, such as ``Tshirt``; None where there is one only.
-        smpl: arrays of SMPL (see :mod:`ddakf.evaluation.datasets.smpl`), or a folder with ``model_f.npz`` and ``model_m.npz``;
-            None for a sequence without the body.
+        smpl: arrays of SMPL (see :mod:`ddakf.evaluation.datasets.formats.smpl`), or a folder with ``model_f.npz``
+            and ``model_m.npz``; None for a sequence without the body.
 
     Returns:
         With the name ``<folder>_<garment>``, and the garment's.
@@ -70,7 +70,7 @@ def load_cloth3d(path, garment: str | None = None, smpl=None) -> Sequence:
     if info["trans"].shape[1] < frames or info["poses"].shape[1] < frames:
         found = f"{info['poses'].shape[1]} and {info['trans'].shape[1]}"
         raise InvalidFile("info.mat", f"poses and trans of {frames} frames as in {garment}.pc16", found)
-    turn = Y_UP @ Rotation.from_euler("z", float(info["zrot"][0, 0])).as_matrix()
+    turn = Y_UP @ rotation_matrices([0.0, 0.0, float(info["zrot"][0, 0])])
     trans = info["trans"].T[:frames, None]
     body = body_faces = None
     if smpl is not None:
@@ -92,6 +92,8 @@ def _turned(vertices: np.ndarray, turn: np.ndarray) -> np.ndarray:
 
 def _laid_onto(rest: np.ndarray, vertices: np.ndarray) -> np.ndarray:
     """(V, 3) float32 rest shape, turned and moved to be as close as it can be to other vertices (V, 3)."""
+    from scipy.spatial.transform import Rotation
+
     centre, target = rest.mean(axis=0), vertices.mean(axis=0, dtype=np.float64)
     turn, _ = Rotation.align_vectors(vertices - target, rest - centre)
     return (turn.apply(rest - centre) + target).astype(np.float32)

@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidArgument, InvalidFile, InvalidMesh
-from ddakf.evaluation.datasets.pose_interpolation import Interpolation, minimum_jerk
 from ddakf.files.io import read_mesh, read_points
 from ddakf.files.sequence import UNREADABLE, Sequence, why
 from ddakf.mesh import Mesh
@@ -97,6 +96,8 @@ class Faust:
         if last.shape != neutral.vertices.shape:
             expected = f"{neutral.n_vertices} vertices as s{subject}_p{NEUTRAL}"
             raise InvalidFile(f"{self.path.name}: {part}", expected, str(len(last)))
+        from ddakf.evaluation.datasets.pose_interpolation import Interpolation, minimum_jerk
+
         way = Interpolation(neutral, last)
         moving = [way(minimum_jerk(frame / MOVING)) for frame in range(MOVING + 1)]
         vertices = np.stack(moving + [moving[-1]] * RESTING).astype(np.float32)

@@ -185,6 +185,16 @@ def colours(values: np.ndarray, top: float) -> np.ndarray:
     return np.column_stack([np.interp(at, np.arange(len(COLOURS)), COLOURS[:, channel]) for channel in range(3)])
 
 
+def writable_formats() -> set[str]:
+    """Suffixes of the picture files that Pillow can write.
+
+    Raises:
+        MissingDependency: Pillow is not installed.
+    """
+    image = _pillow().Image
+    return {suffix for suffix, name in image.registered_extensions().items() if name in image.SAVE}
+
+
 def _pillow():
     try:
         import PIL.Image

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammainc
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.metrics.vertex_error import difference
@@ -41,6 +40,8 @@ def nees3(mahalanobis: np.ndarray) -> float:
 def nominal_probability(mahalanobis: np.ndarray) -> np.ndarray:
     """Probability content of the smallest claimed ellipsoid that holds the truth: the chi-square distribution function with
     3 degrees of freedom at m_i; uniform in [0, 1] when calibrated."""
+    from scipy.special import gammainc
+
     return gammainc(1.5, 0.5 * np.asarray(mahalanobis))
 
 

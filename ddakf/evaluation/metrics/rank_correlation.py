@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import rankdata
 
 
 def spearman(a: np.ndarray, b: np.ndarray) -> float:
     """Rank correlation: Pearson's of the ranks, ties sharing their mean rank; NaN when one of them is constant."""
+    from scipy.stats import rankdata
+
     ranks = rankdata(a), rankdata(b)
     a, b = (rank - rank.mean() for rank in ranks)
     scale = np.sqrt((a**2).sum() * (b**2).sum())
@@ -25,6 +26,8 @@ def roc_auc(score: np.ndarray, positive: np.ndarray) -> float:
     Returns:
         0.5 for a score without information; NaN with only positives or only negatives.
     """
+    from scipy.stats import rankdata
+
     positive = np.asarray(positive, bool)
     n, m = int(positive.sum()), int((~positive).sum())
     if n == 0 or m == 0:

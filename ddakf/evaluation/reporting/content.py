@@ -7,12 +7,12 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from ddakf.evaluation.paper_scope import TITLES, ordered
-from ddakf.evaluation.reporting import not_reproduced, paper_figures, paper_numbers, paper_tables
+from ddakf.evaluation.paper_scope import CONDITIONS, TITLES, ordered
+from ddakf.evaluation.reporting import headline, not_reproduced, paper_figures, paper_numbers, paper_tables
 from ddakf.evaluation.reporting.page import Picture, page
 from ddakf.evaluation.reporting.paper_tables import Table
 from ddakf.evaluation.reporting.result_files import Result
-from ddakf.evaluation.splits import labels_of
+from ddakf.evaluation.splits import labels_of, standing_of
 from ddakf.evaluation.studies.frame_estimates import load_frame_estimates
 
 TITLE = "DD-AKF and its baselines: the paper's tables and figures, measured"
@@ -31,6 +31,9 @@ GEOMETRY = ("rmse_mm", "hausdorff_mm", "flicker", "acceleration_variance", "ms_p
 CLOTH = ("rmse_mm", "iou", "stretch_percent", "bend_deg", "penetration_mm", "acceleration_variance", "flicker")
 BEYOND = ("rmse_normal_mm", "rmse_tangential_mm", "hausdorff_mm", "stretch_error_percent", "bend_error_deg",
           "penetration_violating_mm", "penetration_share", "ms_per_frame", "fps", "memory_mib_per_frame")  # fmt: skip
+UNTOUCHED_METRICS = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
+                     "penetration_mm", "flicker", "ms_per_frame", "fps", "effective_sample_size")  # fmt: skip
+UNTOUCHED_TESTED = ("rmse_mm", "rmse_normal_mm", "penetration_mm", "flicker")
 JUDGED = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
           "penetration_mm", "flicker")  # fmt: skip
 TESTED = ("rmse_mm", "hausdorff_mm", "iou", "stretch_percent", "stretch_error_percent", "bend_deg", "bend_error_deg",
@@ -63,11 +66,30 @@ def tables_of(results: dict[str, Result], folder: Path, *, brief: bool = False) 
         folder: they were read from.
         brief: as a document quotes them: the tests in short and over all views, nothing that another table has.
     """
-    studies = [*_faust(results, brief), *_cloth(results, brief), *_depth(results)]
+    studies = [*_untouched(results), *_faust(results, brief), *_cloth(results, brief), *_depth(results)]
     parts = [*studies, *_sweeps(results), *_occlusion(results, brief), *_reliability(results)]
     for table in parts:
-        table.notes += [source.mixed_runs for source in table.sources if source.mixed_runs]
+        for source in table.sources:
+            table.notes += [note for note in (source.constants, source.mixed_runs, source.untraceable) if note]
     return [*parts, not_reproduced.table(results, [path.stem for path in folder.glob("*.npz")])]
+
+
+def _untouched(results: dict[str, Result]) -> list[Table]:
+    """The headline, and every number behind it."""
+    if "untouched" not in results:
+        return []
+    result = results["untouched"]
+    parts = [headline.table(result)]
+    known = [value for value in UNTOUCHED_METRICS if any(result.pooled(method, value) for method in result.methods)]
+    for view in result.views:
+        title = f"Untouched recordings, {CONDITIONS.get(view, view)}"
+        parts.append(paper_tables.comparison(f"untouched-{view}", title, result, known, {}, view))
+        parts.append(paper_tables.significance(
+            f"untouched-tests-{view}", f"{title}: every system against DD-AKF", result, UNTOUCHED_TESTED, {}, view
+        ))  # fmt: skip
+    parts.append(paper_tables.behind("untouched-behind", "Where DD-AKF does not win, untouched recordings", result, JUDGED))
+    parts.append(paper_tables.by_sequence("untouched-by-sequence", "RMSE in mm by untouched recording", result, "rmse_mm"))
+    return parts
 
 
 def _faust(results: dict[str, Result], brief: bool) -> list[Table]:
@@ -160,6 +182,8 @@ def _sweeps(results: dict[str, Result]) -> list[Table]:
     for kind, title, value, paper, unit in (
         ("noise", "Table 5: RMSE in mm with noise", "rmse_mm", paper_numbers.NOISE, "noise, mm"),
         ("drop", "Table 6: penetration in mm with missing points", "penetration_mm", paper_numbers.DROP, "missing, %"),
+        ("outliers", "RMSE in mm with outliers", "rmse_mm", {}, "outliers, %"),
+        ("every", "RMSE in mm at lower frame rates", "rmse_mm", {}, "every n-th frame of 30 per second"),
     ):
         levels = {int(m[1]): r for name, r in results.items() if (m := re.fullmatch(rf"{kind}-(\d+)", name))}
         if levels:
@@ -184,9 +208,12 @@ def _error_maps(folder: Path, out: Path) -> list[Picture]:
             meta = frame.meta
             view = meta["view"] + ("+body" if meta["body"] else "")
             caption = f"{meta['sequence']}, {view}, frame {meta['frame']}, noise {1e3 * meta['noise']:g} mm, seed {meta['seed']}."
+            if lost := paper_figures.lost_in(frame):
+                caption += f" Lost the garment, and have no panel: {', '.join(TITLES.get(m, m) for m in lost)}."
             for system, why in meta["missing"].items():
                 caption += f" {TITLES.get(system, system)} is missing: {why}."
-            paper_figures.error_maps(out / f"{name}.png", frame, f"{meta['sequence']}, {view}, frame {meta['frame']}")
+            words = f"{meta['sequence']} ({standing_of(meta['sequence'])}), {CONDITIONS.get(view, view)}, frame {meta['frame']}"
+            paper_figures.error_maps(out / f"{name}.png", frame, words)
             parts.append(Picture(f"{name}.png", title, caption, f"{name}.npz, commit {meta['commit']}, {meta['date']}"))
     return parts
 
@@ -203,8 +230,18 @@ def _drawn(results: dict[str, Result], out: Path) -> list[Picture]:
         paper_figures.ablation(out / "ablation.png", results["ablation"])
         caption = "The default, the default without one of its parts each, and the method as printed; means over the sequences."
         parts.append(Picture("ablation.png", "Ablation", caption, "ablation.json"))
-    if "main" in results and results["main"].cells_of("ddakf"):
-        paper_figures.calibration(out / "calibration.png", results["main"])
-        caption = "Pooled over vertices, frames, sequences, views and runs."
-        parts.append(Picture("calibration.png", "Calibration of the claimed uncertainty", caption, "main.json"))
+    if "untouched" in results:
+        paper_figures.speed(out / "speed.png", results["untouched"])
+        caption = "Geometric means over untouched recordings; lines: systems that use no cloud."
+        parts.append(Picture("speed.png", "Error against time", caption, "untouched.json"))
+    if "depth" in results and any("per_frame" in run for cell in results["depth"].cells for run in cell["runs"]):
+        paper_figures.residuals(out / "depth.png", results["depth"])
+        caption = "Mean distance of the points to the surface."
+        parts.append(Picture("depth.png", "Real depth: residual over time", caption, "depth.json"))
+    for name in ("untouched", "main"):
+        if name in results and results[name].cells_of("ddakf"):
+            paper_figures.calibration(out / "calibration.png", results[name])
+            caption = "Pooled over vertices, frames, sequences, views and runs."
+            parts.append(Picture("calibration.png", "Calibration of the claimed uncertainty", caption, f"{name}.json"))
+            break
     return parts

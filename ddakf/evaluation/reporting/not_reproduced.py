@@ -25,6 +25,7 @@ ALWAYS = {
     "the paper's frame rates": "it names no machine; times here are of the machine that each result names, under its load",
 }
 STUDIES = {
+    "untouched": "the headline, on untouched recordings",
     "faust": "Tables 1 and 2", "main": "Tables 3, 4 and 7, and the calibration", "occlusion": "Figure 3 and the recovery",
     "captures": "captures without a body", "depth": "real depth", "scene-flow": "scene flow", "ablation": "the ablation",
 } | {f"noise-{level}": f"Table 5, {level} mm" for level in NOISE_MM} | {

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from html import escape
 
 from ddakf.evaluation.reporting.paper_tables import Cell, Table
-from ddakf.evaluation.reporting.result_files import Result
+from ddakf.evaluation.reporting.result_files import UNTRACEABLE, Result
 
 STYLE = """
 :root { color-scheme: light; }
@@ -21,6 +21,7 @@ td { text-align: right; padding: .22rem .6rem; border-bottom: 1px solid #eceef2;
 td.best { font-weight: 700; } td.paper, th.paper { color: #7a6a4f; background: #faf7f0; } td.none { color: #999; }
 td.text { text-align: left; white-space: normal; max-width: 800px; }
 .notes, .source { font-size: .82rem; color: #555b68; } .notes { padding-left: 1.1rem; } img { max-width: 100%; }
+.warning { color: #c00; font-weight: 700; }
 figure { margin: 1rem 0; } figcaption { font-size: .86rem; color: #555b68; } code { font-size: .85em; }
 """
 
@@ -76,7 +77,7 @@ def _contents(parts: list[Table | Picture]) -> str:
 def _table(table: Table) -> str:
     heads = "".join(f'<th{" class=paper" if head == "in the paper" else ""}>{escape(head)}</th>' for head in table.heads)
     rows = "\n".join("<tr>" + "".join(map(_cell, row)) + "</tr>" for row in table.rows)
-    notes = "".join(f"<li>{escape(note)}</li>" for note in table.notes)
+    notes = "".join(f"<li{' class=warning' if UNTRACEABLE in note else ''}>{escape(note)}</li>" for note in table.notes)
     names = ' class="names"' if table.heads[1] in ("system", "view", "sequence", "why") else ""
     files = ", ".join(f'<a href="#{escape(result.name)}">{escape(result.name)}.json</a>' for result in table.sources)
     return (

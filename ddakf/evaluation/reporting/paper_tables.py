@@ -9,6 +9,7 @@ from pathlib import Path
 from ddakf.evaluation.paper_scope import TITLES, ordered
 from ddakf.evaluation.reporting import paper_numbers
 from ddakf.evaluation.reporting.result_files import Pooled, Result
+from ddakf.evaluation.splits import standing_of
 
 HEADS = {
     "rmse_mm": "RMSE, mm", "rmse_normal_mm": "normal RMSE, mm", "rmse_tangential_mm": "tangential RMSE, mm",
@@ -19,28 +20,25 @@ HEADS = {
     "flicker": "flicker, mm/frame²",
     "acceleration_variance": "variance of acceleration, mm²/frame⁴", "ms_per_frame": "ms per frame", "fps": "frames per second",
     "memory_mib_per_frame": "MiB per frame", "recovery_frames": "frames to recover",
+    "effective_sample_size": "effective sample size",
 }  # fmt: skip
 DECIMALS = {
     "iou": 3, "fps": 1, "penetration_mm": 2, "penetration_share": 4, "reliability": 2, "acceleration_variance": 2,
     "ms_per_frame": 0,
 }  # fmt: skip
-HIGHER_IS_BETTER = ("iou", "fps")
+HIGHER_IS_BETTER = ("iou", "fps", "effective_sample_size")
 TRUTH = {  # the truth's own value of metrics that do not compare with it
     "stretch_percent": "stretch_truth_percent", "bend_deg": "bend_truth_deg", "penetration_mm": "penetration_truth_mm",
     "acceleration_variance": "acceleration_variance_truth",
 }  # fmt: skip
 # A frozen, a rigid or a torn garment would win these, or one that was already wrong. A high reliability alone is no merit.
 UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm", "own_flicker", "recovery_frames",
-            "recovery_ratio", "reliability")  # fmt: skip
+            "recovery_ratio", "reliability", "effective_sample_size")  # fmt: skip
 PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
 RUNS = {"main": "undisturbed", "occlusion": "with an occlusion"}  # of Table 7
 SIGN = (
     "Of a score that falls where the error grows the correlation is negative. The paper prints positive numbers and says that "
     "its score falls where the error grows: they are taken to be sizes."
-)
-SKEWED = (
-    "The interval of the effect supposes independent normal gains. Where it holds 0 beside a small p, few clips have gains "
-    "far larger than the others'."
 )
 SHORT = (
     "Cells: how much better DD-AKF is, effect size [95 % interval]. Verdict and Holm's p follow unless DD-AKF is better with "
@@ -140,7 +138,8 @@ def significance(name: str, title: str, result: Result, values: Iterable[str], p
     """p-values of every system against DD-AKF, with Holm's correction, the effect and its interval, beside the paper's."""
     tests = result.p_values.get(view) or result.p_values.get("all", {})
     others = [m for m in ordered(result.methods) if m != "ddakf"]
-    heads = ["metric", "system", "DD-AKF is better by", "p", "Holm", "effect [95 %]", "verdict", "p in the paper"]
+    heads = ["metric", "system", "DD-AKF is better by", "p", "Holm", "effect [95 %]", "verdict"]
+    heads += ["p in the paper"] if paper else []
     rows, notes = [], []
     for value in values:
         family = tests.get(value, {"comparisons": {}})
@@ -153,8 +152,8 @@ def significance(name: str, title: str, result: Result, values: Iterable[str], p
                 effect = f"{test['effect']:+.2f} [{test['effect_low']:+.2f}, {test['effect_high']:+.2f}]"
             rows.append([
                 Cell(HEADS[value]), Cell(TITLES.get(method, method)), Cell(_number(test["gain"], value)), Cell(p_text(test["p"])),
-                Cell(p_text(test["p_holm"])), Cell(effect, f"{test['groups']} groups"), Cell(test["verdict_holm"]),
-                Cell(paper.get(value, {}).get(method, "–"), kind="paper"),
+                Cell(p_text(test["p_holm"])), Cell(effect, f"{test['n']} sequences"), Cell(test["verdict_holm"]),
+                *([Cell(paper.get(value, {}).get(method, "–"), kind="paper")] if paper else []),
             ])  # fmt: skip
             notes += [note for note in _test_notes(test) if note not in notes]
         if (standing := family.get("standing")) and value not in UNRANKED:
@@ -187,18 +186,12 @@ def _effect(test: dict | None, value: str) -> Cell:
 
 
 def _test_notes(test: dict) -> list[str]:
-    """Groups and smallest p of a test, its dependence, and whether its interval disagrees."""
+    """Number of sequences and smallest p of a test."""
     statement = (
-        f"{test['n']} clips x views in {test['groups']} groups, signs flipped by {test['flipped']}; "
-        f"the smallest p that can be had: {test['p_smallest']:.2g}."
+        f"{test['n']} sequences (FAUST: subjects), signs flipped by sequence, intervals by a bootstrap over sequences; the "
+        f"smallest p that can be had: {test['p_smallest']:.2g}. An interval that holds 0 is never called better."
     )
-    skewed = SKEWED if test["effect"] is not None and _skewed(test) else None
-    return [note for note in (statement, test["dependence"], skewed) if note]
-
-
-def _skewed(test: dict) -> bool:
-    """True if the interval of the effect and the test disagree."""
-    return test["effect_low"] < 0 < test["effect_high"] and test["verdict_holm"] in ("better", "worse")
+    return [statement]
 
 
 def _standing(metric: str, standing: dict) -> str:
@@ -233,17 +226,21 @@ def sweep(
     methods = ordered(dict.fromkeys(m for result in results.values() for m in result.methods))
     heads = [unit]
     for method in methods:
-        heads += [TITLES.get(method, method), "in the paper"] if method in paper_numbers.METHODS else [TITLES.get(method, method)]
+        heads += [TITLES.get(method, method), *(["in the paper"] if _printed(method, paper) else [])]
     rows = []
     for level, result in sorted(results.items()):
         pools = {m: result.pooled(m, value) for m in methods}
         best, row = _best({m: pool for m, pool in pools.items() if not result.mostly_lost(m)}, value), [Cell(str(level))]
         for method in methods:
             row.append(_cell(pools[method], value, result, method, best == method))
-            if method in paper_numbers.METHODS:
+            if _printed(method, paper):
                 row.append(_paper(paper.get(level, {}).get(method)))
         rows.append(row)
     return Table(name, title, heads, rows, _notes(rows, results.values(), methods), list(results.values()))
+
+
+def _printed(method: str, paper: dict) -> bool:
+    return bool(paper) and method in paper_numbers.METHODS
 
 
 def by_sequence(
@@ -261,7 +258,10 @@ def by_sequence(
         pools = {m: result.pooled(m, value, chosen) for m in methods}
         best = _best({m: pool for m, pool in pools.items() if not result.mostly_lost(m, chosen)}, value)
         rows.append([Cell(Path(sequence).name), Cell(view), *(_cell(pools[m], value, result, m, best == m) for m in methods)])
-    heads = [head, "view", *(TITLES.get(m, m) for m in methods)]
+    if group is str:  # sequences: each with its standing
+        for row, (sequence, _) in zip(rows, places, strict=True):
+            row.insert(2, Cell(standing_of(Path(sequence).name)))
+    heads = [head, "view", *(["constants"] if group is str else []), *(TITLES.get(m, m) for m in methods)]
     return Table(name, title, heads, rows, _notes(rows, [result], methods), [result])
 
 
@@ -271,12 +271,13 @@ def behind(name: str, title: str, result: Result, values: Iterable[str]) -> Tabl
     found = {(place, value): _ahead(result, place, value) for place in places for value in values}
     heads = [value for value in values if any(found[place, value] for place in places)]
     rows = [
-        [Cell(Path(place[0]).name), Cell(place[1]), *(Cell(found[place, value] or "–") for value in heads)]
+        [Cell(Path(place[0]).name), Cell(place[1]), Cell(standing_of(Path(place[0]).name)),
+         *(Cell(found[place, value] or "–") for value in heads)]
         for place in places if any(found[place, value] for value in values)
     ]  # fmt: skip
     notes = [f"Cells: the best system, its mean, DD-AKF's mean. {len(values)} metrics, {len(places)} pairs of sequence and view; "
              "DD-AKF is best in all others."]  # fmt: skip
-    return Table(name, title, ["sequence", "view", *(HEADS[value] for value in heads)], rows, notes, [result])
+    return Table(name, title, ["sequence", "view", "constants", *(HEADS[value] for value in heads)], rows, notes, [result])
 
 
 def _ahead(result: Result, place: tuple[str, str], value: str) -> str | None:

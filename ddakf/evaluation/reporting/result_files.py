@@ -11,7 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.errors import InvalidFile
-from ddakf.evaluation import statistics
+from ddakf.evaluation import machine, statistics
+from ddakf.evaluation.splits import TUNED, UNTOUCHED, is_untouched
+
+UNTRACEABLE = "has runs of uncommitted or vanished code"
 
 
 class Pooled(NamedTuple):
@@ -89,6 +92,21 @@ class Result:
         return 2 * sum(runs) > len(runs)
 
     @property
+    def untraceable(self) -> str | None:
+        """A sentence on runs of code that nobody can check out: uncommitted changes, commits that vanished; None without any."""
+        names = {run["commit"] for cell in self.cells for run in cell["runs"] if "commit" in run} | set(self.meta["commits"])
+        if lost := sorted(name for name in names if not machine.is_traceable(name)):
+            return f"{self.name}.json {UNTRACEABLE}: {', '.join(lost)}."
+        return None
+
+    @property
+    def constants(self) -> str:
+        """A sentence on how many sequences are untouched."""
+        untouched = sum(is_untouched(name) for name in self.sequences)
+        parts = [f"{count} {word}" for count, word in ((untouched, UNTOUCHED), (len(self.sequences) - untouched, TUNED)) if count]
+        return f"{self.name}.json: {', '.join(parts)} sequences."
+
+    @property
     def mixed_runs(self) -> str | None:
         """A sentence on runs of several commits or several numbers of processes; None if all runs are alike."""
         commits: dict[str, dict[str, None]] = {commit: {} for commit in self.meta["commits"]}
@@ -122,13 +140,20 @@ def read(folder: Path) -> dict[str, Result]:
     Raises:
         InvalidFile: none there, or a file that is no result.
     """
-    found = {}
-    for path in sorted(Path(folder).glob("*.json")):
-        try:
-            content = json.loads(path.read_text())
-            found[path.stem] = Result(path.stem, content["meta"], content["results"], content["p_values"])
-        except (OSError, ValueError, KeyError, TypeError) as error:
-            raise InvalidFile(str(path), "the result of a study", f"{type(error).__name__}: {error}") from error
+    found = {path.stem: read_one(path) for path in sorted(Path(folder).glob("*.json"))}
     if not found:
         raise InvalidFile(str(folder), "results of studies (*.json): ddakf evaluate --paper makes them", "none")
     return found
+
+
+def read_one(path: Path) -> Result:
+    """The result in a file.
+
+    Raises:
+        InvalidFile: no result.
+    """
+    try:
+        content = json.loads(path.read_text())
+        return Result(path.stem, content["meta"], content["results"], content["p_values"])
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InvalidFile(str(path), "the result of a study", f"{type(error).__name__}: {error}") from error

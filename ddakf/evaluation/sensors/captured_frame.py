@@ -15,6 +15,13 @@ class Cloud(NamedTuple):
     sensor_origin: np.ndarray | None  # (3,), or (N, 3) for several cameras, m; None when it has none
 
 
+class ColouredCloud(NamedTuple):
+    """One frame of a sensor that sees colours."""
+
+    points: np.ndarray  # (N, 3) float32, m
+    sensor_origin: np.ndarray | None  # as in Cloud
+    colors: np.ndarray  # (N, 3) uint8, red, green, blue
+
 @dataclass(frozen=True, eq=False)
 class CapturedFrame:
     """One frame for a tracker, with the truth if known.

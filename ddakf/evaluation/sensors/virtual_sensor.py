@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.sensors import depth_errors
 from ddakf.evaluation.sensors.camera import Camera, Intrinsics
-from ddakf.evaluation.sensors.captured_frame import Cloud
-from ddakf.files.depth import without_fliers
+from ddakf.evaluation.sensors.captured_frame import Cloud, ColouredCloud
+from ddakf.evaluation.sensors.texture import Texture
+from ddakf.files.depth import seen, without_fliers
 from ddakf.files.sequence import Sequence
 
 View = Literal["full", "front", "ring4"]
+C = TypeVar("C", Cloud, ColouredCloud)
 
 DISTANCE = 2.0  # m: cameras stand this far from the garment's first centroid, horizontally
 FRONT_RISE, RING_RISE = 0.2, 0.4  # m: and this much above it
@@ -96,18 +97,25 @@ class Sensor:
         """True if a side of the garment is hidden in the frame of this number."""
         return self.occlude is not None and self.occlude[0] <= frame < self.occlude[1]
 
-    def capture(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> Cloud:
-        """The cloud of one frame. The same generator state gives the same cloud."""
+    def capture(
+        self, sequence: Sequence, frame: int, rng: np.random.Generator, texture: Texture | None = None
+    ) -> Cloud | ColouredCloud:
+        """The cloud of one frame, with colours where a texture is given. The same generator state gives the same cloud."""
         if self.view == "full":
-            cloud = Cloud(_scan(sequence, frame, self.points, self.segmented, rng), None)
+            (points, face), origin = _scan(sequence, frame, self.points, self.segmented, rng), None
         else:
-            cloud = Cloud(*self._look(sequence, frame, rng))
+            points, face, origin = self._look(sequence, frame, rng)
+        cloud = Cloud(points, origin)
+        if texture is not None:  # another generator: the points are the same with colours and without
+            cloud = ColouredCloud(*cloud, texture.colors(sequence, frame, (points, face), rng.spawn(1)[0]))
         if self.occludes(frame):
+            from scipy.spatial import cKDTree
+
             hidden = occluded_side(sequence, self.occluded)
             cloud = _selected(cloud, ~hidden[cKDTree(sequence.garment_vertices[frame]).query(cloud.points)[1]])
         return self.degrade(cloud, rng)
 
-    def degrade(self, cloud: Cloud, rng: np.random.Generator, frame: int | None = None) -> Cloud:
+    def degrade(self, cloud: C, rng: np.random.Generator, frame: int | None = None) -> C:
         """Limit, loss, noise and outliers of this sensor applied to a cloud; the points stay in their order.
 
         Args:
@@ -122,23 +130,26 @@ class Sensor:
         if len(chosen) > self.points:
             chosen = np.sort(rng.permutation(len(chosen))[: self.points])
         chosen = chosen[rng.random(len(chosen)) >= self.drop]
-        points, origin = _selected(cloud, chosen)
-        points = points + self.noise * rng.normal(size=(len(chosen), 3))
-        return Cloud(_with_outliers(points, self.outliers, rng).astype(np.float32), origin)
+        cloud = _selected(cloud, chosen)
+        points = cloud.points + self.noise * rng.normal(size=(len(chosen), 3))
+        return cloud._replace(points=_with_outliers(points, self.outliers, rng).astype(np.float32))
 
-    def _look(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    def _look(self, sequence: Sequence, frame: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points (N, 3), their faces (N,) and their sensors."""
         cameras = [front_camera(sequence)]
         if self.view == "ring4":
             # the order in which a stream groups points by sensor, so that sending a cloud does not reorder it
             cameras = sorted(ring_cameras(sequence, 4), key=lambda camera: tuple(camera.eye))
-        seen = [self._depth_points(sequence, frame, camera, rng) for camera in cameras]
+        found = [self._depth_points(sequence, frame, camera, rng) for camera in cameras]
         if self.view == "front":
-            return seen[0], cameras[0].eye
-        origin = np.repeat([camera.eye for camera in cameras], [len(points) for points in seen], axis=0)
-        return np.concatenate(seen), origin
+            return *found[0], cameras[0].eye
+        origin = np.repeat([camera.eye for camera in cameras], [len(points) for points, _ in found], axis=0)
+        return np.concatenate([points for points, _ in found]), np.concatenate([face for _, face in found]), origin
 
-    def _depth_points(self, sequence: Sequence, frame: int, camera: Camera, rng: np.random.Generator) -> np.ndarray:
-        """World points (N, 3) of one camera's pixels: of the garment if segmented, of the whole scene otherwise."""
+    def _depth_points(
+        self, sequence: Sequence, frame: int, camera: Camera, rng: np.random.Generator
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """World points (N, 3) and faces (N,) of one camera's pixels: of the garment if segmented, else of the whole scene."""
         meshes = [(sequence.garment_vertices[frame], sequence.garment_faces)]
         if sequence.has_body:
             meshes.append((sequence.body_vertices[frame], sequence.body_faces))
@@ -146,7 +157,8 @@ class Sensor:
         keep = without_fliers(depth, FLIER_JUMP)
         if self.segmented:
             keep &= face < len(sequence.garment_faces)
-        return camera.unproject(self._disturbed(depth, rng), keep)
+        depth = self._disturbed(depth, rng)
+        return camera.unproject(depth, keep), face[seen(depth) & keep]
 
     def _disturbed(self, depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """The depth image with the errors of this sensor."""
@@ -184,11 +196,16 @@ def ring_cameras(sequence: Sequence, count: int, intrinsics: Intrinsics = INTRIN
 
 def sample_surface(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """(count, 3) points, uniform over the area of a mesh (V, 3), (F, 3); Turk's square-root barycentric coordinates."""
+    return _sampled(vertices, faces, count, rng)[0]
+
+
+def _sampled(vertices: np.ndarray, faces: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """:func:`sample_surface`, and the (count,) faces of the points."""
     a, b, c = _corners(vertices, faces)
     area = _areas(vertices, faces)
     face = rng.choice(len(faces), count, p=area / area.sum())
     r, s = np.sqrt(rng.random((count, 1))), rng.random((count, 1))
-    return (1 - r) * a[face] + r * (1 - s) * b[face] + r * s * c[face]
+    return (1 - r) * a[face] + r * (1 - s) * b[face] + r * s * c[face], face
 
 
 def _corners(vertices: np.ndarray, faces: np.ndarray) -> list[np.ndarray]:
@@ -200,23 +217,29 @@ def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _scan(sequence: Sequence, frame: int, count: int, segmented: bool, rng: np.random.Generator) -> np.ndarray:
-    """Samples of the garment, or of the garment and the uncovered skin at the same density."""
+def _scan(
+    sequence: Sequence, frame: int, count: int, segmented: bool, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of the garment, or of the garment and the uncovered skin at the same density, and their faces."""
     cloth, cloth_faces = sequence.garment_vertices[frame], sequence.garment_faces
-    garment = sample_surface(cloth, cloth_faces, count, rng)
+    garment, face = _sampled(cloth, cloth_faces, count, rng)
     if segmented or not sequence.has_body:
-        return garment
+        return garment, face
+    from scipy.spatial import cKDTree
+
     skin, skin_faces = sequence.body_vertices[frame], sequence.body_faces
     ratio = _areas(skin, skin_faces).sum() / _areas(cloth, cloth_faces).sum()
-    body = sample_surface(skin, skin_faces, round(count * ratio), rng)
+    body, skin_face = _sampled(skin, skin_faces, round(count * ratio), rng)
     uncovered = np.isinf(cKDTree(garment).query(body, distance_upper_bound=COVERED)[0])
-    return np.concatenate([garment, body[uncovered]])
+    face = np.concatenate([face, len(cloth_faces) + skin_face[uncovered]])
+    return np.concatenate([garment, body[uncovered]]), face
 
 
-def _selected(cloud: Cloud, keep: np.ndarray) -> Cloud:
-    """The points that a mask (N,) or indices choose, and the origins of their sensors."""
-    points, origin = cloud
-    return Cloud(points[keep], origin[keep] if origin is not None and origin.ndim == 2 else origin)
+def _selected(cloud: C, keep: np.ndarray) -> C:
+    """The points that a mask (N,) or indices choose, the origins of their sensors, and their colours."""
+    points, origin = cloud.points[keep], cloud.sensor_origin
+    cloud = cloud._replace(points=points, sensor_origin=origin[keep] if origin is not None and origin.ndim == 2 else origin)
+    return cloud._replace(colors=cloud.colors[keep]) if isinstance(cloud, ColouredCloud) else cloud
 
 
 def _with_outliers(points: np.ndarray, share: float, rng: np.random.Generator) -> np.ndarray:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from ddakf.data.body import Body, Pose, load_body
-from ddakf.data.pack import packed
+from ddakf.data.body_shape import random_shape, shaped
+from ddakf.data.pack import DEFAULT_QUANTUM, packed
 from ddakf.errors import InvalidArgument, PoorQuality
-from ddakf.evaluation.simulation import garments, motions, quality, solver
+from ddakf.evaluation.simulation import fabrics, garments, motions, quality, solver
 from ddakf.evaluation.simulation.garments import Garment
 from ddakf.files.sequence import Sequence
 
 SETTLING = 0.8  # s in the rest pose before the first frame
 LICENCE = "CC0 1.0: body by MakeHuman (CC0), garment, motion and simulation by ddakf"
 FEWEST_FRAMES, MOST_FRAMES = 2, 10_000  # allowed range: one step at least, and memory
+
+
+KNOWN = {"garment": garments.GARMENTS, "motion": motions.MOTIONS, "fit": garments.FITS, "fabric": fabrics.FABRICS}
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,10 @@ class Order:
         n_vertices: of the garment, approximately.
         fps: frames per second.
         seed: varies the garment's measures and the motion; 0 leaves both unchanged.
+        fit: of :data:`garments.FITS`.
+        fabric: of :data:`fabrics.FABRICS`.
+        body: seed of the body's shape; 0 for the body that ships.
+        substeps: of a frame.
     """
 
     garment: str
@@ -40,10 +48,14 @@ class Order:
     n_vertices: int = 2700
     fps: float = 30.0
     seed: int = 0
+    fit: str = "regular"
+    fabric: str = "cotton"
+    body: int = 0
+    substeps: int = solver.DEFAULT_STEPS.substeps
 
     def __post_init__(self) -> None:
-        for field, value, known in (("garment", self.garment, garments.GARMENTS), ("motion", self.motion, motions.MOTIONS)):
-            if value not in known:
+        for field, known in KNOWN.items():
+            if (value := getattr(self, field)) not in known:
                 raise InvalidArgument(field, f"one of {', '.join(known)}", value)
         if not FEWEST_FRAMES <= self.n_frames <= MOST_FRAMES:
             raise InvalidArgument("frames", f"a number in [{FEWEST_FRAMES}, {MOST_FRAMES}]", str(self.n_frames))
@@ -71,9 +83,9 @@ def record(order: Order, progress: Callable[[int, int, str], None] = lambda done
         InvalidArgument: a number of vertices out of range.
         PoorQuality: the solver diverged.
     """
-    body, total = load_body(), order.n_settling + order.n_frames - 1
+    body, total = shaped(load_body(), random_shape(order.body)), order.n_settling + order.n_frames - 1
     progress(0, total, "cutting the garment")
-    garment = garments.make(order.garment, body, order.n_vertices, order.seed)
+    garment = garments.make(order.garment, body, order.n_vertices, order.seed, order.fit)
     pose = motions.make(order.motion, body, order.n_frames, order.fps, order.seed)
     pose = Pose(pose.rotations.astype(np.float32), pose.shift.astype(np.float32))  # as stored: the body follows from it exactly
     frame_numbers = np.concatenate([np.zeros(order.n_settling, int), np.arange(order.n_frames)])
@@ -81,7 +93,8 @@ def record(order: Order, progress: Callable[[int, int, str], None] = lambda done
     pins = body.skinned(pose, body.attach(garment.mesh.vertices, garment.mesh.faces))[frame_numbers]
     progress(0, total, "compiling")
     frames = [garment.mesh.vertices.astype(np.float32)]
-    for done, vertices in enumerate(solver.simulate(garment, posed, body.faces, pins, order.fps), start=1):
+    material = fabrics.FABRICS[order.fabric], solver.Steps(order.substeps)
+    for done, vertices in enumerate(solver.simulate(garment, posed, body.faces, pins, order.fps, *material), start=1):
         if not np.isfinite(vertices).all():
             raise PoorQuality(f"the solver diverged: coordinates of frame {done} of {total} are not finite")
         frames.append(vertices)
@@ -112,18 +125,19 @@ def write(target: Path, order: Order, sequence: Sequence, pose: Pose, solver_ver
     """
     found = quality.figures(sequence)
     quality.check(found)
-    arrays = packed(sequence) | {"body_rotations": pose.rotations, "body_shift": pose.shift}
-    np.savez_compressed(target, **arrays)
-    note = {
-        "garment": order.garment,
-        "motion": order.motion,
-        "seed": order.seed,
-        "fps": order.fps,
+    np.savez_compressed(target, **arrays(order, sequence, pose))
+    note = asdict(order) | {
         "solver": f"Newton {solver_version}, vertex block descent",
-        "fabric": solver.DEFAULT_FABRIC.__dict__,
-        "steps": solver.DEFAULT_STEPS.__dict__,
+        "material": asdict(fabrics.FABRICS[order.fabric]),
         "licence": LICENCE,
         "quality": found,
     }
     target.with_suffix(".json").write_text(json.dumps(note, indent=1) + "\n")
     return found
+
+
+def arrays(order: Order, sequence: Sequence, pose: Pose, quantum: float = DEFAULT_QUANTUM) -> dict[str, np.ndarray]:
+    """What a packed file of a recording holds: the garment, and the shape and poses of the body instead of its vertices."""
+    garment = packed(replace(sequence, body_vertices=None, body_faces=None), quantum)
+    shape = {"body_shape": random_shape(order.body).to_array()} if order.body else {}
+    return garment | {"body_rotations": pose.rotations, "body_shift": pose.shift} | shape

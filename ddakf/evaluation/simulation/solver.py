@@ -12,36 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from ddakf.errors import MissingDependency
+from ddakf.evaluation.simulation.fabrics import DEFAULT_FABRIC, Fabric
 from ddakf.evaluation.simulation.garments import Garment
 
 GRAVITY = (0.0, -9.81, 0.0)  # m/s^2
 SKIN_THICKNESS = 0.005  # m: contact distance of body and cloth, as faces are flat where the body is round
 SKIN_REACH = 0.03  # m: depth inside the body up to which a vertex is found and pushed out
 SELF_THICKNESS = 0.003  # m between layers
-SELF_REACH = 0.002  # m: search distance of contacts beyond it
+TOP_SPEED = 4.0  # m/s that cloth may have: Newton lets no vertex move beyond half of the distance searched for contacts
+RELAXATION = 0.85  # of that half
+LEAST_GAP = 0.002  # m of the search beyond the thickness
 CONTACT_BUFFER = 128  # contacts of one vertex or edge with the cloth itself; further ones are ignored
 REACH = 10.0  # m: half side of a box that holds the body in all frames
-
-
-@dataclass(frozen=True)
-class Fabric:
-    """Material of the cloth.
-
-    Attributes:
-        density: kg/m^2.
-        stretch: membrane stiffness, N/m.
-        damping: of stretch, relative to its stiffness, seconds.
-        bending: stiffness of a hinge, N m.
-        friction: on body and itself, no unit.
-        contact: stiffness of contacts, N/m.
-    """
-
-    density: float = 0.18
-    stretch: float = 3000.0
-    damping: float = 2e-5
-    bending: float = 2e-5
-    friction: float = 0.4
-    contact: float = 30_000.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +39,7 @@ class Steps:
     iterations: int = 3
 
 
-DEFAULT_FABRIC, DEFAULT_STEPS = Fabric(), Steps()
+DEFAULT_STEPS = Steps()
 
 
 def simulate(
@@ -86,16 +68,23 @@ def simulate(
     Raises:
         MissingDependency: Newton is not installed.
     """
-    scene = _Scene(garment, body_vertices[0], body_faces, fabric, steps.iterations)
+    scene = _Scene(garment, body_vertices[0], body_faces, fabric, steps.iterations, _reach(fps * steps.substeps))
     for frame in range(1, len(body_vertices)):
         yield scene.advance(body_vertices[frame], pins[frame], 1.0 / fps, steps.substeps)
+
+
+def _reach(steps_per_second: float) -> float:
+    """Distance (m) within which contacts of the cloth with itself are searched, once per substep: at the top speed a vertex then
+    still moves as far as it should."""
+    return max(SELF_THICKNESS + LEAST_GAP, TOP_SPEED / steps_per_second / (RELAXATION / 2))
 
 
 class _Scene:
     """Newton's model, state and solver for one garment and one body."""
 
-    def __init__(self, garment: Garment, body: np.ndarray, body_faces: np.ndarray, fabric: Fabric, iterations: int):
+    def __init__(self, garment: Garment, body: np.ndarray, body_faces: np.ndarray, fabric: Fabric, iterations: int, reach: float):
         newton, self._wp = _newton()
+        solvers = newton.solvers.SolverBase
         vertices = garment.mesh.vertices.astype(np.float32)
         shape = newton.Mesh(body.astype(np.float32), body_faces.ravel().astype(np.int32), compute_inertia=False)
         builder = newton.ModelBuilder(up_axis=newton.Axis.Y, gravity=GRAVITY)
@@ -116,7 +105,8 @@ class _Scene:
             edge_kd=0.0,
             particle_radius=SKIN_THICKNESS,
         )
-        builder.color(include_bending=True)
+        builder.add_ground_plane(cfg=contact)
+        builder.color(include_bending=False)  # hinges are soft: their ends may move together, and fewer colours cost less
         model = builder.finalize(device="cpu")
         model.soft_contact_ke, model.soft_contact_kd, model.soft_contact_mu = fabric.contact, 0.0, fabric.friction
         model.shape_collision_aabb_lower.fill_(self._wp.vec3(-REACH))
@@ -133,9 +123,11 @@ class _Scene:
             iterations=iterations,
             particle_enable_self_contact=True,
             particle_self_contact_margin=SELF_THICKNESS,
-            particle_self_contact_gap=SELF_REACH,
+            particle_self_contact_gap=reach - SELF_THICKNESS,
+            dat_conservative_bound_relaxation=RELAXATION,
             particle_vertex_contact_buffer_size=CONTACT_BUFFER,
             particle_edge_contact_buffer_size=CONTACT_BUFFER,
+            collision_frequency_type={solvers.CollisionSlot.SOFT_SELF_CONTACT: solvers.CollisionFrequencyType.PRE_INIT},
         )
         self._states, self._control, self._surface = [model.state(), model.state()], model.control(), shape.mesh
         self._body, self._pins = body.astype(np.float32), vertices[self._pinned]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shlex
 import sys
 import time
@@ -72,7 +73,7 @@ def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, or
     ):
         task = bar.add_task("", total=len(missing), what="starting")
         for row in rows:
-            row_log.add(origin | row)
+            row_log.add(origin | {"load_average": round(os.getloadavg()[0], 2)} | row)
             bar.update(task, advance=1, what=title(row))
             if not console.is_terminal:  # no bar in a log
                 console.print(_line(bar.tasks[0], title(row)))
@@ -90,8 +91,15 @@ def title(row: dict) -> str:
     return f"{row['sequence']} {row['view']}{'+body' if row['body'] else ''} {row['variant']}, seed {row['seed']}"
 
 
-def run_study(plan: StudyPlan, out: Path, procs: int, console: Console, again: Collection[str] = ()) -> dict:
-    """Runs the missing trials of a checked plan and those of ``again``, writes the result file and returns the result."""
+def run_study(
+    plan: StudyPlan, out: Path, procs: int, console: Console, again: Collection[str] = (), *, allow_dirty: bool = False
+) -> dict:
+    """Runs the missing trials of a checked plan and those of ``again``, writes the result file and returns the result.
+
+    Raises:
+        InvalidArgument: uncommitted code, for a result of the checkout, without ``allow_dirty``.
+    """
+    machine.require_committed(out, allow_dirty)
     wanted, row_log = plan.trials(), RowLog(out.with_suffix(".rows.jsonl"))
     try:
         execute(wanted, row_log, procs, console, again)
@@ -107,6 +115,7 @@ def run_study(plan: StudyPlan, out: Path, procs: int, console: Console, again: C
         "machine": machine.describe() | {"processes": procs},
         "seeds": list(range(1, plan.runs + 1)),
         "frames": plan.frames,
+        "seconds": round(sum(row.get("seconds") or 0.0 for row in rows)),
         "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"} | plan.unheeded(),
     }
     result = study_summary.summarise(rows, meta)

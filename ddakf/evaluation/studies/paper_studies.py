@@ -10,17 +10,27 @@ import numpy as np
 
 from ddakf.errors import DdakfError
 from ddakf.evaluation import machine
-from ddakf.evaluation.paper_scope import ALL_SYSTEMS, CLOUD_SYSTEMS, DROP_PERCENT, ERROR_MAPS, NOISE_MM
+from ddakf.evaluation.datasets import collection
+from ddakf.evaluation.paper_scope import (
+    ALL_SYSTEMS,
+    CLOUD_SYSTEMS,
+    CONDITIONS,
+    DROP_PERCENT,
+    ERROR_MAPS,
+    EVERY,
+    NOISE_MM,
+    OUTLIER_PERCENT,
+)  # fmt: skip
 from ddakf.evaluation.sensors.virtual_sensor import front_camera
 from ddakf.evaluation.splits import faust_split
 from ddakf.evaluation.studies.frame_estimates import FrameEstimates, load_frame_estimates
 from ddakf.evaluation.studies.study_plan import StudyPlan
 from ddakf.evaluation.trials.recordings import FAUST, SAMPLE, depth_recording_names, faust_names, find_recording, recording_names
 from ddakf.evaluation.trials.runs import estimate_frame
-from ddakf.evaluation.trials.trial import Trial
+from ddakf.evaluation.trials.trial import Trial, sensor_of
 from ddakf.evaluation.trials.variants import ablations, refinements
 
-SWEPT = "0:61"  # frames of the sweeps
+MOVING = "30:91"  # frames of the untouched recordings and of the sweeps: all are in motion by then
 OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
 CAPTURES = ("samba_dress", "samba_whole")  # real captures without a body, which have a study of their own
 DEPTH = 4  # number of recordings of a real depth camera
@@ -34,23 +44,23 @@ class Size:
         runs: seeds.
         swept_runs: seeds of the sweeps.
         frames: of every recording in the main study, ``A:B``.
-        swept: of every recording in the sweeps.
+        moving: of the untouched recordings, and of those of the sweeps.
         names: default sequences; empty for all available ones.
-        sweeps: True for all levels of the sweeps, False for the first and the last.
+        sweeps: True for all levels of the sweeps on untouched recordings, False for the first and the last on the main study's.
         faust: clips at most.
     """
 
     runs: int = 5
     swept_runs: int = 5
     frames: str = ":"
-    swept: str = SWEPT
+    moving: str = MOVING
     names: tuple[str, ...] = ()
     sweeps: bool = True
     faust: int = 16
 
 
 FULL = Size()
-QUICK = Size(runs=2, swept_runs=1, frames="0:31", swept="0:31", names=(SAMPLE, "skirt_walk"), sweeps=False, faust=0)
+QUICK = Size(runs=2, swept_runs=1, frames="0:31", moving="0:31", names=(SAMPLE, "skirt_walk"), sweeps=False, faust=0)
 
 
 def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
@@ -58,29 +68,26 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
 
     Args:
         size: :data:`FULL` or :data:`QUICK`.
-        names: sequences with a body; None: those of the size, or the sample and the recordings under DDAKF_DATA.
+        names: sequences with a body, untouched or not; None: those of the size, or the untouched recordings of the collection,
+            the sample and the recordings under DDAKF_DATA.
     """
+    held_out = [each.name for each in collection.listed(collection.HELD_OUT)] if size.sweeps else []
     captures = tuple(name for name in CAPTURES if name in recording_names())
     known = names or list(size.names) or [name for name in recording_names() if name not in CAPTURES]
-    chosen = tuple(known)
-    common = Trial("", surfaces=True)
-    noise = NOISE_MM if size.sweeps else (NOISE_MM[0], NOISE_MM[-1])
-    drop = DROP_PERCENT if size.sweeps else (DROP_PERCENT[0], DROP_PERCENT[-1])
-    views = ("full+body", "front+body")
-    plans = {}
+    chosen = tuple(name for name in known if name not in held_out)
+    untouched = tuple(name for name in held_out if names is None or name in names)
+    common, views, plans = Trial("", surfaces=True), tuple(CONDITIONS), {}
+    if untouched:
+        plans["untouched"] = StudyPlan(untouched, ALL_SYSTEMS, views, size.runs, size.moving, common)
     if size.faust and (clips := _clips(size.faust)):
         plans["faust"] = StudyPlan(clips, ALL_SYSTEMS, ("full",), size.runs, ":", common)
-    plans |= {"main": StudyPlan(chosen, ALL_SYSTEMS, views, size.runs, size.frames, common)}
-
-    def swept(settings: Trial) -> StudyPlan:
-        return StudyPlan(chosen, ALL_SYSTEMS, views[:1], size.swept_runs, size.swept, settings)
-
-    for level in noise:
-        plans[f"noise-{level}"] = swept(replace(common, noise=level / 1e3))
-    for level in drop:
-        plans[f"drop-{level}"] = swept(replace(common, drop=level / 100))
+    if chosen:
+        plans["main"] = StudyPlan(chosen, ALL_SYSTEMS, views, size.runs, size.frames, common)
+    swept = untouched or chosen
+    for name, settings in _degraded(common, size.sweeps).items():
+        plans[name] = StudyPlan(swept, ALL_SYSTEMS, views[:1], size.swept_runs, size.moving, settings)
     window = OCCLUDE if size.sweeps else (12, 22)
-    if long_enough := tuple(name for name in chosen if len(find_recording(name)) > window[1]):  # that are seen again after it
+    if long_enough := tuple(name for name in swept if len(find_recording(name)) > window[1]):  # that are seen again after it
         frames = OCCLUSION_FRAMES if size.sweeps else size.frames
         plans["occlusion"] = StudyPlan(long_enough, ALL_SYSTEMS, views[:1], size.runs, frames, replace(common, occlude=window))
     if captures and names is None and size.sweeps:
@@ -90,10 +97,23 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
         plans["depth"] = StudyPlan(_spread(recordings, DEPTH), CLOUD_SYSTEMS, ("front",), 1, size.frames, common)
     if pairs and names is None and size.sweeps:
         plans["scene-flow"] = StudyPlan(tuple(pairs), CLOUD_SYSTEMS, ("front",), 1, ":", common)
-    plans["ablation"] = StudyPlan(
-        chosen, ("ddakf", *ablations(), *refinements(), "paper"), views, 1, size.swept, common
-    )
+    if chosen:
+        systems = ("ddakf", *ablations(), *refinements(), "paper")
+        plans["ablation"] = StudyPlan(chosen, systems, views, 1, size.moving, common)
     return plans
+
+
+def _degraded(common: Trial, whole: bool) -> dict[str, Trial]:
+    """The settings of the sweeps by name: all levels, or the first and the last."""
+    def levels(values: tuple[int, ...]) -> tuple[int, ...]:
+        return values if whole else (values[0], values[-1])
+
+    return (
+        {f"noise-{level}": replace(common, noise=level / 1e3) for level in levels(NOISE_MM)}
+        | {f"drop-{level}": replace(common, drop=level / 100) for level in levels(DROP_PERCENT)}
+        | {f"outliers-{level}": replace(common, outliers=level / 100) for level in levels(OUTLIER_PERCENT)}
+        | {f"every-{level}": replace(common, every=level) for level in levels(EVERY)}
+    )
 
 
 def _clips(most: int) -> tuple[str, ...]:
@@ -112,9 +132,9 @@ def save_error_maps(size: Size, folder: Path, console, *, again: bool = False) -
     with ``again``, only if it is of the same commit."""
     for name, (view, noise, sequence, number) in ERROR_MAPS.items():
         view, _, body = view.partition("+")
-        last = len(find_recording(sequence)) - 1
-        number = min(number if size.sweeps else 30, last)
-        trial = Trial(sequence, view, bool(body), noise=noise)
+        first = int(MOVING.partition(":")[0])
+        number = number if size.sweeps else first + 10
+        trial = Trial(sequence, view, bool(body), noise=noise, first=first)
         path = folder / f"{name}.npz"
         if path.is_file():
             meta = load_frame_estimates(path).meta
@@ -135,4 +155,6 @@ def frame_estimates_of(trial: Trial, systems: list[str], number: int, eye: np.nd
             missing[system] = str(error)
     sequence = find_recording(trial.sequence)
     own = {"frame": number, "missing": missing, "commit": machine.commit(), "date": time.strftime("%Y-%m-%d")}
-    return FrameEstimates(asdict(trial) | own, sequence.garment_vertices[number], sequence.garment_faces, estimates, eye)
+    cloud = sensor_of(trial).capture(sequence, number, np.random.default_rng([trial.seed, number]))
+    truth, faces = sequence.garment_vertices[number], sequence.garment_faces
+    return FrameEstimates(asdict(trial) | own, truth, faces, estimates, eye, cloud.points)

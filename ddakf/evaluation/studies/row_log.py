@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +15,7 @@ class RowLog:
     """A file of rows, one JSON object per line.
 
     Args:
-        path: of the file, which the first row creates.
+        path: of the file, which the first row creates; or a file of this name and ``.gz`` is there, which is unpacked.
 
     Raises:
         InvalidFile: a line that is no row.
@@ -23,6 +24,9 @@ class RowLog:
     def __init__(self, path: Path):
         self.path = path
         self._rows: dict[Trial, dict] = {}
+        packed = path.with_name(path.name + ".gz")
+        if packed.is_file() and not path.is_file():
+            path.write_bytes(gzip.decompress(packed.read_bytes()))
         *lines, rest = path.read_bytes().split(b"\n") if path.is_file() else [b""]
         self._cut_off = len(rest)  # bytes of an incomplete last line, which the next row overwrites
         for number, line in enumerate(lines, 1):

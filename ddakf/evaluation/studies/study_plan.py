@@ -12,6 +12,7 @@ from ddakf.evaluation.trials.recordings import find_recording, tracked_frames
 from ddakf.evaluation.trials.trial import Trial, sensor_of
 from ddakf.files.sequence import Sequence
 
+_OPTIONS = {"sequences": "SEQ", "systems": "methods", "views": "view"}  # of the command line, by field
 LEAST_FRAMES = 4  # of a recording: the start frame, and three tracked ones, which have a second difference
 
 
@@ -67,7 +68,7 @@ class StudyPlan:
         for name in ("sequences", "systems", "views"):
             values = getattr(self, name)
             if not values or len(set(values)) < len(values):
-                raise InvalidArgument(name, "at least one, each once", ", ".join(values) or "none")
+                raise InvalidArgument(_OPTIONS[name], "at least one, each once", ", ".join(values) or "none")
         if self.runs < 1:
             raise InvalidArgument("runs", "at least 1", str(self.runs))
         for view in self.views:
@@ -76,10 +77,22 @@ class StudyPlan:
                 raise InvalidArgument("view", "full, front or ring4, or one of them with +body", repr(view + plus + body))
             sensor_of(replace(self.settings, view=view))
         for system in self.systems:
-            methods.method_factory(system)
+            _require_method(system)
         for trial in dict.fromkeys(self._trial(name, self.views[0], 1, self.systems[0]) for name in self.sequences):
             _require_frames(trial)
             _require_effect(trial)
+
+    def require_all_frames(self) -> None:
+        """Refuses frames beyond the end of a sequence. The paper's studies take what there is.
+
+        Raises:
+            InvalidArgument
+        """
+        last = self.frames.partition(":")[2]
+        for name in self.sequences:
+            known = find_recording(name)
+            if last and not isinstance(known, Pair) and int(last) > len(known):
+                raise InvalidArgument("frames", f"at most :{len(known)}, the frames of {name}", repr(self.frames))
 
 
 def _frames(text: str, every: int) -> tuple[int, int | None]:
@@ -89,6 +102,14 @@ def _frames(text: str, every: int) -> tuple[int, int | None]:
         raise InvalidArgument("frames", "A:B, whole numbers or nothing", repr(text))
     start = int(first or 0)
     return start, None if last == "" else max(int(last) - 1 - start, 0) // every
+
+
+def _require_method(name: str) -> None:
+    try:
+        methods.method_factory(name)
+    except InvalidArgument as error:
+        field = "methods" if error.field == "variant" else f"methods: {error.field}"
+        raise InvalidArgument(field, error.expected, error.got) from None
 
 
 def _require_frames(trial: Trial) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable
 
 import numpy as np
 
 from ddakf.evaluation import metrics, statistics
+from ddakf.evaluation.splits import unit_of
 from ddakf.evaluation.trials.run_score import json_numbers
 
 OURS = "ddakf"
@@ -33,6 +35,7 @@ VALUES = {  # name in a result: name in a row
     "ms_per_frame_p99": "wall_ms_p99",
     "cpu_ms_per_frame": "cpu_ms_p50",
     "fps": "fps",
+    "load_average": "load_average",
     "memory_mib_per_frame": "memory_mib",
     "residual_mm": "residual_mm",
     "residual_p95_mm": "residual_p95_mm",
@@ -46,7 +49,7 @@ VALUES = {  # name in a result: name in a row
     "effective_sample_size": "effective_sample_size",
 }
 CALIBRATION = ("n", "coverage90", "nees3", "inside")
-PER_FRAME = ("rmse_mm", "penetration_mm", "reliability", "paper_score", "state")
+PER_FRAME = ("rmse_mm", "residual_mm", "penetration_mm", "reliability", "paper_score", "state")
 TESTED = (
     "rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_percent", "stretch_error_percent", "bend_deg",
     "bend_error_deg", "penetration_mm", "flicker", "acceleration_variance", "residual_mm", "own_flicker", "end_point_error_mm",
@@ -70,7 +73,7 @@ def summarise(rows: list[dict], meta: dict) -> dict:
     for row in rows:
         cells[row["sequence"], view_of(row), row["variant"]].append(row)
     results = [_cell(*place, part) for place, part in cells.items()]
-    return {"meta": meta, "results": results, "p_values": tests(rows)}
+    return {"meta": meta, "results": results, "p_values": tests(results)}
 
 
 def view_of(row: dict) -> str:
@@ -108,7 +111,7 @@ def _run(row: dict) -> dict:
     groups = {name: row[name] for name in ("observed", "hidden") if row.get(name)}
     run["calibration"] = {name: {key: group[key] for key in CALIBRATION} for name, group in groups.items()}
     run |= dict(zip(("recovery_frames", "recovery_ratio"), _recovery(row), strict=True))
-    if row.get("occlude"):  # those of all others are in the row log
+    if row.get("occlude") or "residual_mm" in frames:  # those of all others are in the row log
         run["per_frame"] = {"number": frames["number"]} | {name: frames[name] for name in PER_FRAME if name in frames}
     return run
 
@@ -132,35 +135,38 @@ def _recovery(row: dict) -> tuple[int | None, float | None]:
     return frames, json_numbers(after[-BEFORE:].mean() / before.mean())
 
 
-def tests(rows: list[dict]) -> dict:
-    """Every system against DD-AKF, paired by clip and view, over all views and in each.
+def tests(cells: list[dict]) -> dict:
+    """Every system against DD-AKF, paired by :func:`ddakf.evaluation.splits.unit_of`, over all views and in each.
+
+    Args:
+        cells: of a study, by sequence, view and method.
 
     Returns:
         By ``all`` or a view, and by metric: ``comparisons`` by method, :class:`ddakf.evaluation.statistics.Comparison` with
         Holm's correction over the methods; and ``standing``, :class:`ddakf.evaluation.statistics.Standing`. Empty without DD-AKF.
     """
-    rows = [row for row in rows if has_result(row)]
-    if not any(row["variant"] == OURS for row in rows):
+    cells = [cell for cell in cells if cell["mean"]]
+    if not any(cell["method"] == OURS for cell in cells):
         return {}
-    views = list(dict.fromkeys(map(view_of, rows)))
-    parts = {"all": rows} | ({view: [row for row in rows if view_of(row) == view] for view in views} if len(views) > 1 else {})
+    views = list(dict.fromkeys(cell["view"] for cell in cells))
+    parts = {"all": cells}
+    if len(views) > 1:
+        parts |= {view: [cell for cell in cells if cell["view"] == view] for view in views}
     return {name: _tests(part) for name, part in parts.items()}
 
 
-def _tests(rows: list[dict]) -> dict:
-    others = [name for name in dict.fromkeys(row["variant"] for row in rows) if name != OURS]
-    rmse = {name: [row["rmse_mm"] for row in rows if row["variant"] == name and "rmse_mm" in row] for name in others}
+def _tests(cells: list[dict]) -> dict:
+    others = [name for name in dict.fromkeys(cell["method"] for cell in cells) if name != OURS]
+    rmse = {name: [run["rmse_mm"] for cell in cells if cell["method"] == name for run in cell["runs"]] for name in others}
+    rmse = {name: [value for value in values if value is not None] for name, values in rmse.items()}
     table = {}
     for metric in TESTED:
-        ours = _units(rows, OURS, metric)
         better = "higher" if metric in HIGHER_IS_BETTER else "lower"
         compared = {}
         for other in others:
-            theirs = _units(rows, other, metric)
-            units = sorted(set(ours) | set(theirs))
-            scores = [[part.get(unit) for unit in units] for part in (ours, theirs)]
-            places = [unit[0] for unit in units], [unit[2] for unit in units]
-            compared[other] = statistics.compare(*scores, *places, better)
+            ours, theirs = paired(cells, OURS, metric), paired(cells, other, metric)
+            views = {place: None for place in ours if place in theirs}  # of the cells that both have
+            compared[other] = statistics.compare(by_unit(ours, views), by_unit(theirs, views), better)
         if any(comparison.n for comparison in compared.values()):
             compared = statistics.corrected(compared)
             standing = statistics.standing(compared, rmse)
@@ -171,11 +177,18 @@ def _tests(rows: list[dict]) -> dict:
     return table
 
 
-def _units(rows: list[dict], method: str, metric: str) -> dict[tuple[str, str, int], float]:
-    """The mean over seeds of each unit: sequence, view and first frame of the clip."""
-    values = defaultdict(list)
-    for row in rows:
-        if row["variant"] == method:
-            for clip in row["clips"]:
-                values[row["sequence"], view_of(row), clip["first"]].append(clip.get(VALUES[metric]))
-    return {unit: statistics.spread(part).mean for unit, part in values.items()}
+def paired(cells: list[dict], method: str, metric: str) -> dict[tuple[str, str], float]:
+    """The mean over seeds of a method's metric by sequence and view, where there is one."""
+    return {
+        (cell["sequence"], cell["view"]): cell["mean"][metric]
+        for cell in cells
+        if cell["method"] == method and cell["mean"] and cell["mean"].get(metric) is not None
+    }
+
+
+def by_unit(values: dict[tuple[str, str], float], places: Iterable[tuple[str, str]]) -> dict[str, float]:
+    """The mean over the places (sequence, view) of each unit."""
+    parts = defaultdict(list)
+    for place in places:
+        parts[unit_of(place[0])].append(values[place])
+    return {unit: float(np.mean(part)) for unit, part in parts.items()}

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import ddakf
-from ddakf.errors import DdakfError, MissingDependency
+from ddakf.errors import DdakfError
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.evaluation.tracking.server import Server, client_package
 from ddakf.evaluation.tracking.sources import Source
 
-KEY_VARIABLE = "DDAKF_API_KEY"  # environment variable with the server's API key
 WAIT = 0.1  # s between checks for the end of the stream
 
 
@@ -21,7 +20,7 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
     """Tracks in this process.
 
     Yields:
-        Frame, :class:`ddakf.types.FrameResult`, and the seconds that the step took.
+        Frame, :class:`ddakf.results.FrameResult`, and the seconds that the step took.
     """
     tracker = ddakf.Tracker(source.garment, body=source.body, config=config or ddakf.Config())
     if source.start is not None:
@@ -38,13 +37,13 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
 
 
 def remote(
-    source: Source, target: str, config: ddakf.Config | None = None, codec: str | None = None
+    source: Source, server: Server, config: ddakf.Config | None = None, codec: str | None = None
 ) -> Iterator[tuple[CapturedFrame, object, float]]:
     """Tracks on a server: every frame in order, each sent after the result of the one before.
 
     Args:
         source: the frames.
-        target: "host:port" of gRPC.
+        server: its address and credentials.
         config: of the tracker; default the server's.
         codec: of the clouds; default the client's.
 
@@ -55,12 +54,12 @@ def remote(
         MissingDependency: the client is not installed.
         DdakfError: the server refused or ended the stream; the message is its sentence.
     """
-    client = _client()
+    client = client_package()
     options = {} if codec is None else {"codec": codec}
     sent: list[CapturedFrame] = []
     try:
         with (
-            client.connect(target, api_key=os.environ.get(KEY_VARIABLE)) as connection,
+            server.connect() as connection,
             connection.create_session(source.garment, body=source.body, config=config, flow="lossless", **options) as session,
         ):
             if source.start is not None:
@@ -90,11 +89,3 @@ def _paced(source: Source, sent: list[CapturedFrame]):
         yield frames(), permit
     finally:
         ended.set()
-
-
-def _client():
-    try:
-        import ddakf_client
-    except ModuleNotFoundError as error:
-        raise MissingDependency("--server needs the client, which is not installed: pip install ddakf-client") from error
-    return ddakf_client

@@ -25,13 +25,14 @@ class Scoreboard:
         self._vertices, self._sigma, self._reliability = [], [], []
         self._rmse, self._normal, self._residual = [], [], []
         self._observed, self._hidden = [], []
+        self._warned, self._warnings = Counter(), {}
 
     def add(self, frame: CapturedFrame, result, seconds: float) -> None:
         """Adds one frame.
 
         Args:
             frame: the tracked one.
-            result: a :class:`ddakf.types.FrameResult`, or a client's result with covariance.
+            result: a :class:`ddakf.results.FrameResult`, or a client's result with covariance.
             seconds: of the step.
         """
         self._seconds.append(seconds)
@@ -40,6 +41,8 @@ class Scoreboard:
         self._vertices.append(np.array(result.vertices, np.float32))
         self._sigma.append(np.array(result.sigma, np.float32))
         self._reliability.append(float(result.reliability))
+        self._warned.update(warning.code for warning in result.warnings)
+        self._warnings |= {warning.code: warning for warning in result.warnings}
         vertices = np.asarray(result.vertices, np.float64)
         if len(frame.points):
             self._residual.append(self._distance(frame.points, vertices).astype(np.float32))
@@ -59,7 +62,8 @@ class Scoreboard:
             ``frames``; ``states``: share of the frames in each; ``ms_p50``, ``ms_p99``: per frame; ``fps``: 1 /
             mean time; ``rmse_mm``, ``normal_rmse_mm``: means over frames; ``coverage90`` and ``nees3``: of all
             vertices pooled, with ``_observed`` and ``_hidden`` apart; ``residual_mean_mm``, ``residual_p95_mm``:
-            distance of the cloud's points to the surface, pooled; ``reliability``: mean.
+            distance of the cloud's points to the surface, pooled; ``reliability``: mean; ``warnings``: each code once, with its
+            field, its last sentence and the number of its frames.
         """
         count = len(self._states)
         ms = 1e3 * np.array(self._seconds)
@@ -81,6 +85,10 @@ class Scoreboard:
         summary["residual_mean_mm"] = _mean(residual)
         summary["residual_p95_mm"] = _percentile(residual, 95)
         summary["reliability"] = _mean(self._reliability)
+        summary["warnings"] = [
+            {"code": code, "field": self._warnings[code].field, "message": self._warnings[code].message, "frames": n}
+            for code, n in self._warned.items()
+        ]
         return summary
 
     def save(self, path) -> None:

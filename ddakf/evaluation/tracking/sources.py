@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
+from ddakf.data.rotation import rotation_matrices
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets import Pair, Recording, open_dataset
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
@@ -220,6 +220,9 @@ def source_of(
     if isinstance(recording, Pair):
         raise InvalidArgument("path", "a sequence or a recording", "a pair of frames")
     chosen = chosen_frames(frames, len(recording))
+    if sensor is not None and sensor.occlude and not any(map(sensor.occludes, chosen)):
+        window = "{}:{}".format(*sensor.occlude)
+        raise InvalidArgument("occlude", f"some of the frames {chosen[0]} to {chosen[-1]}", window)
     if isinstance(recording, Sequence):
         if template is not None:
             raise InvalidArgument("template", "none for a sequence, which has its own", str(template))
@@ -233,22 +236,25 @@ def source_of(
 
 def _displaced(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """(V, 3) vertices turned about the vertical through their middle and moved horizontally, at random."""
-    turn = Rotation.from_rotvec([0.0, rng.uniform(-DISPLACED_TURN, DISPLACED_TURN), 0.0])
+    turn = rotation_matrices([0.0, rng.uniform(-DISPLACED_TURN, DISPLACED_TURN), 0.0])
     middle = vertices.mean(axis=0)
-    return turn.apply(vertices - middle) + middle + rng.uniform(-DISPLACED_SHIFT, DISPLACED_SHIFT, 3) * [1, 0, 1]
+    return (vertices - middle) @ turn.T + middle + rng.uniform(-DISPLACED_SHIFT, DISPLACED_SHIFT, 3) * [1, 0, 1]
 
 
 def chosen_frames(text: str, count: int) -> range:
-    """The frames of ``A:B`` among ``count``; Python's rules for slices.
+    """The frames of ``A:B`` among ``count``; negative ones from the end.
 
     Raises:
-        InvalidArgument: not of that form, or fewer than two frames.
+        InvalidArgument: not of that form, beyond the last frame, or fewer than two frames.
     """
     first, colon, last = text.partition(":")
     try:
         chosen = range(count)[int(first) if first else None : int(last) if last else None]
     except ValueError:
         chosen = range(0)
+    else:
+        if last and int(last) > count:
+            raise InvalidArgument("frames", f"at most :{count}, the frames of the recording", repr(text))
     if not colon or len(chosen) < 2:
         raise InvalidArgument("frames", f"A:B with at least two of the {count} frames", repr(text))
     return chosen

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
+import importlib
 import json
+import os
+import sys
 from collections.abc import Callable
 from functools import partial
 
 import numpy as np
 
 from ddakf.config import Config
-from ddakf.errors import InvalidArgument
+from ddakf.errors import InvalidArgument, nearest
 from ddakf.evaluation.baselines.baseline import Baseline
 from ddakf.evaluation.baselines.embedded_deformation import EmbeddedDeformation
+from ddakf.evaluation.baselines.filters.as_printed import AsPrinted
+from ddakf.evaluation.baselines.filters.kalman_filter import KalmanFilter
+from ddakf.evaluation.baselines.filters.particle_filter import ParticleFilter
 from ddakf.evaluation.baselines.icp import NonRigidPointToPlane, RigidPointToPlane
-from ddakf.evaluation.baselines.kalman_filter import KalmanFilter
 from ddakf.evaluation.baselines.nicp import TWELVE_ITERATIONS, NonRigidIcp
-from ddakf.evaluation.baselines.particle_filter import ParticleFilter
+from ddakf.evaluation.baselines.references import Still
 from ddakf.evaluation.baselines.third_party import Open3dArap, ProbregCpd, TrimeshNricp
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.splits import NO_LABELS, RecordingLabels
@@ -40,7 +45,8 @@ def configuration(variant: str) -> Config:
             raise InvalidArgument("variant", "NAME={JSON}", f"{values!r} ({error})") from error
     known = {"ddakf": Config(), "default": Config(), "paper": Config.paper()} | ablations() | refinements()
     if name not in known:
-        raise InvalidArgument("variant", f"one of {', '.join([*known, *BASELINES])}, or NAME={{JSON}}", repr(variant))
+        names = [*known, *BASELINES]
+        raise InvalidArgument("variant", f"{', '.join(names)} or NAME={{JSON}}", repr(variant) + nearest(variant, names))
     return known[name]
 
 
@@ -60,7 +66,9 @@ def _clothfit(labels: RecordingLabels) -> Baseline:
 
 BASELINES: dict[str, Callable[[RecordingLabels], Baseline]] = {
     "clothfit": _clothfit,
+    "still": lambda labels: Still(),
     "carried": _carried,
+    "printed": lambda labels: AsPrinted(),
     "kf": lambda labels: KalmanFilter(),
     "icp": lambda labels: NonRigidPointToPlane(),
     "icp-rigid": lambda labels: RigidPointToPlane(),
@@ -85,9 +93,32 @@ def make_baseline(name: str, labels: RecordingLabels = NO_LABELS) -> Baseline:
         InvalidArgument: no baseline of that name.
         NotApplicable: it cannot be used here, for example because a package is missing.
     """
+    if ":" in name:
+        return submitted(name)()
     if name not in BASELINES:
-        raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}", repr(name))
+        raise InvalidArgument("baseline", f"one of {', '.join(BASELINES)}, or MODULE:CLASS", repr(name))
     return BASELINES[name](labels)
+
+
+def submitted(name: str) -> type:
+    """The class of a tracker from elsewhere, which has the methods of :class:`.baseline.Baseline`.
+
+    Args:
+        name: ``MODULE:CLASS``; modules of the working folder are found.
+
+    Raises:
+        InvalidArgument: no such module or class, or one without ``start`` and ``step``.
+    """
+    module, _, attribute = name.partition(":")
+    if (here := os.getcwd()) not in sys.path:
+        sys.path.append(here)
+    try:
+        found = getattr(importlib.import_module(module), attribute)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise InvalidArgument("submit", "MODULE:CLASS that can be imported", f"{name!r} ({error})") from error
+    if missing := [part for part in ("start", "step") if not callable(getattr(found, part, None))]:
+        raise InvalidArgument("submit", "a class with start and step (docs/benchmark.md)", f"{name!r} without {missing[0]}")
+    return found
 
 
 def _tracker(config: Config, garment: Mesh, start: np.ndarray, body: Mesh | None) -> Method:
@@ -125,10 +156,13 @@ def method_factory(variant: str, labels: RecordingLabels = NO_LABELS) -> MethodF
     :func:`configuration`.
 
     Args:
-        variant: name of either.
+        variant: name of either, or ``MODULE:CLASS`` of a tracker from elsewhere, see :func:`submitted`.
         labels: of the recording that a baseline is scored on.
 
     Raises:
         InvalidArgument: no such variant. The factory may raise NotApplicable.
     """
+    if ":" in variant and "=" not in variant:
+        submitted(variant)  # refused before any work
+        return partial(_baseline, variant, labels)
     return partial(_baseline, variant, labels) if variant in BASELINES else partial(_tracker, configuration(variant))

@@ -1,4 +1,4 @@
-"""Recordings by name: the sample, those that ship, those under ``DDAKF_DATA``, and the frames that a trial tracks."""
+"""Recordings by name: the sample, those that ship, the collection, those under ``DDAKF_DATA``; and the frames of a trial."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from functools import lru_cache
 from pathlib import Path
 
 from ddakf import data
-from ddakf.errors import InvalidArgument
-from ddakf.evaluation.datasets import Pair, Recording, load_faust, open_dataset
+from ddakf.errors import InvalidArgument, nearest
+from ddakf.evaluation.datasets import Pair, Recording, collection, load_faust, open_dataset
 from ddakf.evaluation.trials.trial import PAIR_STEPS, Trial
 from ddakf.files.sequence import Sequence, load_sequence
 
@@ -38,10 +38,13 @@ def find_recording(name: str) -> Sequence | Recording | Pair:
             return open_dataset(place)
     if name in {path.stem for path in data.TRAINING.glob("*.npz")}:
         return load_sequence(data.TRAINING / f"{name}.npz")
+    if name in {each.name for each in collection.listed()}:
+        return collection.load(name)
     folder = _folder()
     if folder is None or not (folder / f"{name}.npz").is_file():
         known = [*recording_names(), *sorted(path.stem for path in data.TRAINING.glob("*.npz"))]
-        raise InvalidArgument("sequence", f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)", repr(name))
+        expected = f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)"
+        raise InvalidArgument("sequence", expected, repr(name) + nearest(name, known))
     return load_sequence(folder / f"{name}.npz")
 
 

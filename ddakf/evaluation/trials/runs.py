@@ -80,6 +80,11 @@ def run_trial(trial: Trial) -> dict:
     methods.method_factory(trial.variant)
     for check in (sensor_of, _script, tracked_frames):
         check(trial)
+    begun = time.perf_counter()
+    return _row(trial) | {"seconds": round(time.perf_counter() - begun, 2)}
+
+
+def _row(trial: Trial) -> dict:
     try:
         match find_recording(trial.sequence):
             case Sequence():

@@ -16,7 +16,7 @@ def ablations() -> dict[str, Config]:
     alone = replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
     return {
         "no-planes": replace(default, associate=replace(association, tangential_sd=default.adapt.initial_sd)),
-        "one-association": replace(without_levels(), associate=once),
+        "one-association": replace(without_clusters(), associate=once),
         "no-visibility": replace(default, associate=blind),
         "no-correlation": replace(default, physics=alone),
         "no-carrying": replace(default, predict=replace(default.predict, carry_reach=0.0)),
@@ -28,13 +28,13 @@ def refinements() -> dict[str, Config]:
     default = Config()
     return {
         "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
-        "no-levels": without_levels(),
+        "no-clusters": without_clusters(),
         "no-hems": replace(default, associate=replace(default.associate, hem_reach=0.0)),
         "no-holding": replace(default, predict=replace(default.predict, worn_memory=0.0)),
     }
 
 
-def without_levels() -> Config:
-    """The default with passes over all vertices only: without cluster alignment and without the coarser levels."""
+def without_clusters() -> Config:
+    """The default with passes over all vertices only, without cluster alignment."""
     default = Config()
-    return replace(default, coarse=replace(default.coarse, iterations=0), pyramid=replace(default.pyramid, iterations=0))
+    return replace(default, coarse=replace(default.coarse, iterations=0))

@@ -25,7 +25,9 @@ from ddakf.evaluation.baselines.clothfit.network import INPUTS, OUTPUTS, Committ
 from ddakf.evaluation.baselines.clothfit.rehearsal import Rehearsal, rehearse
 from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings
 from ddakf.evaluation.baselines.clothfit.training import Progress, torch
-from ddakf.evaluation.simulation import garments, motions, remesh
+from ddakf.evaluation.simulation import garments, motions
+from ddakf.evaluation.simulation.cutting import extensions, outline, patterns, remesh
+from ddakf.evaluation.simulation.poses import exercises, stage
 from ddakf.evaluation.splits import RecordingLabels
 from ddakf.files.cache import drop_unused, used
 from ddakf.files.sequence import Sequence, load_sequence
@@ -33,7 +35,8 @@ from ddakf.files.sequence import Sequence, load_sequence
 DEFAULT = TrainingSettings()
 BATCH = 7  # rehearsals simulated together
 # modules whose code determines the examples, and with LEARNING the weights
-EXAMPLES = binding, example_module, features, inputs, motion, rehearsal, body, garments, motions, remesh
+CUTS = garments, extensions, outline, patterns, remesh
+EXAMPLES = binding, example_module, features, inputs, motion, rehearsal, body, motions, exercises, stage, *CUTS
 LEARNING = network, training
 
 

@@ -1,0 +1,1 @@
+"""Appearance: what colours say about where the cloth is."""

@@ -1,0 +1,23 @@
+"""Configuration of colours, with stage B."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ddakf.config.checked import Checked, bounded
+
+
+@dataclass(frozen=True)
+class Colour(Checked):
+    """Colours of the cloud as measurements along the surface, after Park, Zhou and Koltun 2017."""
+
+    texel: float = bounded(0.016, 1e-3, 0.1)  # m, edge of the texels of a vertex's patch
+    reach: float = bounded(0.020, 1e-4, 0.1)  # m, sd of a slide before the colours are compared, which explains residuals
+    depth: float = bounded(0.012, 1e-3, 0.1)  # m from the cloud's plane, within which points belong to the same layer
+    noise: float = bounded(0.1, 1e-3, 10)  # first guess of a chromaticity's sd, natural logarithm
+    noise_memory: float = bounded(0.7, 0, 0.999)  # share of earlier frames in that variance
+    least_gradient: float = bounded(1.6, 0, 1e3)  # information over that which noise alone would give, at least
+    fused_sd: float = bounded(0.001, 1e-5, 1)  # m, of a registration, at least
+    claimed_sd: float = bounded(0.003, 1e-5, 1)  # m, the same in the reported covariance
+    memory: float = bounded(100.0, 1, 1e6)  # points of a texel, over which its colour is the mean
+    learned_above: float = bounded(0.5, 0, 1)  # reliability of a frame whose colours are learned

@@ -1,0 +1,1 @@
+"""Filters over time: per vertex, of particles, and DD-AKF as printed."""

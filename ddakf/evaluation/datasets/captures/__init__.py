@@ -1,0 +1,1 @@
+"""Captures: recordings of real sensors, without ground truth of the mesh."""

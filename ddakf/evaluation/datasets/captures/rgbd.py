@@ -1,0 +1,117 @@
+"""Folders of depth images with intrinsics, as RGB-D recorders write them.
+
+``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names. ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
+``camera.json``: ``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale`` (units per metre, default
+1000), ``fps``, and ``T_world_sensor`` (4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every frame,
+not zero on the garment; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward. Without
+``T_world_sensor`` the points are in the axes of the sensor: y up, looking along -z.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence as Ordered
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ddakf.errors import InvalidFile
+from ddakf.evaluation.datasets.captures.recording import DepthRecording, by_number, positive_rate
+from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_grey, read_numbers
+
+MILLIMETRES = 1000.0  # per metre
+LEAST_SCALE = 1e-3  # units per metre
+SHORTEST = 1e-6  # s between two frames
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImages(Ordered):
+    """Depth images (H, W) in millimetres, read when they are needed.
+
+    Attributes:
+        paths: of the images. masks: of the masks, as many or none.
+        scale: units of the images per metre.
+        shape: (H, W) of all of them.
+    """
+
+    paths: tuple[Path, ...]
+    masks: tuple[Path, ...]
+    scale: float
+    shape: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, frame: int) -> np.ndarray:
+        depth = self._image(self.paths[frame])
+        if self.masks:
+            depth = np.where(self._image(self.masks[frame]) > 0, depth, 0)
+        return depth if self.scale == MILLIMETRES else (depth * np.float32(MILLIMETRES / self.scale)).astype(np.float32)
+
+    def _image(self, path: Path) -> np.ndarray:
+        values = read_grey(path)
+        if values.shape != self.shape:
+            raise InvalidFile(str(path), f"an image of shape {self.shape} as the first one", str(values.shape))
+        return values
+
+
+def is_rgbd(path: Path) -> bool:
+    """True if a folder holds depth images."""
+    return any((path / "depth").glob("*.png"))
+
+
+def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
+    """Opens a folder of depth images.
+
+    Args:
+        path: the folder.
+        fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` states them.
+
+    Raises:
+        InvalidFile: no depth images, no intrinsics, masks or timestamps that do not fit, images that differ in size.
+        MissingDependency: Pillow is not installed.
+    """
+    path = Path(path)
+    paths = tuple(sorted((path / "depth").glob("*.png"), key=by_number))
+    if not paths:
+        raise InvalidFile(str(path), "depth images depth/*.png", "none")
+    shape = read_grey(paths[0]).shape
+    camera, fields = load_camera(path, shape)
+    scale = fields.get("depth_scale", MILLIMETRES)
+    if not is_number(scale) or scale < LEAST_SCALE:
+        raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
+    images = DepthImages(paths, _masks(path, paths), float(scale), shape)
+    times = _timestamps(path / "timestamps.txt", len(paths))
+    if times is not None and len(times) > 1:
+        fps = (len(times) - 1) / (times[-1] - times[0])
+    else:
+        fps = fields.get("fps", fps)
+    if not is_number(fps):
+        raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
+    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
+
+
+def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The mask of every image, matched by the first number in its name; empty without a folder ``mask``."""
+    if not (path / "mask").is_dir():
+        return ()
+    by_first = {tuple(by_number(mask)[:1]): mask for mask in sorted((path / "mask").glob("*.png"))}
+    missing = [image.name for image in paths if tuple(by_number(image)[:1]) not in by_first]
+    if missing:
+        raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {missing[0]}")
+    return tuple(by_first[tuple(by_number(image)[:1])] for image in paths)
+
+
+def _timestamps(path: Path, count: int) -> np.ndarray | None:
+    if not path.is_file():
+        return None
+    times = read_numbers(path).ravel()
+    if len(times) != count:
+        raise InvalidFile(path.name, f"{count} numbers, one per image", f"{len(times)}")
+    early = np.flatnonzero(np.diff(times) < SHORTEST) + 1
+    if len(early):
+        got = f"{times[early[0]]:.9g} after {times[early[0] - 1]:.9g}"
+        raise InvalidFile(path.name, f"seconds, each at least {SHORTEST:g} after the one before", got)
+    return times
+
+

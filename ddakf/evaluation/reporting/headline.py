@@ -1,0 +1,94 @@
+"""Headline: every system in the three conditions on one screen, and the ratio of the best baseline's error to DD-AKF's."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from ddakf.evaluation import statistics
+from ddakf.evaluation.paper_scope import CONDITIONS, REFERENCES, TITLES, ordered
+from ddakf.evaluation.reporting.paper_tables import Cell, Table
+from ddakf.evaluation.reporting.result_files import Result
+from ddakf.evaluation.studies.study_summary import OURS, by_unit, paired
+
+VALUES = {"rmse_mm": ("RMSE", 1), "rmse_normal_mm": ("normal", 1), "ms_per_frame": ("ms", 0)}
+NOT_RIVALS = (OURS, "paper", "printed", *REFERENCES)
+
+
+def table(result: Result) -> Table:
+    """Systems down; RMSE, normal RMSE and milliseconds per frame in each condition across, and below them the ratio."""
+    views = [view for view in CONDITIONS if view in result.views]
+    systems = ordered(result.methods)
+    means = {(m, v, value): geometric_mean(result, m, v, value) for m in systems for v in views for value in VALUES}
+    best = {(v, value): _least(means, systems, v, value) for v in views for value in ("rmse_mm", "rmse_normal_mm")}
+    columns = [(view, value) for view in views for value in VALUES]
+    first = next(iter(VALUES))
+    heads = ["system", *((f"{CONDITIONS[v]}: " if value == first else "") + VALUES[value][0] for v, value in columns)]
+    rows = [
+        [Cell(TITLES.get(m, m)), *(_cell(means[m, v, value], value, best.get((v, value)) == m) for v, value in columns)]
+        for m in systems
+    ]
+    rows += [_ratios("best baseline / DD-AKF, RMSE", result, views, "rmse_mm"),
+             _ratios("best baseline / DD-AKF, normal RMSE", result, views, "rmse_normal_mm")]  # fmt: skip
+    loads = [value for m in systems for v in views for value in paired(_of(result, v), m, "load_average").values()]
+    notes = [
+        f"{len(result.sequences)} sequences, seeds {', '.join(map(str, result.meta['seeds']))}, frames {result.meta['frames']}. "
+        "Geometric means over the sequences, in mm; median milliseconds per frame.",
+        "With the body, every baseline that can use one does: predictions carried, hidden vertices held, no penetration.",
+        "The best baseline is the one with the least geometric mean in that condition; its ratio has a 95 % interval by a "
+        "bootstrap over the sequences.",
+    ]  # fmt: skip
+    if loads:
+        notes.append(f"Load average while the runs ended: {min(loads):.1f} to {max(loads):.1f}.")
+    return Table("headline", "Headline", heads, rows, notes, [result])
+
+
+def geometric_mean(result: Result, system: str, view: str, value: str) -> float | None:
+    """Geometric mean over the sequences (FAUST: subjects) of a system's value in a view."""
+    found = _by_unit(result, system, view, value)
+    return float(np.exp(np.mean(np.log(list(found.values()))))) if found else None
+
+
+def best_baseline(result: Result, view: str, value: str = "rmse_mm") -> tuple[str, statistics.Ratio] | None:
+    """The baseline with the least geometric mean of those that ran on all sequences, and the ratio of its error to DD-AKF's."""
+    ours = _by_unit(result, OURS, view, value)
+    means = {m: geometric_mean(result, m, view, value) for m in result.methods if m not in NOT_RIVALS}
+    means = {m: mean for m, mean in means.items() if mean is not None and len(_by_unit(result, m, view, value)) >= len(ours)}
+    if not ours or not means:
+        return None
+    name = min(means, key=means.get)
+    return name, statistics.ratio(ours, _by_unit(result, name, view, value))
+
+
+def _of(result: Result, view: str) -> list[dict]:
+    return [cell for cell in result.cells if cell["view"] == view]
+
+
+def _by_unit(result: Result, system: str, view: str, value: str) -> dict[str, float]:
+    values = paired(_of(result, view), system, value)
+    return by_unit(values, values)
+
+
+def _least(means: dict, systems: Iterable[str], view: str, value: str) -> str | None:
+    known = {m: means[m, view, value] for m in systems if means[m, view, value] is not None and m not in REFERENCES}
+    return min(known, key=known.get) if known else None
+
+
+def _cell(mean: float | None, value: str, best: bool) -> Cell:
+    return Cell("–", kind="none") if mean is None else Cell(f"{mean:.{VALUES[value][1]}f}", kind="best" if best else "")
+
+
+def _ratios(name: str, result: Result, views: list[str], value: str) -> list[Cell]:
+    """A row with the ratio in the column of its value, and empty cells beside it."""
+    row = [Cell(name)]
+    for view in views:
+        found = best_baseline(result, view, value)
+        text = "–" if found is None else _text(*found)
+        row += [Cell(text if column == value else "") for column in VALUES]
+    return row
+
+
+def _text(name: str, ratio: statistics.Ratio) -> str:
+    interval = "" if ratio.low is None else f" [{ratio.low:.2f}, {ratio.high:.2f}]"
+    return f"{ratio.mean:.2f}{interval}, {TITLES.get(name, name)}"

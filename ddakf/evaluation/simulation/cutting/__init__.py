@@ -1,0 +1,1 @@
+"""Cutting of garments around the resting body."""

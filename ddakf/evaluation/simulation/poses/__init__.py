@@ -1,0 +1,1 @@
+"""Poses over time, of which motions consist."""

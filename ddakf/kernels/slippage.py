@@ -1,0 +1,69 @@
+"""Rigid motions of a surface: how much of each lies along its normals (stage F, sizes of the error)."""
+
+from math import sqrt
+
+import numpy as np
+from numba import njit
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def rigid_motions(vertices, faces, along, moved):
+    """Sums over the faces, weighted by area, of the squared motion along the normal and of the whole squared motion.
+
+    A rigid motion (t, w) moves a point r from the middle by t + w x r, thus by (t, w) . (n, r x n) along its normal. Lengths are
+    relative to the root mean square distance from the middle.
+
+    Args:
+        vertices: (V, 3) metres.
+        faces: (F, 3).
+        along, moved: (6, 6) out, quadratic forms in (t, w).
+
+    Returns:
+        The area, square metres; the results are 0 where that is 0.
+    """
+    n = faces.shape[0]
+    normal, away, area = np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
+    middle, total = np.zeros(3), 0.0
+    along[:], moved[:] = 0.0, 0.0
+    for f in range(n):
+        a, b, c = vertices[faces[f, 0]], vertices[faces[f, 1]], vertices[faces[f, 2]]
+        ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        length = sqrt(x * x + y * y + z * z)
+        area[f] = length
+        total += length
+        scale = 1.0 / length if length > 0.0 else 0.0
+        normal[f, 0], normal[f, 1], normal[f, 2] = scale * x, scale * y, scale * z
+        for k in range(3):
+            away[f, k] = (a[k] + b[k] + c[k]) / 3.0
+            middle[k] += length * away[f, k]
+    if not total > 0.0:
+        return 0.0
+    squared = 0.0
+    for f in range(n):
+        for k in range(3):
+            away[f, k] -= middle[k] / total
+            squared += area[f] * away[f, k] * away[f, k]
+    unit = max(sqrt(squared / total), 1e-300)  # all in one place: turning moves nothing
+    spread, g = np.zeros((3, 3)), np.empty(6)
+    for f in range(n):
+        w = area[f] / total
+        for k in range(3):
+            away[f, k] /= unit
+        r, m = away[f], normal[f]
+        g[0], g[1], g[2] = m[0], m[1], m[2]
+        g[3], g[4], g[5] = r[1] * m[2] - r[2] * m[1], r[2] * m[0] - r[0] * m[2], r[0] * m[1] - r[1] * m[0]
+        for i in range(6):
+            for j in range(6):
+                along[i, j] += w * g[i] * g[j]
+        for i in range(3):
+            for j in range(3):
+                spread[i, j] += w * r[i] * r[j]
+    trace = spread[0, 0] + spread[1, 1] + spread[2, 2]
+    for i in range(3):
+        moved[i, i] = 1.0
+        moved[3 + i, 3 + i] = trace
+        for j in range(3):
+            moved[3 + i, 3 + j] -= spread[i, j]
+    return 0.5 * total

@@ -1,0 +1,1 @@
+"""Plausibility of the input: refusals, the side that a cloud was seen from, and warnings."""

@@ -1,0 +1,24 @@
+"""Admission of a frame: its arguments are checked, and its sensor is estimated where none is given."""
+
+from __future__ import annotations
+
+from ddakf.plausibility import sidedness, units
+from ddakf.stages import frame_input
+from ddakf.types import FrameInput, Setup, Track
+
+
+def admitted(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, Track]:
+    """The checked frame, and the track with what the cloud says of its sensor.
+
+    Args:
+        setup: constants of the tracker.
+        last: after the last frame.
+        given: the arguments of ``Tracker.step``.
+
+    Raises:
+        InvalidFrame: input that cannot be used.
+    """
+    frame = frame_input.checked(given, last.time, None if setup.body is None else setup.body.mesh)
+    units.require_scale(setup, last, frame)
+    frame, view = sidedness.seen(setup, last, frame)
+    return frame, last._replace(view=view)

@@ -1,0 +1,55 @@
+"""Placement of cloud, sensor and body: points out of reach, points behind their sensor, a body apart from the garment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddakf.kernels.preprocess import bounds
+from ddakf.types import Estimate, Problem, Sign
+
+SAMPLE = 128  # points that are looked at
+BEHIND = 0.05  # share of a sensor's points on its other side
+SEEN = 0.2  # share of the vertices, with which the garment's place is known
+
+
+def nothing_in_reach(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of points none of which is near the garment."""
+    points = problem.frame.points
+    if len(points) == 0 or not problem.cloud.empty or len(problem.garment.points) == 0:
+        return None
+    lower, upper = np.empty(3), np.empty(3)
+    bounds(estimate.position, 0.0, lower, upper)
+    outside = np.maximum(np.maximum(lower - points, points - upper), 0.0)
+    nearest = float(np.sqrt(np.square(outside).sum(axis=1).min()))
+    return Sign("points", f"none of {len(points)} points is near the garment: the nearest is {nearest:.3g} m from its box")
+
+
+def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of points near the garment on opposite sides of their sensor."""
+    cloud, origin = problem.cloud, problem.frame.sensor_origin
+    if origin is None or cloud.empty:
+        return None
+    every = -(-cloud.points.shape[1] // SAMPLE)
+    if origin.ndim == 1:
+        sensor = np.zeros(-(-cloud.points.shape[1] // every), int)
+    else:
+        sensor = (origin[cloud.index[::every], None] == cloud.sensor).all(axis=2).argmax(axis=1)
+    toward = cloud.points[:, ::every].T + (cloud.origin - cloud.sensor)[sensor]
+    toward /= np.sqrt(np.einsum("na,na->n", toward, toward) + 1e-18)[:, None]
+    mean = np.eye(len(cloud.sensor))[:, sensor] @ toward
+    behind = float((np.einsum("na,na->n", toward, mean[sensor]) < 0.0).mean())
+    if behind < BEHIND:
+        return None
+    return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
+
+
+def body_apart(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a body that no part of a garment in view is near."""
+    if problem.frame.body_vertices is None or estimate.contacts is None or estimate.observed.mean() < SEEN:
+        return None
+    if (estimate.contacts.closest.face >= 0).any():
+        return None
+    middle = estimate.position.mean(axis=0) - problem.frame.body_vertices.mean(axis=0)
+    reach, apart = 100 * problem.body.model.reach, float(np.linalg.norm(middle))
+    sentence = f"no vertex of the garment is within {reach:.0f} cm of the body: their middles are {apart:.2g} m apart"
+    return Sign("body_vertices", sentence)

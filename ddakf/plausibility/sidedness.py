@@ -1,0 +1,117 @@
+"""Sidedness: whether a cloud without a sensor origin shows one side of the garment, and which.
+
+Along the direction that it was seen from a cloud of one side has one layer, and a garment from all sides has two. The test needs
+no track, so that it holds before a search and after a wrong fit. Of the two ends of that direction the sensor is where the cloud
+bulges. An error of 20 degrees costs no accuracy: only what faces the sensor has to be told from what does not.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from ddakf.config import PlaneAssociation, Sidedness
+from ddakf.kernels import sidedness as kernels
+from ddakf.kernels.associate import perpendicular_axes
+from ddakf.kernels.preprocess import bounds, crop
+from ddakf.types import FrameInput, Model, Setup, Track, View
+
+BESIDE = 0.5  # least cosine between directions of one plateau
+
+
+def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View]:
+    """The frame with the origin that its cloud was seen from, where it has none and shows one side; and what is known of that.
+
+    Args:
+        setup: constants of the tracker.
+        last: after the last frame.
+        frame: checked.
+    """
+    config, view = setup.config.sidedness, last.view
+    if frame.sensor_origin is not None:
+        return frame, View()
+    if view.wait > 0:
+        view = view._replace(wait=view.wait - 1)
+    elif setup.reference.hidden_share >= config.one_sided:
+        points = _near(frame.points, last, config)
+        if len(points) >= config.least_points:
+            view = look(points, setup.model.area, view, config)
+    oriented = config.estimate and isinstance(setup.config.associate, PlaneAssociation)
+    if view.one_sided and oriented and len(frame.points):
+        origin = frame.points.mean(axis=0, dtype=np.float64) + config.distance * np.array(view.side)
+        frame = frame._replace(sensor_origin=origin)
+    return frame, view
+
+
+def look(points: np.ndarray, area: float, view: View, config: Sidedness) -> View:
+    """The view after a look at (N, 3) points, metres, of a garment of ``area`` square metres."""
+    cloud, cell = thinned(points, area, config)
+    share = hidden_shares(cloud, cell, config)
+    old = config.memory if view.looked else 0.0
+    hidden = old * view.hidden_share + (1.0 - old) * float(share.min())
+    if hidden >= (config.all_sides if view.one_sided else config.one_sided):
+        return View(True, hidden, wait=config.interval - 1)
+    axes = _axes(share, np.array(view.side), config)
+    side = old * np.array(view.side) + (1.0 - old) * axes[2]
+    side /= np.linalg.norm(side)
+    bulge = old * view.bulge + (1.0 - old) * kernels.bulge(cloud, axes, cell) / cell
+    if bulge < 0.0:
+        side, bulge = -side, -bulge
+    return View(True, hidden, tuple(side.tolist()), bulge, config.interval - 1)
+
+
+def hidden_share(garment: Model, config: Sidedness) -> float:
+    """Share of a garment's surface that lies in a second layer along the direction where that is least."""
+    vertices, faces = garment.mesh.vertices, garment.faces
+    points = np.concatenate([vertices, vertices[faces].mean(axis=1)]).astype(np.float32)
+    return float(hidden_shares(*thinned(points, garment.area, config), config).min())
+
+
+def thinned(points: np.ndarray, area: float, config: Sidedness) -> tuple[np.ndarray, float]:
+    """At most so many of (N, 3) points as configured, relative to their middle, and the width of a cell; metres."""
+    chosen = points[:: -(-len(points) // config.points)]
+    return chosen - chosen.mean(axis=0), float(np.sqrt(config.points_per_cell * area / len(chosen)))
+
+
+def hidden_shares(cloud: np.ndarray, cell: float, config: Sidedness) -> np.ndarray:
+    """Share of the points that are hidden along each direction, of what :func:`thinned` returns."""
+    axes = all_axes(config.directions)
+    share = np.empty(len(axes))
+    kernels.hidden_shares(cloud, axes, cell, config.gap * cell, share)
+    return share
+
+
+def _axes(share: np.ndarray, last: np.ndarray, config: Sidedness) -> np.ndarray:
+    """(3, 3) axes of the middle of the directions with one layer, at the end nearer to the ``last`` (3,) side."""
+    toward = all_axes(config.directions)[:, 2]
+    best = toward[share.argmin()] * (-1.0 if toward[share.argmin()] @ last < 0.0 else 1.0)
+    cosine = toward @ best
+    alike = (share <= share.min() + config.plateau) & (np.abs(cosine) > BESIDE)
+    axes = np.empty((3, 3))
+    axes[2] = np.sign(cosine[alike]) @ toward[alike]
+    axes[2] /= np.linalg.norm(axes[2])
+    perpendicular_axes(axes[2], axes)
+    return axes
+
+
+@lru_cache(maxsize=8)
+def all_axes(count: int) -> np.ndarray:
+    """(count, 3, 3) axes of as many directions, evenly spread over the half-sphere about y: a Fibonacci lattice."""
+    k = np.arange(count) + 0.5
+    height, turn = 1.0 - k / count, np.pi * (1.0 + np.sqrt(5.0)) * k
+    radius = np.sqrt(1.0 - height**2)
+    axes = np.empty((count, 3, 3))
+    axes[:, 2] = np.column_stack([radius * np.cos(turn), height, radius * np.sin(turn)])
+    for one in axes:
+        perpendicular_axes(one[2], one)
+    return axes
+
+
+def _near(points: np.ndarray, last: Track, config: Sidedness) -> np.ndarray:
+    """The points near the garment; all of them while its place is not known."""
+    if last.health.unplaced:
+        return points
+    lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(points), np.int32)
+    bounds(last.state.position, config.margin, lower, upper)
+    return points[chosen[: crop(points, lower, upper, chosen)]]

@@ -1,0 +1,130 @@
+"""Units of length and time: sizes of cloud, garment and body, and time steps, that other units would explain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ddakf.errors import InvalidFrame, InvalidMesh
+from ddakf.mesh import Mesh
+from ddakf.types import Estimate, FrameInput, Problem, Setup, Sign, Track
+
+SCALE = 10.0  # times as large or as small as the garment: no cloud of it is
+FASTEST = 100.0  # m/s: no garment is
+SMALLEST = 20.0  # times smaller, while tracking: more may be hidden then than at the start
+SEEN = 0.05  # share of the vertices that a cloud of the right unit is near; it need not be measured
+ENOUGH = 100  # points that have a size
+SAMPLE = 256  # points whose size is measured
+CENTRAL = 0.8  # share of the points, and of the extent of an even cloud, that is measured
+NEAR = 0.01  # share of the points about the garment with which a large cloud is a scene that contains it
+LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
+LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
+LIKE = 3.0  # ratio of two time steps that are alike
+POSE = 1.6  # a pose, or a view, changes a size by less
+UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches"}  # in a metre
+STEPS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}  # in a second
+USUAL_STEP = 1.0 / 30.0  # s
+
+
+def require_scale(setup: Setup, last: Track, frame: FrameInput) -> None:
+    """Refuses a cloud before the first fit whose unit cannot be the garment's.
+
+    Raises:
+        InvalidFrame: ten times as large as the garment with nothing near it, or ten times as small.
+    """
+    if last.health.state != "initializing" or len(frame.points) < ENOUGH:
+        return
+    size, garment = extent(frame.points), setup.model.mesh.size
+    if garment / SCALE < size < garment * SCALE or (size > garment and _surrounds(frame.points, last.state.position, garment)):
+        return
+    expected = f"a cloud of the garment, which is {garment:.2g} m in size"
+    raise InvalidFrame("points", expected, f"{size:.3g} m{_as_if(size / garment)}")
+
+
+def require_start(garment: Mesh, position: np.ndarray, velocity: np.ndarray) -> None:
+    """Refuses (V, 3) vertices and velocities of a start whose unit cannot be metres.
+
+    Raises:
+        InvalidFrame: edges ten times as long as the garment's, or half of the vertices faster than 100 m/s.
+    """
+    length, rest = (float(np.median(edge_lengths(vertices, garment.faces))) for vertices in (position, garment.vertices))
+    if length > SCALE * rest:
+        expected = f"vertices of the garment, whose edges are {rest:.2g} m long"
+        raise InvalidFrame("vertices", expected, f"{length:.3g} m{_as_if(length / rest)}")
+    speed = float(np.median(np.linalg.norm(velocity, axis=1)))
+    if speed > FASTEST:
+        raise InvalidFrame("velocities", f"metres per second, at most {FASTEST:g} for half of the vertices", f"{speed:.3g}")
+
+
+def edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Metres: the first edge of some of the triangles."""
+    chosen = faces[:: -(-len(faces) // SAMPLE)]
+    return np.linalg.norm(vertices[chosen[:, 1]] - vertices[chosen[:, 0]], axis=1)
+
+
+def require_like_sizes(garment: Mesh, body: Mesh) -> None:
+    """Refuses a garment that is ten times as large as its body.
+
+    Raises:
+        InvalidMesh: it is.
+    """
+    if garment.size > SCALE * body.size:
+        expected = f"a garment for the body, which is {body.size:.2g} m in size"
+        raise InvalidMesh("garment", expected, f"{garment.size:.3g} m{_as_if(garment.size / body.size)}")
+
+
+def length_unit(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a cloud in another unit than the garment, in a frame that was tracked all the same."""
+    points, garment = problem.frame.points, problem.model.mesh.size
+    if len(points) < ENOUGH or estimate.observed.mean() > SEEN:
+        return None
+    size = extent(points)
+    if garment / SMALLEST < size < SCALE * garment or (size > garment and not problem.cloud.empty):
+        return None
+    return Sign("points", f"the cloud is {size:.3g} m in size and the garment {garment:.2g} m{_as_if(size / garment)}")
+
+
+def time_unit(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of even time steps that are as long as if a smaller unit were taken for seconds."""
+    dt, before = problem.dt, problem.health.spacing
+    if problem.last.time is None or min(dt, before) < LONG_STEP or not 1.0 / LIKE < dt / before < LIKE:
+        return None
+    unit = STEPS[min(STEPS, key=lambda per_second: abs(np.log(dt / per_second / USUAL_STEP)))]
+    return Sign("timestamp", f"frames are {dt:.4g} s apart, which looks like {unit}")
+
+
+def stale_clock(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a clock that hardly advances between frames."""
+    if problem.last.time is None or problem.dt >= SHORT_STEP:
+        return None
+    return Sign("timestamp", f"frames are {1e6 * problem.dt:.3g} us apart, less than any sensor's: the clock stands nearly still")
+
+
+def clock_jump(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a clock that was set, or of time stamps from two clocks."""
+    if problem.last.time is None or problem.dt <= LONG_GAP:
+        return None
+    return Sign("timestamp", f"it is {problem.dt / 86_400.0:.3g} days after the last frame's: two clocks, or one that was set")
+
+
+def extent(points: np.ndarray) -> float:
+    """Metres: size of (N, 3) points along their longest axis, whatever stray points there are."""
+    chosen = np.sort(points[:: -(-len(points) // SAMPLE)], axis=0)
+    out = round(0.5 * (1.0 - CENTRAL) * (len(chosen) - 1))
+    return float((chosen[-1 - out] - chosen[out]).max()) / CENTRAL
+
+
+def _surrounds(points: np.ndarray, position: np.ndarray, margin: float) -> bool:
+    """Whether some of (N, 3) points are about the garment at (V, 3) ``position``; metres."""
+    chosen = points[:: -(-len(points) // SAMPLE)]
+    inside = (chosen > position.min(axis=0) - margin) & (chosen < position.max(axis=0) + margin)
+    return bool(inside.all(axis=1).mean() > NEAR)
+
+
+def _as_if(ratio: float) -> str:
+    """The units that a ratio of sizes looks like, as the end of a sentence."""
+    for per_metre, unit in UNITS.items():
+        if 1.0 / POSE < ratio / per_metre < POSE:
+            return f", which looks like {unit} for metres"
+        if 1.0 / POSE < ratio * per_metre < POSE:
+            return f", as if the other were in {unit}"
+    return f", {ratio:.3g} times as much" if ratio > 0.0 else ""

@@ -1,0 +1,73 @@
+"""Warnings: signs of wrong input that have lasted for some frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
+
+from ddakf.config import Sidedness
+from ddakf.mesh import Mesh
+from ddakf.plausibility import handedness, placement, sidedness, units
+from ddakf.results import InputWarning, WarningCode
+from ddakf.stages.reliability import Verdict
+from ddakf.types import Estimate, InputReference, Model, Problem, Sign
+
+PERIOD = 0.2  # s between looks for signs that do not come and go
+
+
+class Check(NamedTuple):
+    """A sign that is looked for."""
+
+    find: Callable[[Problem, Estimate], Sign | None]
+    frames: int  # in a row, from which on it is a warning
+    spaced: bool = False  # looked for once in a period, and then in every frame until it is gone
+
+
+def _sensor_origin_missing(problem: Problem, estimate: Estimate) -> Sign | None:
+    view = problem.last.view
+    if not view.one_sided:
+        return None
+    x, y, z = view.side
+    seen = f"{view.hidden_share:.0%} of it lies in a second layer, of the garment {problem.reference.hidden_share:.0%}"
+    return Sign("sensor_origin", f"the cloud shows one side ({seen}), seen from about ({x:.2f}, {y:.2f}, {z:.2f})")
+
+
+CHECKS: Mapping[WarningCode, Check] = {
+    "sensor_origin_missing": Check(_sensor_origin_missing, 1),
+    "nothing_in_reach": Check(placement.nothing_in_reach, 5),
+    "length_unit": Check(units.length_unit, 2, spaced=True),
+    "time_unit": Check(units.time_unit, 2),
+    "stale_clock": Check(units.stale_clock, 3),
+    "clock_jump": Check(units.clock_jump, 1),
+    "upside_down": Check(handedness.upside_down, 1),
+    "mirrored": Check(handedness.mirrored, 5, spaced=True),
+    "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
+    "body_apart": Check(placement.body_apart, 3),
+}
+
+
+def reference(garment: Model, body: Mesh | None, config: Sidedness) -> InputReference:
+    """What the frames of a garment are held against."""
+    hidden_share = sidedness.hidden_share(garment, config)
+    return InputReference(hidden_share, handedness.outward(garment.mesh), 1.0 if body is None else handedness.outward(body))
+
+
+def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:
+    """The verdict with the warnings of a frame, and for how many frames each of its signs has been there.
+
+    A frame without points says nothing; what was found before it stays.
+
+    Args:
+        problem: the frame, with its cloud.
+        estimate: finished.
+        verdict: of stage G.
+    """
+    before, last, now = problem.last.signs, problem.last.time, problem.frame.timestamp
+    if len(problem.frame.points) == 0:
+        return verdict._replace(signs=before)
+    due = last is None or last // PERIOD != now // PERIOD
+    looked_for = ((code, check) for code, check in CHECKS.items() if due or not check.spaced or code in before)
+    signs = {code: sign for code, check in looked_for if (sign := check.find(problem, estimate)) is not None}
+    rows = {code: before.get(code, 0) + 1 for code in signs}
+    lasting = (code for code in signs if rows[code] >= CHECKS[code].frames)
+    return verdict._replace(warnings=tuple(InputWarning(code, *signs[code]) for code in lasting), signs=rows)
