@@ -123,6 +123,10 @@ class MessageTooLarge(ResourceExhausted, status=StatusCode.RESOURCE_EXHAUSTED, h
     """A request with more bytes than the server accepts."""
 
 
+class FrameTooCostly(ServiceError, status=StatusCode.RESOURCE_EXHAUSTED, http=429):
+    """A frame that exceeded its limit of processor time, or the end of a session that has sent too many of them."""
+
+
 class Unavailable(ServiceError, status=StatusCode.UNAVAILABLE, http=503, retryable=True):
     """The server does not answer, or is not ready."""
 
@@ -149,6 +153,14 @@ class Unimplemented(ServiceError, status=StatusCode.UNIMPLEMENTED, http=501):
 
 class Internal(ServiceError, status=StatusCode.INTERNAL, http=500):
     """A defect of the server; its log has the details."""
+
+
+class NotFound(ServiceError, status=StatusCode.NOT_FOUND, http=404):
+    """No such mesh of the key, or no such address on the HTTP port."""
+
+
+class MethodNotAllowed(ServiceError, status=StatusCode.INVALID_ARGUMENT, http=405):
+    """The address has other methods; ``Allow`` names them. HTTP only."""
 
 
 def class_of(error: BaseException) -> type[ServiceError]:

@@ -19,10 +19,10 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
         *_message_limits(max_message_bytes),
         *_pings(),
         ("grpc.keepalive_permit_without_calls", 0),
-        # Finds a restarted server within seconds; the default backoff of gRPC grows to two minutes.
+        # Finds a restarted server at once; the default backoff of gRPC grows to two minutes.
         ("grpc.initial_reconnect_backoff_ms", 200),
         ("grpc.min_reconnect_backoff_ms", 200),
-        ("grpc.max_reconnect_backoff_ms", 2000),
+        ("grpc.max_reconnect_backoff_ms", 400),
     ]
 
 

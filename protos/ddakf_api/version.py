@@ -23,7 +23,7 @@ def require_compatible(peer_version: str, *, peer: str) -> None:
         return
     this = "server" if peer == "client" else "client"
     raise VersionMismatch(
-        f"this {this} speaks ddakf API {API_VERSION}, the {peer} {_named(peer_version)}: "
+        f"api_version: this {this} speaks ddakf API {API_VERSION}, the {peer} {_named(peer_version)}: "
         f"install a ddakf-client of the server's release",
         field="api_version",
         expected=f"{API_VERSION.split('.')[0]}.x",

@@ -9,7 +9,7 @@ A decoder trusts no input. It compares counts with the limit, and declared sizes
 Any input gives points or a :class:`~ddakf_api.errors.CodecError`.
 """
 
-from ddakf_api.codec.cloud import CODECS, DEFAULT_CODEC, Encoded, decode, encode
+from ddakf_api.codec.cloud import CODECS, DEFAULT_CODEC, Encoded, decode, decode_colors, encode
 from ddakf_api.codec.depth import (
     DEFAULT_DEPTH_CODEC,
     DEFAULT_SCALE,
@@ -35,6 +35,7 @@ __all__ = [
     "DracoDecoder",
     "Encoded",
     "decode",
+    "decode_colors",
     "decode_depth",
     "encode",
     "encode_depth",

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf_api.codec import compress, draco, morton, planes
+from ddakf_api.codec.colors import checked_colors, colors_of
 from ddakf_api.codec.quantise import DEFAULT_STEP, dequantise, quantise, require_finite_range
 from ddakf_api.errors import CodecError, Unimplemented
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -48,7 +49,12 @@ class Encoded(NamedTuple):
 
 
 def encode(
-    points: np.ndarray, codec: str = DEFAULT_CODEC, *, step: float = DEFAULT_STEP, runs: Sequence[int] | None = None
+    points: np.ndarray,
+    codec: str = DEFAULT_CODEC,
+    *,
+    step: float = DEFAULT_STEP,
+    runs: Sequence[int] | None = None,
+    colors: np.ndarray | None = None,
 ) -> Encoded:
     """Encodes a cloud.
 
@@ -57,17 +63,21 @@ def encode(
         codec: a name of :data:`CODECS`.
         step: quantisation step, metres; the error is at most half of it per axis. Not used by ``raw``.
         runs: lengths of the consecutive runs of points, one per sensor; the encoded cloud keeps them. Default: one run.
+        colors: (N, 3) uint8, red, green, blue; None: unknown.
 
     Raises:
         CodecError: the codec is unknown, the points are not finite numbers of shape (N, 3), their extent is too large for
-            the step, or the runs do not sum to N.
+            the step, the runs do not sum to N, or there is not one color per point.
     """
     if codec not in CODECS:
         raise CodecError(field="codec", expected=" or ".join(CODECS), got=repr(codec))
     points = _checked_points(points)
     runs = _checked_runs(runs, len(points))
     cloud = pb.PointCloud(codec=CODECS[codec], point_count=len(points))
+    colors = None if colors is None else checked_colors(colors, points.shape)
     order = _fill(cloud, codec, points, step, runs)
+    if colors is not None:
+        cloud.colors = (colors if order is None else colors[order]).tobytes()
     cloud.crc32 = zlib.crc32(cloud.data)
     return Encoded(cloud, order)
 
@@ -135,6 +145,15 @@ def decode(cloud: pb.PointCloud, *, max_points: int, draco_decoder: draco.Decode
     require_finite_range(origin, step, morton.BITS)
     codes = planes.from_planes(_DECOMPRESS[codec](cloud.data, count), count)
     return dequantise(morton.separate(codes), origin, step)
+
+
+def decode_colors(cloud: pb.PointCloud) -> np.ndarray | None:
+    """(N, 3) uint8 colors of a cloud that :func:`decode` accepts, red, green, blue; None: unknown.
+
+    Raises:
+        CodecError: not three bytes per point.
+    """
+    return colors_of(cloud.colors, (cloud.point_count, 3), "point_cloud.colors", "points")
 
 
 def _decode_raw(data: bytes, count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 
 from ddakf_api.arrays import checked_array
 from ddakf_api.codec import compress, png, rvl
+from ddakf_api.codec.colors import checked_colors, colors_of
 from ddakf_api.codec.sensors import pose_matrix
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -38,12 +39,14 @@ class Depth(NamedTuple):
         keep: (H, W) bool, pixels inside the mask with enough confidence; None: all.
         intrinsics: fx, fy, cx, cy, pixels.
         pose: (3, 4) float64 [R | t], sensor to world, metres.
+        colors: (H, W, 3) uint8, red, green, blue; None: unknown.
     """
 
     depth: np.ndarray
     keep: np.ndarray | None
     intrinsics: tuple[float, float, float, float]
     pose: np.ndarray
+    colors: np.ndarray | None = None
 
 
 def encode_depth(
@@ -54,6 +57,7 @@ def encode_depth(
     mask: np.ndarray | None = None,
     confidence: np.ndarray | None = None,
     min_confidence: int = 0,
+    colors: np.ndarray | None = None,
     depth_scale: float = DEFAULT_SCALE,
     codec: str = DEFAULT_DEPTH_CODEC,
 ) -> pb.DepthImage:
@@ -66,6 +70,7 @@ def encode_depth(
         mask: (H, W) bool or integers, zero outside the garment.
         confidence: (H, W) uint8, 255 is the highest.
         min_confidence: pixels of lower confidence are ignored.
+        colors: (H, W, 3) uint8, red, green, blue, of what the pixels of the depth see.
         depth_scale: metres per unit of uint16 depth.
         codec: a name of :data:`DEPTH_CODECS`, for all three images; an image that it cannot encode, such as floats in png,
             is sent as "zstd".
@@ -101,12 +106,14 @@ def encode_depth(
             raise CodecError(field="min_confidence", expected="0 to 255", got=str(min_confidence))
         message.confidence_compression, message.min_confidence = byte_codec, min_confidence
         message.confidence = _compress(_image("confidence", confidence, "u", depth.shape).astype(np.uint8), byte_codec)
+    if colors is not None:
+        message.colors = checked_colors(colors, (*depth.shape, 3)).tobytes()
     return message
 
 
 def require_image_within(image: pb.DepthImage, max_pixels: int) -> None:
     """Refuses an image with more pixels, or more encoded bytes, than the limit allows; nothing is decoded."""
-    sizes = {name: len(getattr(image, name)) for name in ("data", "mask", "confidence")}
+    sizes = {name: len(getattr(image, name)) for name in ("data", "mask", "confidence", "colors")}
     require_image_size_within(image.width, image.height, sizes, max_pixels)
 
 
@@ -148,7 +155,8 @@ def decode_depth(image: pb.DepthImage, *, max_pixels: int) -> Depth:
         confidence = _decompress(image.confidence, image.confidence_compression, shape, np.dtype("u1"), field)
         certain = confidence >= max(image.min_confidence, 1)  # 0 is unusable
         keep = certain if keep is None else keep & certain
-    return Depth(depth, keep, lens, pose)
+    colors = colors_of(image.colors, (*shape, 3), "depth_image.colors", "pixels")
+    return Depth(depth, keep, lens, pose, colors)
 
 
 def _depth(image: pb.DepthImage, shape: tuple[int, int]) -> np.ndarray:

@@ -78,6 +78,20 @@ class DepthCompression(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     DEPTH_COMPRESSION_PNG: _ClassVar[DepthCompression]
     DEPTH_COMPRESSION_RVL: _ClassVar[DepthCompression]
 
+class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
+    __slots__ = ()
+    WARNING_CODE_UNSPECIFIED: _ClassVar[WarningCode]
+    WARNING_CODE_SENSOR_ORIGIN_MISSING: _ClassVar[WarningCode]
+    WARNING_CODE_NOTHING_IN_REACH: _ClassVar[WarningCode]
+    WARNING_CODE_LENGTH_UNIT: _ClassVar[WarningCode]
+    WARNING_CODE_TIME_UNIT: _ClassVar[WarningCode]
+    WARNING_CODE_STALE_CLOCK: _ClassVar[WarningCode]
+    WARNING_CODE_UPSIDE_DOWN: _ClassVar[WarningCode]
+    WARNING_CODE_MIRRORED: _ClassVar[WarningCode]
+    WARNING_CODE_POINTS_BEHIND_SENSOR: _ClassVar[WarningCode]
+    WARNING_CODE_BODY_APART: _ClassVar[WarningCode]
+    WARNING_CODE_CLOCK_JUMP: _ClassVar[WarningCode]
+
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
     NOTICE_KIND_UNSPECIFIED: _ClassVar[NoticeKind]
@@ -128,6 +142,17 @@ DEPTH_COMPRESSION_NONE: DepthCompression
 DEPTH_COMPRESSION_ZSTD: DepthCompression
 DEPTH_COMPRESSION_PNG: DepthCompression
 DEPTH_COMPRESSION_RVL: DepthCompression
+WARNING_CODE_UNSPECIFIED: WarningCode
+WARNING_CODE_SENSOR_ORIGIN_MISSING: WarningCode
+WARNING_CODE_NOTHING_IN_REACH: WarningCode
+WARNING_CODE_LENGTH_UNIT: WarningCode
+WARNING_CODE_TIME_UNIT: WarningCode
+WARNING_CODE_STALE_CLOCK: WarningCode
+WARNING_CODE_UPSIDE_DOWN: WarningCode
+WARNING_CODE_MIRRORED: WarningCode
+WARNING_CODE_POINTS_BEHIND_SENSOR: WarningCode
+WARNING_CODE_BODY_APART: WarningCode
+WARNING_CODE_CLOCK_JUMP: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
@@ -172,7 +197,7 @@ class Mesh(_message.Message):
     def __init__(self, vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., faces: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
 
 class Session(_message.Message):
-    __slots__ = ("name", "labels", "state", "create_time", "config_json", "fabric", "limits", "statistics", "etag", "expire_time", "checkpoint_time", "garment", "body", "garment_vertex_count", "garment_face_count", "body_vertex_count", "vertex_map")
+    __slots__ = ("name", "labels", "state", "create_time", "config_json", "fabric", "limits", "statistics", "etag", "expire_time", "checkpoint_time", "garment", "body", "garment_mesh", "body_mesh", "garment_vertex_count", "garment_face_count", "body_vertex_count", "vertex_map")
     class LabelsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -193,6 +218,8 @@ class Session(_message.Message):
     CHECKPOINT_TIME_FIELD_NUMBER: _ClassVar[int]
     GARMENT_FIELD_NUMBER: _ClassVar[int]
     BODY_FIELD_NUMBER: _ClassVar[int]
+    GARMENT_MESH_FIELD_NUMBER: _ClassVar[int]
+    BODY_MESH_FIELD_NUMBER: _ClassVar[int]
     GARMENT_VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
     GARMENT_FACE_COUNT_FIELD_NUMBER: _ClassVar[int]
     BODY_VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
@@ -210,11 +237,13 @@ class Session(_message.Message):
     checkpoint_time: _timestamp_pb2.Timestamp
     garment: Mesh
     body: Mesh
+    garment_mesh: str
+    body_mesh: str
     garment_vertex_count: int
     garment_face_count: int
     body_vertex_count: int
     vertex_map: PackedArray
-    def __init__(self, name: _Optional[str] = ..., labels: _Optional[_Mapping[str, str]] = ..., state: _Optional[_Union[SessionState, str]] = ..., create_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., config_json: _Optional[str] = ..., fabric: _Optional[str] = ..., limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., statistics: _Optional[_Union[SessionStatistics, _Mapping]] = ..., etag: _Optional[str] = ..., expire_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., checkpoint_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., garment: _Optional[_Union[Mesh, _Mapping]] = ..., body: _Optional[_Union[Mesh, _Mapping]] = ..., garment_vertex_count: _Optional[int] = ..., garment_face_count: _Optional[int] = ..., body_vertex_count: _Optional[int] = ..., vertex_map: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
+    def __init__(self, name: _Optional[str] = ..., labels: _Optional[_Mapping[str, str]] = ..., state: _Optional[_Union[SessionState, str]] = ..., create_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., config_json: _Optional[str] = ..., fabric: _Optional[str] = ..., limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., statistics: _Optional[_Union[SessionStatistics, _Mapping]] = ..., etag: _Optional[str] = ..., expire_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., checkpoint_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., garment: _Optional[_Union[Mesh, _Mapping]] = ..., body: _Optional[_Union[Mesh, _Mapping]] = ..., garment_mesh: _Optional[str] = ..., body_mesh: _Optional[str] = ..., garment_vertex_count: _Optional[int] = ..., garment_face_count: _Optional[int] = ..., body_vertex_count: _Optional[int] = ..., vertex_map: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
 
 class SessionLimits(_message.Message):
     __slots__ = ("max_points", "max_frame_rate", "idle_timeout", "max_lifetime", "max_frames_in_flight", "departure_timeout")
@@ -233,7 +262,7 @@ class SessionLimits(_message.Message):
     def __init__(self, max_points: _Optional[int] = ..., max_frame_rate: _Optional[float] = ..., idle_timeout: _Optional[float] = ..., max_lifetime: _Optional[float] = ..., max_frames_in_flight: _Optional[int] = ..., departure_timeout: _Optional[float] = ...) -> None: ...
 
 class SessionStatistics(_message.Message):
-    __slots__ = ("frames_applied", "frames_dropped", "frames_rejected", "frame_rate", "reliability", "paper_score", "coverage", "last_sequence_number", "last_capture_time", "last_frame_time", "last_latency", "frames_late", "recoveries", "frames_lost", "memory_bytes")
+    __slots__ = ("frames_applied", "frames_dropped", "frames_rejected", "frame_rate", "reliability", "paper_score", "coverage", "last_sequence_number", "last_capture_time", "last_frame_time", "last_latency", "frames_late", "recoveries", "frames_lost", "memory_bytes", "warnings")
     FRAMES_APPLIED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_DROPPED_FIELD_NUMBER: _ClassVar[int]
     FRAMES_REJECTED_FIELD_NUMBER: _ClassVar[int]
@@ -249,6 +278,7 @@ class SessionStatistics(_message.Message):
     RECOVERIES_FIELD_NUMBER: _ClassVar[int]
     FRAMES_LOST_FIELD_NUMBER: _ClassVar[int]
     MEMORY_BYTES_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
     frames_applied: int
     frames_dropped: int
     frames_rejected: int
@@ -264,7 +294,16 @@ class SessionStatistics(_message.Message):
     recoveries: int
     frames_lost: int
     memory_bytes: int
-    def __init__(self, frames_applied: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frame_rate: _Optional[float] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., last_frame_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last_latency: _Optional[float] = ..., frames_late: _Optional[int] = ..., recoveries: _Optional[int] = ..., frames_lost: _Optional[int] = ..., memory_bytes: _Optional[int] = ...) -> None: ...
+    warnings: _containers.RepeatedCompositeFieldContainer[WarningCount]
+    def __init__(self, frames_applied: _Optional[int] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frame_rate: _Optional[float] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., last_frame_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., last_latency: _Optional[float] = ..., frames_late: _Optional[int] = ..., recoveries: _Optional[int] = ..., frames_lost: _Optional[int] = ..., memory_bytes: _Optional[int] = ..., warnings: _Optional[_Iterable[_Union[WarningCount, _Mapping]]] = ...) -> None: ...
+
+class WarningCount(_message.Message):
+    __slots__ = ("warning", "frames")
+    WARNING_FIELD_NUMBER: _ClassVar[int]
+    FRAMES_FIELD_NUMBER: _ClassVar[int]
+    warning: Warning
+    frames: int
+    def __init__(self, warning: _Optional[_Union[Warning, _Mapping]] = ..., frames: _Optional[int] = ...) -> None: ...
 
 class GetServerInfoRequest(_message.Message):
     __slots__ = ("api_version",)
@@ -400,14 +439,16 @@ class RestoreSessionRequest(_message.Message):
     def __init__(self, api_version: _Optional[str] = ..., session: _Optional[_Union[Session, _Mapping]] = ..., session_id: _Optional[str] = ..., request_id: _Optional[str] = ..., data: _Optional[bytes] = ...) -> None: ...
 
 class WatchSessionRequest(_message.Message):
-    __slots__ = ("name", "api_version", "every_nth")
+    __slots__ = ("name", "api_version", "every_nth", "include_frames")
     NAME_FIELD_NUMBER: _ClassVar[int]
     API_VERSION_FIELD_NUMBER: _ClassVar[int]
     EVERY_NTH_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_FRAMES_FIELD_NUMBER: _ClassVar[int]
     name: str
     api_version: str
     every_nth: int
-    def __init__(self, name: _Optional[str] = ..., api_version: _Optional[str] = ..., every_nth: _Optional[int] = ...) -> None: ...
+    include_frames: bool
+    def __init__(self, name: _Optional[str] = ..., api_version: _Optional[str] = ..., every_nth: _Optional[int] = ..., include_frames: bool = ...) -> None: ...
 
 class GetSessionHistoryRequest(_message.Message):
     __slots__ = ("name", "start_time", "end_time", "resolution", "max_samples")
@@ -469,6 +510,60 @@ class SessionHistory(_message.Message):
     state_changes: _containers.RepeatedCompositeFieldContainer[StateChange]
     def __init__(self, name: _Optional[str] = ..., resolution: _Optional[float] = ..., samples: _Optional[_Iterable[_Union[HistorySample, _Mapping]]] = ..., state_changes: _Optional[_Iterable[_Union[StateChange, _Mapping]]] = ...) -> None: ...
 
+class StoredMesh(_message.Message):
+    __slots__ = ("name", "vertex_count", "face_count", "bytes", "create_time", "mesh")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    VERTEX_COUNT_FIELD_NUMBER: _ClassVar[int]
+    FACE_COUNT_FIELD_NUMBER: _ClassVar[int]
+    BYTES_FIELD_NUMBER: _ClassVar[int]
+    CREATE_TIME_FIELD_NUMBER: _ClassVar[int]
+    MESH_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    vertex_count: int
+    face_count: int
+    bytes: int
+    create_time: _timestamp_pb2.Timestamp
+    mesh: Mesh
+    def __init__(self, name: _Optional[str] = ..., vertex_count: _Optional[int] = ..., face_count: _Optional[int] = ..., bytes: _Optional[int] = ..., create_time: _Optional[_Union[datetime.datetime, _timestamp_pb2.Timestamp, _Mapping]] = ..., mesh: _Optional[_Union[Mesh, _Mapping]] = ...) -> None: ...
+
+class CreateMeshRequest(_message.Message):
+    __slots__ = ("api_version", "mesh")
+    API_VERSION_FIELD_NUMBER: _ClassVar[int]
+    MESH_FIELD_NUMBER: _ClassVar[int]
+    api_version: str
+    mesh: Mesh
+    def __init__(self, api_version: _Optional[str] = ..., mesh: _Optional[_Union[Mesh, _Mapping]] = ...) -> None: ...
+
+class GetMeshRequest(_message.Message):
+    __slots__ = ("name", "include_mesh")
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    INCLUDE_MESH_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    include_mesh: bool
+    def __init__(self, name: _Optional[str] = ..., include_mesh: bool = ...) -> None: ...
+
+class ListMeshesRequest(_message.Message):
+    __slots__ = ("page_size", "page_token")
+    PAGE_SIZE_FIELD_NUMBER: _ClassVar[int]
+    PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    page_size: int
+    page_token: str
+    def __init__(self, page_size: _Optional[int] = ..., page_token: _Optional[str] = ...) -> None: ...
+
+class ListMeshesResponse(_message.Message):
+    __slots__ = ("meshes", "next_page_token")
+    MESHES_FIELD_NUMBER: _ClassVar[int]
+    NEXT_PAGE_TOKEN_FIELD_NUMBER: _ClassVar[int]
+    meshes: _containers.RepeatedCompositeFieldContainer[StoredMesh]
+    next_page_token: str
+    def __init__(self, meshes: _Optional[_Iterable[_Union[StoredMesh, _Mapping]]] = ..., next_page_token: _Optional[str] = ...) -> None: ...
+
+class DeleteMeshRequest(_message.Message):
+    __slots__ = ("name",)
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    name: str
+    def __init__(self, name: _Optional[str] = ...) -> None: ...
+
 class TrackRequest(_message.Message):
     __slots__ = ("start", "frame", "ping")
     START_FIELD_NUMBER: _ClassVar[int]
@@ -480,18 +575,20 @@ class TrackRequest(_message.Message):
     def __init__(self, start: _Optional[_Union[Start, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ..., ping: _Optional[_Union[Ping, _Mapping]] = ...) -> None: ...
 
 class Start(_message.Message):
-    __slots__ = ("name", "api_version", "flow_mode", "result_options", "takeover")
+    __slots__ = ("name", "api_version", "flow_mode", "result_options", "takeover", "answered_through")
     NAME_FIELD_NUMBER: _ClassVar[int]
     API_VERSION_FIELD_NUMBER: _ClassVar[int]
     FLOW_MODE_FIELD_NUMBER: _ClassVar[int]
     RESULT_OPTIONS_FIELD_NUMBER: _ClassVar[int]
     TAKEOVER_FIELD_NUMBER: _ClassVar[int]
+    ANSWERED_THROUGH_FIELD_NUMBER: _ClassVar[int]
     name: str
     api_version: str
     flow_mode: FlowMode
     result_options: ResultOptions
     takeover: bool
-    def __init__(self, name: _Optional[str] = ..., api_version: _Optional[str] = ..., flow_mode: _Optional[_Union[FlowMode, str]] = ..., result_options: _Optional[_Union[ResultOptions, _Mapping]] = ..., takeover: bool = ...) -> None: ...
+    answered_through: int
+    def __init__(self, name: _Optional[str] = ..., api_version: _Optional[str] = ..., flow_mode: _Optional[_Union[FlowMode, str]] = ..., result_options: _Optional[_Union[ResultOptions, _Mapping]] = ..., takeover: bool = ..., answered_through: _Optional[int] = ...) -> None: ...
 
 class ResultOptions(_message.Message):
     __slots__ = ("vertex_encoding", "sigma_encoding", "reliability_encoding", "include_velocities", "include_covariance", "every_nth")
@@ -554,20 +651,22 @@ class Sensor(_message.Message):
     def __init__(self, origin: _Optional[_Union[Vector3, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., point_count: _Optional[int] = ...) -> None: ...
 
 class PointCloud(_message.Message):
-    __slots__ = ("codec", "point_count", "data", "step", "origin", "crc32")
+    __slots__ = ("codec", "point_count", "data", "step", "origin", "crc32", "colors")
     CODEC_FIELD_NUMBER: _ClassVar[int]
     POINT_COUNT_FIELD_NUMBER: _ClassVar[int]
     DATA_FIELD_NUMBER: _ClassVar[int]
     STEP_FIELD_NUMBER: _ClassVar[int]
     ORIGIN_FIELD_NUMBER: _ClassVar[int]
     CRC32_FIELD_NUMBER: _ClassVar[int]
+    COLORS_FIELD_NUMBER: _ClassVar[int]
     codec: PointCodec
     point_count: int
     data: bytes
     step: float
     origin: Vector3
     crc32: int
-    def __init__(self, codec: _Optional[_Union[PointCodec, str]] = ..., point_count: _Optional[int] = ..., data: _Optional[bytes] = ..., step: _Optional[float] = ..., origin: _Optional[_Union[Vector3, _Mapping]] = ..., crc32: _Optional[int] = ...) -> None: ...
+    colors: bytes
+    def __init__(self, codec: _Optional[_Union[PointCodec, str]] = ..., point_count: _Optional[int] = ..., data: _Optional[bytes] = ..., step: _Optional[float] = ..., origin: _Optional[_Union[Vector3, _Mapping]] = ..., crc32: _Optional[int] = ..., colors: _Optional[bytes] = ...) -> None: ...
 
 class Intrinsics(_message.Message):
     __slots__ = ("fx", "fy", "cx", "cy")
@@ -582,7 +681,7 @@ class Intrinsics(_message.Message):
     def __init__(self, fx: _Optional[float] = ..., fy: _Optional[float] = ..., cx: _Optional[float] = ..., cy: _Optional[float] = ...) -> None: ...
 
 class DepthImage(_message.Message):
-    __slots__ = ("encoding", "compression", "width", "height", "data", "intrinsics", "pose", "depth_scale", "mask", "mask_compression", "confidence", "confidence_compression", "min_confidence")
+    __slots__ = ("encoding", "compression", "width", "height", "data", "intrinsics", "pose", "depth_scale", "mask", "mask_compression", "confidence", "confidence_compression", "min_confidence", "colors")
     ENCODING_FIELD_NUMBER: _ClassVar[int]
     COMPRESSION_FIELD_NUMBER: _ClassVar[int]
     WIDTH_FIELD_NUMBER: _ClassVar[int]
@@ -596,6 +695,7 @@ class DepthImage(_message.Message):
     CONFIDENCE_FIELD_NUMBER: _ClassVar[int]
     CONFIDENCE_COMPRESSION_FIELD_NUMBER: _ClassVar[int]
     MIN_CONFIDENCE_FIELD_NUMBER: _ClassVar[int]
+    COLORS_FIELD_NUMBER: _ClassVar[int]
     encoding: DepthEncoding
     compression: DepthCompression
     width: int
@@ -609,38 +709,45 @@ class DepthImage(_message.Message):
     confidence: bytes
     confidence_compression: DepthCompression
     min_confidence: int
-    def __init__(self, encoding: _Optional[_Union[DepthEncoding, str]] = ..., compression: _Optional[_Union[DepthCompression, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., data: _Optional[bytes] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., depth_scale: _Optional[float] = ..., mask: _Optional[bytes] = ..., mask_compression: _Optional[_Union[DepthCompression, str]] = ..., confidence: _Optional[bytes] = ..., confidence_compression: _Optional[_Union[DepthCompression, str]] = ..., min_confidence: _Optional[int] = ...) -> None: ...
+    colors: bytes
+    def __init__(self, encoding: _Optional[_Union[DepthEncoding, str]] = ..., compression: _Optional[_Union[DepthCompression, str]] = ..., width: _Optional[int] = ..., height: _Optional[int] = ..., data: _Optional[bytes] = ..., intrinsics: _Optional[_Union[Intrinsics, _Mapping]] = ..., pose: _Optional[_Union[Pose, _Mapping]] = ..., depth_scale: _Optional[float] = ..., mask: _Optional[bytes] = ..., mask_compression: _Optional[_Union[DepthCompression, str]] = ..., confidence: _Optional[bytes] = ..., confidence_compression: _Optional[_Union[DepthCompression, str]] = ..., min_confidence: _Optional[int] = ..., colors: _Optional[bytes] = ...) -> None: ...
 
 class TrackResponse(_message.Message):
-    __slots__ = ("started", "result", "frame_error", "notice", "pong")
+    __slots__ = ("started", "result", "frame_error", "notice", "pong", "error", "frame")
     STARTED_FIELD_NUMBER: _ClassVar[int]
     RESULT_FIELD_NUMBER: _ClassVar[int]
     FRAME_ERROR_FIELD_NUMBER: _ClassVar[int]
     NOTICE_FIELD_NUMBER: _ClassVar[int]
     PONG_FIELD_NUMBER: _ClassVar[int]
+    ERROR_FIELD_NUMBER: _ClassVar[int]
+    FRAME_FIELD_NUMBER: _ClassVar[int]
     started: Started
     result: Result
     frame_error: FrameError
     notice: Notice
     pong: Pong
-    def __init__(self, started: _Optional[_Union[Started, _Mapping]] = ..., result: _Optional[_Union[Result, _Mapping]] = ..., frame_error: _Optional[_Union[FrameError, _Mapping]] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ..., pong: _Optional[_Union[Pong, _Mapping]] = ...) -> None: ...
+    error: ErrorDetail
+    frame: Frame
+    def __init__(self, started: _Optional[_Union[Started, _Mapping]] = ..., result: _Optional[_Union[Result, _Mapping]] = ..., frame_error: _Optional[_Union[FrameError, _Mapping]] = ..., notice: _Optional[_Union[Notice, _Mapping]] = ..., pong: _Optional[_Union[Pong, _Mapping]] = ..., error: _Optional[_Union[ErrorDetail, _Mapping]] = ..., frame: _Optional[_Union[Frame, _Mapping]] = ...) -> None: ...
 
 class Started(_message.Message):
-    __slots__ = ("name", "last_sequence_number", "last_capture_time", "flow_mode", "max_frames_in_flight")
+    __slots__ = ("name", "last_sequence_number", "last_capture_time", "flow_mode", "max_frames_in_flight", "repeated_answers")
     NAME_FIELD_NUMBER: _ClassVar[int]
     LAST_SEQUENCE_NUMBER_FIELD_NUMBER: _ClassVar[int]
     LAST_CAPTURE_TIME_FIELD_NUMBER: _ClassVar[int]
     FLOW_MODE_FIELD_NUMBER: _ClassVar[int]
     MAX_FRAMES_IN_FLIGHT_FIELD_NUMBER: _ClassVar[int]
+    REPEATED_ANSWERS_FIELD_NUMBER: _ClassVar[int]
     name: str
     last_sequence_number: int
     last_capture_time: float
     flow_mode: FlowMode
     max_frames_in_flight: int
-    def __init__(self, name: _Optional[str] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., flow_mode: _Optional[_Union[FlowMode, str]] = ..., max_frames_in_flight: _Optional[int] = ...) -> None: ...
+    repeated_answers: int
+    def __init__(self, name: _Optional[str] = ..., last_sequence_number: _Optional[int] = ..., last_capture_time: _Optional[float] = ..., flow_mode: _Optional[_Union[FlowMode, str]] = ..., max_frames_in_flight: _Optional[int] = ..., repeated_answers: _Optional[int] = ...) -> None: ...
 
 class Result(_message.Message):
-    __slots__ = ("sequence_number", "capture_time", "state", "reliability", "paper_score", "coverage", "frames_dropped", "frames_rejected", "frames_applied", "timings", "frames_late", "display_time", "vertices", "sigma", "vertex_reliability", "observed", "velocities", "covariance")
+    __slots__ = ("sequence_number", "capture_time", "state", "reliability", "paper_score", "coverage", "frames_dropped", "frames_rejected", "frames_applied", "timings", "frames_late", "display_time", "warnings", "usage", "vertices", "sigma", "vertex_reliability", "observed", "velocities", "covariance")
     class TimingsEntry(_message.Message):
         __slots__ = ("key", "value")
         KEY_FIELD_NUMBER: _ClassVar[int]
@@ -660,6 +767,8 @@ class Result(_message.Message):
     TIMINGS_FIELD_NUMBER: _ClassVar[int]
     FRAMES_LATE_FIELD_NUMBER: _ClassVar[int]
     DISPLAY_TIME_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    USAGE_FIELD_NUMBER: _ClassVar[int]
     VERTICES_FIELD_NUMBER: _ClassVar[int]
     SIGMA_FIELD_NUMBER: _ClassVar[int]
     VERTEX_RELIABILITY_FIELD_NUMBER: _ClassVar[int]
@@ -678,13 +787,39 @@ class Result(_message.Message):
     timings: _containers.ScalarMap[str, float]
     frames_late: int
     display_time: float
+    warnings: _containers.RepeatedCompositeFieldContainer[Warning]
+    usage: Usage
     vertices: PackedArray
     sigma: PackedArray
     vertex_reliability: PackedArray
     observed: PackedArray
     velocities: PackedArray
     covariance: PackedArray
-    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., state: _Optional[_Union[TrackerState, str]] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frames_applied: _Optional[int] = ..., timings: _Optional[_Mapping[str, float]] = ..., frames_late: _Optional[int] = ..., display_time: _Optional[float] = ..., vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., sigma: _Optional[_Union[PackedArray, _Mapping]] = ..., vertex_reliability: _Optional[_Union[PackedArray, _Mapping]] = ..., observed: _Optional[_Union[PackedArray, _Mapping]] = ..., velocities: _Optional[_Union[PackedArray, _Mapping]] = ..., covariance: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
+    def __init__(self, sequence_number: _Optional[int] = ..., capture_time: _Optional[float] = ..., state: _Optional[_Union[TrackerState, str]] = ..., reliability: _Optional[float] = ..., paper_score: _Optional[float] = ..., coverage: _Optional[float] = ..., frames_dropped: _Optional[int] = ..., frames_rejected: _Optional[int] = ..., frames_applied: _Optional[int] = ..., timings: _Optional[_Mapping[str, float]] = ..., frames_late: _Optional[int] = ..., display_time: _Optional[float] = ..., warnings: _Optional[_Iterable[_Union[Warning, _Mapping]]] = ..., usage: _Optional[_Union[Usage, _Mapping]] = ..., vertices: _Optional[_Union[PackedArray, _Mapping]] = ..., sigma: _Optional[_Union[PackedArray, _Mapping]] = ..., vertex_reliability: _Optional[_Union[PackedArray, _Mapping]] = ..., observed: _Optional[_Union[PackedArray, _Mapping]] = ..., velocities: _Optional[_Union[PackedArray, _Mapping]] = ..., covariance: _Optional[_Union[PackedArray, _Mapping]] = ...) -> None: ...
+
+class Usage(_message.Message):
+    __slots__ = ("processor_seconds", "budget_seconds", "widening", "working_vertices", "lighter")
+    PROCESSOR_SECONDS_FIELD_NUMBER: _ClassVar[int]
+    BUDGET_SECONDS_FIELD_NUMBER: _ClassVar[int]
+    WIDENING_FIELD_NUMBER: _ClassVar[int]
+    WORKING_VERTICES_FIELD_NUMBER: _ClassVar[int]
+    LIGHTER_FIELD_NUMBER: _ClassVar[int]
+    processor_seconds: float
+    budget_seconds: float
+    widening: float
+    working_vertices: int
+    lighter: bool
+    def __init__(self, processor_seconds: _Optional[float] = ..., budget_seconds: _Optional[float] = ..., widening: _Optional[float] = ..., working_vertices: _Optional[int] = ..., lighter: bool = ...) -> None: ...
+
+class Warning(_message.Message):
+    __slots__ = ("code", "field", "message")
+    CODE_FIELD_NUMBER: _ClassVar[int]
+    FIELD_FIELD_NUMBER: _ClassVar[int]
+    MESSAGE_FIELD_NUMBER: _ClassVar[int]
+    code: WarningCode
+    field: str
+    message: str
+    def __init__(self, code: _Optional[_Union[WarningCode, str]] = ..., field: _Optional[str] = ..., message: _Optional[str] = ...) -> None: ...
 
 class ErrorDetail(_message.Message):
     __slots__ = ("name", "field", "expected", "got", "message", "retry_after")

@@ -97,6 +97,26 @@ class TrackingServiceStub(object):
                 request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.SerializeToString,
                 response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.FromString,
                 _registered_method=True)
+        self.CreateMesh = channel.unary_unary(
+                '/ddakf_api.v1.TrackingService/CreateMesh',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.CreateMeshRequest.SerializeToString,
+                response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.FromString,
+                _registered_method=True)
+        self.GetMesh = channel.unary_unary(
+                '/ddakf_api.v1.TrackingService/GetMesh',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.GetMeshRequest.SerializeToString,
+                response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.FromString,
+                _registered_method=True)
+        self.ListMeshes = channel.unary_unary(
+                '/ddakf_api.v1.TrackingService/ListMeshes',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesRequest.SerializeToString,
+                response_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesResponse.FromString,
+                _registered_method=True)
+        self.DeleteMesh = channel.unary_unary(
+                '/ddakf_api.v1.TrackingService/DeleteMesh',
+                request_serializer=ddakf__api_dot_v1_dot_tracking__pb2.DeleteMeshRequest.SerializeToString,
+                response_deserializer=google_dot_protobuf_dot_empty__pb2.Empty.FromString,
+                _registered_method=True)
 
 
 class TrackingServiceServicer(object):
@@ -185,6 +205,32 @@ class TrackingServiceServicer(object):
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
+    def CreateMesh(self, request, context):
+        """Stores a mesh for any number of sessions. The same content has the same name; a repeated call changes nothing.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def GetMesh(self, request, context):
+        """Missing associated documentation comment in .proto file."""
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def ListMeshes(self, request, context):
+        """Missing associated documentation comment in .proto file."""
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
+    def DeleteMesh(self, request, context):
+        """Sessions that use the mesh have their own copy and go on.
+        """
+        context.set_code(grpc.StatusCode.UNIMPLEMENTED)
+        context.set_details('Method not implemented!')
+        raise NotImplementedError('Method not implemented!')
+
 
 def add_TrackingServiceServicer_to_server(servicer, server):
     rpc_method_handlers = {
@@ -247,6 +293,26 @@ def add_TrackingServiceServicer_to_server(servicer, server):
                     servicer.GetSessionHistory,
                     request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.FromString,
                     response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.SerializeToString,
+            ),
+            'CreateMesh': grpc.unary_unary_rpc_method_handler(
+                    servicer.CreateMesh,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.CreateMeshRequest.FromString,
+                    response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.SerializeToString,
+            ),
+            'GetMesh': grpc.unary_unary_rpc_method_handler(
+                    servicer.GetMesh,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.GetMeshRequest.FromString,
+                    response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.SerializeToString,
+            ),
+            'ListMeshes': grpc.unary_unary_rpc_method_handler(
+                    servicer.ListMeshes,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesRequest.FromString,
+                    response_serializer=ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesResponse.SerializeToString,
+            ),
+            'DeleteMesh': grpc.unary_unary_rpc_method_handler(
+                    servicer.DeleteMesh,
+                    request_deserializer=ddakf__api_dot_v1_dot_tracking__pb2.DeleteMeshRequest.FromString,
+                    response_serializer=google_dot_protobuf_dot_empty__pb2.Empty.SerializeToString,
             ),
     }
     generic_handler = grpc.method_handlers_generic_handler(
@@ -575,6 +641,114 @@ class TrackingService(object):
             '/ddakf_api.v1.TrackingService/GetSessionHistory',
             ddakf__api_dot_v1_dot_tracking__pb2.GetSessionHistoryRequest.SerializeToString,
             ddakf__api_dot_v1_dot_tracking__pb2.SessionHistory.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def CreateMesh(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/CreateMesh',
+            ddakf__api_dot_v1_dot_tracking__pb2.CreateMeshRequest.SerializeToString,
+            ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def GetMesh(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/GetMesh',
+            ddakf__api_dot_v1_dot_tracking__pb2.GetMeshRequest.SerializeToString,
+            ddakf__api_dot_v1_dot_tracking__pb2.StoredMesh.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def ListMeshes(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/ListMeshes',
+            ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesRequest.SerializeToString,
+            ddakf__api_dot_v1_dot_tracking__pb2.ListMeshesResponse.FromString,
+            options,
+            channel_credentials,
+            insecure,
+            call_credentials,
+            compression,
+            wait_for_ready,
+            timeout,
+            metadata,
+            _registered_method=True)
+
+    @staticmethod
+    def DeleteMesh(request,
+            target,
+            options=(),
+            channel_credentials=None,
+            call_credentials=None,
+            insecure=False,
+            compression=None,
+            wait_for_ready=None,
+            timeout=None,
+            metadata=None):
+        return grpc.experimental.unary_unary(
+            request,
+            target,
+            '/ddakf_api.v1.TrackingService/DeleteMesh',
+            ddakf__api_dot_v1_dot_tracking__pb2.DeleteMeshRequest.SerializeToString,
+            google_dot_protobuf_dot_empty__pb2.Empty.FromString,
             options,
             channel_credentials,
             insecure,
