@@ -11,7 +11,7 @@ from ddakf.physics.fabric import PRESETS
 
 from .build import build
 from .settings import Settings
-from .workers.encode import RESULT_ENCODINGS
+from .workers.messages.encode import RESULT_ENCODINGS
 
 
 def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:

@@ -25,10 +25,12 @@ from .streaming.streams import Streams
 from .transports.grpc.service import GrpcServer
 from .transports.http_guard import HttpGuard
 from .transports.http_server import HttpServer
+from .transports.rest.cross_origin import origin_checked
 from .transports.rest.routes import create_app
 from .transports.websocket.routes import add_websockets
 from .workers.local_pool import LocalPool
 from .workers.pool import Limits, Progress
+from .workers.template import Template, WorkerSource
 
 log = logging.getLogger(__name__)
 
@@ -53,22 +55,29 @@ class Addresses(NamedTuple):
 
 
 class Server:
-    """gRPC and REST in one event loop, in front of a pool of workers."""
+    """gRPC and REST in one event loop, in front of a pool of workers.
 
-    def __init__(self, settings: Settings):
+    Args:
+        template: of the workers, launched earlier.
+    """
+
+    def __init__(self, settings: Settings, template: Template | None = None):
         self._settings = settings
         self._metrics = Metrics()
         self._tracer = tracer_for(settings.trace_sample, settings.server_id)
         self._store = Store(settings, self._metrics)
+        limits = Limits(
+            settings.max_points,
+            settings.max_vertices,
+            settings.max_faces,
+            settings.max_body_vertices,
+            settings.max_image_pixels,
+            settings.frame_limit,
+        )
+        source = _ray_actors(limits, settings.ray_address) if settings.worker_kind == "ray" else None
         self._pool = LocalPool(
             settings.workers,
-            Limits(
-                settings.max_points,
-                settings.max_vertices,
-                settings.max_faces,
-                settings.max_body_vertices,
-                settings.max_image_pixels,
-            ),
+            limits,
             spares=settings.spare_workers,
             frame_timeout=settings.frame_timeout,
             warm_timeout=settings.warm_timeout,
@@ -77,7 +86,10 @@ class Server:
             recycle_memory=settings.recycle_memory_bytes,
             on_lost=lambda ids: self._sessions.lose(ids),
             on_change=self._follow_workers,
+            template=None if source else template,
+            source=source,
         )
+        self._unused = template if source else None
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)
@@ -87,7 +99,8 @@ class Server:
         self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
         add_websockets(app, self._streams, settings.reader_timeout)
-        self._http = HttpServer(HttpGuard(app, guard), settings, tls)
+        guarded = HttpGuard(app, guard)
+        self._http = HttpServer(origin_checked(guarded, settings.cors_origins), settings, tls)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()
@@ -139,6 +152,8 @@ class Server:
             log.warning("anyone who can reach %s may use this service: it needs no keys", self._settings.host)
 
     async def _start_pool(self, progress: Progress) -> None:
+        if self._unused is not None:
+            await self._unused.end()
         await self._pool.start(progress)
         self._warm = True
         self._follow_workers()
@@ -174,7 +189,7 @@ class Server:
         if self._stopping.is_set():
             return "the server is about to stop"
         if not self._warm:
-            return "the workers are compiling their kernels"
+            return "the kernels are not loaded yet"
         return "" if self._pool.health().ready else "no worker is ready"
 
     def _follow_workers(self) -> None:
@@ -189,6 +204,12 @@ class Server:
 
     async def _publish_health(self) -> None:
         await self._grpc.serving(not self._not_ready())  # read here, because it may have changed since the call
+
+
+def _ray_actors(limits: Limits, address: str) -> WorkerSource:
+    from .workers.ray_actors import RayActors  # ray is an extra
+
+    return RayActors(limits, address)
 
 
 def _anonymous(settings: Settings) -> bool:

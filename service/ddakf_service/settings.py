@@ -1,23 +1,19 @@
-"""Settings of the service: flags override the environment, which overrides a file, which overrides the defaults."""
+"""Settings of the service, each with its default, its range and its meaning."""
 
 from __future__ import annotations
 
 import os
 import re
 import socket
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
-from pydantic_settings import BaseSettings, EnvSettingsSource, NoDecode, SettingsConfigDict
-
-from ddakf.errors import InvalidConfig
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 ENV_PREFIX = "DDAKF_"
-CONFIG_VARIABLE = ENV_PREFIX + "CONFIG"
+RECORDING_SUFFIXES = (".mcap", ".npz")
 
 # A user of an unconfigured server gains nothing from more workers, and each takes memory.
 DEFAULT_MAX_WORKERS = 4
@@ -32,7 +28,7 @@ def _default_data_dir() -> str:
 
 
 def _split(origins: object) -> object:
-    return [origin.strip() for origin in origins.split(",")] if isinstance(origins, str) else origins
+    return [origin.strip() for origin in origins.split(",") if origin.strip()] if isinstance(origins, str) else origins
 
 
 def _origin(text: str) -> str:
@@ -41,15 +37,30 @@ def _origin(text: str) -> str:
     return text
 
 
+def _successor(text: str) -> str:
+    found = _ADDRESS_FORM.fullmatch(text)
+    if text and not (found and 0 < int(found[1]) < 1 << 16):
+        raise PydanticCustomError("address", "HOST:PORT, such as 192.0.2.1:7701, or nothing")
+    return text
+
+
+def _recording(text: str) -> str:
+    if text and not (text.lower().endswith(RECORDING_SUFFIXES) and Path(text).is_file()):
+        raise PydanticCustomError("recording", f"a file that ends in {' or '.join(RECORDING_SUFFIXES)}, or nothing")
+    return text
+
+
 _ORIGIN_FORM = re.compile(r"https?://[a-z0-9.:\[\]-]+")
-_SECRET = re.compile(r"(://[^:@/]*:).*@|(\b[\w-]*(?:password|secret|token|key)[\w-]*=)[^&]*", re.IGNORECASE)
+_ADDRESS_FORM = re.compile(r"(?:[\w.-]+|\[[0-9A-Fa-f:.]+\]):([0-9]{1,5})", re.ASCII)
 _Origin = Annotated[str, AfterValidator(_origin)]
 
 
 class Settings(BaseSettings):
     """All settings. Each field is also a flag, a key of the file and the variable ``DDAKF_<FIELD>``."""
 
-    model_config = SettingsConfigDict(env_prefix=ENV_PREFIX, extra="forbid", frozen=True, validate_default=True)
+    model_config = SettingsConfigDict(
+        env_prefix=ENV_PREFIX, extra="forbid", frozen=True, validate_default=True, allow_inf_nan=False
+    )
 
     host: str = Field("127.0.0.1", min_length=1, description="address to listen on")
     grpc_port: int = Field(7701, ge=0, le=65535, description="port of gRPC; 0 takes a free one")
@@ -64,6 +75,10 @@ class Settings(BaseSettings):
         ge=1,
         le=256,
         description=f"worker processes; the default is one per core, at most {DEFAULT_MAX_WORKERS}",
+    )
+    worker_kind: Literal["local", "ray"] = Field("local", description="workers are processes of this machine, or Ray actors")
+    ray_address: str = Field(
+        "auto", min_length=1, description="Ray cluster of the actors; auto: that of this machine, or of RAY_ADDRESS"
     )
     spare_workers: int = Field(1, ge=0, le=16, description="warm processes in reserve that replace a lost worker at once")
     recycle_frames: int = Field(0, ge=0, description="frames after which a worker is replaced in order; 0: never")
@@ -93,9 +108,21 @@ class Settings(BaseSettings):
     max_lifetime: float = Field(0.0, ge=0, description="seconds from the creation to the end of a session; 0: not limited")
     reader_timeout: float = Field(30.0, gt=0, description="a stream ends when its client reads nothing for so many seconds")
     frame_timeout: float = Field(30.0, gt=0, description="seconds per frame before its worker counts as hung and is replaced")
+    frame_limit: float = Field(
+        0.5, gt=0, description="processor seconds per frame, and as many for every 20,000 vertices and 100,000 points of it"
+    )
+    costly_slow_after: int = Field(
+        3, ge=1, description="frames beyond frame_limit after which a session may have one per second; 100 within it undo one"
+    )
+    costly_isolate_after: int = Field(
+        6, ge=1, description="frames beyond frame_limit after which a session moves to a worker of low priority"
+    )
+    costly_end_after: int = Field(12, ge=1, description="frames beyond frame_limit after which a session ends")
     warm_timeout: float = Field(900.0, gt=0, description="seconds for a worker to compile and to track its first frame")
     drain_grace: float = Field(5.0, ge=0, description="seconds for clients to leave after the notice of a shutdown")
-    successor: str = Field("", description="host:port for clients to connect to after a shutdown; empty: this server")
+    successor: Annotated[str, AfterValidator(_successor)] = Field(
+        "", description="host:port for clients to connect to after a shutdown; empty: this server"
+    )
 
     data_dir: str = Field(
         default_factory=_default_data_dir,
@@ -110,6 +137,16 @@ class Settings(BaseSettings):
     checkpoint_url: str = Field("", description="checkpoints: an fsspec URL, file:///... or s3://...; empty: in data_dir")
     checkpoint_every: int = Field(30, ge=1, description="frames between two checkpoints of a session")
     checkpoint_keep: int = Field(2, ge=1, le=100, description="stored checkpoints per session")
+    share_sessions: bool = Field(
+        False,
+        description="any server of this database may serve any session; needs PostgreSQL, and one checkpoint_url for all of them",
+    )
+    lease_seconds: float = Field(
+        5.0, ge=1, le=600, description="seconds after which other servers may take the sessions of one that has vanished"
+    )
+    gateway_address: Annotated[str, AfterValidator(_successor)] = Field(
+        "", description="host:port of this server for clients of others that share sessions; empty: all use one load balancer"
+    )
     history_days: float = Field(30.0, gt=0, description="retention of history and of ended sessions, days")
     server_id: str = Field(
         default_factory=socket.gethostname,
@@ -122,100 +159,41 @@ class Settings(BaseSettings):
     require_keys: bool = Field(False, description="calls need a key also on loopback, for a proxy on the same machine")
     max_sessions_per_key: int = Field(16, ge=1, description="sessions at a time of a key without a quota of its own")
     max_streams_per_key: int = Field(64, ge=1, description="streams and watchers of a key at a time")
+    max_meshes_per_key: int = Field(64, ge=0, description="uploaded meshes of a key, or of all callers without one")
+    max_mesh_bytes_per_key: int = Field(256 << 20, ge=0, description="bytes of the uploaded meshes of a key")
     tls_certificate: str = Field("", description="PEM file with the certificate chain; empty: no encryption")
     tls_key: str = Field("", description="PEM file with its private key")
     tls_client_ca: str = Field("", description="PEM file with authorities: clients need a certificate signed by one")
 
+    recording: Annotated[str, AfterValidator(_recording)] = Field(
+        "", description="recording (.mcap) or result of `ddakf track --out` (.npz) that the dashboard shows; empty: none"
+    )
     trace_sample: float = Field(
         0.01, ge=0, le=1, description="share of the frames whose spans are exported where OTEL_EXPORTER_OTLP_ENDPOINT is set"
     )
     log_level: Literal["debug", "info", "warning", "error"] = Field("info", description="lowest level that is logged")
     log_format: Literal["text", "json"] = Field("text", description="one line of text or one JSON object per event")
 
+    @model_validator(mode="after")
+    def _check_pairs(self) -> Settings:
+        given = self.model_fields_set  # a default departure_timeout is lowered to the idle_timeout
+        if "departure_timeout" in given and self.departure_timeout > self.idle_timeout:
+            expected = f"at most the idle_timeout, {self.idle_timeout:g}"
+            raise PydanticCustomError("pair", expected, {"setting": "departure_timeout"})
+        if self.share_sessions and not (self.database_url.startswith("postgresql") and self.checkpoint_url):
+            expected = "false without a checkpoint_url and a database_url of PostgreSQL"
+            raise PydanticCustomError("pair", expected, {"setting": "share_sessions"})
+        if self.allow_anonymous and self.require_keys:
+            raise PydanticCustomError("pair", "false where require_keys is set", {"setting": "allow_anonymous"})
+        for later, earlier in (("costly_isolate_after", "costly_slow_after"), ("costly_end_after", "costly_isolate_after")):
+            if getattr(self, later) < (least := getattr(self, earlier)):
+                raise PydanticCustomError("pair", f"at least {earlier}, {least}", {"setting": later})
+        for name in given & {"recycle_frames", "recycle_memory_bytes"}:
+            if getattr(self, name) and not self.spare_workers:
+                raise PydanticCustomError("pair", "0 where spare_workers is 0: a spare replaces the worker", {"setting": name})
+        return self
+
     @classmethod
     def settings_customise_sources(cls, settings_cls, init_settings, **_):
         # load() merges the layers itself, because it also reports the layer of each value.
         return (init_settings,)
-
-
-class SettingSource(NamedTuple):
-    """Layer of a value ("flag", "environment", "file" or "default") and its name there."""
-
-    layer: str
-    name: str
-
-    def __str__(self) -> str:
-        return f"{self.layer} {self.name}".rstrip()
-
-
-def load(
-    flags: Mapping[str, Any] | None = None, config_file: str | Path | None = None
-) -> tuple[Settings, dict[str, SettingSource]]:
-    """Reads all layers.
-
-    Args:
-        flags: values of the command line, by field name.
-        config_file: a TOML file; defaults to the file that ``DDAKF_CONFIG`` names, if any.
-
-    Returns:
-        the settings, and the layer of each field.
-
-    Raises:
-        InvalidConfig: with the setting, the expected and the given value.
-    """
-    path = config_file or os.environ.get(CONFIG_VARIABLE)
-    layers = {
-        "flag": dict(flags or {}),
-        "environment": EnvSettingsSource(Settings)(),
-        "file": _read_file(Path(path)) if path else {},
-    }
-    values: dict[str, Any] = {}
-    sources = {name: SettingSource("default", "") for name in Settings.model_fields}
-    for layer in reversed(layers):
-        for name, value in layers[layer].items():
-            values[name] = value
-            sources[name] = SettingSource(layer, _name_in(layer, name, path))
-    try:
-        return Settings(**values), sources
-    except ValidationError as error:
-        raise _as_invalid_config(error, sources) from None
-
-
-def shown(name: str, value: Any) -> str:
-    """A value as text, without the password, key or token of a URL."""
-    if not name.endswith("_url"):
-        return str(value)
-    return _SECRET.sub(lambda m: f"{m[1]}***@" if m[1] else f"{m[2]}***", str(value))
-
-
-def flag_of(name: str) -> str:
-    """The command-line flag of a field."""
-    return "--" + name.replace("_", "-")
-
-
-def _name_in(layer: str, name: str, path) -> str:
-    if layer == "flag":
-        return flag_of(name)
-    if layer == "environment":
-        return ENV_PREFIX + name.upper()
-    return str(path)
-
-
-def _read_file(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InvalidConfig("config", "a readable TOML file", f"{path}: {error.strerror}") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise InvalidConfig("config", "a TOML file", f"{path}: {error}") from None
-
-
-def _as_invalid_config(error: ValidationError, sources: Mapping[str, SettingSource]) -> InvalidConfig:
-    first = error.errors(include_url=False)[0]
-    name = str(first["loc"][0])
-    if first["type"] == "extra_forbidden":
-        return InvalidConfig(
-            name, f"one of the settings {', '.join(Settings.model_fields)}", f"an unknown name from {sources[name]}"
-        )
-    expected = first["msg"].removeprefix("Input should be ").split(", unable to")[0]
-    return InvalidConfig(name, expected, f"{shown(name, first['input'])!r} from {sources[name]}")

@@ -6,12 +6,15 @@ A call that no table here names needs the scope ``admin``, so a new call is clos
 from __future__ import annotations
 
 import ipaddress
+import math
 from collections.abc import Mapping
+from time import monotonic
 from urllib.parse import urlsplit
 
-from ddakf_api.errors import PermissionDenied, Unauthenticated
+from ddakf_api.errors import PermissionDenied, ResourceExhausted, Unauthenticated
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..token_bucket import TokenBucket
 from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope
 
@@ -27,10 +30,13 @@ GRPC_SCOPES: dict[str, frozenset[Scope]] = {
     **{_SERVICE + name: READ_OWN for name in ("GetSession", "ListSessions", "WatchSession", "GetSessionHistory")},
     **{_SERVICE + name: STREAM for name in ("CreateSession", "RestoreSession", "Track")},
     **{_SERVICE + name + "Session": STREAM for name in ("Update", "Reset", "Delete", "Snapshot")},
+    **{_SERVICE + name: STREAM for name in ("CreateMesh", "GetMesh", "ListMeshes", "DeleteMesh")},
 }
 """Sufficient scopes by method; one of them is enough."""
 
-OPEN_PATHS = frozenset({"/healthz", "/readyz", "/v1/info", "/docs", "/docs/oauth2-redirect", "/redoc", "/openapi.json"})
+OPEN_PATHS = frozenset({"/", "/healthz", "/readyz", "/v1/info", "/docs", "/openapi.json"})
+_OPEN_FOLDER = "/assets/"  # of the dashboard's page
+_MINUTE = 60.0  # seconds; as many calls as a minute's may come at once
 _FORWARDING = ("forwarded", "x-forwarded-for", "x-forwarded-host", "x-real-ip")
 
 
@@ -46,6 +52,7 @@ class Guard:
 
     def __init__(self, keys: KeyRing, *, anonymous: bool, local: bool):
         self._keys, self._anonymous, self._local = keys, anonymous, local
+        self._buckets: dict[str, TokenBucket] = {}  # of calls, by key
 
     async def admit(self, presented_key: str | None, sufficient: frozenset[Scope], headers: Mapping[str, str]) -> Principal:
         """The principal of a call. The catalog of sessions checks ownership.
@@ -57,7 +64,7 @@ class Guard:
 
         Raises:
             Unauthenticated: a key is needed, or the presented key is unknown (even where no key is needed).
-            PermissionDenied: the key has no sufficient scope.
+            PermissionDenied: the key has no sufficient scope. ResourceExhausted: it calls more often than it may.
         """
         if presented_key is None:
             remote = _remote_origin(headers) if self._local else ""
@@ -67,7 +74,15 @@ class Guard:
         principal = await self._keys.principal(presented_key)
         if sufficient and not any(principal.allows(scope) for scope in sufficient):
             raise PermissionDenied(f"this needs a key with the scope {' or '.join(sorted(sufficient))}")
+        self._require_rate(principal)
         return principal
+
+    def _require_rate(self, principal: Principal) -> None:
+        rate = principal.requests_per_minute
+        bucket = self._buckets.setdefault(principal.id, TokenBucket(_MINUTE))
+        if pause := bucket.wait(rate / _MINUTE, monotonic()):
+            message = f"the key may make {rate:g} requests per minute; try again in {math.ceil(pause)} s"
+            raise ResourceExhausted(message, retry_after=pause)
 
 
 def _remote_origin(headers: Mapping[str, str]) -> str:
@@ -91,12 +106,16 @@ def bearer_key(value: str | None) -> str | None:
 def http_scopes(scope) -> frozenset[Scope]:
     """Sufficient scopes of an HTTP or WebSocket call: GET and watchers need to read, changes need ``stream``."""
     path = scope["path"].rstrip("/\n") or "/"  # route patterns accept a trailing line feed
-    if path in OPEN_PATHS:
+    if path in OPEN_PATHS or path.startswith(_OPEN_FOLDER):
         return OPEN
     sessions = path == "/v1/sessions" or path.startswith(("/v1/sessions/", "/v1/sessions:"))
     reading = scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-    if path == "/metrics" and reading:
+    if path in ("/metrics", "/v1/recording") and reading:
         return READ
+    if path == "/v1/sample" and reading:
+        return READ_OWN
+    if scope["type"] == "http" and (path == "/v1/meshes" or path.startswith("/v1/meshes/")):
+        return STREAM  # those of the key
     if not sessions:
         return ADMIN
     if scope["type"] == "websocket":

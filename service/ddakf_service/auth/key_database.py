@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import sqlalchemy as sa
 
-from ..store.database import Database
-from ..store.tables import api_keys
-from .keys import PREFIX, Key
+from ..store.tables.database import Database
+from ..store.tables.schema import api_keys
+from .keys import PREFIX, Key, KeyLimits
 from .principal import Scope
 
 
@@ -29,8 +29,11 @@ class DatabaseKeyStore:
             "prefix": f"{PREFIX}_{key.id}",
             "name": key.name,
             "scopes": " ".join(sorted(key.scopes)),
-            "max_sessions": key.max_sessions,
+            "max_sessions": key.limits.max_sessions,
+            "frames_per_second": key.limits.frames_per_second,
+            "requests_per_minute": key.limits.requests_per_minute,
             "create_time": key.created,
+            "expire_time": key.limits.expires,
         }
         self._database.read_now(lambda c: c.execute(sa.insert(api_keys).values(values)))
 
@@ -47,6 +50,6 @@ def _key(row) -> Key:
         name=row.name,
         scopes=frozenset(Scope(scope) for scope in row.scopes.split()),
         created=row.create_time,
-        max_sessions=row.max_sessions,
+        limits=KeyLimits(row.max_sessions, row.frames_per_second, row.requests_per_minute, row.expire_time),
         revoked=row.revoke_time,
     )

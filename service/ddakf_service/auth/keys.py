@@ -13,10 +13,12 @@ import hmac
 import logging
 import re
 import secrets
+import time
 from collections.abc import Callable, Iterable, Set
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from time import monotonic
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from ddakf_api.errors import Unauthenticated, Unavailable
 
@@ -31,6 +33,23 @@ _UNKNOWN_KEY_REFRESH = 0.5  # seconds between reads on behalf of unknown keys
 _EMPTY_DIGEST = bytes(32)
 
 
+class KeyLimits(NamedTuple):
+    """Limits of a key; 0 and None: none of its own.
+
+    Attributes:
+        max_sessions: at a time. frames_per_second: of all its streams. requests_per_minute: calls, streams included.
+        expires: seconds since 1970.
+    """
+
+    max_sessions: int = 0
+    frames_per_second: float = 0.0
+    requests_per_minute: float = 0.0
+    expires: float | None = None
+
+
+NO_LIMITS = KeyLimits()
+
+
 @dataclass(frozen=True)
 class Key:
     """A stored key.
@@ -40,6 +59,7 @@ class Key:
         digest: SHA-256 of the secret.
         name: purpose or holder.
         created, revoked: seconds since 1970; revoked None: valid.
+        limits: what its principal may do.
     """
 
     id: str
@@ -47,12 +67,21 @@ class Key:
     name: str
     scopes: frozenset[Scope]
     created: float
-    max_sessions: int = 0
+    limits: KeyLimits = NO_LIMITS
     revoked: float | None = None
 
     @property
     def principal(self) -> Principal:
-        return Principal(self.id, self.scopes, self.max_sessions)
+        limits = self.limits
+        return Principal(self.id, self.scopes, limits.max_sessions, limits.frames_per_second, limits.requests_per_minute)
+
+    def has_expired(self) -> bool:
+        return self.limits.expires is not None and time.time() >= self.limits.expires
+
+    def matches(self, presented_key: str) -> bool:
+        """Whether a text is this key."""
+        matched = _PATTERN.fullmatch(presented_key)
+        return matched is not None and matched[1] == self.id and hmac.compare_digest(_digest(matched[2]), self.digest)
 
 
 class KeyStore(Protocol):
@@ -68,11 +97,16 @@ class KeyStore(Protocol):
         """Revokes a key; False without a valid key of this id."""
 
 
-def generate(name: str, scopes: Iterable[Scope], created: float, max_sessions: int = 0) -> tuple[Key, str]:
+def generate(name: str, scopes: Iterable[Scope], created: float, limits: KeyLimits = NO_LIMITS) -> tuple[Key, str]:
     """A new key: as stored, and as text for its holder."""
     key_id, secret = secrets.token_hex(6), secrets.token_urlsafe(32)
-    key = Key(key_id, _digest(secret), name, frozenset(scopes), created, max_sessions)
+    key = Key(key_id, _digest(secret), name, frozenset(scopes), created, limits)
     return key, f"{PREFIX}_{key_id}_{secret}"
+
+
+def utc(seconds: float) -> str:
+    """A time since 1970 as ISO 8601."""
+    return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _digest(secret: str) -> bytes:
@@ -84,7 +118,7 @@ class KeyRing:
 
     Args:
         store: the stored keys.
-        on_revoked: called after each read with the ids of all keys revoked since the start.
+        on_revoked: called after each read with the ids of all keys that were revoked or have expired since the start.
     """
 
     def __init__(self, store: KeyStore, on_revoked: Callable[[Set[str]], None]):
@@ -112,7 +146,7 @@ class KeyRing:
         """The principal of a key.
 
         Raises:
-            Unauthenticated: the key is unknown or revoked; the message does not tell which.
+            Unauthenticated: the key has expired; or it is unknown or revoked, and the message does not tell which.
             Unavailable: the keys have not been read yet.
         """
         matched = _PATTERN.fullmatch(presented_key)
@@ -126,6 +160,8 @@ class KeyRing:
         right = hmac.compare_digest(_digest(secret), key.digest if key else _EMPTY_DIGEST)
         if key is None or not right:
             raise Unauthenticated("the key is not known, or not any more")
+        if key.has_expired():
+            raise Unauthenticated(f"the key expired at {utc(key.limits.expires)}: ask for a new one")
         return key.principal
 
     def __len__(self) -> int:
@@ -157,5 +193,6 @@ class KeyRing:
             log.warning("the keys could not be read: %s", type(error).__name__)
             return
         self._keys, self._loaded = {key.id: key for key in keys if key.revoked is None}, True
-        self._known_ids |= self._keys.keys()
-        self._on_revoked(self._known_ids - self._keys.keys())
+        in_force = {key.id for key in self._keys.values() if not key.has_expired()}
+        self._known_ids |= in_force
+        self._on_revoked(self._known_ids - in_force)

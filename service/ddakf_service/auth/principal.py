@@ -27,11 +27,15 @@ class Principal:
         id: of the key, the owner of its sessions; empty: no key.
         scopes: of the key.
         max_sessions: quota of the key; 0: the server's setting.
+        frames_per_second: of all its streams together; 0: not limited.
+        requests_per_minute: calls of the key, streams included; 0: not limited.
     """
 
     id: str
     scopes: frozenset[Scope]
     max_sessions: int = 0
+    frames_per_second: float = 0.0
+    requests_per_minute: float = 0.0
 
     def allows(self, scope: Scope) -> bool:
         return scope in self.scopes or Scope.ADMIN in self.scopes

@@ -12,6 +12,8 @@ import grpc
 
 from ddakf.errors import InvalidConfig
 
+from ..store.files.permissions import SHARED_FILE, exposure
+
 log = logging.getLogger(__name__)
 
 _INTERVAL = 1.0  # seconds between checks of the files
@@ -38,6 +40,8 @@ class Tls(NamedTuple):
                 raise InvalidConfig(name, "a PEM file, as the other settings of TLS are given", "nothing")
         tls = cls(Path(certificate), Path(key), Path(client_ca) if client_ca else None)
         tls.context()
+        if sentence := exposure(tls.key, SHARED_FILE):
+            log.warning(sentence)
         return tls
 
     def context(self) -> ssl.SSLContext:
@@ -70,8 +74,8 @@ class Tls(NamedTuple):
         return context
 
     def modification_times(self) -> tuple[int, ...]:
-        """Modification times of the files."""
-        return tuple(path.stat().st_mtime_ns for path in self if path is not None)
+        """Modification times of the files; 0 of one that is not there, which reading them names."""
+        return tuple(_modified(path) for path in self if path is not None)
 
     def grpc_credentials(self) -> grpc.ServerCredentials:
         """gRPC credentials that check the files at every handshake."""
@@ -117,6 +121,13 @@ class Tls(NamedTuple):
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:
         authority = self.client_ca.read_bytes() if self.client_ca else None
         return grpc.ssl_server_certificate_configuration([(self.key.read_bytes(), self.certificate.read_bytes())], authority)
+
+
+def _modified(path: Path) -> int:
+    try:
+        return path.stat().st_mtime_ns
+    except OSError:
+        return 0
 
 
 def _readable(path: Path) -> bool:

@@ -26,10 +26,10 @@ from ddakf.evaluation.drawing import pictures
 from ddakf.evaluation.sensors import Cloud, Sensor
 from ddakf.files.sequence import Sequence
 
+from .export import SEED, export
 from .service_process import ServiceFailed, ServiceProcess
 
 EXIT_FAILED, EXIT_INTERRUPTED, EXIT_TERMINATED = 1, 130, 143
-_SEED = 7
 _RATE_WINDOW = 30  # results over which the live frame rate is shown
 
 
@@ -48,6 +48,8 @@ def demonstrate(args: argparse.Namespace) -> int:
     count = len(sequence) if args.frames is None else args.frames
     if not 1 <= count <= len(sequence):
         raise InvalidArgument("frames", f"a number from 1 to {len(sequence)}", str(count))
+    if args.export is not None:
+        return export(args, count)
     args.out.mkdir(parents=True, exist_ok=True)
     console = Console(stderr=args.json)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
@@ -79,11 +81,14 @@ def _prepare(console: Console, service: ServiceProcess, sequence: Sequence, coun
     """Waits for the service. Meanwhile renders all frames, so that the simulated camera takes no time during tracking."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[name]}"))
     with Progress(*columns, console=console) as bar, ThreadPoolExecutor(1) as renderer:
-        compiling = bar.add_task("compiling kernels", total=None, name="")
+        starting = bar.add_task("loading kernels", total=None, name="")
         rendering = bar.add_task("rendering the camera", total=count, name="")
 
+        def show(activity: str, done: int, total: int, name: str) -> None:
+            bar.update(starting, description=f"{activity} kernels", completed=done, total=total, name=name)
+
         def render() -> list[Cloud]:
-            sensor, rng = Sensor(view), np.random.default_rng(_SEED)
+            sensor, rng = Sensor(view), np.random.default_rng(SEED)
             clouds = []
             for frame in range(count):
                 if interrupted.is_set():
@@ -95,7 +100,7 @@ def _prepare(console: Console, service: ServiceProcess, sequence: Sequence, coun
         interrupted = threading.Event()
         clouds = renderer.submit(render)
         try:
-            service.wait_until_ready(lambda done, total, name: bar.update(compiling, completed=done, total=total, name=name))
+            service.wait_until_ready(show)
             return clouds.result()
         except BaseException:
             interrupted.set()

@@ -20,23 +20,32 @@ from ddakf.errors import InvalidConfig
 
 from ..observability.logs import configure_logging
 from ..server import Addresses, Server
-from ..settings import ENV_PREFIX, Settings, SettingSource, load, shown
-from ..workers.worker import WorkerStartFailed
+from ..setting_sources import SettingSource, load, shown, unknown_variables
+from ..settings import ENV_PREFIX, Settings
+from ..workers.template import Template, WorkerStartFailed
 
+Announcer = "ConsoleAnnouncer | JsonAnnouncer | LogAnnouncer"
 EXIT_FAILED, EXIT_MISUSED = 1, 2
 
 log = logging.getLogger(__name__)
 
 
-def serve(args: argparse.Namespace) -> int:
-    """Runs the service until a signal and returns the exit status."""
+def serve(args: argparse.Namespace, template: Template | None = None) -> int:
+    """Runs the service until a signal and returns the exit status.
+
+    Args:
+        template: of the workers, launched earlier.
+    """
     flags = {name: v for name in Settings.model_fields if (v := getattr(args, f"setting_{name}")) is not None}
     try:
         settings, sources = load(flags, args.config)
+        configure_logging(settings.log_level, settings.log_format)
+        for sentence in unknown_variables():
+            log.warning(sentence)
         if args.print_config:
             _print_settings(settings, sources, args.json)
             return 0
-        return _serve(settings, args.json, args.with_parent)
+        return _serve(settings, args.json, args.with_parent, template)
     except InvalidConfig as error:
         print(f"ddakf serve: {error}", file=sys.stderr)
         return EXIT_MISUSED
@@ -45,21 +54,20 @@ def serve(args: argparse.Namespace) -> int:
         return EXIT_FAILED
 
 
-def _serve(settings: Settings, as_json: bool, with_parent: bool) -> int:
-    configure_logging(settings.log_level, settings.log_format)
+def _serve(settings: Settings, as_json: bool, with_parent: bool, template: Template | None) -> int:
     # The workers read these, so that their log lines have the server's format.
     os.environ.update({f"{ENV_PREFIX}LOG_LEVEL": settings.log_level, f"{ENV_PREFIX}LOG_FORMAT": settings.log_format})
     announcer = JsonAnnouncer() if as_json else LogAnnouncer() if settings.log_format == "json" else ConsoleAnnouncer()
     with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
         try:
-            runner.run(_run(settings, announcer, with_parent))
+            runner.run(_run(settings, announcer, with_parent, template))
         finally:
             announcer.close()
     return 0
 
 
-async def _run(settings: Settings, announcer: ConsoleAnnouncer | JsonAnnouncer | LogAnnouncer, with_parent: bool) -> None:
-    server = Server(settings)
+async def _run(settings: Settings, announcer: Announcer, with_parent: bool, template: Template | None) -> None:
+    server = Server(settings, template)  # gRPC binds it to the running loop
     if with_parent:
         await _call_at_end_of_input(server.stop)
     await server.run(announcer.progress, announcer.ready)
@@ -80,22 +88,22 @@ class ConsoleAnnouncer:
         self._console = Console()
         self._bar: Progress | None = None
 
-    def progress(self, done: int, total: int, name: str) -> None:
+    def progress(self, activity: str, done: int, total: int, name: str) -> None:
         if not self._console.is_terminal:
-            self._console.print(f"compiling kernels: {done} of {total}, {name}", highlight=False, soft_wrap=True)
+            self._console.print(f"{activity} kernels: {done} of {total}, {name}", highlight=False, soft_wrap=True)
             return
         if self._bar is None:
-            self._bar = compile_bar(self._console)
+            self._bar = kernel_bar(self._console)
             self._bar.start()
-            self._task = self._bar.add_task("compiling kernels", total=total, name="")
-        self._bar.update(self._task, completed=done, total=total, name=name)
+            self._task = self._bar.add_task("", total=total, name="")
+        self._bar.update(self._task, description=f"{activity} kernels", completed=done, total=total, name=name)
 
     def ready(self, addresses: Addresses) -> None:
         self.close()
         for line in (
             f"ddakf {ddakf.__version__} is ready; Ctrl-C stops it",
             f"  gRPC  {addresses.grpc}",
-            f"  REST  {addresses.http}  (documentation at /docs, metrics at /metrics)",
+            f"  REST  {addresses.http}  (dashboard at /, documentation at /docs, metrics at /metrics)",
         ):
             self._console.print(line, highlight=False, soft_wrap=True)
 
@@ -108,8 +116,8 @@ class ConsoleAnnouncer:
 class JsonAnnouncer:
     """Progress and addresses as one JSON object per line, for a program."""
 
-    def progress(self, done: int, total: int, name: str) -> None:
-        self._write(event="compiling", done=done, total=total, name=name)
+    def progress(self, activity: str, done: int, total: int, name: str) -> None:
+        self._write(event=activity, done=done, total=total, name=name)
 
     def ready(self, addresses: Addresses) -> None:
         self._write(event="ready", grpc=addresses.grpc, http=addresses.http, pid=os.getpid())
@@ -125,8 +133,8 @@ class JsonAnnouncer:
 class LogAnnouncer:
     """Progress and addresses as lines of a JSON log, so that the output contains nothing else."""
 
-    def progress(self, done: int, total: int, name: str) -> None:
-        log.info("compiling kernels", extra={"done": done, "total": total, "kernel": name})
+    def progress(self, activity: str, done: int, total: int, name: str) -> None:
+        log.info("%s kernels", activity, extra={"done": done, "total": total, "kernel": name})
 
     def ready(self, addresses: Addresses) -> None:
         log.info("ready", extra={"version": ddakf.__version__, "grpc": addresses.grpc, "http": addresses.http})
@@ -135,8 +143,8 @@ class LogAnnouncer:
         """Nothing stays open."""
 
 
-def compile_bar(console: Console) -> Progress:
-    """A progress bar for the compilation of the kernels."""
+def kernel_bar(console: Console) -> Progress:
+    """A progress bar for the loading, or the compilation, of the kernels."""
     columns = (
         TextColumn("{task.description}"),
         BarColumn(),

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import argparse
 
-from ..settings import Settings, flag_of
+from ..setting_sources import flag_of
+from ..settings import Settings
 
 
 def add_serve_arguments(parser: argparse.ArgumentParser) -> None:

@@ -56,7 +56,7 @@ class ServiceProcess:
     def pid(self) -> int:
         return self._process.pid
 
-    def wait_until_ready(self, progress: Progress = lambda done, total, name: None) -> None:
+    def wait_until_ready(self, progress: Progress = lambda activity, done, total, name: None) -> None:
         """Returns when the service accepts sessions.
 
         Raises:
@@ -68,7 +68,7 @@ class ServiceProcess:
                 if event["event"] == "ready":
                     self.grpc, self.http = event["grpc"], event["http"]
                     return
-                progress(event["done"], event["total"], event["name"])
+                progress(event["event"], event["done"], event["total"], event["name"])
         raise ServiceFailed(f"the service ended with status {self._process.wait()}: {self._last_log_line()}")
 
     def stop(self, number: int = signal.SIGTERM) -> int:

@@ -35,7 +35,8 @@ def _add_session(record: logging.LogRecord) -> bool:
 
 
 def _fields(record: logging.LogRecord) -> dict:
-    return {k: v for k, v in vars(record).items() if k not in _PLAIN_FIELDS}
+    """The fields given with the line. Those that begin with ``_`` are a library's own: Ray adds one to every record."""
+    return {k: v for k, v in vars(record).items() if k not in _PLAIN_FIELDS and not k.startswith("_")}
 
 
 class TextFormatter(logging.Formatter):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import math
 
 from ddakf_api.v1 import tracking_pb2 as pb
 from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, disable_created_metrics
@@ -30,6 +31,11 @@ class Metrics:
         self.reliability = Histogram(
             "ddakf_frame_reliability", "Reliability of a frame", buckets=[i / 10 for i in range(1, 11)], **add
         )
+        self.curtailed = Counter("ddakf_frames_curtailed_total", "Applied frames of which a budget left work out", **add)
+        self.lighter = Counter(
+            "ddakf_frames_lighter_total", "Applied frames of lighter trackers, while workers have too little time", **add
+        )
+        self.warnings = Counter("ddakf_frame_warnings_total", "Signs of wrong input in applied frames", ["code"], **add)
         self.sessions = Gauge("ddakf_sessions", "Live sessions", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
         self.watchers = Gauge("ddakf_watchers", "Watchers of sessions", **add)
@@ -40,6 +46,8 @@ class Metrics:
         self.store_dropped = Counter(
             "ddakf_store_dropped_total", "Rows dropped from a full queue while the database failed", **add
         )
+        self.store_free = Gauge("ddakf_store_free_bytes", "Free bytes of the disk with data_dir; +Inf without one", **add)
+        self.store_free.set(math.inf)
         self.checkpoint_seconds = Histogram(
             "ddakf_checkpoint_seconds", "Time to write a checkpoint", buckets=_LATENCY_BUCKETS, **add
         )
@@ -47,9 +55,23 @@ class Metrics:
         self.workers_spare = Gauge("ddakf_workers_spare", "Warm workers in reserve", **add)
         self.workers_recycled = Counter("ddakf_workers_recycled_total", "Workers that were replaced in order", **add)
         self.recoveries = Counter("ddakf_session_recoveries_total", "Restores of sessions after the loss of their worker", **add)
+        self.penalties = Counter(
+            "ddakf_session_penalties_total", "Sessions penalised for frames beyond their limit", ["penalty"], **add
+        )
+        self.session_moves = Counter(
+            "ddakf_session_moves_total", "Sessions that came from another server, or went to one", ["move"], **add
+        )
+        self.lease_held = Gauge("ddakf_lease_held", "1 if this server may answer for its sessions, else 0", **add)
+        self.lease_held.set(1)
         ProcessCollector(registry=self.registry)
-        for outcome in ("applied", "dropped", "late", "rejected", "failed"):
+        for outcome in ("applied", "dropped", "late", "rejected", "costly", "failed"):
             self.frames.labels(outcome)
+        for code in pb.WarningCode.values()[1:]:
+            self.warnings.labels(_warning_name(code))
+        for move in ("taken", "handed_over", "lost"):
+            self.session_moves.labels(move)
+        for penalty in ("slowed", "isolated", "ended"):
+            self.penalties.labels(penalty)
         # Cached lookups: every frame needs a dozen.
         self._applied = self.frames.labels("applied")
         self._frame_seconds = functools.lru_cache(_CACHED_LABELS)(self.frame_seconds.labels)
@@ -60,6 +82,12 @@ class Metrics:
         self._applied.inc()
         self._frame_seconds(codec, flow).observe(result.timings["server"])
         self.reliability.observe(result.reliability)
+        if result.usage.widening > 1.0:
+            self.curtailed.inc()
+        if result.usage.lighter:
+            self.lighter.inc()
+        for warning in result.warnings:
+            self.warnings.labels(_warning_name(warning.code)).inc()
         for stage, seconds in result.timings.items():
             if stage != "server":
                 self._stage_seconds(stage, codec, flow).observe(seconds)
@@ -82,6 +110,11 @@ def codec_of(measurement: str | None, codec: int) -> str:
 def flow_of(mode: pb.FlowMode) -> str:
     """Flow mode as a label: "realtime" or "lossless"."""
     return _label(pb.FlowMode, mode, pb.FLOW_MODE_REALTIME, "FLOW_MODE_")
+
+
+def _warning_name(code: int) -> str:
+    """Code of a warning as a label: "length_unit", ..."""
+    return _label(pb.WarningCode, code, pb.WARNING_CODE_UNSPECIFIED, "WARNING_CODE_")
 
 
 @functools.lru_cache(_CACHED_LABELS)

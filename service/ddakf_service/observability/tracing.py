@@ -24,8 +24,8 @@ ENDPOINT_VARIABLES = ("OTEL_EXPORTER_OTLP_TRACES_ENDPOINT", "OTEL_EXPORTER_OTLP_
 
 # The stages of the tracker in the order in which `Tracker.step` calls them.
 STAGES = (
-    *("predict", "preprocess", "coarse", "pyramid"),
-    *("associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability"),
+    *("input", "predict", "preprocess", "coarse"),
+    *("associate", "robust", "adapt", "physics", "fuse", "uncertainty", "reliability", "output"),
 )
 _NO_SPANS = {"total", "server"}  # sums of other timings
 _SECOND = 1_000_000_000

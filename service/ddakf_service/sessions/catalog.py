@@ -9,12 +9,12 @@ from ddakf_api.errors import PermissionDenied, ServiceError, SessionNotFound, Un
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import current_principal
-from ..store.session_record import SessionRecord
+from ..store.tables.session_record import SessionRecord
+from .page_token import Position, page_size, page_token, position_after
 from .session import Session
 
 MAX_ENDED = 1024  # ended sessions whose reasons are in memory
 LOAD_RETRY_INTERVAL = 3.0  # seconds between attempts to read the earlier sessions
-_PAGE_SIZE, _MAX_PAGE_SIZE = 50, 1000
 
 
 class SessionCatalog:
@@ -73,9 +73,8 @@ class SessionCatalog:
             Unauthenticated: the key was revoked.
             Unavailable: the earlier sessions are not loaded yet.
         """
+        self.require_admitted()
         caller, session_id = current_principal.get(), name.removeprefix("sessions/")
-        if caller.id in self._shut_out:
-            raise revoked()
         session = self._live.get(session_id)
         if session is not None and caller.may_read(session.owner):
             return session
@@ -88,6 +87,11 @@ class SessionCatalog:
                 retry_after=LOAD_RETRY_INTERVAL,
             )
         raise not_found(name)
+
+    def require_admitted(self) -> None:
+        """Raises ``Unauthenticated`` where the caller's key was revoked."""
+        if current_principal.get().id in self._shut_out:
+            raise revoked()
 
     def require_live(self, session: Session) -> None:
         """Checks that a session has not ended; raises as :meth:`readable`."""
@@ -136,13 +140,17 @@ class SessionCatalog:
         return record
 
     def page(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
-        """One page of sessions, oldest first; the token identifies the last session of the previous page."""
-        size, caller = min(request.page_size or _PAGE_SIZE, _MAX_PAGE_SIZE), current_principal.get()
-        matching = sorted((s for s in self if caller.may_read(s.owner) and _matches(s, request)), key=_page_token)
-        if request.page_token:
-            matching = [session for session in matching if _page_token(session) > request.page_token]
+        """One page of live sessions, oldest first.
+
+        Raises:
+            InvalidArgument: the token is not of a page with the same filter.
+        """
+        size, caller = page_size(request), current_principal.get()
+        after = position_after(request)
+        readable = (s for s in self if caller.may_read(s.owner) and _matches(s, request))
+        matching = sorted((s for s in readable if _position(s) > after), key=_position)
         page = matching[:size]
-        more = _page_token(page[-1]) if len(matching) > size else ""
+        more = page_token(request, _position(page[-1])) if len(matching) > size else ""
         return pb.ListSessionsResponse(sessions=[session.message() for session in page], next_page_token=more)
 
 
@@ -151,7 +159,7 @@ def not_found(name: str) -> SessionNotFound:
 
 
 def revoked() -> Unauthenticated:
-    return Unauthenticated("the key was revoked")
+    return Unauthenticated("the key was revoked or has expired")
 
 
 def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:
@@ -160,5 +168,5 @@ def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:
     )
 
 
-def _page_token(session: Session) -> str:
-    return f"{int(session.created * 1e6):020d}-{session.id}"
+def _position(session: Session) -> Position:
+    return Position(int(session.created * 1e6), session.id)

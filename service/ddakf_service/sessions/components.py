@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 from ..settings import Settings
 from ..workers.pool import WorkerPool
-from .admission import Admission
 from .catalog import SessionCatalog
-from .durability import Durability
-from .persistence import Persistence
-from .tracker_access import TrackerAccess
+from .limits.admission import Admission
+from .limits.penalties import Penalties
+from .ownership import Ownership
+from .recovery.durability import Durability
+from .recovery.persistence import Persistence
+from .recovery.tracker_access import TrackerAccess
 
 
 class SessionComponents(NamedTuple):
@@ -22,4 +24,6 @@ class SessionComponents(NamedTuple):
     catalog: SessionCatalog
     persistence: Persistence
     durability: Durability
+    penalties: Penalties
     tracker_access: TrackerAccess
+    ownership: Ownership

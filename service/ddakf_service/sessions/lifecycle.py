@@ -6,18 +6,21 @@ import asyncio
 import contextlib
 import logging
 from collections import OrderedDict
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from typing import NamedTuple
 
 from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLost, from_detail, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import Principal, current_principal
-from ..sessions import admission
+from ..store.tables.leases import Leases
+from ..store.tables.session_record import new_uid
 from ..workers.pool import Memory, WorkerPool
-from .admission import Admission
 from .catalog import LOAD_RETRY_INTERVAL, SessionCatalog
-from .durability import Durability
-from .persistence import Persistence
+from .limits import admission
+from .limits.admission import Admission
+from .recovery.durability import Durability
+from .recovery.persistence import Persistence
 from .session import Session, take_meshes
 
 log = logging.getLogger(__name__)
@@ -27,13 +30,30 @@ OpenSession = Callable[[str, bytes, Memory], Awaitable[bytes]]
 _MAX_REQUESTS = 1024  # remembered request ids
 
 
+class _Identity(NamedTuple):
+    """Number of a new session, and epoch of its lease."""
+
+    uid: int
+    epoch: int
+
+
 class Lifecycle:
-    """Creates sessions, reloads those from before the start of the process, and ends them."""
+    """Creates sessions, reloads those from before the start of the process, and ends them.
+
+    Args:
+        leases: of the sessions that several servers share; None: this server shares none.
+    """
 
     def __init__(
-        self, pool: WorkerPool, admission: Admission, catalog: SessionCatalog, persistence: Persistence, durability: Durability
+        self,
+        pool: WorkerPool,
+        admission: Admission,
+        catalog: SessionCatalog,
+        persistence: Persistence,
+        durability: Durability,
+        leases: Leases | None = None,
     ):
-        self._pool, self._admission, self._catalog = pool, admission, catalog
+        self._pool, self._admission, self._catalog, self._leases = pool, admission, catalog, leases
         self._persistence, self._durability = persistence, durability
         self._opening: dict[str, str | None] = {}  # id to owner
         self._closing: dict[str, asyncio.Task[None]] = {}  # ended sessions that are still in a worker
@@ -47,13 +67,16 @@ class Lifecycle:
         request_key = owner, request_id
         if request_key in self._requests:
             return self._catalog.changeable("sessions/" + await asyncio.shield(self._requests[request_key])).message()
+        if self._leases and request_id and (created := await self._persistence.created_by(owner, request_id)):
+            return created.session
         session_id = self._new_id(request.session_id, principal)
         creation: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
             self._remember(request_key, creation)
         self._opening[session_id] = owner
         try:
-            session = await self._open(session_id, request, owner, open_session)
+            async with self._claimed(session_id, principal) as identity:
+                session = await self._open(session_id, identity, request, owner, open_session)
         except BaseException as error:
             self._requests.pop(request_key, None)
             # A copy: the traceback of the error refers to this Python frame, and so to the request.
@@ -68,14 +91,52 @@ class Lifecycle:
         await self._persistence.wait_registered(session)
         return session.message()
 
-    async def _open(self, session_id: str, request, owner: str | None, open_session: OpenSession) -> Session:
+    @contextlib.asynccontextmanager
+    async def _claimed(self, session_id: str, principal: Principal) -> AsyncIterator[_Identity]:
+        """Context in which a new session has the lease of its id; without the session it has none afterwards."""
+        uid, owner = new_uid(), principal.id or None
+        if self._leases is None:
+            yield _Identity(uid, 0)
+            return
+        if owner is not None:
+            self._admission.require_key_room(principal, await self._leases.count(owner))
+        epoch = await self._leases.claim(session_id, uid, owner)
+        if epoch is None and await self._ends_here(session_id):
+            epoch = await self._leases.claim(session_id, uid, owner)
+        if epoch is None:
+            raise _exists(session_id)
+        try:
+            yield _Identity(uid, epoch)
+        except BaseException:
+            self._durability.background(self._disclaim(uid))
+            raise
+
+    async def _disclaim(self, uid: int) -> None:
+        with contextlib.suppress(Unavailable):  # the lease expires with this server, and is deleted then
+            await self._leases.drop(uid)
+
+    async def _ends_here(self, session_id: str) -> bool:
+        """Whether the session of a lease has ended on this server; returns when its lease is deleted."""
+        lease = await self._leases.find(session_id)
+        return lease is None or (lease.gateway == self._leases.gateway and await self._persistence.written(lease.uid))
+
+    async def _open(self, session_id: str, identity: _Identity, request, owner: str | None, open_session: OpenSession) -> Session:
+        admission.require_no_name(request.session)
         limits, labels = self._admission.limits(request.session.limits), admission.labels(request.session)
         if closing := self._closing.get(session_id):  # the previous session of this id
             await asyncio.wait({closing})
         memory = self._admission.memory_estimate(request)
         opened = pb.Session.FromString(await open_session(session_id, request.SerializeToString(), memory))
         session = Session(
-            session_id, opened, take_meshes(opened), limits, labels=labels, owner=owner, request_id=request.request_id
+            session_id,
+            opened,
+            take_meshes(opened),
+            limits,
+            labels=labels,
+            owner=owner,
+            request_id=request.request_id,
+            uid=identity.uid,
+            epoch=identity.epoch,
         )
         self._catalog.add(session)
         self._persistence.register(session)
@@ -88,7 +149,7 @@ class Lifecycle:
         self._admission.require_room(principal, [*(session.owner for session in self._catalog), *self._opening.values()])
         session_id = admission.session_id(requested)
         if session_id in self._catalog or session_id in self._opening:
-            raise SessionExists(f"sessions/{session_id} exists already")
+            raise _exists(session_id)
         return session_id
 
     def _remember(self, request_key: tuple[str | None, str], creation: asyncio.Future[str]) -> None:
@@ -129,12 +190,21 @@ class Lifecycle:
         if not session.closed:
             self.release(session, reason)
             self._persistence.end(session, reason)
-            closing = self._closing[session.id] = self._durability.background(self._forget(session))
-            closing.add_done_callback(lambda _: self._closing.pop(session.id))
+            self._drop(session)
 
-    async def wait_closed(self, session: Session) -> None:
+    def depart(self, session: Session, reason: ServiceError) -> None:
+        """Removes a session that continues on another server. Calls that have it already get the reason."""
+        self.release(session, reason)
+        self._drop(session)
+
+    def _drop(self, session: Session) -> None:
+        """Removes an ended session from its worker, in the background."""
+        closing = self._closing[session.id] = self._durability.background(self._forget(session))
+        closing.add_done_callback(lambda _: self._closing.pop(session.id, None))
+
+    async def wait_closed(self, session_id: str) -> None:
         """Returns when the worker has dropped an ended session."""
-        if closing := self._closing.get(session.id):
+        if closing := self._closing.get(session_id):
             await asyncio.shield(closing)
 
     def release(self, session: Session, reason: ServiceError) -> None:
@@ -149,6 +219,10 @@ class Lifecycle:
         async with session.lock:
             with contextlib.suppress(WorkerLost):  # a lost worker took the session with it
                 await self._pool.close(session.id)
+
+
+def _exists(session_id: str) -> SessionExists:
+    return SessionExists(f"sessions/{session_id} exists already")
 
 
 def _completed(session_id: str) -> asyncio.Future[str]:

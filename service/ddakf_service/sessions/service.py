@@ -12,22 +12,30 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
 from ..observability.metrics import Metrics
-from ..sessions import admission
 from ..settings import Settings
 from ..store.store import Store
+from ..store.tables.session_record import SessionRecord
 from ..workers.pool import WorkerPool
-from .admission import Admission
 from .catalog import SessionCatalog, revoked
 from .components import SessionComponents
-from .durability import Durability
 from .lifecycle import Lifecycle
-from .persistence import Persistence
+from .limits import admission
+from .limits.admission import Admission
+from .limits.penalties import Penalties
+from .meshes import Meshes
+from .ownership import Ownership, SoleOwnership
+from .past import asks_for_past, past_page
+from .recovery.durability import Durability
+from .recovery.persistence import Persistence
+from .recovery.tenure import Tenure
+from .recovery.tracker_access import TrackerAccess
 from .session import Session
-from .tracker_access import TrackerAccess
+from .sharing.ownership import SharedOwnership
 
 log = logging.getLogger(__name__)
 
 _EXPIRY_INTERVAL = 1.0  # seconds between checks for expired sessions
+_ABANDONED_INTERVAL = 10.0  # seconds between looks for sessions that no server has
 _LAST_CHECKPOINTS_TIMEOUT = 10.0  # seconds that the last checkpoints may take
 _CHANGEABLE = ("labels", "limits", "config_json", "fabric")
 
@@ -41,22 +49,46 @@ class Sessions:
 
     Attributes:
         components: shared with the streams.
+        meshes: uploaded meshes, which new sessions may use.
     """
 
     def __init__(self, pool: WorkerPool, settings: Settings, metrics: Metrics, store: Store):
         self._pool, self._settings, self._store = pool, settings, store
         self._admission = Admission(settings)
-        self._persistence = Persistence(store.registry, store.history, store.checkpoints, store.server_id, store.require_name)
+        tenure = Tenure()
+        self._persistence = Persistence(
+            store.registry, store.history, store.checkpoints, store.server_id, store.require_name, tenure, store.leases
+        )
         self._catalog = catalog = SessionCatalog(self._persistence.newest_record)
-        self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up)
-        self._tracker_access = TrackerAccess(catalog.require_live, self._durability.revive)
-        self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability)
+        self._durability = Durability(pool, self._persistence, metrics, settings.checkpoint_every, self._give_up, tenure)
+        self._tracker_access = TrackerAccess(catalog.require_live, self._durability.revive, tenure)
+        self.meshes = Meshes(store.meshes, settings)
+        self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability, store.leases)
+        self._ownership = self._ownership_with(tenure, metrics)
+        self._tenure, self._abandoned_due = tenure, 0.0
         self.components = SessionComponents(
-            pool, settings, self._admission, catalog, self._persistence, self._durability, self._tracker_access
+            pool,
+            settings,
+            self._admission,
+            catalog,
+            self._persistence,
+            self._durability,
+            Penalties(settings, pool, metrics, self._give_up),
+            self._tracker_access,
+            self._ownership,
         )
         metrics.sessions.set_function(lambda: len(catalog))
         metrics.streams.set_function(lambda: sum(session.stream is not None for session in catalog))
         metrics.watchers.set_function(lambda: sum(len(session.watchers) for session in catalog))
+
+    def _ownership_with(self, tenure: Tenure, metrics: Metrics) -> Ownership:
+        if self._store.leases is None:
+            return SoleOwnership(self._catalog)
+        return SharedOwnership(
+            *(self._store, self._catalog, self._persistence, self._durability, self._lifecycle, self._admission, tenure, metrics),
+            span=self._settings.lease_seconds,
+            departure_timeout=self._settings.departure_timeout,
+        )
 
     @property
     def draining(self) -> bool:
@@ -69,6 +101,7 @@ class Sessions:
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
         """Creates a session, or returns the one that the same request id created. The caller's key owns it."""
         require_compatible(request.api_version, peer="client")
+        await self.meshes.resolve(request.session)
         return await self._lifecycle.create(request, self._pool.open)
 
     async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
@@ -78,22 +111,31 @@ class Sessions:
 
     async def load(self) -> None:
         """Reloads the sessions from before the start of the process. Retries in the background until the database works."""
+        await self._ownership.begin()
         await self._lifecycle.load()
 
     async def get(self, name: str, view: pb.SessionView = pb.SESSION_VIEW_BASIC) -> pb.Session:
-        session = await self._catalog.lookup(name)
+        if view not in pb.SessionView.values():
+            raise InvalidArgument(field="view", expected="SESSION_VIEW_BASIC or SESSION_VIEW_FULL", got=f"the value {view}")
+        session = await self._ownership.described(name)
+        if isinstance(session, SessionRecord):
+            if view == pb.SESSION_VIEW_FULL:
+                session.session.MergeFrom(await self._persistence.meshes(session))
+            return session.session
         if view == pb.SESSION_VIEW_FULL and session.stored_only:
             async with self._tracker_access.exclusive(session):
                 pass
         return session.message(view)
 
-    def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
-        """One page of the sessions that the caller may read, oldest first."""
-        return self._catalog.page(request)
+    async def list(self, request: pb.ListSessionsRequest) -> pb.ListSessionsResponse:
+        """One page of the sessions that the caller may read: live ones, oldest first, or ended ones, newest first."""
+        if asks_for_past(request):
+            return await past_page(self._persistence.ended_records, request)
+        return await self._ownership.page(request)
 
     async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
         """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid."""
-        change, session = request.session, self._catalog.changeable(request.session.name)
+        change, session = request.session, await self._ownership.obtain(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
             raise InvalidArgument(field="update_mask", expected="some of " + ", ".join(_CHANGEABLE), got=repr(unknown[0][:80]))
@@ -127,7 +169,7 @@ class Sessions:
 
     async def reset(self, request: pb.ResetSessionRequest) -> pb.Session:
         """Resets the tracker."""
-        session = self._catalog.changeable(request.name)
+        session = await self._ownership.obtain(request.name)
         reset_request = request.SerializeToString()
         async with self._tracker_access.exclusive(session):
             await self._pool.reset(session.id, reset_request)
@@ -136,15 +178,17 @@ class Sessions:
         return session.message()
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
-        session = self._catalog.changeable(name)
+        session = await self._ownership.obtain(name)
         async with self._tracker_access.exclusive(session):
             data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
 
     async def delete(self, name: str) -> None:
-        session = self._catalog.changeable(name)
+        session = await self._ownership.obtain(name, takeover=True)
         self._lifecycle.end(session, SessionNotFound(f"{session.name} was deleted"))
-        await self._lifecycle.wait_closed(session)
+        await self._lifecycle.wait_closed(session.id)
+        if session.epoch:  # other servers read its end in the database
+            await self._persistence.written(session.uid)
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
         """History of a live session, else of the newest past session of the name.
@@ -176,12 +220,21 @@ class Sessions:
         """Ends expired sessions and registers the changes of the others; runs until it is cancelled."""
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
-            for session in self._catalog:
+            await self._end_abandoned()
+            for session in self._catalog if self._tenure.held else ():
                 try:
                     self._expire(session)
                     self._persistence.save(session)
                 except Exception:  # a failure of one session must not keep the others alive
                     log.exception("a session could not be ended", extra={"session": session.id})
+
+    async def _end_abandoned(self) -> None:
+        if monotonic() > self._abandoned_due:
+            self._abandoned_due = monotonic() + _ABANDONED_INTERVAL
+            try:
+                await self._ownership.end_abandoned()
+            except Exception as error:
+                log.warning("abandoned sessions could not be ended: %s", error)
 
     def _expire(self, session: Session) -> None:
         """Ends a session if it has expired."""
@@ -192,32 +245,41 @@ class Sessions:
 
     async def drain(self, grace: float) -> None:
         """Accepts no more sessions, notifies the streams, waits up to ``grace`` seconds for their end, and takes the last
-        checkpoints."""
+        checkpoints. Shared sessions are then free for other servers."""
         self._admission.draining = True
+        self._store.announce_drain()
         message = f"the server stops in {grace:g} s; reconnect later or elsewhere"
         for session in self._catalog:
             session.notify(pb.Notice(kind=pb.NOTICE_KIND_DRAINING, message=message, value=grace))
         deadline = monotonic() + grace
         while any(s.stream for s in self._catalog) and monotonic() < deadline:
             await asyncio.sleep(0.02)
+        where = self._settings.successor or await self._ownership.successor()
         for session in self._catalog:
             if session.stream:
-                session.stream.notify(self._reconnect())
-                session.stream.end(Draining("the server has stopped; connect again later or elsewhere"))
+                session.stream.notify(_reconnect(where))
+                session.stream.end(_stopped())
+        if await self._ownership.leave(_stopped, _LAST_CHECKPOINTS_TIMEOUT):
+            return
         for session in self._catalog:
             self._durability.background(self._last_checkpoint(session))
         await self._durability.settle(_LAST_CHECKPOINTS_TIMEOUT)
         for session in self._catalog:
             self._persistence.save(session)
-            self._lifecycle.release(session, Draining("the server has stopped; connect again later or elsewhere"))
-
-    def _reconnect(self) -> pb.Notice:
-        where = self._settings.successor
-        message = f"connect again{f' to {where}' if where else ''}; the session waits there"
-        return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message=message, target=where)
+            self._lifecycle.release(session, _stopped())
 
     async def _last_checkpoint(self, session: Session) -> None:
         """Takes a checkpoint if frames were applied since the last one; waits for the frame in the worker."""
         async with session.lock:
             if session.has_worker and session.checkpointed_frames != session.statistics.frames_applied:
                 self._durability.checkpoint(session)
+
+
+def _stopped() -> Draining:
+    return Draining("the server has stopped; connect again later or elsewhere")
+
+
+def _reconnect(where: str) -> pb.Notice:
+    """The notice to connect again, to an address if it is not empty."""
+    message = f"connect again{f' to {where}' if where else ''}; the session waits there"
+    return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message=message, target=where)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import logging
+import re
 import time
 from collections import deque
 from collections.abc import Set
@@ -13,13 +15,17 @@ from typing import Protocol
 from ddakf_api.errors import ServiceError, SessionExpired
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ..store.session_record import new_uid
+from ..store.tables.session_record import new_uid
 from ..workers.pool import Memory
-from .response import Response
-from .watchers import Watchers
+from .responses.answers import Answers
+from .responses.response import Response
+from .responses.watchers import Watchers
+
+log = logging.getLogger(__name__)
 
 _FRAME_RATE_WINDOW = 3.0  # seconds over which the frame rate is counted
 _IDLE_AFTER = 2.0  # seconds without a frame after which a session counts as idle
+_SESSION_ID = re.compile(r"[a-z][a-z0-9-]{3,62}")
 _MAX_TIMESTAMP = 253_402_300_799  # seconds since 1970 that a Timestamp holds: the end of the year 9999
 
 
@@ -37,6 +43,9 @@ class ClientStream(Protocol):
 
     def end(self, error: Exception | None) -> None:
         """Ends the stream; the client gets the error."""
+
+    async def close(self) -> None:
+        """Drops queued frames and returns when the frame in the worker, if any, has been counted."""
 
 
 @dataclass(eq=False)
@@ -60,9 +69,13 @@ class Session:
         checkpoint_number: of that snapshot; increases with each one.
         checkpointed_frames: applied frames when the last checkpoint was requested.
         resumed_frames: applied frames at the last restore; frames before it are not counted as lost again.
+        answers: the newest of its lossless streams.
         last_reset: serialised request of the last reset, for a restore without a checkpoint.
         worker_losses: times at which a worker was lost over a frame of this session (monotonic clock, seconds).
+        costly_frames: number of frames that exceeded their limit, less what later ones undid.
         closed: the session has ended.
+        epoch: of the lease, where servers share sessions; else 0.
+        leased_at: time since which this server has had the lease (monotonic clock, seconds).
         departure_time: end of the last stream (monotonic clock, seconds); None: a stream is open, or none ever was.
     """
 
@@ -88,9 +101,13 @@ class Session:
     checkpoint_number: int = 0
     checkpointed_frames: int = 0
     resumed_frames: int = 0
+    answers: Answers = field(default_factory=Answers)
     last_reset: bytes = b""
     worker_losses: deque[float] = field(default_factory=lambda: deque(maxlen=8))
+    costly_frames: float = 0.0
     closed: bool = False
+    epoch: int = 0
+    leased_at: float = field(default_factory=monotonic)
     departure_time: float | None = None
     _state: pb.SessionState = pb.SESSION_STATE_INITIALIZING
     _applied: deque[float] = field(default_factory=deque)
@@ -144,8 +161,23 @@ class Session:
         s.last_sequence_number, s.last_capture_time = result.sequence_number, result.capture_time
         s.last_frame_time.FromNanoseconds(time.time_ns())
         s.last_latency = now - arrived
+        for warning in result.warnings:
+            self._count_warning(warning)
         result.frames_applied, result.frames_dropped = s.frames_applied, s.frames_dropped
         result.frames_rejected, result.frames_late = s.frames_rejected, s.frames_late
+
+    def _count_warning(self, warning: pb.Warning) -> None:
+        counts = self.statistics.warnings
+        count = next((known for known in counts if known.warning.code == warning.code), None)
+        if count is None:
+            count = counts.add()
+            log.warning("%s: %s", warning.field, warning.message, extra={"session": self.id})
+        count.warning.CopyFrom(warning)
+        count.frames += 1
+
+    def record_answer(self, response: Response) -> None:
+        """Records the answer to a frame of a lossless stream, for a client that loses its connection before the answer."""
+        self.answers.add(response, self.limits.max_frames_in_flight)
 
     def record_recovery(self, checkpoint: pb.SessionStatistics) -> int:
         """Records that the tracker was restored from a checkpoint. Returns the number of applied frames that were lost."""
@@ -222,3 +254,8 @@ def take_meshes(opened: pb.Session) -> pb.Session:
     opened.ClearField("garment")
     opened.ClearField("body")
     return meshes
+
+
+def is_session_id(text: str) -> bool:
+    """Whether the text has the form of a session id."""
+    return _SESSION_ID.fullmatch(text) is not None

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+import math
 import re
+import shutil
+import uuid
+from collections.abc import Callable
 from pathlib import Path
 
 import sqlalchemy as sa
@@ -12,13 +17,20 @@ from ddakf.errors import InvalidConfig
 
 from ..observability.metrics import Metrics
 from ..settings import Settings
-from .checkpoints import Checkpoints
-from .data_folder import DataFolder, Lock
-from .database import IN_MEMORY, Database
-from .history import History
-from .registry import Registry
-from .server_name import ServerName
+from .files.checkpoints import Checkpoints
+from .files.data_folder import DataFolder, Lock
+from .files.permissions import FILE, FOLDER, exposure, make_folder
+from .meshes import MeshStore
+from .tables.database import IN_MEMORY, Database
+from .tables.heartbeat import Beat, Heartbeat
+from .tables.history import History
+from .tables.leases import Leases
+from .tables.registry import Registry
+from .tables.server_name import ServerName
 
+log = logging.getLogger(__name__)
+
+_SHARED = ".sessions"  # folder of shared checkpoints; no server's own folder begins with a dot
 NO_DATA_DIR = "none"  # data_dir of a server without durable state
 _DAY = 86400.0
 _IN_MEMORY_RETENTION = 3600.0  # seconds of history and of ended sessions that stay in memory
@@ -32,8 +44,9 @@ class Store:
 
     Attributes:
         server_id: from the settings.
-        registry, history, database: always present.
+        registry, history, database, meshes: always present.
         checkpoints: None without ``data_dir`` and ``checkpoint_url``.
+        leases: of shared sessions; None: this server shares none.
 
     Raises:
         InvalidConfig: with the setting's name. Another server uses the ``data_dir``, the SQLite file, the checkpoint folder
@@ -41,22 +54,28 @@ class Store:
     """
 
     def __init__(self, settings: Settings, metrics: Metrics):
-        self.server_id = settings.server_id
+        self._settings, self.server_id = settings, settings.server_id
+        self._heartbeat: Heartbeat | None = None
         self._name: ServerName | None = None
         self._locks: list[DataFolder | Lock] = []
         if settings.data_dir != NO_DATA_DIR:
-            self._locks.append(DataFolder(Path(settings.data_dir).expanduser()))
+            self._locks.append(DataFolder(data_dir := Path(settings.data_dir).expanduser()))
+            metrics.store_free.set_function(lambda: _free_bytes(data_dir))
         try:
             self.database = Database(database_url(settings), metrics)
             retention = _IN_MEMORY_RETENTION if self.database.in_memory else settings.history_days * _DAY
             self.registry = Registry(self.database, retention)
             self.history = History(self.database, retention)
             url = _checkpoint_url(settings)
-            folder = re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
+            self.leases = Leases(self.database, settings.server_id) if settings.share_sessions else None
+            folder = _SHARED if self.leases else re.sub(r"[^\w.-]", "_", settings.server_id).lstrip(".") or "_"
             self.checkpoints = Checkpoints(url, folder, settings.checkpoint_keep, metrics) if url else None
+            self.meshes = MeshStore(self.database, _mesh_url(settings))
             self._take_files()
             self.database.open()
             self._take_name()
+            for sentence in exposures(settings, self.database, self.checkpoints):
+                log.warning(sentence)
         except BaseException:
             self._release()
             raise
@@ -78,12 +97,32 @@ class Store:
         if self._name is not None and self._name.problem:
             raise Unavailable(f"{self._name.problem}; try again later", retry_after=_RETRY_AFTER)
 
+    def start_heartbeat(self, on_beat: Callable[[Beat], None]) -> None:
+        """Begins to renew the leases.
+
+        Args:
+            on_beat: called in a thread of its own.
+        """
+        s, engine = self._settings, self.database.lasting_connections()
+        holds_name = lambda: not self._name.problem  # noqa: E731
+        self._heartbeat = Heartbeat(engine, s.server_id, s.gateway_address, s.lease_seconds, holds_name, on_beat)
+        self._heartbeat.start()
+
+    def announce_drain(self) -> None:
+        """Tells other servers that this one takes no more sessions."""
+        if self._heartbeat is not None:
+            self._heartbeat.draining = True
+            self._heartbeat.beat_now()
+
     def close(self) -> None:
         """Writes queued rows and checkpoints within some seconds and releases the locks; blocks."""
         self.history.close_all()
+        self.meshes.close()
         if self.checkpoints is not None:
             self.checkpoints.close()
         self.database.close()
+        if self._heartbeat is not None:
+            self._heartbeat.stop()
         if self._name is not None:
             self._name.release()
         self._release()
@@ -92,13 +131,14 @@ class Store:
         """Locks files outside ``data_dir``: a second server on them would end this one's sessions and delete its checkpoints."""
         if (file := self.database.file) is not None:
             self._lock(file, "database_url")
-        if self.checkpoints is not None and (folder := self.checkpoints.folder) is not None:
+        if self.checkpoints is not None and self.leases is None and (folder := self.checkpoints.folder) is not None:
             self._lock(folder, "checkpoint_url")
 
     def _lock(self, path: Path, setting: str) -> None:
         path = path.resolve()
         try:
-            path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            if setting == "checkpoint_url":  # of a SQLite file the folder has to exist: a mistyped one is no empty database
+                make_folder(path.parent)
             self._locks.append(Lock(path.with_name(path.name + ".lock"), setting, str(path)))
         except OSError as error:
             raise InvalidConfig(setting, "a place that can be written", f"{path}: {error.strerror}") from None
@@ -119,6 +159,14 @@ class Store:
             lock.release()
 
 
+def _free_bytes(folder: Path) -> float:
+    """Free bytes of a folder's disk; not a number while the folder cannot be reached."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return math.nan
+
+
 def database_url(settings: Settings) -> str:
     """URL of the database with the registry, the history and the keys."""
     if settings.database_url or settings.data_dir == NO_DATA_DIR:
@@ -127,7 +175,25 @@ def database_url(settings: Settings) -> str:
     return sa.URL.create("sqlite", database=str(path)).render_as_string()
 
 
+def exposures(settings: Settings, database: Database, checkpoints: Checkpoints | None = None) -> list[str]:
+    """One sentence for each file or folder of the store that users other than its owner may open."""
+    folders = [] if settings.data_dir == NO_DATA_DIR else [Path(settings.data_dir).expanduser()]
+    folders += [checkpoints.folder] if checkpoints and checkpoints.folder else []
+    of_folders = [exposure(folder, FOLDER) for folder in folders]
+    of_files = filter(None, (exposure(file, FILE) for file in database.files()))
+    return [sentence for sentence in (*of_folders, next(of_files, "")) if sentence]  # the log takes the database's mode
+
+
 def _checkpoint_url(settings: Settings) -> str:
     if settings.checkpoint_url or settings.data_dir == NO_DATA_DIR:
         return settings.checkpoint_url
     return str(Path(settings.data_dir).expanduser().absolute() / "checkpoints")
+
+
+def _mesh_url(settings: Settings) -> str:
+    """Folder of the meshes. Servers with one ``checkpoint_url`` share it; no server's own folder begins with a dot."""
+    if settings.checkpoint_url:
+        return f"{settings.checkpoint_url.rstrip('/')}/.meshes"
+    if settings.data_dir == NO_DATA_DIR:
+        return f"memory://ddakf-meshes-{uuid.uuid4().hex}"
+    return str(Path(settings.data_dir).expanduser().absolute() / "meshes")

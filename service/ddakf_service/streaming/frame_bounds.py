@@ -12,17 +12,21 @@ _BYTES_PER_POINT, _HEADER_BYTES = 12, 1 << 16
 
 
 def require_frame_within_bounds(frame: FrameMessage, max_points: int, max_pixels: int) -> None:
-    """Rejects a measurement that is larger than any frame within the limits.
+    """Rejects a frame without a measurement, or with one that is larger than any frame within the limits.
 
     Raises:
         InvalidFrame: names the field.
     """
     require_sensor_count(frame.sensor_count)
+    if frame.measurement is None:
+        expected = "a point_cloud (an empty one has no points) or a depth_image"
+        raise InvalidFrame(field="payload", expected=expected, got="neither")
     if frame.measurement == "depth_image":
         require_image_size_within(frame.width, frame.height, frame.sizes, max_pixels)
         return
     if frame.point_count > max_points:
         raise InvalidFrame(field="point_cloud.point_count", expected=f"at most {max_points}", got=str(frame.point_count))
-    max_bytes = max_points * _BYTES_PER_POINT + _HEADER_BYTES
-    if (size := frame.sizes.get("data", 0)) > max_bytes:
-        raise InvalidFrame(field="point_cloud.data", expected=f"bytes of at most {max_points} points", got=f"{size} bytes")
+    for name, per_point, headers in (("data", _BYTES_PER_POINT, _HEADER_BYTES), ("colors", 3, 0)):
+        if (size := frame.sizes.get(name, 0)) > max_points * per_point + headers:
+            expected = f"bytes of at most {max_points} points"
+            raise InvalidFrame(field=f"point_cloud.{name}", expected=expected, got=f"{size} bytes")

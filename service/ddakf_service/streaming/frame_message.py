@@ -10,7 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 SMALL = 1 << 16
 """Bytes of a message whose fields are within every limit on their size, see :mod:`.frame_bounds`."""
 
-LARGE_FIELDS = {"point_cloud": ("data",), "depth_image": ("data", "mask", "confidence")}
+LARGE_FIELDS = {"point_cloud": ("data", "colors"), "depth_image": ("data", "mask", "confidence", "colors")}
 
 
 class FrameMessage(NamedTuple):

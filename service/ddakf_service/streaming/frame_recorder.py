@@ -5,14 +5,14 @@ from __future__ import annotations
 import logging
 from time import monotonic
 
-from ddakf_api.errors import DeadlineExceeded, Internal, ServiceError, WorkerLost, to_detail
+from ddakf_api.errors import DeadlineExceeded, FrameTooCostly, Internal, ServiceError, WorkerLost, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..observability.metrics import Metrics, codec_of, flow_of
 from ..observability.tracing import Tracer
-from ..sessions.response import Response
+from ..sessions.responses.response import Response
 from ..sessions.session import Session
-from ..store.history import History
+from ..store.tables.history import History
 from .frame_message import FrameMessage
 from .mailbox import QueuedFrame
 
@@ -20,7 +20,7 @@ log = logging.getLogger(__name__)
 
 
 class FrameRecorder:
-    """Records frames by outcome: applied, dropped, late, rejected or failed."""
+    """Records frames by outcome: applied, dropped, late, rejected, costly or failed."""
 
     def __init__(self, metrics: Metrics, history: History, tracer: Tracer):
         self._metrics, self._history, self._tracer = metrics, history, tracer
@@ -63,7 +63,7 @@ class FrameRecorder:
             self._metrics.frames.labels("late").inc()
         else:
             statistics.frames_rejected += 1
-            self._metrics.frames.labels("failed" if isinstance(error, (Internal, WorkerLost)) else "rejected").inc()
+            self._metrics.frames.labels(_outcome(error)).inc()
             log.info("a frame was rejected: %s", error, extra={"session": session.id, "sequence": frame.sequence_number})
         self._tracer.refused(session.id, frame, error, monotonic() - arrived)
         frame_error = pb.FrameError(
@@ -75,3 +75,10 @@ class FrameRecorder:
             frames_late=statistics.frames_late,
         )
         return Response(pb.TrackResponse(frame_error=frame_error))
+
+
+def _outcome(error: ServiceError) -> str:
+    """Label of a frame that was not tracked."""
+    if isinstance(error, FrameTooCostly):
+        return "costly"
+    return "failed" if isinstance(error, (Internal, WorkerLost)) else "rejected"

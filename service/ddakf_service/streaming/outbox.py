@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ..sessions.response import Response
+from ..sessions.responses.response import Response
 
 # Responses that may wait for a slow reader: one, so that the next frame is tracked while this one is sent.
 _OUTBOX_CAPACITY = 1
@@ -18,10 +18,10 @@ class Outbox:
     """Queue of responses to the client.
 
     Args:
-        publish: receives every response too, at once; for the session's watchers.
+        publish: receives every response and, if given, the frame that it answers, at once; for the session's watchers.
     """
 
-    def __init__(self, publish: Callable[[Response], None]):
+    def __init__(self, publish: Callable[..., None]):
         self._publish = publish
         self._responses: deque[Response] = deque()
         self._changed = asyncio.Event()
@@ -29,9 +29,9 @@ class Outbox:
         self._closed = False
         self._error: Exception | None = None
 
-    async def put(self, response: Response) -> None:
-        """Appends a response when there is room; publishes it at once."""
-        self._publish(response)
+    async def put(self, response: Response, frame: bytes | memoryview = b"") -> None:
+        """Appends a response when there is room; publishes it at once, with the serialised frame that it answers."""
+        self._publish(response, frame)
         while len(self._responses) > _OUTBOX_CAPACITY and not self._closed:
             self._room.clear()
             await self._room.wait()

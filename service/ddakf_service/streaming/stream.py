@@ -7,16 +7,17 @@ import logging
 import math
 import time
 from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from time import monotonic
 
-from ddakf_api.errors import DeadlineExceeded, InvalidFrame, ServiceError, WorkerLost
+from ddakf_api.errors import DeadlineExceeded, FrameTooCostly, InvalidFrame, ServiceError, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import current_principal
 from ..observability.logs import current_session
-from ..sessions.durability import WAITING_NOTICE_INTERVAL, Durability, Irrecoverable
-from ..sessions.response import Response
+from ..sessions.limits.penalties import Penalties
+from ..sessions.recovery.durability import WAITING_NOTICE_INTERVAL, Durability, Irrecoverable
+from ..sessions.responses.response import Response
 from ..sessions.session import Session
 from ..workers.pool import WorkerPool, worker_lost
 from .frame_bounds import require_frame_within_bounds
@@ -24,7 +25,7 @@ from .frame_message import FrameMessage, TrackRequest
 from .frame_recorder import FrameRecorder
 from .mailbox import QueuedFrame, mailbox_for
 from .outbox import Outbox
-from .rate_limit import Overload, RateLimit
+from .rate_limit import ArrivalRate, Overload, RateLimit
 
 log = logging.getLogger(__name__)
 
@@ -51,21 +52,32 @@ class Stream:
         mode: pb.FlowMode,
         pool: WorkerPool,
         durability: Durability,
+        penalties: Penalties,
         recorder: FrameRecorder,
+        rate_limit: RateLimit,
         reader_timeout: float,
         max_image_pixels: int,
     ):
         self.session, self.key_id = session, current_principal.get().id
-        self._pool, self._durability, self._recorder = pool, durability, recorder
+        self._pool, self._durability, self._penalties, self._recorder = pool, durability, penalties, recorder
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)
         self._mode, self._reader_timeout = mode, reader_timeout
         self._max_image_pixels = max_image_pixels
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox(session.watchers.publish)
-        self._rate_limit, self._overload = RateLimit(), Overload(monotonic())
+        self._repeated = self._answers_to_repeat(start)
+        self._rate_limit, self._overload, self._arrivals = rate_limit, Overload(), ArrivalRate()
+        self._displaced = 0  # frames, by newer ones since the last frame was taken
         self.ending, self.session_free = asyncio.Event(), asyncio.Event()
         self._tracking_task = asyncio.create_task(self._run())
+
+    def _answers_to_repeat(self, start: pb.Start) -> list[Response]:
+        """The answers of earlier streams that the client asks for; the others are dropped."""
+        if self._mode == pb.FLOW_MODE_LOSSLESS and start.HasField("answered_through"):
+            return self.session.answers.after(start.answered_through, self.session.statistics.last_sequence_number)
+        self.session.answers.clear()
+        return []
 
     # From the client ------------------------------------------------------------------------------------------------
 
@@ -87,10 +99,12 @@ class Stream:
         try:
             self._check(frame)
         except InvalidFrame as error:
-            await self._outbox.put(self._recorder.refused(self.session, frame, error, arrived))
+            await self._outbox.put(self._refused(frame, error, arrived))
             return
-        if await self._within_frame_rate(arrived):
-            self._record_dropped(await self._mailbox.put(frame, arrived))
+        self._arrivals.arrived(arrived)
+        if self._mode == pb.FLOW_MODE_LOSSLESS:
+            await self._pause_for_frame_rate()
+        self._record_dropped(await self._mailbox.put(frame, arrived))
 
     def _check(self, frame: FrameMessage) -> None:
         """Rejects an invalid frame before it takes memory in the mailbox."""
@@ -98,22 +112,54 @@ class Stream:
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
-    async def _within_frame_rate(self, now: float) -> bool:
-        """Whether a frame is within the session's frame rate. In lossless mode, waits until it is."""
-        rate = self.session.limits.max_frame_rate
+    async def _pause_for_frame_rate(self) -> float:
+        """Waits until the frame rates of session and key allow another frame, or the stream ends. Returns the rate that it waited
+        for; 0: it did not wait."""
+        waited_for = 0.0
+        while True:
+            pause, rate = self._rate_limit.wait(self._frame_rate, monotonic())
+            if pause == 0:
+                return waited_for
+            waited_for = rate
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self.ending.wait(), pause)
+                return waited_for
+
+    async def _next_frame(self) -> QueuedFrame | None:
+        """The next frame to track; None after the last. In realtime mode it waits for the session's frame rate, and gives way to
+        newer frames meanwhile: the client gets an answer to the newest one, and so learns of those that were dropped."""
+        queued = await self._mailbox.get()
+        if queued is None or self._mode == pb.FLOW_MODE_LOSSLESS:
+            return queued
+        rate = await self._pause_for_frame_rate()
+        if len(self._mailbox):
+            queued = await self._mailbox.get()
+            self._recorder.dropped(self.session, 1)
+            self._displaced += 1
+        if rate and self._displaced and self._overload.may_notify(monotonic()):
+            self._notify_slow_down(rate, f"the session or its key may have {rate:.3g} frames per second")
+        self._displaced = 0
+        return queued
+
+    @property
+    def _frame_rate(self) -> float:
+        """Frames per second that the session may have; 0: not limited."""
+        allowed = self._penalties.frame_rate(self.session)
         if self._mode == pb.FLOW_MODE_LOSSLESS:
-            while not self.ending.is_set() and (pause := self._rate_limit.wait(rate, monotonic())) > 0:
-                await asyncio.sleep(pause)
-            return True
-        if self._rate_limit.wait(rate, now) == 0:
-            return True
-        self._recorder.dropped(self.session, 1)
-        if self._overload.may_notify(now):
-            self._notify_slow_down(rate, f"the session may have {rate:g} frames per second")
-        return False
+            return allowed
+        rates = allowed, self._pool.affordable_rate(self.session.id)
+        return min((rate for rate in rates if rate), default=0.0)
+
+    @property
+    def _due_rate(self) -> float:
+        """Frames per second that are to be tracked in realtime mode; 0: not known, or the mode is lossless."""
+        if self._mode == pb.FLOW_MODE_LOSSLESS:
+            return 0.0
+        return min(self._arrivals.value, self._penalties.frame_rate(self.session) or math.inf)
 
     def _record_dropped(self, count: int) -> None:
         if count:
+            self._displaced += count
             self._recorder.dropped(self.session, count)
             self._record_missed(count)
 
@@ -150,7 +196,7 @@ class Stream:
                     del error  # the error's traceback refers to this Python frame: a reference cycle
 
     async def responses(self) -> AsyncIterator[Response]:
-        """All responses, Started first. Raises the error that ended the stream, if any."""
+        """All responses: Started, the repeated ones, the new ones. Raises the error that ended the stream, if any."""
         statistics = self.session.statistics
         started = pb.Started(
             name=self.session.name,
@@ -158,8 +204,11 @@ class Stream:
             last_capture_time=statistics.last_capture_time,
             flow_mode=self._mode,
             max_frames_in_flight=self.session.limits.max_frames_in_flight,
+            repeated_answers=len(self._repeated),
         )
         yield Response(pb.TrackResponse(started=started))
+        for response in self._repeated:
+            yield response
         while (response := await self._outbox.get()) is not None:
             yield response
 
@@ -189,8 +238,11 @@ class Stream:
         """Tracks frames until the mailbox is closed, one at a time."""
         current_session.set(self.session.id)
         try:
-            while not self.ending.is_set() and (queued := await self._mailbox.get()) is not None:
-                await self._outbox.put(await self._track(queued))
+            while not self.ending.is_set() and (queued := await self._next_frame()) is not None:
+                if self.ending.is_set():
+                    self._recorder.dropped(self.session, 1)
+                    break
+                await self._outbox.put(await self._track(queued), queued.frame.data)
             self._outbox.close()
         except Irrecoverable as error:
             self.end(error.reason)
@@ -204,14 +256,25 @@ class Stream:
         Raises:
             Irrecoverable: the session cannot be restored.
         """
-        started, session = monotonic(), self.session
         try:
-            response = await self._tracked(queued, started)
+            return await self._tracked(queued, monotonic())
         except ServiceError as error:
             if isinstance(error, DeadlineExceeded):
                 self._record_missed(1)
-            return self._recorder.refused(session, queued.frame, error, queued.arrived)
-        return response.without_arrays() if response.message.result.frames_applied % self._every_nth else response
+            refused = self._refused(queued.frame, error, queued.arrived)
+            if isinstance(error, FrameTooCostly):
+                await self._penalties.frame_given_up(self.session)
+            return refused
+
+    def _refused(self, frame: FrameMessage, error: ServiceError, arrived: float) -> Response:
+        """Records the refusal of a frame; returns the response to it."""
+        return self._recorded(self._recorder.refused(self.session, frame, error, arrived))
+
+    def _recorded(self, response: Response) -> Response:
+        """The same response, recorded for the client of a lossless stream that may come back without it."""
+        if self._mode == pb.FLOW_MODE_LOSSLESS:
+            self.session.record_answer(response)
+        return response
 
     async def _tracked(self, queued: QueuedFrame, started: float) -> Response:
         """Tracks a frame; tries a second time, in another worker, when the first worker is lost."""
@@ -233,14 +296,19 @@ class Stream:
             try:
                 with self._waiting_notices():
                     answer = await self._pool.submit(
-                        session.id, frame.data, self._options, max_points=max_points, start_by=start_by
+                        session.id, frame.data, self._options, max_points=max_points, start_by=start_by, rate=self._due_rate
                     )
+                    await self._durability.may_answer(session)
             except WorkerLost:
                 self._durability.record_worker_loss(session)
                 raise
             response = Response.of_result(*answer)
             self._recorder.applied(session, response.message.result, queued, started, self._mode)
-            self._overload.applied()
+            self._overload.applied(monotonic())
+            self._penalties.frame_tracked(session)
+            if response.message.result.frames_applied % self._every_nth:
+                response = response.without_arrays()
+            self._recorded(response)  # before the checkpoint of this frame
             self._durability.frame_tracked(session)
         return response
 

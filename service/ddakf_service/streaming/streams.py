@@ -12,9 +12,12 @@ from ddakf_api.version import require_compatible
 
 from ..auth.principal import current_principal
 from ..sessions.components import SessionComponents
+from ..sessions.responses.watchers import Watcher
 from ..sessions.session import Session
-from ..sessions.watchers import Watcher
+from ..token_bucket import TokenBucket
+from ..workers.messages.encode import require_known_encodings
 from .frame_recorder import FrameRecorder
+from .rate_limit import RateLimit, frame_bucket
 from .stream import Stream
 
 # A client that left its stream may open the next one before the server notices, or before the frame in the worker has been
@@ -30,14 +33,20 @@ class Streams:
         self._pool, self._settings, self._admission = components.pool, components.settings, components.admission
         self._catalog, self._persistence = components.catalog, components.persistence
         self._durability, self._tracker_access = components.durability, components.tracker_access
+        self._penalties, self._ownership = components.penalties, components.ownership
         self._recorder = recorder
+        self._key_buckets: dict[str, TokenBucket] = {}  # of frames, by key
+
+    async def require_session(self, name: str) -> None:
+        """Checks that the caller's key may use a session; raises as :meth:`.SessionCatalog.changeable`."""
+        await self._ownership.require(name)
 
     async def open(self, start: pb.Start) -> Stream:
         """Opens the stream of a session; the caller ends it with :meth:`leave`."""
         require_compatible(start.api_version, peer="client")
+        require_known_encodings(start.result_options)
         self._admission.require_running("streams")
-        await self._catalog.lookup(start.name)
-        session = self._catalog.changeable(start.name)
+        session = await self._ownership.obtain(start.name, takeover=start.takeover)
         self._require_room(replaced=session.stream)
         if session.stream is not None and start.takeover:
             before = session.stream
@@ -56,11 +65,16 @@ class Streams:
             self._admission.require_running("streams")
             self._require_room()
             session.departure_time = None
-            collaborators = self._pool, self._durability, self._recorder
+            collaborators = self._pool, self._durability, self._penalties, self._recorder, self._rate_limit()
             bounds = self._settings.reader_timeout, self._settings.max_image_pixels
             session.stream = Stream(session, start, mode, *collaborators, *bounds)
         self._persistence.save(session)
         return session.stream
+
+    def _rate_limit(self) -> RateLimit:
+        """The frame rates of a new stream of the caller."""
+        caller = current_principal.get()
+        return RateLimit(self._key_buckets.setdefault(caller.id, frame_bucket()), caller.frames_per_second)
 
     def leave(self, stream: Stream) -> asyncio.Task[None]:
         """Closes a stream in the background, so that the client learns of the end before the frame in the worker is tracked."""
@@ -76,13 +90,13 @@ class Streams:
             self._persistence.save(stream.session)
         stream.session_free.set()
 
-    def watch(self, request: pb.WatchSessionRequest) -> Watcher:
+    async def watch(self, request: pb.WatchSessionRequest) -> Watcher:
         """Adds a reader of the session's responses, with or without a stream; the caller ends it with ``leave``."""
         require_compatible(request.api_version, peer="client")
-        session = self._catalog.readable(request.name)
+        session = await self._ownership.readable(request.name)
         self._require_room()
-        key_id = current_principal.get().id
-        return session.watchers.add(session.name, session.statistics, request.every_nth, self._settings.max_watchers, key_id)
+        key_id, most = current_principal.get().id, self._settings.max_watchers
+        return session.watchers.add(session.name, request, session.statistics, most, key_id)
 
     def _require_room(self, *, replaced: Stream | None = None) -> None:
         """Checks that the caller's key may have one more stream, in place of the ``replaced`` one."""

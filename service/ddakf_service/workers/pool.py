@@ -10,10 +10,12 @@ from typing import NamedTuple, Protocol
 
 from ddakf_api.errors import WorkerLost
 
-RETRY_AFTER = 1.0  # seconds; about the start of a replacement worker with a warm kernel cache
+_LIMIT_VERTICES, _LIMIT_POINTS = 20_000, 100_000  # for each of these a frame may use as much again
 
-# Called with (compiled kernels, total, name of the next) while the first worker warms up.
-Progress = Callable[[int, int, str], None]
+RETRY_AFTER = 1.0  # seconds; a worker is replaced in less, a lost template in two or three times as long
+
+# Called with ("loading" or "compiling", done steps, total, name of the next) while the kernels are loaded.
+Progress = Callable[[str, int, int, str], None]
 
 # Called with the ids of the sessions that were lost with their worker.
 OnLost = Callable[[Sequence[str]], None]
@@ -28,6 +30,11 @@ class Limits:
     max_faces: int
     max_body_vertices: int
     max_image_pixels: int
+    frame_limit: float = math.inf  # processor seconds, of a frame without vertices and points
+
+    def processor_limit(self, vertices: int, points: int) -> float:
+        """Processor seconds that a frame may use."""
+        return self.frame_limit * (1 + vertices / _LIMIT_VERTICES + points / _LIMIT_POINTS)
 
     def to_json(self) -> str:
         return json.dumps(asdict(self))
@@ -42,7 +49,7 @@ class Memory(NamedTuple):
 
     Attributes:
         session: for the life of the session.
-        frame: in addition while a frame is tracked. A worker tracks one frame at a time, so its sessions share this part.
+        frame: in addition while a frame is tracked. A worker tracks few frames at a time, so its sessions share this part.
     """
 
     session: int = 0
@@ -87,7 +94,7 @@ class WorkerPool(Protocol):
     Every call raises ``WorkerLost`` when the session's worker is lost; the session must then be opened or restored again.
     A call raises the worker's error, with its field, when the request is invalid; the session stays unchanged.
     One call per session at a time, except :meth:`snapshot`. Calls of different sessions overlap; a worker tracks their frames
-    in turn. A pool may move sessions between its workers; calls wait meanwhile.
+    in turn, costly ones beside the others. A pool may move sessions between its workers; calls wait meanwhile.
     """
 
     async def start(self, progress: Progress) -> None:
@@ -104,16 +111,30 @@ class WorkerPool(Protocol):
         """Creates a session from a snapshot: RestoreSessionRequest in, Session with its meshes out. Raises as :meth:`open`."""
 
     async def submit(
-        self, session_id: str, frame: bytes | memoryview, options: bytes, *, max_points: int, start_by: float = math.inf
+        self,
+        session_id: str,
+        frame: bytes | memoryview,
+        options: bytes,
+        *,
+        max_points: int,
+        start_by: float = math.inf,
+        rate: float = 0.0,
     ) -> tuple[bytes, bytes | memoryview]:
         """Tracks one frame of at most ``max_points``: Frame and ResultOptions in, Result out.
+
+        Args:
+            rate: frames per second of the session; they share the worker's time, and get budgets. 0: no budget.
 
         Returns:
             The serialised Result without its arrays, and with its arrays alone; their concatenation is the serialised Result.
 
         Raises:
             DeadlineExceeded: the worker was not free before ``start_by`` (monotonic clock, seconds); the frame was not tracked.
+            FrameTooCostly: the frame exceeded its limit of processor time; the session is as it was.
         """
+
+    def affordable_rate(self, session_id: str) -> float:
+        """Frames per second that the session's share of its worker allows, however much a budget leaves out; 0: not limited."""
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
         """Replaces the configuration from the next frame on: Session with config_json and fabric in, with the full config out."""
@@ -123,6 +144,13 @@ class WorkerPool(Protocol):
 
     def snapshot(self, session_id: str, *, compressed: bool = False) -> Awaitable[bytes]:
         """The tracker's state after all earlier calls; later calls do not change the answer."""
+
+    async def isolate(self, session_id: str) -> None:
+        """Moves a session to a worker of low priority that serves isolated sessions only.
+
+        Raises:
+            ResourceExhausted, Unavailable: that worker has too little memory, or cannot be started; the session stays.
+        """
 
     async def close(self, session_id: str) -> None:
         """Removes the session; an unknown session is ignored."""

@@ -3,33 +3,37 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
-import json
 import logging
 import os
-import socket
-import subprocess
-import sys
+from collections.abc import Callable
+from heapq import nlargest
 from pathlib import Path
+from typing import NamedTuple
 
 from ddakf_api.errors import from_detail
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from . import wire
-from .pool import UNKNOWN, Limits, Memory, Progress, worker_lost
+from .compute.lanes import FRAMES
+from .fair_shares import FairShares
+from .messages import wire
+from .pool import UNKNOWN, Memory, Progress, worker_lost
+from .template import Process, WorkerSource, WorkerStartFailed, ended
 
 log = logging.getLogger(__name__)
 
-# One compute thread per worker: sessions are the unit of parallelism, and more threads than cores add only waiting.
-ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-
-_STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
-_EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
+EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
 _FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
+_LOW_PRIORITY = 10  # nice
 
 
-class WorkerStartFailed(RuntimeError):
-    """A worker died or hung before it had tracked its first frame."""
+class _Call(NamedTuple):
+    """A request without an answer."""
+
+    session_id: str
+    answer: asyncio.Future[bytes]
+    turn_over: Callable[[bool], None]
 
 
 class Worker:
@@ -37,70 +41,90 @@ class Worker:
 
     Attributes:
         sessions: estimated memory by session id.
-        frame_slots: held by a frame, or by the placement of a session, while it is in the pipe or the worker.
-        placement_lock: held by a placement that waits for a slot, so that a frame waits for one placement at most.
+        frame_slots: held by a frame while it is in the pipe or on the light lane of the worker.
+        heavy_slots: held by a frame while it is in the pipe or on the heavy lane.
+        placement_lock: held by the placement of a session.
         frames: number of submitted frames.
+        shares: of its processor time, among the sessions.
+        leaving: whether its machine is about to stop.
         gone: set when the process has ended.
         exit_watcher: task that waits for ``gone``.
     """
 
     exit_watcher: asyncio.Task
 
-    def __init__(self, process: subprocess.Popen, reader: asyncio.StreamReader, writer: asyncio.StreamWriter):
-        self.process = process
+    def __init__(
+        self,
+        process: Process,
+        reader: asyncio.StreamReader,
+        writer: asyncio.StreamWriter,
+        here: bool = True,
+        leaving: Callable[[], bool] = lambda: False,
+    ):
+        self.process, self._here, self.leaving = process, here, leaving
         self.sessions: dict[str, Memory] = {}
-        self.frame_slots, self.placement_lock = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Lock()
-        self.frames = 0
+        self.frame_slots, self.heavy_slots = asyncio.Semaphore(_FRAMES_IN_PIPE), asyncio.Semaphore(1)
+        self.placement_lock = asyncio.Lock()
+        self.frames, self.shares = 0, FairShares()
         self.gone = asyncio.Event()
         self._reader, self._writer = reader, writer
         self._numbers = itertools.count(1)
-        self._waiting: dict[int, tuple[str, asyncio.Future[bytes]]] = {}
+        self._waiting: dict[int, _Call] = {}
         self._listener: asyncio.Task | None = None
 
     @classmethod
-    async def start(cls, limits: Limits, timeout: float, progress: Progress) -> Worker:
-        """Spawns a process and returns when it has tracked its first frame."""
-        ours, theirs = socket.socketpair()
-        with theirs:
-            reader, writer = await asyncio.open_unix_connection(sock=ours, limit=_STREAM_BUFFER)
-            # The event loop would fork, which gRPC's threads forbid; Popen spawns the new program directly.
-            try:
-                process = subprocess.Popen(
-                    [sys.executable, "-m", "ddakf_service.workers.process", str(theirs.fileno()), limits.to_json()],
-                    pass_fds=(theirs.fileno(),),
-                    stdin=subprocess.DEVNULL,
-                    env={**os.environ, **ONE_THREAD},
-                )
-            except OSError:
-                writer.close()
-                raise
-        worker = cls(process, reader, writer)
+    async def start(cls, source: WorkerSource, timeout: float, progress: Progress) -> Worker:
+        """A worker that is ready for sessions.
+
+        Raises:
+            WorkerStartFailed, OSError: it could not be started.
+        """
         try:
             async with asyncio.timeout(timeout):
-                await worker._become_ready(progress)
+                worker = cls(*await source.worker(progress))
         except TimeoutError:
-            await worker.end(patience=0)
             raise WorkerStartFailed(f"a worker was not ready after {timeout:.0f} s") from None
-        except BaseException:
-            await worker.end(patience=0)
-            raise
         worker._listener = asyncio.create_task(worker._listen())
         return worker
 
     def memory_with(self, more: Memory = UNKNOWN) -> int:
         """Estimated bytes of the worker's sessions and one more."""
         all_of_them = [*self.sessions.values(), more]
-        return sum(memory.session for memory in all_of_them) + max(memory.frame for memory in all_of_them)
+        return sum(m.session for m in all_of_them) + sum(nlargest(FRAMES, (m.frame for m in all_of_them)))
+
+    def release(self, session_id: str) -> Memory:
+        """Forgets a session, with its share of the worker's time; returns its estimated memory."""
+        self.shares.forget(session_id)
+        return self.sessions.pop(session_id, UNKNOWN)
 
     def resident_bytes(self) -> int:
-        """Resident bytes of the process; 0 where the system does not report them."""
+        """Resident bytes of the process; 0 where the system does not report them, or on another machine."""
+        if not self._here:
+            return 0
         try:
             return int(Path(f"/proc/{self.process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
         except OSError:
             return 0
 
-    def send(self, kind: wire.Kind, session_id: str, *content: bytes | memoryview) -> asyncio.Future[bytes]:
+    def lower_priority(self) -> None:
+        """Gives way to all other processes of this machine where they need the cores."""
+        if not self._here:
+            return
+        with contextlib.suppress(OSError):  # it has ended, or the system has no /proc
+            for thread in os.listdir(f"/proc/{self.process.pid}/task"):
+                os.setpriority(os.PRIO_PROCESS, int(thread), _LOW_PRIORITY)
+
+    def send(
+        self,
+        kind: wire.Kind,
+        session_id: str,
+        *content: bytes | memoryview,
+        turn_over: Callable[[bool], None] = lambda used_slice: None,
+    ) -> asyncio.Future[bytes]:
         """Sends a request, its content in pieces, at once; returns a future of the answer.
+
+        Args:
+            turn_over: called when the request continues beside others, with whether it has used its slice, see :mod:`.lanes`.
 
         Raises:
             WorkerLost: the worker is gone. The future may raise it too.
@@ -109,7 +133,7 @@ class Worker:
             raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = session_id, answer
+        self._waiting[number] = _Call(session_id, answer, turn_over)
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))
         self._writer.writelines((wire.head(kind, number, session_id, sum(map(len, content))), *content))
         return answer
@@ -119,40 +143,29 @@ class Worker:
         if not self.gone.is_set():
             self._writer.write(wire.Message(kind, 0, session_id).head())
 
-    async def end(self, patience: float = _EXIT_PATIENCE) -> None:
+    async def end(self, patience: float = EXIT_PATIENCE) -> None:
         """Closes the pipe, which ends the process; kills it after ``patience`` seconds."""
         if self._listener not in (None, asyncio.current_task()):
             self._listener.cancel()
         self._writer.close()
-        try:
-            await asyncio.to_thread(self.process.wait, patience)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            await asyncio.to_thread(self.process.wait)
-
-    async def _become_ready(self, progress: Progress) -> None:
-        try:
-            while (message := await wire.read(self._reader)).kind is not wire.Kind.READY:
-                progress(*json.loads(message.content))
-        except (asyncio.IncompleteReadError, ConnectionError):
-            code = await asyncio.to_thread(self.process.wait)
-            raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; see its log") from None
-        except ValueError as error:
-            raise WorkerStartFailed(f"a worker sent an invalid message before it was ready: {error}") from None
+        await ended(self.process, patience)
 
     async def _listen(self) -> None:
         try:
             while True:
                 message = await wire.read(self._reader)
-                _, answer = self._waiting.get(message.number, ("", None))
-                if answer is None or answer.done():
+                call = self._waiting.get(message.number)
+                if call is None or call.answer.done():
                     continue  # the caller has left
-                if message.kind is wire.Kind.ERROR:
-                    answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.content)))
+                if message.kind is wire.Kind.ASIDE:
+                    call.turn_over(bool(message.content))
+                elif message.kind is wire.Kind.ERROR:
+                    call.answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.content)))
                 else:
-                    answer.set_result(message.content)
-        except (asyncio.IncompleteReadError, ConnectionError):
-            # The operating system closes the pipe of a killed process at once: a kill is detected here too.
+                    call.answer.set_result(message.content)
+        except (asyncio.IncompleteReadError, OSError):
+            # The operating system closes the pipe of a killed process at once: a kill is detected here too. A machine that
+            # vanishes is a TimeoutError, or one of the network.
             await self._lose()
         except Exception:
             log.exception("a worker sent an invalid message and is replaced", extra={"worker": self.process.pid})
@@ -160,7 +173,7 @@ class Worker:
 
     async def _lose(self) -> None:
         self.gone.set()
-        for session_id, answer in list(self._waiting.values()):
-            if not answer.done():
-                answer.set_exception(worker_lost(session_id))
+        for call in list(self._waiting.values()):
+            if not call.answer.done():
+                call.answer.set_exception(worker_lost(call.session_id))
         await self.end(patience=0)

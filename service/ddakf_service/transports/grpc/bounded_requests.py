@@ -16,7 +16,7 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.message_factory import GetMessageClass
 
-from ...sessions.response import Response
+from ...sessions.responses.response import Response
 from ..bounded_parsing import parse
 from ..track_requests import read_track_request
 from .errors import abort

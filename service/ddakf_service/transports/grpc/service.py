@@ -28,6 +28,7 @@ from ...sessions.service import Sessions
 from ...settings import Settings
 from ...streaming.stream import Stream
 from ...streaming.streams import Streams
+from ..listener import listen
 from .bounded_requests import BoundedRequests
 from .errors import abort, without_traceback
 from .guard import GrpcGuard
@@ -83,7 +84,7 @@ class TrackingService(rpc.TrackingServiceServicer):
 
     @_answering_errors
     async def ListSessions(self, request, context):
-        return self._sessions.list(request)
+        return await self._sessions.list(request)
 
     @_answering_errors
     async def UpdateSession(self, request, context):
@@ -111,6 +112,23 @@ class TrackingService(rpc.TrackingServiceServicer):
         return await self._sessions.history(request)
 
     @_answering_errors
+    async def CreateMesh(self, request, context):
+        return await self._sessions.meshes.create(request)
+
+    @_answering_errors
+    async def GetMesh(self, request, context):
+        return await self._sessions.meshes.get(request)
+
+    @_answering_errors
+    async def ListMeshes(self, request, context):
+        return await self._sessions.meshes.list(request)
+
+    @_answering_errors
+    async def DeleteMesh(self, request, context):
+        await self._sessions.meshes.delete(request.name)
+        return empty_pb2.Empty()
+
+    @_answering_errors
     async def Track(self, request_iterator, context):
         patience = self._settings.reader_timeout
         try:
@@ -131,7 +149,7 @@ class TrackingService(rpc.TrackingServiceServicer):
 
     @_answering_errors
     async def WatchSession(self, request, context):
-        watcher = self._streams.watch(request)
+        watcher = await self._streams.watch(request)
         try:
             async for response in watcher.responses():
                 await context.write(response)
@@ -173,10 +191,11 @@ class GrpcServer:
         """Binds the port and returns it.
 
         Raises:
-            InvalidConfig: the port is not available.
+            InvalidConfig: the address or the port is not available.
         """
         s = self._settings
         await self.serving(False)
+        listen(s.host, s.grpc_port, "grpc_port").close()  # gRPC has one error for all reasons
         try:
             host = f"[{s.host}]" if ":" in s.host else s.host
             address = f"{host}:{s.grpc_port}"

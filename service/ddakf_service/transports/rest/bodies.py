@@ -8,11 +8,9 @@ from collections.abc import Callable
 from ddakf_api.errors import Cancelled, DeadlineExceeded, MessageTooLarge
 from fastapi import Request
 from google.protobuf.message import Message
-from pydantic import ValidationError
 from starlette.requests import ClientDisconnect
 
 from ...settings import Settings
-from .validation import invalid_argument
 
 _MAX_JSON_BYTES = 32 << 20  # the largest meshes fit as lists; larger ones travel as base64 or over gRPC
 _MAX_MEMBERS = 1 << 16  # members of all objects in a body; enough for the largest labels
@@ -53,8 +51,8 @@ async def _read_bounded(request: Request, max_bytes: int) -> bytes:
 async def parse_json(request: Request, settings: Settings, parse: Callable[[bytes], Message]) -> Message:
     """Parses a JSON body in a thread: some hundred thousand numbers would block the event loop.
 
-    pydantic makes one object of each element, and one error of each invalid one. The elements are therefore counted before:
-    every member of an object has a colon, every row of a mesh a bracket.
+    The parser makes one object of each element. The elements are therefore counted before: every member of an object has a
+    colon, every row of a mesh a bracket.
     """
     body = await read(request, min(_MAX_JSON_BYTES, settings.max_message_bytes), settings.request_timeout)
     max_rows = settings.max_vertices + settings.max_body_vertices + 2 * settings.max_faces
@@ -63,9 +61,6 @@ async def parse_json(request: Request, settings: Settings, parse: Callable[[byte
         for separator, maximum, elements in ((b":", _MAX_MEMBERS, "members"), (b"[", max_rows + _MAX_MEMBERS, "lists")):
             if (count := body.count(separator)) > maximum:
                 raise MessageTooLarge(field="body", expected=f"at most {maximum} {elements}", got=f"up to {count}")
-        try:
-            return parse(body)
-        except ValidationError as error:  # replaces an error that may contain much of the body
-            raise invalid_argument(error) from None
+        return parse(body)
 
     return await asyncio.to_thread(parse_bounded)

@@ -10,24 +10,17 @@ from collections.abc import Sequence
 from urllib.parse import urlsplit
 
 from ddakf_api.errors import PermissionDenied
-from fastapi import FastAPI
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...auth.guard import is_own_name
 from .errors import error_response
+from .pages import documentation
+from .responses import LAST_SEQUENCE_NUMBER
 
 ANY = "*"
-_DOCUMENTATION = ("/docs", "/redoc")
 _DEFAULT_POLICY = "default-src 'none'; frame-ancestors 'none'"
-# The sources that FastAPI's documentation pages load.
-_DOCUMENTATION_POLICY = (
-    "default-src 'none'; frame-ancestors 'none'; connect-src 'self' ws: wss:; "
-    "script-src https://cdn.jsdelivr.net 'unsafe-inline'; "
-    "style-src https://cdn.jsdelivr.net https://fonts.googleapis.com 'unsafe-inline'; font-src https://fonts.gstatic.com; "
-    "img-src data: https://fastapi.tiangolo.com https://cdn.redoc.ly; worker-src blob:"
-)
 _HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
@@ -38,17 +31,18 @@ _HEADERS = {
 }
 
 
-def add_origin_check(app: FastAPI, allowed: Sequence[str]) -> None:
-    """Rejects foreign origins on every route; adds CORS headers for the allowed ones."""
+def origin_checked(app: ASGIApp, allowed: Sequence[str]) -> ASGIApp:
+    """The application without pages of foreign origins, and with CORS headers for the allowed ones, which then can also read
+    why a call was refused."""
     if allowed:
-        app.add_middleware(
-            CORSMiddleware,
+        app = CORSMiddleware(
+            app,
             allow_origins=list(allowed),
             allow_methods=["GET", "POST", "PATCH", "DELETE"],
             allow_headers=["Authorization", "Content-Type"],
-            expose_headers=["Content-Disposition", "Location", "Retry-After"],
+            expose_headers=["Content-Disposition", "Location", "Retry-After", LAST_SEQUENCE_NUMBER],
         )
-    app.add_middleware(OriginCheck, allowed=frozenset(allowed))
+    return OriginCheck(app, frozenset(allowed))
 
 
 class OriginCheck:
@@ -78,6 +72,15 @@ def _is_own(origin: str, host: str) -> bool:
         return False
 
 
+def security_headers(path: str, scheme: str) -> dict[str, str]:
+    """The security headers of a response."""
+    policy = documentation.POLICY if path == documentation.PATH else _DEFAULT_POLICY
+    encrypted = scheme in ("https", "wss")
+    return (
+        _HEADERS | {"Content-Security-Policy": policy} | ({"Strict-Transport-Security": "max-age=31536000"} if encrypted else {})
+    )
+
+
 class SecurityHeaders:
     """Adds security headers to every HTTP response: no content sniffing, framing, caching or referrer."""
 
@@ -88,12 +91,8 @@ class SecurityHeaders:
         async def send_with_headers(message: Message) -> None:
             if message["type"] in ("http.response.start", "websocket.http.response.start"):
                 headers = MutableHeaders(raw=message.setdefault("headers", []))
-                for name, value in _HEADERS.items():
+                for name, value in security_headers(scope["path"], scope["scheme"]).items():
                     headers.setdefault(name, value)
-                policy = _DOCUMENTATION_POLICY if scope["path"].startswith(_DOCUMENTATION) else _DEFAULT_POLICY
-                headers["Content-Security-Policy"] = policy
-                if scope["scheme"] in ("https", "wss"):
-                    headers["Strict-Transport-Security"] = "max-age=31536000"
             await send(message)
 
         await self._app(scope, receive, send_with_headers)

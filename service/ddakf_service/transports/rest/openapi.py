@@ -1,20 +1,23 @@
-"""OpenAPI document: request bodies and error responses that FastAPI cannot derive, because the routes read bodies themselves."""
+"""OpenAPI document: bodies, answers and errors that FastAPI cannot derive, because the routes read and write JSON themselves."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from ddakf_api.errors import ServiceError
+from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import FastAPI
-from pydantic import BaseModel
-from pydantic.json_schema import models_json_schema
+from google.protobuf.message import Message
 
+from ..dialect.schema import reference, schemas
 from .errors import ErrorOut
-from .requests import CreateSession, ResetSession, UpdateSession
 
-_BODIES = (CreateSession, UpdateSession, ResetSession)
 _RETRY_AFTER = {"Retry-After": {"description": "seconds", "schema": {"type": "integer", "minimum": 1}}}
-_REFERENCE = "#/components/schemas/{model}"
+_MESSAGES = (
+    *(pb.CreateSessionRequest, pb.UpdateSessionRequest, pb.ResetSessionRequest),
+    *(pb.ListSessionsResponse, pb.SessionHistory, pb.ServerInfo),
+    *(pb.CreateMeshRequest, pb.ListMeshesResponse),
+)
 
 
 def error_responses(*classes: type[ServiceError]) -> dict[int | str, dict[str, Any]]:
@@ -28,10 +31,10 @@ def error_responses(*classes: type[ServiceError]) -> dict[int | str, dict[str, A
     return responses
 
 
-def json_body(model: type[BaseModel], *, required: bool = True, **examples: dict) -> dict[str, Any]:
+def json_body(kind: type[Message], *, required: bool = True, **examples: dict) -> dict[str, Any]:
     """``openapi_extra`` of an operation with this body and named examples of it."""
     content = {
-        "schema": {"$ref": _REFERENCE.format(model=model.__name__)},
+        "schema": reference(kind),
         "examples": {name: {"value": value} for name, value in examples.items()},
     }
     return {"requestBody": {"required": required, "content": {"application/json": content}}}
@@ -43,18 +46,18 @@ def binary_body(description: str) -> dict[str, Any]:
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
 
-def binary_response(description: str) -> dict[int | str, dict[str, Any]]:
-    """The ``responses`` of an operation that returns bytes."""
+def binary_response(description: str, headers: dict[str, str] | None = None) -> dict[int | str, dict[str, Any]]:
+    """The ``responses`` of an operation that returns bytes, and perhaps numbers in headers with a meaning each."""
     content = {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}
-    return {200: {"description": description, "content": content}}
+    described = {name: {"description": meaning, "schema": {"type": "integer"}} for name, meaning in (headers or {}).items()}
+    return {200: {"description": description, "content": content, **({"headers": described} if described else {})}}
 
 
 def openapi_document(app: FastAPI) -> dict[str, Any]:
-    """FastAPI's document, extended with the schemas of the bodies."""
+    """FastAPI's document, extended with the schemas of the contract's messages."""
     if app.openapi_schema is None:
         document = FastAPI.openapi(app)
-        _, schemas = models_json_schema([(model, "validation") for model in _BODIES], ref_template=_REFERENCE)
-        document["components"]["schemas"].update(schemas["$defs"])
+        document["components"]["schemas"].update(schemas(*_MESSAGES))
         document["components"]["securitySchemes"] = {"key": {"type": "http", "scheme": "bearer"}}
         document["security"] = [{"key": []}, {}]
     return app.openapi_schema

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import functools
+import json
 from collections.abc import Callable
 from datetime import datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any
 
 from ddakf_api.errors import (
     DeadlineExceeded,
@@ -25,11 +27,9 @@ from ddakf_api.errors import (
     WorkerLost,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
-from fastapi import FastAPI, Path, Query, Request, Response
-from fastapi.responses import PlainTextResponse
-from google.protobuf.message import Message
+from fastapi import Depends, FastAPI, Path, Query, Request, Response
+from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
-from pydantic import BaseModel
 from starlette.convertors import Convertor, register_url_convertor
 
 import ddakf
@@ -40,25 +40,29 @@ from ...sessions.service import Sessions
 from ...settings import Settings
 from ...store.store import Store
 from ..rest import bodies
-from .cross_origin import add_origin_check
 from .errors import add_error_handlers
-from .history import HistoryOut, history_request
+from .history import history_request
+from .mesh_routes import add_mesh_routes
 from .openapi import binary_body, binary_response, error_responses, json_body, openapi_document
+from .pages import documentation
+from .pages.dashboard import add_dashboard
+from .query import check_query
 from .requests import (
     EXAMPLE_ID,
     KEY_VALUES,
-    STATES,
     TRIANGLE,
-    CreateSession,
-    ResetSession,
     RestoreSession,
-    UpdateSession,
-    key_value,
-    states_from,
+    create_request,
+    enum_numbers,
+    labels_from,
+    reset_request,
+    update_request,
 )
-from .responses import Info, Readiness, SessionList, SessionOut, Statistics
+from .responses import LAST_SEQUENCE_NUMBER, Readiness, answer, answer_of, created
 
 _OCTETS = "application/octet-stream"
+
+_SNAPSHOT_HEADERS = {LAST_SEQUENCE_NUMBER: "of the last frame in the state; 0: none"}
 
 _SESSION_ERRORS = error_responses(SessionNotFound, SessionExpired, InvalidArgument)
 _WORKER_ERRORS = {**_SESSION_ERRORS, **error_responses(WorkerLost)}
@@ -67,6 +71,9 @@ _CREATION_ERRORS = error_responses(
     *(VersionMismatch, SessionExists, SessionNotFound, SessionExpired, MessageTooLarge, InvalidArgument),
     *(ResourceExhausted, Draining, DeadlineExceeded),
 )
+
+
+STATES = {"items": {"type": "string", "enum": pb.SessionState.keys()}}
 
 
 def _example(value: object) -> dict:
@@ -96,7 +103,7 @@ _States = Annotated[
     Query(
         description="only sessions in one of these states",
         json_schema_extra=STATES,
-        openapi_examples=_example(["idle", "tracking"]),
+        openapi_examples=_example(["SESSION_STATE_IDLE", "SESSION_STATE_TRACKING"]),
     ),
 ]
 _Labels = Annotated[
@@ -107,12 +114,23 @@ _Labels = Annotated[
         openapi_examples=_example(["scene=stage"]),
     ),
 ]
+_View = Annotated[
+    str,
+    Query(description="SESSION_VIEW_BASIC, or SESSION_VIEW_FULL with the meshes", openapi_examples=_example("SESSION_VIEW_FULL")),
+]
+
+
+def _earlier(name: str, **options: Any) -> Any:
+    """A parameter that this version still accepts by an earlier name."""
+    return Query(deprecated=True, description=f"earlier name of {name}", **options)
+
 
 DESCRIPTION = """Garment tracking from point clouds.
 
 Frames travel over gRPC (`ddakf_api.v1.TrackingService/Track`) or over a WebSocket, `/v1/sessions/{session_id}/stream`. A
-watcher reads the results at `/v1/sessions/{session_id}/watch`. Both accept `?mode=json` for text frames. All errors have the
-form `ErrorOut` and the names of the classes that the clients raise."""
+watcher reads the results at `/v1/sessions/{session_id}/watch`. Both accept `?mode=json` for text frames. JSON is the protobuf
+JSON mapping of the contract's messages, in bodies, answers and text frames. An array of a request may also be a list of rows.
+All errors have the form `ErrorOut` and the names of the classes that the clients raise."""
 
 
 def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_ready: Callable[[], str], store: Store) -> FastAPI:
@@ -126,15 +144,38 @@ def create_app(sessions: Sessions, settings: Settings, metrics: Metrics, not_rea
         version=ddakf.__version__,
         description=DESCRIPTION,
         responses=error_responses(Unauthenticated, PermissionDenied),
+        dependencies=[Depends(check_query)],
+        openapi_url=None,
+        docs_url=None,
+        redoc_url=None,
     )
     add_error_handlers(app)
-    add_origin_check(app, settings.cors_origins)
+    _add_document_routes(app)
     _add_server_routes(app, sessions, settings, metrics, not_ready, store)
     _add_collection_routes(app, sessions, settings)
     _add_session_routes(app, sessions, settings)
     _add_state_routes(app, sessions, settings)
+    add_mesh_routes(app, sessions.meshes, settings)
+    add_dashboard(app, settings)
     app.openapi = lambda: openapi_document(app)
     return app
+
+
+def _add_document_routes(app: FastAPI) -> None:
+    """The OpenAPI document and its page. The first call makes them in a thread, as that takes a tenth of a second."""
+
+    @functools.cache
+    def texts() -> tuple[str, str]:
+        document = openapi_document(app)
+        return json.dumps(document), documentation.documentation_page(document)
+
+    @app.get("/openapi.json", include_in_schema=False)
+    async def openapi_json() -> Response:
+        return Response((await asyncio.to_thread(texts))[0], media_type="application/json")
+
+    @app.get(documentation.PATH, include_in_schema=False)
+    async def docs() -> Response:
+        return HTMLResponse((await asyncio.to_thread(texts))[1])
 
 
 def _add_server_routes(
@@ -160,10 +201,10 @@ def _add_server_routes(
         """Prometheus exposition."""
         return Response(generate_latest(metrics.registry), media_type=CONTENT_TYPE_LATEST)
 
-    @app.get("/v1/info", tags=["server"])
-    async def info() -> Info:
+    @app.get("/v1/info", tags=["server"], responses={**answer_of(pb.ServerInfo), **error_responses(InvalidArgument)})
+    async def info() -> Response:
         """Versions, codecs and limits."""
-        return Info.of(server_info(settings, sessions.draining))
+        return await answer(server_info(settings, sessions.draining))
 
 
 def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
@@ -173,52 +214,68 @@ def _add_collection_routes(app: FastAPI, sessions: Sessions, settings: Settings)
         "/v1/sessions",
         tags=["sessions"],
         status_code=201,
-        responses=_CREATION_ERRORS,
+        responses={**answer_of(pb.Session, 201), **_CREATION_ERRORS},
         openapi_extra=json_body(
-            CreateSession,
-            named={"session_id": EXAMPLE_ID, "garment": TRIANGLE, "fabric": "cotton", "labels": {"scene": "stage"}},
-            configured={"garment": TRIANGLE, "config": {"associate": {"wide_gate": 0.3}}, "limits": {"idle_timeout": 60}},
+            pb.CreateSessionRequest,
+            named={
+                "session": {"garment": TRIANGLE, "fabric": "cotton", "labels": {"scene": "stage"}},
+                "session_id": EXAMPLE_ID,
+            },
+            configured={
+                "session": {
+                    "garment": TRIANGLE,
+                    "config_json": '{"associate": {"wide_gate": 0.3}}',
+                    "limits": {"idle_timeout": 60},
+                }
+            },
         ),
     )
-    async def create_session(request: Request, response: Response) -> SessionOut:
+    async def create_session(request: Request) -> Response:
         """Creates a session; frames are then streamed to it over gRPC or a WebSocket."""
-        message = await bodies.parse_json(request, settings, lambda body: CreateSession.model_validate_json(body).to_message())
-        return _created(await sessions.create(message), response)
+        message = await bodies.parse_json(request, settings, create_request)
+        return await created(await sessions.create(message))
 
-    @app.get("/v1/sessions", tags=["sessions"], response_model=SessionList, responses=error_responses(InvalidArgument))
+    @app.get(
+        "/v1/sessions", tags=["sessions"], responses={**answer_of(pb.ListSessionsResponse), **error_responses(InvalidArgument)}
+    )
     async def list_sessions(
         page_size: _PageSize = 0,
         page_token: Annotated[str, Query(description="next_page_token of the page before")] = "",
-        state: _States = [],  # noqa: B006
-        label: _Labels = [],  # noqa: B006
+        states: _States = [],  # noqa: B006
+        labels: _Labels = [],  # noqa: B006
+        state: Annotated[list[str], _earlier("states")] = [],  # noqa: B006
+        label: Annotated[list[str], _earlier("labels")] = [],  # noqa: B006
     ) -> Response:
-        """Lists sessions, oldest first."""
-        request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=states_from(state))
-        request.labels.update(key_value(text) for text in label)
-        return await _json_response(SessionList.of, sessions.list(request))
+        """Lists live sessions, oldest first; with no other states than EXPIRED and CLOSED the ended ones, newest first."""
+        numbers = enum_numbers([*states, *state], pb.SessionState.DESCRIPTOR, "states")
+        request = pb.ListSessionsRequest(page_size=page_size, page_token=page_token, states=numbers)
+        request.labels.update(labels_from([*labels, *label]))
+        return await answer(await sessions.list(request))
 
 
 def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
     """The standard methods of one session, and its history."""
 
-    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], response_model=SessionOut, responses=_SESSION_ERRORS)
-    async def get_session(
-        session_id: SessionId,
-        view: Annotated[Literal["basic", "full"], Query(openapi_examples=_example("full"))] = "basic",
-    ) -> Response:
+    @app.get("/v1/sessions/{session_id:session}", tags=["sessions"], responses={**answer_of(pb.Session), **_SESSION_ERRORS})
+    async def get_session(session_id: SessionId, view: _View = "SESSION_VIEW_BASIC") -> Response:
         """State, reliability, coverage, frame rate and drops as of the last frame; with the meshes in the full view."""
-        session_view = pb.SESSION_VIEW_FULL if view == "full" else pb.SESSION_VIEW_BASIC
-        return await _json_response(SessionOut.of, await sessions.get(f"sessions/{session_id}", session_view))
+        (session_view,) = enum_numbers([view], pb.SessionView.DESCRIPTOR, "view")
+        return await answer(await sessions.get(f"sessions/{session_id}", session_view))
 
     @app.patch(
         "/v1/sessions/{session_id:session}",
         tags=["sessions"],
-        responses={**_WORKER_ERRORS, **_BODY_ERRORS, **error_responses(FailedPrecondition)},
+        responses={
+            **answer_of(pb.Session),
+            **_WORKER_ERRORS,
+            **_BODY_ERRORS,
+            **error_responses(FailedPrecondition),
+        },
         openapi_extra=json_body(
-            UpdateSession,
-            labels={"labels": {"scene": "stage", "take": "2"}},
-            limits={"limits": {"idle_timeout": 120}},
-            fabric={"fabric": "silk"},
+            pb.UpdateSessionRequest,
+            labels={"session": {"labels": {"scene": "stage", "take": "2"}}},
+            limits={"session": {"limits": {"idle_timeout": 120}}, "update_mask": "labels,limits"},
+            fabric={"session": {"fabric": "silk"}, "update_mask": "labels,fabric"},
         ),
     )
     async def update_session(
@@ -228,31 +285,30 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
             str,
             Query(description="fields, separated by commas; empty: those in the body", openapi_examples=_example("labels")),
         ] = "",
-    ) -> SessionOut:
+    ) -> Response:
         """Changes labels, limits, configuration and fabric. A field that the mask names and the body lacks is reset to its
         default."""
         name = f"sessions/{session_id}"
-        message = await bodies.parse_json(
-            request, settings, lambda body: UpdateSession.model_validate_json(body).to_message(name, update_mask)
-        )
-        return SessionOut.of(await sessions.update(message))
+        message = await bodies.parse_json(request, settings, lambda body: update_request(body, name, update_mask))
+        return await answer(await sessions.update(message))
 
     @app.get(
         "/v1/sessions/{session_id:session}/history",
         tags=["sessions"],
-        response_model=HistoryOut,
-        responses={**_SESSION_ERRORS, **error_responses(Unavailable)},
+        responses={**answer_of(pb.SessionHistory), **_SESSION_ERRORS, **error_responses(Unavailable)},
     )
     async def get_session_history(
         session_id: SessionId,
-        start: Annotated[datetime | None, Query(alias="from", description="without it the session's creation")] = None,
-        end: Annotated[datetime | None, Query(alias="to", description="without it now, or the session's end")] = None,
+        start_time: Annotated[datetime | None, Query(description="without it the session's creation")] = None,
+        end_time: Annotated[datetime | None, Query(description="without it now, or the session's end")] = None,
         resolution: Annotated[float, Query(ge=0, lt=2**32, description="seconds per sample; 0: the finest that fits")] = 0,
         max_samples: Annotated[int, Query(ge=0, lt=2**32, description="at most this many; 0: 500; lowered to 10000")] = 0,
+        earlier_start: Annotated[datetime | None, _earlier("start_time", alias="from")] = None,
+        earlier_end: Annotated[datetime | None, _earlier("end_time", alias="to")] = None,
     ) -> Response:
         """Reliability, coverage, latency, frames by outcome and changes of state over time, of a live or a past session."""
-        request = history_request(session_id, start, end, resolution, max_samples)
-        return await _json_response(HistoryOut.of, await sessions.history(request))
+        span = start_time or earlier_start, end_time or earlier_end
+        return await answer(await sessions.history(history_request(session_id, *span, resolution, max_samples)))
 
     @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_SESSION_ERRORS)
     async def delete_session(session_id: SessionId) -> None:
@@ -263,56 +319,50 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
 def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
     """The methods on the tracker of a session."""
 
-    @app.get("/v1/sessions/{session_id:session}/statistics", tags=["state"], responses=_SESSION_ERRORS)
-    async def statistics(session_id: SessionId) -> Statistics:
+    @app.get(
+        "/v1/sessions/{session_id:session}/statistics",
+        tags=["state"],
+        responses={**answer_of(pb.SessionStatistics), **_SESSION_ERRORS},
+    )
+    async def statistics(session_id: SessionId) -> Response:
         """Counters, and the numbers of the last frame."""
-        return Statistics.of((await sessions.get(f"sessions/{session_id}")).statistics)
+        return await answer((await sessions.get(f"sessions/{session_id}")).statistics)
 
     @app.post(
         "/v1/sessions/{session_id:session}:reset",
         tags=["state"],
-        responses={**_WORKER_ERRORS, **_BODY_ERRORS},
-        openapi_extra=json_body(ResetSession, required=False, rest={}, there={"vertices": TRIANGLE["vertices"]}),
+        responses={**answer_of(pb.Session), **_WORKER_ERRORS, **_BODY_ERRORS},
+        openapi_extra=json_body(pb.ResetSessionRequest, required=False, rest={}, there={"vertices": TRIANGLE["vertices"]}),
     )
-    async def reset_session(session_id: SessionId, request: Request) -> SessionOut:
+    async def reset_session(session_id: SessionId, request: Request) -> Response:
         """Resets the tracker to given vertices, or without a body to the rest shape."""
         name = f"sessions/{session_id}"
-        message = await bodies.parse_json(
-            request, settings, lambda body: ResetSession.model_validate_json(body or b"{}").to_message(name)
-        )
-        return SessionOut.of(await sessions.reset(message))
+        message = await bodies.parse_json(request, settings, lambda body: reset_request(body, name))
+        return await answer(await sessions.reset(message))
 
     @app.get(
         "/v1/sessions/{session_id:session}/snapshot",
         tags=["state"],
         response_class=Response,
-        responses={**_WORKER_ERRORS, **binary_response("the tracker's state, versioned and opaque")},
+        responses={**_WORKER_ERRORS, **binary_response("the tracker's state, versioned and opaque", _SNAPSHOT_HEADERS)},
     )
     async def snapshot_session(session_id: SessionId) -> Response:
         """The full state of the tracker; a restored tracker's next frame is equal to the bit."""
-        data = (await sessions.snapshot(f"sessions/{session_id}")).data
-        return Response(data, media_type=_OCTETS, headers={"Content-Disposition": 'attachment; filename="ddakf.snapshot"'})
+        snapshot = await sessions.snapshot(f"sessions/{session_id}")
+        headers = {
+            "Content-Disposition": 'attachment; filename="ddakf.snapshot"',
+            LAST_SEQUENCE_NUMBER: str(snapshot.session.statistics.last_sequence_number),
+        }
+        return Response(snapshot.data, media_type=_OCTETS, headers=headers)
 
     @app.post(
         "/v1/sessions:restore",
         tags=["state"],
         status_code=201,
-        responses={**_CREATION_ERRORS, **error_responses(InvalidSnapshot, InvalidArgument)},
+        responses={**answer_of(pb.Session, 201), **_CREATION_ERRORS, **error_responses(InvalidSnapshot, InvalidArgument)},
         openapi_extra=binary_body("response of GET /v1/sessions/{session_id}/snapshot, of this server or another"),
     )
-    async def restore_session(request: Request, response: Response, query: Annotated[RestoreSession, Query()]) -> SessionOut:
+    async def restore_session(request: Request, query: Annotated[RestoreSession, Query()]) -> Response:
         """Creates a session from a snapshot."""
         data = await bodies.read(request, settings.max_message_bytes, settings.request_timeout)
-        return _created(await sessions.restore(query.to_message(data)), response)
-
-
-def _created(session: pb.Session, response: Response) -> SessionOut:
-    response.headers["Location"] = f"/v1/{session.name}"
-    return SessionOut.of(session)
-
-
-async def _json_response(model_of: Callable[[Message], BaseModel], message: Message) -> Response:
-    """A large response, serialised in a thread so that no stream waits. A hundred thousand vertices or ten thousand samples
-    take a tenth of a second."""
-    text = await asyncio.to_thread(lambda: model_of(message).model_dump_json())
-    return Response(text, media_type="application/json")
+        return await created(await sessions.restore(query.to_message(data)))

@@ -1,4 +1,4 @@
-"""Validation errors of pydantic as field, expected and got."""
+"""Validation errors of queries and addresses, from pydantic, as field, expected and got."""
 
 from __future__ import annotations
 
@@ -45,13 +45,6 @@ def invalid_argument(error: RequestValidationError | ValidationError) -> Invalid
     field = ".".join(itertools.takewhile(_is_field, map(str, location))) or "body"
     if kind == "extra_forbidden":  # the name comes from the client and may have any letters
         field = ".".join(map(str, location))
-    if kind == "json_invalid":
-        return InvalidArgument(field=field, expected="JSON", got=f"invalid text: {context.get('error', 'not readable')}")
-    in_union = any(not _is_field(str(part)) for part in location)
-    if in_union and kind == "list_type":
-        return InvalidArgument(field=field, expected="a list of triples, or an object of encoding and data", got=_shown(value))
-    if in_union and kind in ("missing", "too_long"):
-        return InvalidArgument(field=field, expected="three numbers in each row", got=_shown(value))
     expected = _EXPECTED[kind].format(**context) if kind in _EXPECTED else first["msg"].removeprefix("Input should be ")
     got = {"missing": "nothing", "string_too_long": "more"}.get(kind) or _shown(value)
     return InvalidArgument(field=field, expected=expected, got=got)

@@ -8,12 +8,13 @@ from typing import Protocol
 from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 from fastapi import WebSocket
-from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
-from ...sessions.response import Response
+from ...sessions.responses.response import Response
 from ...streaming.frame_message import TrackRequest
 from ..bounded_parsing import require_bounded_json
+from ..dialect.reading import read
+from ..dialect.writing import as_json
 from ..track_requests import read_track_request, without_frame
 
 _LARGE = 1 << 16  # bytes; JSON of a larger message is written and read in a thread
@@ -53,25 +54,15 @@ class Json:
         if (text := event.get("text")) is None:
             raise InvalidArgument(field="message", expected="a text frame in mode=json", got="a binary frame")
         require_bounded_json(text)
-        try:
-            request = await _maybe_in_thread(len(text), json_format.Parse, text or "{}", pb.TrackRequest())
-        except (json_format.ParseError, RecursionError) as error:
-            got = " ".join(str(error).split())
-            raise InvalidArgument(field="message", expected="a TrackRequest as JSON", got=got) from None
+        request = await _maybe_in_thread(len(text), read, text, pb.TrackRequest, "message")
         return without_frame(request) if request.WhichOneof("message") else None
 
     async def send(self, websocket: WebSocket, response: Response) -> None:
         message = response.whole_message()
-        await websocket.send_text(await _maybe_in_thread(message.ByteSize(), _as_json, message))
+        await websocket.send_text(await _maybe_in_thread(message.ByteSize(), as_json, message))
 
 
 MODES: dict[str, Mode] = {"binary": Binary(), "json": Json()}
-
-
-def _as_json(response: pb.TrackResponse) -> str:
-    return json_format.MessageToJson(
-        response, preserving_proto_field_name=True, always_print_fields_with_no_presence=True, indent=None
-    )
 
 
 async def _maybe_in_thread(size: int, function, *arguments):

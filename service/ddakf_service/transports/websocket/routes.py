@@ -1,7 +1,8 @@
 """WebSocket routes: a session's stream and its watchers, as protobuf in binary frames or as JSON in text frames.
 
-An empty message marks the end of the frames, as half-closing does over gRPC. A stream that ends with an error is closed with
-the code 4000 plus the error's HTTP status, and the error's message as the reason.
+An empty message marks the end of the frames, as half-closing does over gRPC. A stream that ends with an error sends the error,
+and is closed with the code 4000 plus the error's HTTP status and the error's message as the reason: several errors have the same
+status, and a page in a browser sees nothing else of a closed connection.
 """
 
 from __future__ import annotations
@@ -17,9 +18,10 @@ from fastapi import FastAPI, WebSocket, WebSocketDisconnect
 
 from ddakf import errors as library
 
-from ...sessions.response import Response
+from ...sessions.responses.response import Response
 from ...streaming.stream import Stream
 from ...streaming.streams import Streams
+from ..query_parameters import require_known
 from ..truncation import truncated
 from .modes import MODES, Mode
 
@@ -41,7 +43,8 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
 
     @app.websocket("/v1/sessions/{session_id}/stream")
     async def stream(websocket: WebSocket, session_id: str) -> None:
-        await _answering_errors(websocket, functools.partial(_stream, patience=patience), streams, f"sessions/{session_id}")
+        converse = functools.partial(_stream, patience=patience)
+        await _answering_errors(websocket, converse, streams, f"sessions/{session_id}")
 
     @app.websocket("/v1/sessions/{session_id}/watch")
     async def watch(websocket: WebSocket, session_id: str) -> None:
@@ -51,24 +54,36 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
 async def _answering_errors(websocket: WebSocket, converse, streams: Streams, name: str) -> None:
     """Runs a stream or a watcher and closes the connection with the resulting code and reason."""
     await websocket.accept(SUBPROTOCOL if SUBPROTOCOL in websocket.scope["subprotocols"] else None)
-    code, reason = _NORMAL, ""
+    failure = None
     try:
         await converse(websocket, streams, name)
     except WebSocketDisconnect:
         return
     except (ServiceError, library.DdakfError) as error:
-        code, reason = _closing(error)
+        failure = error
     except Exception as error:
         log.exception("a WebSocket stream failed")
-        code, reason = _closing(error)
+        failure = error
     try:
-        await websocket.close(code, reason)
+        await _end(websocket, failure)
     except (WebSocketDisconnect, RuntimeError):
-        log.debug("the client left before the close code %s", code)
+        log.debug("the client left before the end of its stream: %s", failure)
+
+
+async def _end(websocket: WebSocket, failure: Exception | None) -> None:
+    """Closes the connection; an error is sent before, in the stream's mode if the address names a mode."""
+    if failure is None:
+        await websocket.close(_NORMAL)
+        return
+    detail = to_detail(failure)
+    if mode := MODES.get(_mode_name(websocket)):
+        await _send(websocket, mode, Response(pb.TrackResponse(error=detail)))
+    await websocket.close(ERROR_CODES + class_of(failure).http_status, truncated(detail.message, _MAX_REASON_BYTES))
 
 
 async def _stream(websocket: WebSocket, streams: Streams, name: str, *, patience: float) -> None:
-    mode = _mode(websocket)
+    mode = _mode(websocket, "mode")
+    await streams.require_session(name)  # before the client takes the pains of a start
     try:
         async with asyncio.timeout(patience):
             start = await _start(websocket, mode, name)
@@ -95,12 +110,20 @@ async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
 
 
 async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
-    mode, query = _mode(websocket), websocket.query_params
+    mode, query = _mode(websocket, "mode", "api_version", "every_nth", "include_frames"), websocket.query_params
     every_nth = query.get("every_nth", "1")
     if not re.fullmatch("[0-9]{1,9}", every_nth):
         raise InvalidArgument(field="every_nth", expected="a whole number of at most 9 digits", got=repr(every_nth[:80]))
-    request = pb.WatchSessionRequest(name=name, api_version=query.get("api_version", ""), every_nth=int(every_nth))
-    watcher = streams.watch(request)
+    include_frames = query.get("include_frames", "false")
+    if include_frames not in ("true", "false"):
+        raise InvalidArgument(field="include_frames", expected="true or false", got=repr(include_frames[:80]))
+    request = pb.WatchSessionRequest(
+        name=name,
+        api_version=query.get("api_version", ""),
+        every_nth=int(every_nth),
+        include_frames=include_frames == "true",
+    )
+    watcher = await streams.watch(request)
 
     async def refuse_messages() -> None:
         try:
@@ -144,13 +167,14 @@ async def _send(websocket: WebSocket, mode: Mode, response: Response) -> None:
         raise WebSocketDisconnect() from error
 
 
-def _mode(websocket: WebSocket) -> Mode:
-    name = websocket.query_params.get("mode", "binary")
+def _mode(websocket: WebSocket, *parameters: str) -> Mode:
+    """The mode of a connection whose query may have these parameters."""
+    require_known(websocket.query_params, parameters)
+    name = _mode_name(websocket)
     if name not in MODES:
         raise InvalidArgument(field="mode", expected=" or ".join(MODES), got=repr(name[:80]))
     return MODES[name]
 
 
-def _closing(error: Exception) -> tuple[int, str]:
-    """Close code of an error, and its message truncated to fit."""
-    return ERROR_CODES + class_of(error).http_status, truncated(to_detail(error).message, _MAX_REASON_BYTES)
+def _mode_name(websocket: WebSocket) -> str:
+    return websocket.query_params.get("mode", "binary")

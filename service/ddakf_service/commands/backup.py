@@ -1,0 +1,152 @@
+"""Commands ``ddakf backup`` and ``ddakf restore``: a data folder to and from an archive, while its server runs or not."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import sqlite3
+import sys
+import tarfile
+import time
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import ddakf
+from ddakf.errors import InvalidArgument, InvalidConfig, InvalidFile
+
+from ..setting_sources import load, shown
+from ..store.files.permissions import FILE, make_folder, opener
+from ..store.files.written_file import UNFINISHED
+from ..store.store import NO_DATA_DIR
+
+DATABASE, ABOUT = "ddakf.sqlite", "backup.json"
+_FOLDERS = ("checkpoints", "meshes")
+_ATTEMPTS = 10  # to read a file of a folder in which the server writes
+
+
+def back_up(args: argparse.Namespace) -> int:
+    """Writes the archive and returns the exit status.
+
+    The database comes first: a session that begins afterwards has a checkpoint and no row, and is forgotten by the next start.
+    """
+    folder = _data_folder(args)
+    if not (folder / DATABASE).is_file():
+        raise InvalidConfig("data_dir", "the folder of a service", f"{folder}, which has no {DATABASE}")
+    if not args.file.absolute().parent.is_dir():
+        raise InvalidArgument("file", "a file in a folder that exists", str(args.file))
+    unfinished = args.file.with_name(args.file.name + UNFINISHED)
+    try:
+        with open(unfinished, "wb", opener=opener) as file, tarfile.open(fileobj=file, mode="w") as archive:
+            counted = _fill(archive, folder)
+            file.flush()
+            os.fsync(file.fileno())
+        unfinished.replace(args.file)
+    finally:
+        unfinished.unlink(missing_ok=True)
+    print(f"{args.file}: the database, {counted['checkpoints']} checkpoints, {counted['meshes']} meshes", file=sys.stderr)
+    return 0
+
+
+def restore(args: argparse.Namespace) -> int:
+    """Makes a data folder from an archive and returns the exit status.
+
+    Raises:
+        InvalidFile: it is no archive of ``ddakf backup``. InvalidConfig: the folder is not empty.
+    """
+    folder = _data_folder(args)
+    if folder.exists() and any(folder.iterdir()):
+        raise InvalidConfig("data_dir", "an empty folder, or none yet", str(folder))
+    try:
+        with tarfile.open(args.file) as archive:
+            names = archive.getnames()
+            if ABOUT not in names or DATABASE not in names:
+                raise InvalidFile(str(args.file), "an archive of `ddakf backup`", "another one")
+            make_folder(folder)
+            for member in archive:
+                _extract(archive, member, folder, args.file)
+    except tarfile.TarError as error:
+        raise InvalidFile(str(args.file), "an archive of `ddakf backup`", str(error)) from None
+    with closing(sqlite3.connect(folder / DATABASE)) as database:
+        (state,) = database.execute("PRAGMA integrity_check").fetchone()
+    if state != "ok":
+        raise InvalidFile(str(args.file), "a whole database", state)
+    print(f"{folder}: restored; start the service with the server_id that it had", file=sys.stderr)
+    return 0
+
+
+def _data_folder(args: argparse.Namespace) -> Path:
+    """The data folder, which has everything.
+
+    Raises:
+        InvalidConfig: the service stores elsewhere.
+    """
+    flags = {} if args.setting_data_dir is None else {"data_dir": args.setting_data_dir}
+    settings = load(flags, args.config)[0]
+    if settings.data_dir == NO_DATA_DIR:
+        raise InvalidConfig("data_dir", "a folder", "none: nothing is stored")
+    for name, tool in (("database_url", "back up the database with its own tools"), ("checkpoint_url", "copy that place")):
+        if value := getattr(settings, name):
+            raise InvalidConfig(name, f"nothing, as everything is in data_dir; otherwise {tool}", shown(name, value))
+    return Path(settings.data_dir).expanduser()
+
+
+def _fill(archive: tarfile.TarFile, folder: Path) -> dict[str, int]:
+    """Adds everything; returns the number of files by folder."""
+    about = {"version": ddakf.__version__, "time": time.time()}
+    _add(archive, ABOUT, json.dumps(about).encode())
+    _add(archive, DATABASE, _database(folder / DATABASE))
+    counted = dict.fromkeys(_FOLDERS, 0)
+    for name in _FOLDERS:
+        for place in sorted({path.parent for path in (folder / name).rglob("*") if path.is_file()}):
+            for path, content in _newest(place) if name == "checkpoints" else _all(place):
+                _add(archive, str(path.relative_to(folder)), content)
+                counted[name] += 1
+    return counted
+
+
+def _database(file: Path) -> bytes:
+    """A consistent copy of a database in use."""
+    with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as source, closing(sqlite3.connect(":memory:")) as copy:
+        source.backup(copy)
+        return copy.serialize()
+
+
+def _newest(session: Path) -> Iterator[tuple[Path, bytes]]:
+    """The newest checkpoint of a session. The server may write another one and delete this one at any time."""
+    for _ in range(_ATTEMPTS):
+        files = sorted(path for path in session.glob("*") if path.suffix != UNFINISHED)
+        if not files:
+            return
+        with contextlib.suppress(FileNotFoundError):
+            yield files[-1], files[-1].read_bytes()
+            return
+
+
+def _all(folder: Path) -> Iterator[tuple[Path, bytes]]:
+    for path in sorted(folder.iterdir()):
+        if path.is_file() and path.suffix != UNFINISHED:
+            with contextlib.suppress(FileNotFoundError):
+                yield path, path.read_bytes()
+
+
+def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
+    entry = tarfile.TarInfo(name)
+    entry.size, entry.mode, entry.mtime = len(content), FILE, int(time.time())
+    archive.addfile(entry, io.BytesIO(content))
+
+
+def _extract(archive: tarfile.TarFile, member: tarfile.TarInfo, folder: Path, file: Path) -> None:
+    """Writes a member for the owner alone; anything but a file below the folder is refused."""
+    place = Path(member.name)
+    if not member.isfile() or place.is_absolute() or ".." in place.parts:
+        raise InvalidFile(str(file), "files of a data folder", member.name)
+    if member.name == ABOUT:
+        return
+    make_folder((folder / place).parent)
+    with open(folder / place, "xb", opener=opener) as out:
+        out.write(archive.extractfile(member).read())
+

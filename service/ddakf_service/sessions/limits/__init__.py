@@ -1,0 +1,1 @@
+"""Limits of sessions: admission of new ones, penalties for costly ones."""

@@ -1,0 +1,1 @@
+"""Files of the store: checkpoints, the data folder, permissions."""

@@ -1,0 +1,1 @@
+"""Tables of the store: database, migrations, registry and history of sessions."""

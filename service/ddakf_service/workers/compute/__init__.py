@@ -1,0 +1,1 @@
+"""Computation in a worker process: main program, lanes, trackers, warm-up."""

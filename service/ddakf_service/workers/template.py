@@ -1,0 +1,250 @@
+"""Template: a process that has loaded all that a worker needs, and the workers forked from it.
+
+It has one thread and no gRPC: a fork of it is a complete worker, ready in milliseconds, which shares its memory and becomes a
+child of the server. On other systems than Linux, whose frameworks forbid forks, a template becomes the worker itself.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import ctypes
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, NamedTuple, Protocol
+
+if TYPE_CHECKING:  # this module has to be imported within milliseconds, see Template
+    from .pool import Limits, Progress
+
+FORKS = sys.platform == "linux"
+# One compute thread per worker: sessions are the unit of parallelism, and more threads than cores add only waiting.
+ONE_THREAD = {name: "1" for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+
+_PROGRAM = (sys.executable, "-m", "ddakf_service.workers.compute.process")
+_PR_SET_CHILD_SUBREAPER = 36
+STREAM_BUFFER = 4 << 20  # bytes; a result of 100,000 vertices fits without pausing the transport
+_POLL_INTERVAL = 0.01  # seconds
+
+
+class WorkerStartFailed(RuntimeError):
+    """A worker died or hung before it had tracked its first frame."""
+
+
+class Process(Protocol):
+    """The part of ``subprocess.Popen`` that a worker uses."""
+
+    pid: int
+
+    def kill(self) -> None: ...
+
+    def wait(self, timeout: float | None = None) -> int: ...
+
+
+class Connected(NamedTuple):
+    """A ready worker process, and the server's end of its pipe.
+
+    Attributes:
+        here: it runs on this machine.
+        leaving: whether its machine is about to stop.
+    """
+
+    process: Process
+    reader: asyncio.StreamReader
+    writer: asyncio.StreamWriter
+    here: bool = True
+    leaving: Callable[[], bool] = lambda: False
+
+
+class WorkerSource(Protocol):
+    """Makes workers."""
+
+    async def worker(self, progress: Progress) -> Connected:
+        """A ready worker; raises WorkerStartFailed or OSError."""
+
+    async def end(self, patience: float = 0.0) -> None:
+        """Gives back what the source itself has; its workers go on."""
+
+
+class Template:
+    """A template process, from its launch.
+
+    ``ddakf serve`` launches one before it imports gRPC and the web framework: both load at the same time.
+    """
+
+    def __init__(self, forks: bool = FORKS):
+        if forks:
+            _adopt_orphans()
+        with _ends() as (ours, theirs):
+            # The event loop would fork, which gRPC's threads forbid; Popen spawns the new program directly.
+            self.process = subprocess.Popen(
+                [*_PROGRAM, str(os.getpid()), str(theirs.fileno()), "fork" if forks else "single"],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                env={**os.environ, **ONE_THREAD},
+            )
+        self._control = ours
+        self._writer: asyncio.StreamWriter | None = None
+        self._loaded = False
+
+    async def load(self, limits: Limits, progress: Progress) -> None:
+        """Returns when the template has loaded the kernels and tracked a frame; at once if it has.
+
+        Raises:
+            WorkerStartFailed: it ended before. OSError: it is gone.
+        """
+        if self._writer is not None:
+            return
+        reader, self._writer = await asyncio.open_unix_connection(sock=self._control.dup())
+        log = {name: os.environ[name] for name in ("DDAKF_LOG_LEVEL", "DDAKF_LOG_FORMAT") if name in os.environ}
+        self._writer.write(json.dumps({"limits": limits.to_json(), "log": log}).encode() + b"\n")
+        while step := json.loads(await reader.readline() or b"null"):
+            if step == "ready":
+                self._loaded = True
+                return
+            progress(*step)
+        code = await asyncio.to_thread(self.process.wait)
+        raise WorkerStartFailed(f"a worker ended with status {code} before it was ready; see its log")
+
+    def connect(self) -> socket.socket:
+        """Asks for a worker; returns the server's end of its pipe.
+
+        Raises:
+            OSError: the template is gone.
+        """
+        with _ends() as (ours, theirs):
+            socket.send_fds(self._control, [b"w"], [theirs.fileno()])
+        return ours
+
+    def leave(self) -> None:
+        """Closes the socket: a template that waits for it ends, a worker that it has become goes on."""
+        if self._writer is not None:
+            self._writer.close()
+        self._control.close()
+
+    async def end(self, patience: float = 0.0) -> None:
+        """Ends the template; kills it after ``patience`` seconds, or at once while it loads. Its workers go on."""
+        self.leave()
+        await ended(self.process, patience if self._loaded else 0.0)
+
+
+class Templates:
+    """Source of workers: a template process, launched again when it is lost.
+
+    Args:
+        template: one that was launched earlier.
+    """
+
+    def __init__(self, limits: Limits, template: Template | None = None, *, forks: bool = FORKS):
+        self._limits, self._template, self._forks = limits, template, forks
+        self._lock = asyncio.Lock()
+
+    async def worker(self, progress: Progress) -> Connected:
+        """A ready worker process.
+
+        Raises:
+            WorkerStartFailed, OSError: there is none; the next call launches another template.
+        """
+        async with self._lock:
+            template = self._template = self._template or Template(self._forks)
+            try:
+                await template.load(self._limits, progress)
+                connected = await _connected(template.connect(), None if self._forks else template.process)
+            except BaseException:
+                await self.end()
+                raise
+            if not self._forks:
+                self._template = None
+                template.leave()
+            return connected
+
+    async def end(self, patience: float = 0.0) -> None:
+        """Ends the template, if any."""
+        template, self._template = self._template, None
+        if template is not None:
+            await template.end(patience)
+
+
+class ForkedProcess:
+    """A worker that the template forked and this process adopted; it leads a process group, with its Draco decoder."""
+
+    def __init__(self, pid: int):
+        self.pid = pid
+        self._status: int | None = None
+        self._lock = threading.Lock()  # no other process has the id before this one is reaped
+
+    def kill(self) -> None:
+        with self._lock:
+            if self._status is None:
+                os.killpg(self.pid, signal.SIGKILL)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """The exit status; subprocess.TimeoutExpired after ``timeout`` seconds."""
+        begun = time.monotonic()
+        while not self._reap():
+            if timeout is not None and time.monotonic() - begun > timeout:
+                raise subprocess.TimeoutExpired("worker", timeout)
+            time.sleep(_POLL_INTERVAL)
+        return self._status
+
+    def _reap(self) -> bool:
+        with self._lock:
+            if self._status is not None:
+                return True
+            pid, status = os.waitpid(self.pid, os.WNOHANG)
+            if not pid:
+                return False
+            self._status = os.waitstatus_to_exitcode(status)
+        # This process adopted the decoder of a killed worker too; it ends with its input.
+        with suppress(ChildProcessError):
+            while True:
+                os.waitpid(-self.pid, 0)
+        return True
+
+
+async def ended(process: Process, patience: float) -> None:
+    """Returns when a process has ended; kills it after ``patience`` seconds."""
+    try:
+        await asyncio.to_thread(process.wait, patience)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        await asyncio.to_thread(process.wait)
+
+
+@contextmanager
+def _ends() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """Both ends of a pipe: one to keep, unless an error comes, and one to pass on."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        try:
+            yield ours, theirs
+        except BaseException:
+            ours.close()
+            raise
+
+
+def _adopt_orphans() -> None:
+    """Lets this process adopt the workers, whose parent by birth ends at once."""
+    if ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0):
+        raise OSError(ctypes.get_errno(), "the system does not let this process adopt its workers (PR_SET_CHILD_SUBREAPER)")
+
+
+async def _connected(pipe: socket.socket, process: Process | None) -> Connected:
+    """A worker process when it is ready; without ``process`` it tells its id, as a child of this process."""
+    from .messages import wire
+
+    reader, writer = await asyncio.open_unix_connection(sock=pipe, limit=STREAM_BUFFER)
+    try:
+        ready = await wire.read(reader)
+    except BaseException as error:
+        writer.close()
+        if isinstance(error, asyncio.IncompleteReadError):
+            raise WorkerStartFailed("a worker ended before it was ready; see its log") from None
+        raise
+    return Connected(process or ForkedProcess(int(ready.content)), reader, writer)
