@@ -29,7 +29,7 @@ def service(address: str | None):
     with tempfile.TemporaryDirectory() as folder:
         process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
         try:
-            process.wait_until_ready(lambda done, total, name: print(f"compiling kernels: {done} of {total}"))
+            process.wait_until_ready(lambda activity, done, total, name: print(f"{activity} kernels: {done} of {total}"))
             yield process.grpc
         finally:
             process.stop()

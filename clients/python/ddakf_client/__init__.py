@@ -13,7 +13,19 @@ from ddakf_client.aio import AsyncClient, AsyncSession, aconnect
 from ddakf_client.client import Client, Session, connect
 from ddakf_client.frames import Frame
 from ddakf_client.history import History, StateChange
-from ddakf_client.results import FrameError, Limits, Notice, Result, ServerInfo, SessionInfo
+from ddakf_client.results import (
+    FrameError,
+    InputWarning,
+    Limits,
+    MeshInfo,
+    Notice,
+    Result,
+    ServerInfo,
+    SessionInfo,
+    Usage,
+    WarningCount,
+)
+from ddakf_client.tls import tls_credentials
 
 __all__ = [
     "CODECS",
@@ -25,7 +37,9 @@ __all__ = [
     "Frame",
     "FrameError",
     "History",
+    "InputWarning",
     "Limits",
+    "MeshInfo",
     "Notice",
     "Result",
     "ServerInfo",
@@ -33,7 +47,10 @@ __all__ = [
     "Session",
     "SessionInfo",
     "StateChange",
+    "Usage",
+    "WarningCount",
     "aconnect",
     "connect",
     "errors",
+    "tls_credentials",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, Generic, TypeVar
 
@@ -19,7 +19,17 @@ from ddakf_client import calls
 from ddakf_client.aio_stream import track
 from ddakf_client.exchange import Plan, log_notice
 from ddakf_client.history import History, history_from, history_request
-from ddakf_client.results import FrameError, Notice, Result, ServerInfo, SessionInfo, session_info_from, vertex_map_from
+from ddakf_client.results import (
+    FrameError,
+    MeshInfo,
+    Notice,
+    Result,
+    ServerInfo,
+    SessionInfo,
+    mesh_info_from,
+    session_info_from,
+    vertex_map_from,
+)
 from ddakf_client.watch import awatch, watch_request
 
 T = TypeVar("T", bound="AsyncClient | AsyncSession")
@@ -43,7 +53,7 @@ class Opening(Generic[T]):
 
 
 def aconnect(
-    target: str,
+    target: str | Sequence[str],
     *,
     timeout: float = calls.TIMEOUT,
     credentials: grpc.ChannelCredentials | None = None,
@@ -52,6 +62,7 @@ def aconnect(
 ) -> Opening[AsyncClient]:
     """As :func:`ddakf_client.connect`: ``async with aconnect(...) as client``, or ``client = await aconnect(...)``."""
 
+    targets = calls.targets_of(target)
     options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.aio.Channel:
@@ -60,7 +71,7 @@ def aconnect(
         return grpc.aio.secure_channel(target, credentials, options)
 
     async def opened() -> AsyncClient:
-        client = AsyncClient(open_channel, target, timeout=timeout, api_key=api_key)
+        client = AsyncClient(open_channel, targets, timeout=timeout, api_key=api_key)
         try:
             client.server = await client.server_info()
         except ServiceError:
@@ -77,12 +88,12 @@ class AsyncClient:
     server: ServerInfo
 
     def __init__(
-        self, open_channel: Callable[[str], grpc.aio.Channel], target: str, *, timeout: float, api_key: str | None
+        self, open_channel: Callable[[str], grpc.aio.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
     ):
-        self._open_channel, self.timeout = open_channel, timeout
+        self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
         self._channels: dict[str, grpc.aio.Channel] = {}  # by target
         self._metadata = calls.metadata_for(api_key)
-        self.move(target)
+        self.move(targets[0])
 
     async def __aenter__(self) -> AsyncClient:
         return self
@@ -101,6 +112,16 @@ class AsyncClient:
         if target not in self._channels:
             self._channels[target] = self._open_channel(target)
         self._stub = TrackingServiceStub(self._channels[target])
+
+    @property
+    def has_others(self) -> bool:
+        """Whether there are further addresses to try."""
+        return len(self._targets) > 1
+
+    def move_on(self, target: str) -> None:
+        """As :meth:`ddakf_client.Client.move_on`."""
+        if self.target == target:
+            self.move(calls.after(target, self._targets))
 
     async def server_info(self) -> ServerInfo:
         """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
@@ -151,6 +172,25 @@ class AsyncClient:
             if not page_token:
                 return
 
+    async def upload_mesh(self, mesh: object, faces: np.ndarray | None = None) -> str:
+        """As :meth:`ddakf_client.Client.upload_mesh`."""
+        return (await self.call("CreateMesh", calls.mesh_request(mesh, faces))).name
+
+    async def meshes(self) -> AsyncIterator[MeshInfo]:
+        """As :meth:`ddakf_client.Client.meshes`."""
+        page_token = ""
+        while True:
+            page = await self.call("ListMeshes", pb.ListMeshesRequest(page_token=page_token))
+            for message in page.meshes:
+                yield mesh_info_from(message)
+            page_token = page.next_page_token
+            if not page_token:
+                return
+
+    async def delete_mesh(self, name: str) -> None:
+        """As :meth:`ddakf_client.Client.delete_mesh`."""
+        await self.call("DeleteMesh", pb.DeleteMeshRequest(name=name))
+
     async def history(self, session_id: str, **span: Any) -> History:
         """As :meth:`ddakf_client.Client.history`, with the same arguments."""
         return history_from(await self.call("GetSessionHistory", history_request(session_id, **span)))
@@ -168,10 +208,16 @@ class AsyncClient:
     async def call(self, method: str, request: object, timeout: float | None = None) -> Any:
         """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
-        try:
-            return await getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
-        except grpc.RpcError as error:
-            raise calls.failure(error, self.target, timeout) from None
+        for _ in self._targets:
+            target = self.target
+            try:
+                return await getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
+            except grpc.RpcError as error:
+                failed = calls.failure(error, target, timeout)
+                if not calls.may_call_elsewhere(error, failed, method):
+                    break
+            self.move_on(target)
+        raise failed
 
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
         return self._stub.Track(requests, metadata=self._metadata)
@@ -204,9 +250,7 @@ class AsyncSession:
             if error_type is None:  # else the error inside the context takes precedence
                 raise
 
-    def track(
-        self, frames: AsyncIterable[object] | Iterable[object], **options: Any
-    ) -> AsyncIterator[Result | FrameError]:
+    def track(self, frames: AsyncIterable[object] | Iterable[object], **options: Any) -> AsyncIterator[Result | FrameError]:
         """As :meth:`ddakf_client.Session.track`, with the same options; an ordinary iterator runs in a thread."""
         plan = replace(self._plan, **options)
         calls.require_codec(plan.codec, self._client.server)

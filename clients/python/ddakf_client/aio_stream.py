@@ -18,12 +18,19 @@ from ddakf_client.results import FrameError, Notice, Result
 _END = object()
 _LOST_STATUS = "Internal error from Core"
 _STATUS_SECONDS = 1.0
+_LEAST_PAUSE = 0.05  # seconds
 
 
 class Connection(Protocol):
-    """The part of a client that a stream uses."""
+    """The part of a client that a stream uses.
+
+    Attributes:
+        target: "host:port" of the present server.
+        has_others: there are further addresses to try.
+    """
 
     target: str
+    has_others: bool
 
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
         """Opens the call of the stream."""
@@ -31,14 +38,18 @@ class Connection(Protocol):
     def move(self, target: str) -> None:
         """Connects to the server at another address from now on."""
 
+    def move_on(self, target: str) -> None:
+        """Connects to the address after one that does not answer, unless the connection has moved already."""
+
 
 async def track(
     connection: Connection, frames: AsyncIterable[object] | Iterable[object], plan: Plan
 ) -> AsyncIterator[Result | FrameError]:
     """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
-    stream = _Stream(plan, frames)
+    stream = _Stream(plan, frames, connection.has_others)
     try:
         while True:
+            target = connection.target
             stream.open(connection.open_track)
             try:
                 while (response := await stream.read()) is not grpc.aio.EOF:
@@ -53,10 +64,16 @@ async def track(
                 if status.code() is grpc.StatusCode.OK:
                     stream.ended()
                 lost = status.details() == _LOST_STATUS  # no status of the server: the connection is lost
-                failed = Unavailable(f"the connection to {connection.target} was lost") if lost else None
-                failed = stream.failure or failed or failure(status, connection.target, plan.timeout)
+                failed = Unavailable(f"the connection to {target} was lost") if lost else None
+                failed = stream.failure or stream.silence or failed or failure(status, target, plan.timeout)
                 if not stream.may_resume(failed):
                     raise failed from None
+                connection.move_on(target)
+            except asyncio.CancelledError:  # a read raises this when this side cancelled the call
+                is_silent = stream.silence is not None and not asyncio.current_task().cancelling()
+                if not (is_silent and stream.may_resume(stream.silence)):
+                    raise (stream.failure or stream.silence if is_silent else stream.failure) or asyncio.CancelledError from None
+                connection.move_on(target)
             await stream.pause()
     except asyncio.CancelledError:
         # A read also raises this when this side cancelled the call.
@@ -68,11 +85,19 @@ async def track(
 
 
 class _Stream:
-    """An exchange and its tasks, which end with the stream."""
+    """An exchange and its tasks, which end with the stream.
 
-    def __init__(self, plan: Plan, frames: AsyncIterable[object] | Iterable[object]):
+    Args:
+        may_move: a server that exceeds the timeout is left for another one.
+
+    Attributes:
+        silence: why the present call was given up; None: it was not.
+    """
+
+    def __init__(self, plan: Plan, frames: AsyncIterable[object] | Iterable[object], may_move: bool):
         self._exchange = Exchange(plan, time.monotonic())
-        self._frames = frames
+        self._frames, self._may_move = frames, may_move
+        self.silence: ServiceError | None = None
         self._changed = asyncio.Event()
         self._statuses: list[grpc.aio.AioRpcError] = []
         self._call: grpc.aio.StreamStreamCall | None = None
@@ -86,6 +111,7 @@ class _Stream:
     def open(self, open_call: Callable[[AsyncIterator[pb.TrackRequest]], grpc.aio.StreamStreamCall]) -> None:
         """Opens the first call of the stream, or the next one after a lost connection."""
         self._calls += 1
+        self.silence = None
         self._statuses = statuses = []
         self._call = open_call(self.requests(self._calls))
         self._call.add_done_callback(lambda call: statuses.append(_status_of(call)))
@@ -142,7 +168,7 @@ class _Stream:
     async def requests(self, number: int) -> AsyncIterator[pb.TrackRequest]:
         """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
-        yield exchange.plan.start(again=number > 1)
+        yield exchange.start_request(again=number > 1)
         while True:
             await self._until(lambda: exchange.is_done() or self._calls != number or exchange.can_take())
             if self._calls != number:
@@ -173,10 +199,17 @@ class _Stream:
         self._changed.set()
 
     async def _watch(self) -> None:
-        """Ends the stream when the server exceeds the timeout."""
-        while (left := self._exchange.deadline(now := time.monotonic()) - now) > 0:
-            await asyncio.sleep(left)
-        self._fail(self._exchange.overdue())
+        """Ends the stream, or the call where there is another server, when the server exceeds the timeout."""
+        while True:
+            while (left := self._exchange.deadline(now := time.monotonic()) - now) > 0:
+                await asyncio.sleep(left)
+            if not self._may_move:
+                self._fail(self._exchange.overdue())
+                return
+            if self.silence is None:
+                self.silence = Unavailable(self._exchange.overdue().message)
+                self._call.cancel()
+            await asyncio.sleep(_LEAST_PAUSE)
 
     async def _until(self, condition: Callable[[], bool]) -> bool:
         while not condition():

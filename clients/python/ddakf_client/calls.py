@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import grpc
 import numpy as np
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import checked_array, pack, pack_mesh
 from ddakf_api.errors import (
+    ERROR_METADATA_KEY,
     CodecError,
     DeadlineExceeded,
+    Draining,
     InvalidArgument,
     InvalidConfig,
     InvalidMesh,
@@ -32,6 +34,42 @@ TIMEOUT = 10.0
 
 def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
     return (("authorization", f"Bearer {api_key}"),) if api_key else ()
+
+
+def targets_of(target: str | Sequence[str]) -> tuple[str, ...]:
+    """The addresses of ``connect``: one or several, with commas between them or as a list.
+
+    Raises:
+        InvalidArgument: there is none, or one has no port.
+    """
+    targets = tuple(part.strip() for part in target.split(",")) if isinstance(target, str) else tuple(target)
+    if not targets:
+        raise InvalidArgument(field="target", expected="HOST:PORT of gRPC", got="an empty list")
+    for each in targets:
+        require_target(each)
+    return targets
+
+
+def after(target: str, targets: Sequence[str]) -> str:
+    """The address to try after one that does not answer: the next of several, else the same."""
+    if len(targets) == 1:
+        return target
+    return targets[(targets.index(target) + 1) % len(targets)] if target in targets else targets[0]
+
+
+def may_call_elsewhere(error: grpc.RpcError, failed: ServiceError, method: str) -> bool:
+    """Whether a failed call may be made at another address: no server has answered it, or it is about to stop."""
+    answered = any(key == ERROR_METADATA_KEY for key, _ in error.trailing_metadata() or ())
+    silent = type(failed) is Unavailable or (type(failed) is DeadlineExceeded and method == "GetServerInfo")
+    return type(failed) is Draining or (silent and not answered)
+
+
+def require_target(target: str) -> None:
+    """Raises :class:`InvalidArgument` unless the address ends with a port; gRPC takes a larger one for another port."""
+    address, _, port = target.rpartition("/")[2].rpartition(":")
+    is_port = port.isascii() and port.isdecimal() and 0 < int(port) < 1 << 16
+    if not target.startswith("unix:") and (target.startswith("http") or not (address and is_port)):
+        raise InvalidArgument(field="target", expected="HOST:PORT of gRPC", got=repr(target[:80]))
 
 
 def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
@@ -82,8 +120,13 @@ def create_request(
     """The request of ``create_session``, which describes the arguments."""
     _require_type("clean", clean, (bool, np.bool_), "True or False")
     session = pb.Session(labels=_labels(labels), config_json=_config_json(config), fabric=_text("fabric", fabric))
-    session.garment.CopyFrom(_mesh(garment, faces, "garment"))
-    if body is not None:
+    if isinstance(garment, str):
+        session.garment_mesh = _text("garment", garment)
+    else:
+        session.garment.CopyFrom(_mesh(garment, faces, "garment"))
+    if isinstance(body, str):
+        session.body_mesh = _text("body", body)
+    elif body is not None:
         pair = body if isinstance(body, tuple) and len(body) == 2 else (body, None)
         session.body.CopyFrom(_mesh(*pair, "body"))
     if limits is not None:
@@ -95,6 +138,11 @@ def create_request(
         request_id=str(uuid.uuid4()),
         clean=bool(clean),
     )
+
+
+def mesh_request(mesh: object, faces: np.ndarray | None) -> pb.CreateMeshRequest:
+    """The request of ``upload_mesh``, which describes the arguments."""
+    return pb.CreateMeshRequest(api_version=API_VERSION, mesh=_mesh(mesh, faces, "mesh"))
 
 
 def restore_request(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -22,10 +22,12 @@ from ddakf_client.history import History, history_from, history_request
 from ddakf_client.results import (
     FrameError,
     Limits,
+    MeshInfo,
     Notice,
     Result,
     ServerInfo,
     SessionInfo,
+    mesh_info_from,
     session_info_from,
     vertex_map_from,
 )
@@ -34,7 +36,7 @@ from ddakf_client.watch import watch, watch_request
 
 
 def connect(
-    target: str,
+    target: str | Sequence[str],
     *,
     timeout: float = calls.TIMEOUT,
     credentials: grpc.ChannelCredentials | None = None,
@@ -44,16 +46,19 @@ def connect(
     """Connects to a server and compares versions.
 
     Args:
-        target: "host:port".
+        target: "host:port"; or several of servers that share their sessions, as a list or with commas between them. The first
+            one that answers is used, and the next one when it stops to, or when a stream gets no answer within the timeout.
         timeout: seconds per call, and per answer to a frame.
-        credentials: TLS credentials, e.g. ``grpc.ssl_channel_credentials(root_certificates)``; None: no encryption.
+        credentials: TLS credentials, see :func:`~ddakf_client.tls_credentials`; None: no encryption.
         api_key: sent with every call.
         max_message_bytes: limit of one message in either direction.
 
     Raises:
+        InvalidArgument: the target has no port.
         Unavailable, DeadlineExceeded: no server answers at this address.
         VersionMismatch: client and server have incompatible versions.
     """
+    targets = calls.targets_of(target)
     options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.Channel:
@@ -61,7 +66,7 @@ def connect(
             return grpc.insecure_channel(target, options)
         return grpc.secure_channel(target, credentials, options)
 
-    client = Client(open_channel, target, timeout=timeout, api_key=api_key)
+    client = Client(open_channel, targets, timeout=timeout, api_key=api_key)
     try:
         client.server = client.server_info()
     except ServiceError:
@@ -74,7 +79,7 @@ class Client:
     """A connection to a server, made by :func:`connect`. Use it as a context, or call :meth:`close`.
 
     Attributes:
-        target: "host:port"; changes when the server redirects the client.
+        target: "host:port" of the present server; changes when it redirects the client, or does not answer.
         timeout: seconds per call.
         server: properties of the server when the client connected.
     """
@@ -82,12 +87,12 @@ class Client:
     server: ServerInfo
 
     def __init__(
-        self, open_channel: Callable[[str], grpc.Channel], target: str, *, timeout: float, api_key: str | None
+        self, open_channel: Callable[[str], grpc.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
     ):
-        self._open_channel, self.timeout = open_channel, timeout
+        self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
         self._channels: dict[str, grpc.Channel] = {}  # by target
         self._metadata = calls.metadata_for(api_key)
-        self.move(target)
+        self.move(targets[0])
 
     def __enter__(self) -> Client:
         return self
@@ -106,6 +111,16 @@ class Client:
         if target not in self._channels:
             self._channels[target] = self._open_channel(target)
         self._stub = TrackingServiceStub(self._channels[target])
+
+    @property
+    def has_others(self) -> bool:
+        """Whether there are further addresses to try."""
+        return len(self._targets) > 1
+
+    def move_on(self, target: str) -> None:
+        """Sends later calls to the address after one that does not answer, of those of :func:`connect`."""
+        if self.target == target:
+            self.move(calls.after(target, self._targets))
 
     def server_info(self) -> ServerInfo:
         """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
@@ -130,9 +145,10 @@ class Client:
         """Creates a session. The end of its context deletes it.
 
         Args:
-            garment: (V, 3) rest vertices in metres, with `faces`; or an object with ``vertices`` and ``faces``.
+            garment: (V, 3) rest vertices in metres, with `faces`; or an object with ``vertices`` and ``faces``; or the name
+                that :meth:`upload_mesh` returned.
             faces: (F, 3) vertex indices.
-            body: the body in its initial pose: an object with ``vertices`` and ``faces``, or a tuple of both.
+            body: the body in its initial pose: an object with ``vertices`` and ``faces``, a tuple of both, or a name.
             config: configuration of the tracker: a dict of stages, or a ``ddakf.Config``.
             fabric: name of a fabric preset.
             clean: repair an invalid garment; see :attr:`Session.vertex_map`.
@@ -199,6 +215,31 @@ class Client:
             if not page_token:
                 return
 
+    def upload_mesh(self, mesh: object, faces: np.ndarray | None = None) -> str:
+        """Stores a mesh on the server and returns its name, for any number of sessions; the same mesh has the same name.
+
+        Args:
+            mesh: (V, 3) vertices in metres, with `faces`; or an object with ``vertices`` and ``faces``.
+
+        Raises:
+            InvalidMesh: larger than any garment or body may be. ResourceExhausted: beyond a quota of the key.
+        """
+        return self.call("CreateMesh", calls.mesh_request(mesh, faces)).name
+
+    def meshes(self) -> Iterator[MeshInfo]:
+        """Yields the uploaded meshes of the key, oldest first."""
+        page_token = ""
+        while True:
+            page = self.call("ListMeshes", pb.ListMeshesRequest(page_token=page_token))
+            yield from map(mesh_info_from, page.meshes)
+            page_token = page.next_page_token
+            if not page_token:
+                return
+
+    def delete_mesh(self, name: str) -> None:
+        """Deletes an uploaded mesh. Sessions that use it go on. Raises NotFound: the key has no mesh of this name."""
+        self.call("DeleteMesh", pb.DeleteMeshRequest(name=name))
+
     def history(
         self,
         session_id: str,
@@ -231,10 +272,16 @@ class Client:
     def call(self, method: str, request: object, timeout: float | None = None):
         """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
-        try:
-            return getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
-        except grpc.RpcError as error:
-            raise calls.failure(error, self.target, timeout) from None
+        for _ in self._targets:
+            target = self.target
+            try:
+                return getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
+            except grpc.RpcError as error:
+                failed = calls.failure(error, target, timeout)
+                if not calls.may_call_elsewhere(error, failed, method):
+                    break
+            self.move_on(target)
+        raise failed
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
         return self._stub.Track(requests, metadata=self._metadata)
@@ -337,9 +384,7 @@ class Session:
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client, frames, plan)
 
-    def watch(
-        self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
-    ) -> Iterator[Result | FrameError]:
+    def watch(self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice) -> Iterator[Result | FrameError]:
         """Yields the answers of the session's stream from now on. A watcher cannot slow the stream.
 
         A slow watcher misses results. ``latency`` of a result is nan, because another client sent the frame. Without a stream
@@ -382,9 +427,7 @@ class Session:
         Raises:
             FailedPrecondition: the session has another etag.
         """
-        request = calls.update_request(
-            self.name, labels=labels, config=config, fabric=fabric, limits=limits, etag=etag
-        )
+        request = calls.update_request(self.name, labels=labels, config=config, fabric=fabric, limits=limits, etag=etag)
         return session_info_from(self._client.call("UpdateSession", request))
 
     def snapshot(self) -> bytes:

@@ -5,7 +5,8 @@ replaces the one in the slot. The slot is emptied while fewer than :data:`IN_FLI
 network therefore fills no hidden buffers.
 
 A stream survives the loss of its connection. It stores unanswered frames, and after a reconnect it sends again those that the
-server has not tracked: in lossless mode all, in realtime mode the newest one.
+server has not tracked: in lossless mode all, in realtime mode the newest one. In lossless mode the server repeats the answers to
+those that it has tracked.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ IN_FLIGHT = 8
 ON_ERROR = ("raise", "yield")
 RESUME = 30.0
 """Default time in seconds for attempts to reconnect."""
-_FIRST_PAUSE, _LONGEST_PAUSE = 0.05, 2.0  # seconds between attempts to reconnect
+_FIRST_PAUSE, _LONGEST_PAUSE = 0.1, 2.0  # seconds between attempts to reconnect
+_PAUSE_SHARE = 0.25  # of the time since the connection was lost: pauses grow, and lengthen an outage by no more
 
 log = logging.getLogger("ddakf_client")
 
@@ -83,8 +85,13 @@ class Plan:
         if isinstance(self.resume, bool) or not isinstance(self.resume, (int, float)) or not self.resume >= 0:
             raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
 
-    def start(self, again: bool = False) -> pb.TrackRequest:
-        """The first request. ``again``: after a lost connection, take over the session from the old stream."""
+    def start(self, answered_through: int | None = None) -> pb.TrackRequest:
+        """The first request.
+
+        Args:
+            answered_through: after a lost connection, the number up to which all frames have been answered: take over the session
+                from the old stream, and in lossless mode repeat the answers to later frames.
+        """
         options = pb.ResultOptions(
             include_velocities=self.velocities, include_covariance=self.covariance, every_nth=self.every_nth
         )
@@ -96,7 +103,8 @@ class Plan:
                 api_version=API_VERSION,
                 flow_mode=FLOWS[self.flow],
                 result_options=options,
-                takeover=self.takeover or again,
+                takeover=self.takeover or answered_through is not None,
+                answered_through=answered_through if self.flow == "lossless" else None,
             )
         )
 
@@ -136,15 +144,22 @@ class Exchange:
         self._slot: Offered | None = None
         self._dropped = 0
         self._refused: list[FrameError] = []
+        self._warned: set[str] = set()  # codes of warnings
         # Unanswered frames by number. In realtime mode those up to _answered_through count as answered.
         self._unanswered: dict[int, Sent] = {}
         self._answered_through = 0
         self._last_answered = 0
         self._resend: deque[Offered] = deque()  # frames to send again, before the one in the slot
+        self._to_repeat, self._repeated_through = 0, 0  # answers that the server still repeats, and the last of their frames
         self._attempts = 0  # to reconnect, since the last answered frame
         self._lost_since = now
         self._owed_since = now  # since when the server owes the start or the end of the stream
         self._reading_since: float | None = None
+
+    def start_request(self, again: bool) -> pb.TrackRequest:
+        """The first request of a call; ``again``: of one after a lost connection."""
+        unsent = [offered.sequence for offered in (*self._resend, self._slot) if offered]
+        return self.plan.start(min([*self._unanswered, *unsent], default=self._next_sequence) - 1 if again else None)
 
     # Frames in ------------------------------------------------------------------------------------------------------
 
@@ -205,16 +220,26 @@ class Exchange:
         """
         kind = response.WhichOneof("message")
         if kind == "started":
-            return self._start(response.started)
+            return self._start(response.started, now)
         elif kind == "notice":
             return [notice_from(response.notice)]
+        elif kind in ("result", "frame_error") and self._has_answer(getattr(response, kind).sequence_number):
+            return []
         elif kind == "result":
             latency = self._answered(response.result.sequence_number, now)
             result = result_from(response.result, dropped_before_sending=self._dropped, latency=latency)
+            self._log_new_warnings(result)
             return [*self.refused(), result]
         elif kind == "frame_error":
             return [*self.refused(), self._rejected(frame_error_from(response.frame_error))]
         return []
+
+    def _log_new_warnings(self, result: Result) -> None:
+        """Logs the first warning of each code; ``Result.warnings`` has all."""
+        for code, field, message in result.warnings:
+            if code not in self._warned:
+                self._warned.add(code)
+                log.warning("%s: %s", field, message)
 
     def ended(self) -> list[FrameError]:
         """The last answers after the server has ended the stream without an error.
@@ -250,9 +275,10 @@ class Exchange:
         """Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time."""
         self._attempts += 1
         self._owed_since = now
-        return random.uniform(0.5, 1.0) * min(_FIRST_PAUSE * 2**self._attempts, _LONGEST_PAUSE)
+        growing = _PAUSE_SHARE * (now - self._lost_since)
+        return random.uniform(0.5, 1.0) * min(max(growing, _FIRST_PAUSE), _LONGEST_PAUSE)
 
-    def _start(self, started: pb.Started) -> list[Notice]:
+    def _start(self, started: pb.Started, now: float) -> list[Notice]:
         """Handles the start of the stream, the first one or one after a reconnect."""
         last, resumed = started.last_sequence_number, self.lost
         self.started, self.lost = True, False
@@ -263,14 +289,29 @@ class Exchange:
         # A connection may be lost before all frames of the previous one were sent again.
         unanswered = [*(sent.offered for _, sent in sorted(self._unanswered.items())), *self._resend]
         resent = [offered for offered in unanswered if offered.sequence > max(last, self._answered_through)]
-        self._unanswered.clear()
+        self._to_repeat, self._repeated_through = started.repeated_answers, last
+        tracked = (offered for offered in unanswered if offered.sequence <= last and self._to_repeat)
+        self._unanswered = {offered.sequence: Sent(offered, now) for offered in tracked}
         if not self._lossless:
             resent = resent[-1:] if self._slot is None else []
         self._resend = deque(resent)
         lost_frames = max(self._last_answered - last, 0)
         sent_again = f"{len(resent)} of {len(unanswered)}"
         message = f"connected again: the session continues after frame {last}; {sent_again} frames are sent again"
+        if self._to_repeat:
+            message += f", {self._to_repeat} answers are repeated"
         return [Notice("resumed", message, float(lost_frames), "")]
+
+    def _has_answer(self, sequence: int) -> bool:
+        """Whether the caller has the answer to this frame already: the server repeats it among others that were lost."""
+        if self._to_repeat == 0:
+            return False
+        self._to_repeat -= 1
+        answered = sequence not in self._unanswered
+        if self._to_repeat == 0:  # the tracked frames that are still unanswered stay so
+            last = self._repeated_through
+            self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > last or other == sequence}
+        return answered
 
     def deadline(self, now: float) -> float:
         """Time by which the server has to send something; if it owes nothing, the timeout from now."""

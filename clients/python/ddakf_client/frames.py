@@ -9,10 +9,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 from ddakf_api.arrays import checked_array
 from ddakf_api.codec import DEFAULT_DEPTH_CODEC, DEFAULT_SCALE, encode, encode_depth, group_by_sensor
+from ddakf_api.codec.colors import checked_colors
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
-_IMAGE_OPTIONS = ("pose", "mask", "confidence", "min_confidence", "depth_scale")
+_IMAGE_OPTIONS = ("pose", "mask", "confidence", "min_confidence", "colors", "depth_scale")
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +32,7 @@ class Frame:
         mask: (H, W), zero outside the garment; None: all pixels are of the garment.
         confidence: (H, W) uint8, 255 is the highest, 0 unusable; None: unknown.
         min_confidence: pixels of lower confidence are ignored.
+        colors: uint8 red, green, blue of the points (N, 3), or of what the pixels of the depth see (H, W, 3); None: unknown.
         depth_scale: metres per unit of uint16 depth.
         display_time: time of display, seconds of the caller's clock, at most 0.5 s after `timestamp`; the result is predicted to
             this time. None: the time of capture.
@@ -51,6 +53,7 @@ class Frame:
     depth_scale: float = DEFAULT_SCALE
     display_time: float | None = None
     deadline: float | None = None
+    colors: np.ndarray | None = None
 
     @classmethod
     def of(cls, frame: object) -> Frame:
@@ -94,9 +97,11 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
 
 def _add_points(message: pb.Frame, frame: Frame, codec: str, step: float) -> None:
     points, runs = checked_array("points", frame.points, expected="numbers of shape (N, 3)", error=CodecError), None
+    colors = None if frame.colors is None else checked_colors(frame.colors, points.shape)
     if frame.sensor_origin is not None:
-        points, runs = _with_sensors(message, points, frame.sensor_origin)
-    message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs).cloud)
+        points, runs, order = _with_sensors(message, points, frame.sensor_origin)
+        colors = colors if colors is None or order is None else colors[order]
+    message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs, colors=colors).cloud)
 
 
 def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
@@ -109,8 +114,10 @@ def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
     message.depth_image.CopyFrom(image)
 
 
-def _with_sensors(message: pb.Frame, points: np.ndarray, origin: object) -> tuple[np.ndarray, list[int] | None]:
-    """Adds the sensors to the message; returns the points in runs by sensor, and the lengths of the runs."""
+def _with_sensors(
+    message: pb.Frame, points: np.ndarray, origin: object
+) -> tuple[np.ndarray, list[int] | None, np.ndarray | None]:
+    """Adds the sensors to the message; returns the points in runs by sensor, the lengths of the runs, and the order in them."""
     expected = "finite numbers of shape (3,) or (N, 3)"
     origin = checked_array("sensor_origin", origin, expected=expected, columns=None, error=InvalidFrame)
     per_point = origin.ndim == 2 and origin.shape == points.shape
@@ -119,11 +126,11 @@ def _with_sensors(message: pb.Frame, points: np.ndarray, origin: object) -> tupl
         raise InvalidFrame(field="sensor_origin", expected=expected, got=got)
     if not per_point:
         _add_sensor(message, origin)
-        return points, None
+        return points, None, None
     order, runs, origins = group_by_sensor(origin)
     for sensor_position, count in zip(origins, runs, strict=True):
         _add_sensor(message, sensor_position).point_count = count
-    return points[order], runs
+    return points[order], runs, order
 
 
 def _add_sensor(message: pb.Frame, origin: np.ndarray) -> pb.Sensor:

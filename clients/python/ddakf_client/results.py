@@ -18,6 +18,45 @@ _UPPER = np.array([0, 1, 2, 1, 3, 4, 2, 4, 5])  # indices of xx xy xz yy yz zz i
 _MAX_ITEMS = 1 << 28  # the message size bounds arrays of the server
 
 
+class InputWarning(NamedTuple):
+    """A sign that the input is wrong, although it could be tracked.
+
+    Attributes:
+        code: "sensor_origin_missing", "length_unit", ...; the names of ``WarningCode`` in the contract, in lower case.
+        field: of the frame or the session that is probably wrong.
+        message: one sentence, with the numbers that gave it away.
+    """
+
+    code: str
+    field: str
+    message: str
+
+
+class WarningCount(NamedTuple):
+    """A warning of a session: that of the last frame that had it, and the number of these frames."""
+
+    warning: InputWarning
+    frames: int
+
+
+class Usage(NamedTuple):
+    """Processor time of a frame on the server, and what its budget left out.
+
+    Attributes:
+        processor_seconds: of the worker, decoding included.
+        budget_seconds: that were planned with; 0: no budget.
+        widening: factor by which sigma was widened for the work that was left out; 1: nothing was.
+        working_vertices: that were tracked; the garment's others are carried along.
+        lighter: a lighter tracker, on a coarser mesh, has gone on for the session, as the server is crowded.
+    """
+
+    processor_seconds: float
+    budget_seconds: float
+    widening: float
+    working_vertices: int = 0
+    lighter: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """The garment after one frame.
@@ -42,6 +81,8 @@ class Result:
         timings: seconds per stage of the tracker and of the server.
         display_time: time of the arrays, seconds of the caller's clock: the timestamp, or the display time of the frame.
         latency: seconds from the submission of the frame to the arrival of the result.
+        warnings: signs of wrong input, at most one of each code.
+        usage: processor time of the frame, its budget, and what that left out.
     """
 
     sequence: int
@@ -63,6 +104,8 @@ class Result:
     display_time: float
     latency: float
     late: int
+    warnings: tuple[InputWarning, ...]
+    usage: Usage
 
 
 @dataclass(frozen=True)
@@ -130,6 +173,7 @@ class SessionInfo:
         last_latency: seconds from arrival at the server to the result, of the last frame.
         recoveries, lost: restarts from a checkpoint, and tracked frames lost by them.
         memory: estimated memory in its worker, bytes.
+        warnings: signs of wrong input since its creation, each code once.
     """
 
     name: str
@@ -161,6 +205,18 @@ class SessionInfo:
     checkpoint_time: datetime | None
     last_frame_time: datetime | None
     last_latency: float
+    warnings: tuple[WarningCount, ...]
+
+
+@dataclass(frozen=True)
+class MeshInfo:
+    """An uploaded mesh; ``size``: bytes that count for the quota of the key."""
+
+    name: str
+    n_vertices: int
+    n_faces: int
+    size: int
+    create_time: datetime
 
 
 @dataclass(frozen=True)
@@ -203,7 +259,18 @@ def result_from(message: pb.Result, *, dropped_before_sending: int, latency: flo
         display_time=message.display_time or message.capture_time,
         latency=latency,
         late=message.frames_late,
+        warnings=tuple(warning_from(warning) for warning in message.warnings),
+        usage=_usage_from(message.usage),
     )
+
+
+def _usage_from(message: pb.Usage) -> Usage:
+    processor, budget = message.processor_seconds, message.budget_seconds
+    return Usage(processor, budget, message.widening or 1.0, message.working_vertices, message.lighter)
+
+
+def warning_from(message: pb.Warning) -> InputWarning:
+    return InputWarning(value_name(pb.WarningCode, message.code), message.field, message.message)
 
 
 def frame_error_from(message: pb.FrameError) -> FrameError:
@@ -248,7 +315,13 @@ def session_info_from(message: pb.Session) -> SessionInfo:
         checkpoint_time=_time(message, "checkpoint_time"),
         last_frame_time=_time(statistics, "last_frame_time"),
         last_latency=statistics.last_latency,
+        warnings=tuple(WarningCount(warning_from(count.warning), count.frames) for count in statistics.warnings),
     )
+
+
+def mesh_info_from(message: pb.StoredMesh) -> MeshInfo:
+    created = message.create_time.ToDatetime(UTC)
+    return MeshInfo(message.name, message.vertex_count, message.face_count, message.bytes, created)
 
 
 def vertex_map_from(message: pb.Session) -> np.ndarray | None:

@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 import grpc
-from ddakf_api.errors import ServiceError
+from ddakf_api.errors import ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import failure
@@ -17,13 +17,20 @@ from ddakf_client.exchange import Exchange, Plan, encode_request, without_notice
 from ddakf_client.results import FrameError, Notice, Result
 
 _JOIN_SECONDS = 1.0
+_LEAST_PAUSE = 0.05  # seconds
 _END = object()
 
 
 class Connection(Protocol):
-    """The part of a client that a stream uses."""
+    """The part of a client that a stream uses.
+
+    Attributes:
+        target: "host:port" of the present server.
+        has_others: there are further addresses to try.
+    """
 
     target: str
+    has_others: bool
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
         """Opens the call of the stream."""
@@ -31,12 +38,16 @@ class Connection(Protocol):
     def move(self, target: str) -> None:
         """Connects to the server at another address from now on."""
 
+    def move_on(self, target: str) -> None:
+        """Connects to the address after one that does not answer, unless the connection has moved already."""
+
 
 def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Iterator[Result | FrameError]:
     """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
-    stream = _Stream(plan, frames)
+    stream = _Stream(plan, frames, connection.has_others)
     try:
         while True:
+            target = connection.target
             stream.open(connection.open_track)
             try:
                 while (response := stream.read()) is not None:
@@ -44,20 +55,29 @@ def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Itera
                 yield from stream.ended()
                 return
             except grpc.RpcError as error:
-                failed = stream.failure or failure(error, connection.target, plan.timeout)
+                failed = stream.failure or stream.silence or failure(error, target, plan.timeout)
                 if not stream.may_resume(failed):
                     raise failed from None
+                connection.move_on(target)
             stream.pause()
     finally:
         stream.close()
 
 
 class _Stream:
-    """An exchange with a lock and threads, which end with the stream."""
+    """An exchange with a lock and threads, which end with the stream.
 
-    def __init__(self, plan: Plan, frames: Iterable[object]):
+    Args:
+        may_move: a server that exceeds the timeout is left for another one.
+
+    Attributes:
+        silence: why the present call was given up; None: it was not.
+    """
+
+    def __init__(self, plan: Plan, frames: Iterable[object], may_move: bool):
         self._exchange = Exchange(plan, time.monotonic())
-        self._frames = frames
+        self._frames, self._may_move = frames, may_move
+        self.silence: ServiceError | None = None
         self._changed = threading.Condition()
         self._closed = threading.Event()
         self._call: grpc.Call | None = None
@@ -72,6 +92,7 @@ class _Stream:
         """Opens the first call of the stream, or the next one after a lost connection."""
         with self._change():
             self._calls += 1
+        self.silence = None
         self._call = open_call(self.requests(self._calls))
         if self._threads:
             return
@@ -123,7 +144,9 @@ class _Stream:
     def requests(self, number: int) -> Iterator[pb.TrackRequest]:
         """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
-        yield exchange.plan.start(again=number > 1)
+        with self._changed:
+            start = exchange.start_request(again=number > 1)
+        yield start
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._over() or self._calls != number or exchange.can_take())
@@ -165,13 +188,18 @@ class _Stream:
         return not self._closed.is_set()
 
     def _watch(self) -> None:
-        """Ends the stream when the server exceeds the timeout."""
-        while not self._closed.wait(max(0.0, self._seconds_left())):
-            if self._seconds_left() <= 0:
-                with self._changed:
-                    error = self._exchange.overdue()
+        """Ends the stream, or the call where there is another server, when the server exceeds the timeout."""
+        while not self._closed.wait(max(_LEAST_PAUSE if self.silence else 0.0, self._seconds_left())):
+            if self._seconds_left() > 0:
+                continue
+            with self._changed:
+                error = self._exchange.overdue()
+            if not self._may_move:
                 self._fail(error)
                 return
+            if self.silence is None:
+                self.silence = Unavailable(error.message)
+                self._call.cancel()
 
     def _seconds_left(self) -> float:
         with self._changed:

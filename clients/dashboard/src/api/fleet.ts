@@ -1,0 +1,217 @@
+/** Fleet: what the server says about its sessions and itself, asked at intervals while somebody looks. */
+import { ResourceExhausted, Unavailable, type Client, type messages } from "ddakf-client";
+import { seconds, sessionId, stateName, type StateName } from "../format.js";
+import { Exposition, quantile } from "./prometheus.js";
+
+const SESSIONS_INTERVAL = 1; // seconds
+const HEALTH_EVERY = 3; // of these, for metrics and readiness
+const SPARK_SAMPLES = 60;
+const MAX_HEALTH = 600; // samples of the server, half an hour
+const MAX_HISTORIES = 40; // sessions whose past is asked for
+
+/** A session as the list shows it. */
+export interface Row {
+  id: string;
+  labels: Record<string, string>;
+  state: StateName;
+  created: number;
+  lastFrame: number;
+  frameRate: number;
+  reliability: number;
+  latency: number;
+  applied: number;
+  dropped: number;
+  rejected: number;
+  recoveries: number;
+  vertices: number;
+  memory: number;
+  /** Newest last, NaN where no frame came. */
+  spark: number[];
+}
+
+/** The server at one time. Rates are per second since the sample before. */
+export interface Health {
+  time: number;
+  applied: number;
+  dropped: number;
+  failed: number;
+  median: number;
+  slowest: number;
+  reliability: number;
+  processor: number;
+  memory: number;
+  sessions: number;
+  streams: number;
+  watchers: number;
+  ready: number;
+  spare: number;
+  restarts: number;
+  recoveries: number;
+}
+
+export class Fleet {
+  rows: Row[] = [];
+  health: Health[] = [];
+  /** "ready", "degraded" or why the server accepts no sessions; empty: not asked yet. */
+  readiness = "";
+  problems: string[] = [];
+  /** Why the last call failed; undefined: it did not. */
+  failure: unknown;
+  /** Why there are no metrics, e.g. a key that may not read them. */
+  noMetrics: unknown;
+  loaded = false;
+
+  private readonly sparks = new Map<string, number[]>();
+  private before: { exposition: Exposition; time: number } | undefined;
+  private timer: ReturnType<typeof setTimeout> | undefined;
+  private turn = 0;
+  private readonly listeners = new Set<() => void>();
+
+  constructor(readonly client: Client) {
+    document.addEventListener("visibilitychange", this.onVisible);
+    void this.ask();
+  }
+
+  /** Calls a function after each answer; returns the end of that. */
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    return () => this.listeners.delete(listener);
+  }
+
+  close(): void {
+    clearTimeout(this.timer);
+    this.timer = undefined;
+    this.turn = -1;
+    document.removeEventListener("visibilitychange", this.onVisible);
+  }
+
+  private readonly onVisible = () => {
+    if (!document.hidden && this.turn >= 0 && this.timer === undefined) void this.ask();
+  };
+
+  /** One round of calls; a hidden tab asks nothing. */
+  private async ask(): Promise<void> {
+    this.timer = undefined;
+    if (document.hidden || this.turn < 0) return;
+    let pause = SESSIONS_INTERVAL;
+    const withHealth = this.turn++ % HEALTH_EVERY === 0;
+    try {
+      await Promise.all([this.askSessions(), withHealth && this.askReadiness(), withHealth && this.askMetrics()]);
+      this.failure = undefined;
+      this.loaded = true;
+    } catch (error) {
+      this.failure = error;
+      if (error instanceof ResourceExhausted) pause = Math.max(pause, error.retryAfter || 5);
+    }
+    if (this.turn < 0) return; // closed meanwhile
+    for (const listener of [...this.listeners]) listener();
+    this.timer = setTimeout(() => void this.ask(), 1000 * pause);
+  }
+
+  private async askSessions(): Promise<void> {
+    const sessions: messages.Session[] = [];
+    for await (const session of this.client.sessions()) sessions.push(session);
+    this.rows = sessions.map((session) => this.row(session));
+    const ids = new Set(this.rows.map(({ id }) => id));
+    for (const id of this.sparks.keys()) if (!ids.has(id)) this.sparks.delete(id);
+  }
+
+  private row(session: messages.Session): Row {
+    const id = sessionId(session.name);
+    const statistics = session.statistics;
+    const lastFrame = seconds(statistics?.lastFrameTime);
+    const state = stateName(session.state);
+    const applied = Number(statistics?.framesApplied ?? 0);
+    const reliability = applied > 0 ? statistics!.reliability : NaN;
+    const live = state !== "idle" && applied > 0;
+    return {
+      ...{ id, state, applied, lastFrame, reliability, labels: session.labels, created: seconds(session.createTime) },
+      frameRate: live ? statistics!.frameRate : 0,
+      latency: applied > 0 ? statistics!.lastLatency : NaN,
+      dropped: Number(statistics?.framesDropped ?? 0) + Number(statistics?.framesLate ?? 0),
+      rejected: Number(statistics?.framesRejected ?? 0),
+      recoveries: Number(statistics?.recoveries ?? 0),
+      vertices: session.garmentVertexCount,
+      memory: Number(statistics?.memoryBytes ?? 0),
+      spark: this.spark(id, live ? reliability : NaN),
+    };
+  }
+
+  /** The last minute of a session's reliability; at first from its history. */
+  private spark(id: string, reliability: number): number[] {
+    let spark = this.sparks.get(id);
+    if (!spark) {
+      this.sparks.set(id, (spark = []));
+      if (this.sparks.size <= MAX_HISTORIES) void this.askHistory(id, spark);
+    }
+    spark.push(reliability);
+    if (spark.length > SPARK_SAMPLES) spark.shift();
+    return spark;
+  }
+
+  private async askHistory(id: string, spark: number[]): Promise<void> {
+    const end = Date.now() / 1000;
+    const span = { start: new Date(1000 * (end - SPARK_SAMPLES)), resolution: 1, maxSamples: SPARK_SAMPLES };
+    const history = await this.client.history(id, span).catch(() => undefined); // an ended session, or no database
+    if (!history || history.samples.length === 0) return;
+    const values = Array.from({ length: SPARK_SAMPLES }, () => NaN);
+    for (const sample of history.samples) {
+      const age = Math.round(end - seconds(sample.startTime));
+      if (age >= 0 && age < SPARK_SAMPLES) values[SPARK_SAMPLES - 1 - age] = sample.reliability;
+    }
+    spark.unshift(...values.slice(spark.length));
+  }
+
+  private async askReadiness(): Promise<void> {
+    try {
+      const answer = (await (await this.client.rest.call("GET", "/readyz")).json()) as { status: string; problems: string[] };
+      [this.readiness, this.problems] = [answer.status, answer.problems];
+    } catch (error) {
+      if (!(error instanceof Unavailable)) throw error;
+      [this.readiness, this.problems] = [error.message, []];
+    }
+  }
+
+  private async askMetrics(): Promise<void> {
+    try {
+      const text = await (await this.client.rest.call("GET", "/metrics")).text();
+      const now = { exposition: new Exposition(text), time: Date.now() / 1000 };
+      this.health.push(healthOf(now, this.before));
+      if (this.health.length > MAX_HEALTH) this.health.shift();
+      this.before = now;
+      this.noMetrics = undefined;
+    } catch (error) {
+      this.noMetrics = error;
+    }
+  }
+}
+
+interface Scrape {
+  exposition: Exposition;
+  time: number;
+}
+
+function healthOf({ exposition: now, time }: Scrape, before: Scrape | undefined): Health {
+  const elapsed = before ? time - before.time : NaN;
+  const rate = (name: string, labels: Record<string, string> = {}) =>
+    before ? Math.max(0, (now.sum(name, labels) - before.exposition.sum(name, labels)) / elapsed) : NaN;
+  const outcome = (name: string) => rate("ddakf_frames_total", { outcome: name });
+  const [latencies, earlier] = [now.buckets("ddakf_frame_seconds"), before?.exposition.buckets("ddakf_frame_seconds") ?? []];
+  const applied = outcome("applied");
+  return {
+    ...{ time, applied, dropped: outcome("dropped") + outcome("late") },
+    failed: outcome("rejected") + outcome("costly") + outcome("failed"),
+    median: before ? quantile(0.5, latencies, earlier) : NaN,
+    slowest: before ? quantile(0.99, latencies, earlier) : NaN,
+    reliability: applied > 0 ? rate("ddakf_frame_reliability_sum") / applied : NaN,
+    processor: rate("process_cpu_seconds_total"),
+    memory: now.sum("process_resident_memory_bytes"),
+    sessions: now.sum("ddakf_sessions"),
+    streams: now.sum("ddakf_streams"),
+    watchers: now.sum("ddakf_watchers"),
+    ready: now.sum("ddakf_workers_ready"),
+    spare: now.sum("ddakf_workers_spare"),
+    restarts: now.sum("ddakf_worker_restarts_total"),
+    recoveries: now.sum("ddakf_session_recoveries_total"),
+  };
+}

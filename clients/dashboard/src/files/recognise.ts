@@ -1,0 +1,146 @@
+/** Files of the user by what they are: a mesh, a recording, or neither. */
+import type { Given } from "../play/source.js";
+import { byNumber, bytesOf } from "../play/sources.js";
+import { readSurface } from "./mesh.js";
+import { readNpz, type NpyNumbers } from "./npz.js";
+
+/** A file with its place below a dropped folder, e.g. "walk/depth/0001.png". */
+export interface Placed {
+  path: string;
+  file: File;
+}
+
+export interface MeshFile {
+  name: string;
+  vertices: Float32Array<ArrayBuffer>;
+  faces: Uint32Array<ArrayBuffer>;
+}
+
+/** A recording before its unit and frame rate are chosen. */
+export type SourceFiles =
+  | { kind: "motion" | "mcap" | "run"; name: string; file: File }
+  | { kind: "clouds"; name: string; files: File[] }
+  | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[] };
+
+export interface Recognised {
+  mesh?: MeshFile;
+  source?: SourceFiles;
+  /** Sentences on files that are neither. */
+  problems: string[];
+}
+
+const SURFACE = /\.(ply|obj|xyz)$/i;
+const TEMPLATE = /(^|\/)template\.(ply|obj)$/i;
+
+/** Says what the files are. A single OBJ or PLY with faces is a mesh, several of them are the frames of a recording. */
+export async function recognise(placed: readonly Placed[]): Promise<Recognised> {
+  const found: Recognised = { problems: [] };
+  const take = async (name: string, read: () => Promise<Partial<Recognised>>) => {
+    try {
+      Object.assign(found, await read());
+    } catch (error) {
+      found.problems.push(`${name}: ${error instanceof Error ? error.message : String(error)}`);
+    }
+  };
+  for (const { file } of placed)
+    if (/\.npz$/i.test(file.name)) await take(file.name, () => npzFile(file));
+    else if (/\.mcap$/i.test(file.name)) found.source = { kind: "mcap", name: file.name, file };
+  const images = placed.filter(({ file }) => /\.png$/i.test(file.name));
+  if (images.length > 0) await take("Depth images", () => Promise.resolve(depthImages(images, placed)));
+  const surfaces = placed.filter(({ file }) => SURFACE.test(file.name));
+  const [meshes, clouds] = surfaces.length === 1 ? [surfaces, []] : apart(surfaces);
+  for (const { file } of meshes) await take(file.name, async () => ({ mesh: await meshFile(file) }));
+  if (clouds.length > 0) {
+    const files = byNumber(clouds.map(({ file }) => file));
+    found.source = { kind: "clouds", name: folderOf(clouds) || `${files.length} clouds`, files };
+  }
+  if (!found.mesh && !found.source && found.problems.length === 0)
+    found.problems.push("Neither a mesh (OBJ, PLY, NPZ) nor a recording (NPZ, MCAP, clouds, depth images).");
+  return found;
+}
+
+/** What the player opens, of a recording whose unit and frame rate are chosen. */
+export function givenOf(source: SourceFiles, unit: "m" | "cm" | "mm", fps: number): Given | undefined {
+  if (source.kind === "motion") return { kind: "motion", file: source.file, unit };
+  if (source.kind === "mcap") return { kind: "mcap", file: source.file };
+  if (source.kind === "clouds") return { kind: "clouds", files: source.files, unit, fps };
+  if (source.kind === "depth") return { ...source, fps };
+  return undefined; // the result of a run has no frames
+}
+
+/** Meshes and frames of several files: the template, or a file with a place of its own, is the mesh. */
+function apart(surfaces: Placed[]): [Placed[], Placed[]] {
+  const template = surfaces.filter(({ path }) => TEMPLATE.test(path));
+  const folders = new Map<string, Placed[]>();
+  for (const each of surfaces.filter((other) => !template.includes(other)))
+    folders.set(folderOf([each]), [...(folders.get(folderOf([each])) ?? []), each]);
+  const groups = [...folders.values()].sort((a, b) => b.length - a.length);
+  const lone = template.length === 0 && groups.length === 2 && groups[1]!.length === 1 ? groups[1]! : [];
+  return [[...template, ...lone], groups[0] ?? []];
+}
+
+function folderOf(placed: Placed[]): string {
+  return placed[0]!.path.split("/").slice(0, -1).join("/");
+}
+
+async function meshFile(file: File): Promise<MeshFile> {
+  const { vertices, faces } = readSurface(file.name, await bytesOf(file));
+  if (faces.length === 0) throw new Error("points without faces: choose all files of the recording, or their folder");
+  return { name: file.name, vertices, faces };
+}
+
+async function npzFile(file: File): Promise<Partial<Recognised>> {
+  const names: string[] = [];
+  const bytes = await bytesOf(file);
+  await readNpz(bytes, (name) => names.push(name) === 0);
+  const { name } = file;
+  if (names.includes("states") && names.includes("vertices")) return { source: { kind: "run", name, file } };
+  if (names.some((each) => each.startsWith("garment_V"))) return { source: { kind: "motion", name, file } };
+  const [positions, corners] = names.includes("garment_rest") ? ["garment_rest", "garment_F"] : ["vertices", "faces"];
+  if (!names.includes(positions) || !names.includes(corners)) throw new Error("no garment_V, and no vertices with faces");
+  const arrays = await readNpz(bytes, (each) => each === positions || each === corners);
+  const numbers = (each: string) => arrays.get(each)!.data as NpyNumbers;
+  return { mesh: { name, vertices: Float32Array.from(numbers(positions)), faces: Uint32Array.from(numbers(corners)) } };
+}
+
+/** Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`. */
+function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
+  const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
+  if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
+  const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
+  const frames = images.filter((each) => !masks.includes(each));
+  const files = (chosen: Placed[]) => byNumber(chosen.map(({ file }) => file));
+  const name = folderOf(frames).replace(/\/?depth$/, "") || `${frames.length} depth images`;
+  return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks) } };
+}
+
+/** The files of a drop, folders included. */
+export async function droppedFiles(transfer: DataTransfer): Promise<Placed[]> {
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
+  if (entries.length === 0) return chosenFiles(transfer.files);
+  return (await Promise.all(entries.map((entry) => filesOf(entry, "")))).flat();
+}
+
+/** The files of a file input; of a chosen folder, with their places in it. */
+export function chosenFiles(files: FileList): Placed[] {
+  return [...files].map((file) => ({ path: file.webkitRelativePath || file.name, file }));
+}
+
+async function filesOf(entry: FileSystemEntry, folder: string): Promise<Placed[]> {
+  const path = folder + entry.name;
+  if (entry.isFile) {
+    const file = await new Promise<File>((resolve, reject) => {
+      (entry as FileSystemFileEntry).file(resolve, reject);
+    });
+    return [{ path, file }];
+  }
+  const reader = (entry as FileSystemDirectoryEntry).createReader();
+  const found: Placed[] = [];
+  for (;;) {
+    const some = await new Promise<FileSystemEntry[]>((resolve, reject) => {
+      reader.readEntries(resolve, reject);
+    });
+    if (some.length === 0) return found;
+    for (const each of some) found.push(...(await filesOf(each, `${path}/`)));
+  }
+}

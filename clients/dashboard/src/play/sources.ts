@@ -1,0 +1,190 @@
+/** Sources: moving meshes before a virtual camera, folders of clouds or depth images, and recordings of sessions. */
+import { Recording, type RecordedFrame } from "ddakf-client/recordings";
+import { decompress } from "fzstd";
+import { readSurface } from "../files/mesh.js";
+import { readGreyPng } from "../files/png.js";
+import { Camera, eyeBefore, type Disturbance } from "./camera.js";
+import { readMotion, type Motion } from "./motion.js";
+import { UNITS, type Begun, type Captured, type Given, type Replayed, type Source } from "./source.js";
+
+const SAMPLE_EYE = [0, 1.15, 2.1] as const; // metres, in front of the wearer
+
+/** Opens what the user gave. Throws an Error that says what is wrong with it. */
+export async function openSource(given: Given): Promise<Source> {
+  switch (given.kind) {
+    case "sample":
+      return new MotionSource(await readMotion(new Uint8Array(given.npz)), 1, SAMPLE_EYE);
+    case "motion":
+      return new MotionSource(await readMotion(await bytesOf(given.file)), UNITS[given.unit]);
+    case "clouds":
+      return CloudSource.open(given);
+    case "depth":
+      return DepthSource.open(given);
+    case "mcap":
+      return ReplaySource.open(given.file);
+  }
+}
+
+/** A garment in motion, which runs forward and back without end. */
+class MotionSource implements Source {
+  readonly begun: Begun;
+  private readonly camera: Camera;
+
+  constructor(
+    private readonly motion: Motion,
+    scale: number,
+    eye?: readonly [number, number, number],
+  ) {
+    for (const each of [motion.rest, ...motion.garment, ...(motion.body?.frames ?? [])]) scaled(each, scale);
+    const { rest, garmentFaces: faces, garment, body, fps } = motion;
+    this.camera = new Camera(eye ?? eyeBefore(garment[0]!));
+    this.begun = {
+      garment: { vertices: Float32Array.from(rest), faces: Uint32Array.from(faces) },
+      body: body && { vertices: Float32Array.from(body.frames[0]!), faces: Uint32Array.from(body.faces) },
+      first: garment[0]!,
+      ...{ count: Infinity, fps, isVirtual: true },
+    };
+  }
+
+  frame(k: number, disturbance: Disturbance): Promise<Captured> {
+    const { garment, body, garmentFaces: faces, fps } = this.motion;
+    const last = garment.length - 1;
+    const at = k % (2 * last);
+    const index = at <= last ? at : 2 * last - at;
+    const wearer = body && { vertices: body.frames[index]!, faces: body.faces };
+    const points = this.camera.capture({ vertices: garment[index]!, faces }, wearer, disturbance);
+    const timestamp = (k + 1) / fps;
+    return Promise.resolve({ points, origin: this.camera.eye, timestamp, ...(wearer && { body: wearer.vertices }) });
+  }
+}
+
+/** A file of points per frame. */
+class CloudSource implements Source {
+  private constructor(
+    readonly begun: Begun,
+    private readonly files: File[],
+    private readonly scale: number,
+  ) {}
+
+  static async open({ files, unit, fps }: Extract<Given, { kind: "clouds" }>): Promise<CloudSource> {
+    const ordered = byNumber(files);
+    readSurface(ordered[0]!.name, await bytesOf(ordered[0]!)); // a file that cannot be read is named before the session begins
+    const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps, isVirtual: false };
+    return new CloudSource(begun, ordered, UNITS[unit]);
+  }
+
+  async frame(k: number): Promise<Captured | undefined> {
+    const file = this.files[k];
+    if (!file) return undefined;
+    const { vertices, origin } = readSurface(file.name, await bytesOf(file));
+    const placed = origin?.map((value) => value * this.scale);
+    return { points: scaled(vertices, this.scale), timestamp: (k + 1) / this.begun.fps, ...(placed && { origin: placed }) };
+  }
+}
+
+/** Intrinsics in pixels, units per metre, and where the camera is: the fields of `camera.json`. */
+interface CameraFile {
+  fx: number;
+  fy: number;
+  cx: number;
+  cy: number;
+  depth_scale?: number;
+  fps?: number;
+  T_world_sensor?: number[][];
+}
+
+const SENSOR_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0]; // y up, looking along -z, as `ddakf track` reads such folders
+
+/** A depth image per frame, as points of the pixels in the mask. */
+class DepthSource implements Source {
+  private constructor(
+    readonly begun: Begun,
+    private readonly images: File[],
+    private readonly masks: File[],
+    private readonly camera: CameraFile,
+  ) {}
+
+  static async open({ files, masks, camera: file, fps }: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
+    const camera = JSON.parse(await file.text()) as CameraFile;
+    for (const name of ["fx", "fy", "cx", "cy"] as const)
+      if (typeof camera[name] !== "number") throw new Error(`${file.name} without a number ${name}`);
+    if (masks.length > 0 && masks.length !== files.length) throw new Error(`${masks.length} masks for ${files.length} images`);
+    const rate = camera.fps ?? fps;
+    const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps: rate, isVirtual: false };
+    return new DepthSource(begun, byNumber(files), byNumber(masks), camera);
+  }
+
+  async frame(k: number): Promise<Captured | undefined> {
+    const [file, mask] = [this.images[k], this.masks[k]];
+    if (!file) return undefined;
+    const { width, pixels } = await readGreyPng(await bytesOf(file));
+    const chosen = mask && (await readGreyPng(await bytesOf(mask))).pixels;
+    const { fx, fy, cx, cy, depth_scale: perMetre = 1000, T_world_sensor: placed } = this.camera;
+    const m = placed ? placed.slice(0, 3).flat() : SENSOR_AXES;
+    const points: number[] = [];
+    for (let i = 0; i < pixels.length; i++) {
+      const z = pixels[i]! / perMetre;
+      if (z === 0 || (chosen && !chosen[i])) continue;
+      const [u, v] = [((i % width) - cx) * (z / fx), (Math.floor(i / width) - cy) * (z / fy)];
+      for (let row = 0; row < 12; row += 4) points.push(m[row]! * u + m[row + 1]! * v + m[row + 2]! * z + m[row + 3]!);
+    }
+    const origin = [m[3]!, m[7]!, m[11]!];
+    return { points: Float32Array.from(points), origin, timestamp: (k + 1) / this.begun.fps };
+  }
+}
+
+/** The frames of a recorded session, as they were sent. */
+class ReplaySource implements Source {
+  private next = 0;
+  private frames: AsyncGenerator<RecordedFrame> | undefined;
+
+  private constructor(
+    readonly begun: Begun,
+    private readonly recording: Recording,
+  ) {}
+
+  static async open(file: File): Promise<ReplaySource> {
+    const recording = await Recording.open(file, decompress);
+    const { garment, body } = recording;
+    const begun = { garment: narrowed(garment), body: body && narrowed(body), first: undefined };
+    return new ReplaySource({ ...begun, count: NaN, fps: await rateOf(recording), isVirtual: false }, recording);
+  }
+
+  async frame(k: number): Promise<Replayed | undefined> {
+    if (!this.frames || k < this.next) {
+      this.frames = this.recording.frames();
+      this.next = 0;
+    }
+    this.next = k + 1;
+    const next = await this.frames.next();
+    if (next.done) return undefined;
+    const { frame, result } = next.value;
+    return { encoded: { message: frame, timestamp: frame.captureTime }, result };
+  }
+}
+
+/** Frames per second at the beginning of a recording. */
+async function rateOf(recording: Recording): Promise<number> {
+  const times: number[] = [];
+  for await (const { frame } of recording.frames()) if (times.push(frame.captureTime) > 10) break;
+  const span = times.at(-1)! - times[0]!;
+  return span > 0 ? (times.length - 1) / span : 30;
+}
+
+function narrowed({ vertices, faces }: { vertices: Float32Array | Float64Array; faces: ArrayLike<number> }) {
+  return { vertices: Float32Array.from(vertices), faces: Uint32Array.from(faces) };
+}
+
+/** Files by the first number in their names, then by name. */
+export function byNumber(files: File[]): File[] {
+  return [...files].sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
+}
+
+export async function bytesOf(file: Blob): Promise<Uint8Array<ArrayBuffer>> {
+  return new Uint8Array(await file.arrayBuffer());
+}
+
+function scaled<T extends Float32Array>(values: T, scale: number): T {
+  if (scale !== 1) for (let i = 0; i < values.length; i++) values[i]! *= scale;
+  return values;
+}

@@ -1,0 +1,35 @@
+/** Worker of a recording: watches a session by itself, so that neither drawing nor a hidden tab costs it frames. */
+import { connect } from "ddakf-client";
+import { record, type Progress } from "ddakf-client/recordings";
+import { decompress } from "fzstd";
+
+/** To the worker: what to record, then its end. */
+export type Order = { server: string; key: string; id: string } | { stop: true };
+/** From the worker: how far it is, then the file or why there is none. */
+export type Report = { progress: Progress } | { file: Blob } | { error: string };
+
+const LARGEST = 1 << 30; // bytes of a file, which the browser keeps until it is saved
+
+const stopping = new AbortController();
+
+onmessage = ({ data }: MessageEvent<Order>) => {
+  if ("stop" in data) stopping.abort();
+  else
+    void run(data).then(report, (error: unknown) => {
+      report({ error: error instanceof Error ? error.message : String(error) });
+    });
+};
+
+async function run({ server, key, id }: { server: string; key: string; id: string }): Promise<Report> {
+  const client = await connect(server, { worker: false, ...(key && { apiKey: key }) });
+  const onFrame = (progress: Progress) => {
+    report({ progress });
+    if (progress.bytes > LARGEST) stopping.abort();
+  };
+  const file = await record(await client.openSession(id), { signal: stopping.signal, zstd: decompress, onFrame });
+  return { file };
+}
+
+function report(message: Report): void {
+  postMessage(message);
+}

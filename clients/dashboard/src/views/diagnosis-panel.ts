@@ -1,0 +1,50 @@
+/** Diagnosis panel: what degrades the fit now, in words. */
+import { h, icon, text } from "../dom.js";
+import { diagnose } from "../session/diagnosis.js";
+import type { Moment } from "../session/memory.js";
+
+const INTERVAL = 500; // milliseconds between changes, so that they can be read
+const MAX_SIGNS = 4;
+
+export class DiagnosisPanel {
+  private readonly list = h("ul.signs");
+  private readonly heading = h("h2", { id: "diagnosis" }, "What degrades the fit");
+  readonly element = h("section.card.diagnosis", { "aria-labelledby": "diagnosis" }, this.heading, this.list);
+  private last = 0;
+  private shown = "";
+
+  /** @param moments up to the one that is shown. */
+  show(moments: readonly Moment[], faces: Uint32Array): void {
+    const now = performance.now();
+    if (now - this.last < INTERVAL) return;
+    this.last = now;
+    const signs = diagnose(moments, faces).slice(0, MAX_SIGNS);
+    const titles = signs.map(({ severity, title }) => severity + title).join();
+    if (titles === this.shown && signs.length > 0) {
+      signs.forEach((sign, i) => {
+        text(this.list.children[i]!.querySelector("p")!, sign.text);
+      });
+      return;
+    }
+    this.shown = titles;
+    const items = signs.map((sign) =>
+      h(
+        "li",
+        { "data-severity": sign.severity },
+        icon(sign.severity === "note" ? "info" : "warning"),
+        h("div", {}, h("strong", {}, sign.title), h("p", {}, sign.text)),
+      ),
+    );
+    this.list.replaceChildren(
+      ...(items.length > 0 ? items : [fine("Nothing: the garment is seen well, and frames come in time.")]),
+    );
+  }
+
+  end(): void {
+    this.list.replaceChildren(fine("The session is not live."));
+  }
+}
+
+function fine(words: string): HTMLElement {
+  return h("li", { "data-severity": "fine" }, icon("check"), h("div", {}, h("p", {}, words)));
+}

@@ -1,0 +1,125 @@
+/** Session: a garment as it is tracked, with its charts, its signs of trouble and its past. */
+import { SessionExpired, SessionNotFound, unpack, unpackFloats, type messages, type Notice, type Result } from "ddakf-client";
+import { reasonOf } from "../api/connection.js";
+import { h } from "../dom.js";
+import { fixed, stateName } from "../format.js";
+import type { Cloud } from "../session/cloud.js";
+import { Memory } from "../session/memory.js";
+import { Watching } from "../session/watching.js";
+import { PlayerPanel } from "./player-panel.js";
+import { RecordButton } from "./record-button.js";
+import { Workbench, type MeshArrays } from "./workbench.js";
+import type { App, View } from "./view.js";
+
+const NOTICE_SECONDS = 8;
+
+export function sessionView(app: App, id: string): View {
+  const view = new SessionView(app, id);
+  return { element: view.element, title: id, close: view.close };
+}
+
+class SessionView {
+  readonly element: HTMLElement;
+  private readonly bench: Workbench;
+  private readonly recording: RecordButton;
+  private watching: Watching | undefined;
+  private closed = false;
+
+  constructor(
+    private readonly app: App,
+    private readonly id: string,
+  ) {
+    const player = app.player?.id === id ? app.player : undefined;
+    const panel = player && new PlayerPanel(player, app.stopPlaying).element;
+    const compare = h("a.button", { href: `#/compare/${id}`, title: "Beside another session" }, "Compare");
+    this.recording = new RecordButton(id, (words, severity) => {
+      this.bench.say(words, severity, NOTICE_SECONDS);
+    });
+    const actions = [this.recording.element, compare];
+    this.bench = new Workbench({ title: id, memory: new Memory(), past: { client: app.client, id }, panel, actions });
+    this.element = this.bench.element;
+    void this.open();
+  }
+
+  readonly close = () => {
+    this.closed = true;
+    this.watching?.close();
+    this.recording.stop();
+    this.bench.close();
+  };
+
+  /** Reads the session's meshes, then watches; an ended session has its history alone. */
+  private async open(): Promise<void> {
+    void this.bench.charts.loadHistory();
+    try {
+      const session = await this.app.client.openSession(this.id);
+      const whole = await session.info({ full: true });
+      if (this.closed) return;
+      this.bench.showState(stateName(whole.state));
+      this.begin(whole);
+    } catch (error) {
+      if (!this.closed) this.end(error);
+    }
+  }
+
+  private begin(session: messages.Session): void {
+    const garment = meshOf(session.garment);
+    if (!garment) return;
+    this.bench.begin(garment, meshOf(session.body));
+    if (Number(session.statistics?.framesApplied ?? 0) === 0 || stateName(session.state) === "idle")
+      this.bench.stage.say("Waiting for frames");
+    const player = this.app.player?.id === this.id ? this.app.player : undefined;
+    this.watching = new Watching(this.app.client, this.id, {
+      onStart: player?.begin,
+      onResult: this.onResult,
+      onNotice: this.onNotice,
+      onLost: (lost, reason) => {
+        this.bench.say(lost ? `Connection lost, trying again. ${reason}` : "", "poor", 0);
+      },
+      onEnd: (error) => {
+        this.end(error);
+      },
+    });
+  }
+
+  private readonly onResult = (result: Result, cloud: Cloud | undefined) => {
+    if (this.closed) return;
+    this.bench.memory.add(result, cloud);
+    this.bench.follow();
+  };
+
+  private readonly onNotice = ({ kind, message, value }: Notice) => {
+    const say = (words: string, severity: string, seconds = NOTICE_SECONDS) => {
+      this.bench.say(words, severity, seconds);
+    };
+    if (kind === "waiting") say(`The server waits for a worker: ${message}`, "poor");
+    else if (kind === "resumed") say(`The session goes on in another worker: ${message}`, "note");
+    else if (kind === "draining") say(`The server stops: ${message}`, "poor", 0);
+    else if (kind === "slow_down") say(`The server can track ${fixed(value)} frames per second of this session now`, "note");
+  };
+
+  private end(error: unknown): void {
+    this.watching?.close();
+    this.bench.ended = error instanceof SessionExpired ? "expired" : "closed";
+    this.bench.showState(this.bench.ended);
+    if (error instanceof SessionNotFound) void this.sayEnded();
+    else this.bench.say(reasonOf(error), "bad", 0);
+    this.bench.diagnosis.end();
+    this.recording.end();
+    this.bench.charts.showAll();
+  }
+
+  private async sayEnded(): Promise<void> {
+    const isStored = await this.bench.charts.loadHistory();
+    const words = isStored ? "The session has ended; the charts have its history." : `There is no session ${this.id}.`;
+    if (this.closed) return;
+    this.bench.say(words, "note", 0);
+    if (this.bench.memory.moments.length === 0) this.bench.stage.say(isStored ? "No garment is kept of an ended session" : "");
+  }
+}
+
+export function meshOf(mesh: messages.Mesh | undefined): MeshArrays | undefined {
+  if (!mesh?.vertices || !mesh.faces) return undefined;
+  const vertices = unpackFloats(mesh.vertices, 3, "vertices");
+  return { vertices, faces: Uint32Array.from(unpack(mesh.faces, 3, "faces")) };
+}

@@ -1,0 +1,212 @@
+/** Files of users in Chromium: an own mesh with a recording, a recorded session, and its replay beside it. */
+import { execFileSync } from "node:child_process";
+import { copyFileSync, readFileSync } from "node:fs";
+import { join } from "node:path";
+import { afterAll, afterEach, beforeAll, expect, test } from "vitest";
+import type { Page } from "playwright-core";
+import { validateBytes } from "gltf-validator";
+import { PYTHON, Service, temporaryFolder } from "../../typescript/tests/server.js";
+import { seriousProblems } from "./axe.js";
+import { Browser } from "./browser.js";
+import * as dashboard from "./dashboard.js";
+import { TRACKING, ddakf, download, exported, lastMoment, overflow, setUp, stopPlaying, trySample } from "./dashboard.js";
+import type { Files, Setting } from "./dashboard.js";
+
+const FILES = `
+import sys
+from pathlib import Path
+import numpy as np
+from PIL import Image
+from ddakf import data
+from ddakf.evaluation.sensors import Camera, Intrinsics, sample_surface
+from ddakf.files.io import write_points
+folder = Path(sys.argv[1])
+sequence, rng = data.sample(), np.random.default_rng(1)
+vertices = 100 * np.concatenate([[[0, 0, 0], [0.1, 0, 0]], sequence.template])  # centimetres, two vertices without faces
+faces = np.concatenate([sequence.garment_faces, sequence.garment_faces[:1]]) + 2  # one face twice
+lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+(folder / "shirt.obj").write_text("\\n".join(lines))
+(folder / "clouds").mkdir()
+for k in range(12):
+    write_points(folder / "clouds" / f"{k}.ply", sample_surface(sequence.garment_vertices[k], sequence.garment_faces, 6000, rng))
+(folder / "images" / "depth").mkdir(parents=True)
+camera = Camera.looking_at(Intrinsics(width=192, height=160, fx=170.0, fy=170.0, cx=95.5, cy=79.5), eye=(0.0, 1.15, 2.0), target=(0.0, 1.15, 0.0))
+for k in range(4):
+    depth, _ = camera.render([(sequence.garment_vertices[k], sequence.garment_faces)])
+    Image.fromarray(np.where(np.isfinite(depth), 1000 * depth, 0).astype(np.uint16)).save(folder / "images" / "depth" / f"{k}.png")
+pose = np.vstack([np.column_stack([camera.axes.T, camera.eye]), [0, 0, 0, 1]])
+import json
+(folder / "images" / "camera.json").write_text(json.dumps({"fx": 170, "fy": 170, "cx": 95.5, "cy": 79.5, "T_world_sensor": pose.tolist()}))
+`;
+
+let setting: Setting;
+let page: Page;
+const folder = temporaryFolder();
+const path = (name: string) => join(folder.path, name);
+const choose = (label: "Files" | "Folder", files: Files) => dashboard.choose(page, label, files);
+const complaints = () => setting.browser.complaints.splice(0);
+
+beforeAll(async () => {
+  execFileSync(PYTHON, ["-c", FILES, folder.path]);
+  setting = await setUp();
+  page = setting.page;
+  await page.goto(`${setting.service.http}/#/start`);
+});
+afterAll(async () => {
+  await setting.close();
+  folder.remove();
+});
+afterEach(() => {
+  expect(complaints()).toEqual([]);
+});
+
+test("a mesh with defects is named, repaired and tracked in a folder of clouds", async () => {
+  await choose("Files", path("shirt.obj"));
+  await page.getByText("Add a recording").waitFor();
+  expect(await page.getByLabel("Unit of the mesh").inputValue()).toBe("cm");
+  await choose("Folder", path("clouds"));
+  await page.getByText("Point clouds, a file per frame, 12 frames").waitFor();
+  expect(await seriousProblems(page)).toEqual([]);
+  await page.getByRole("button", { name: "Start", exact: true }).click();
+  const defects = page.getByLabel("Defects of the mesh");
+  await defects.waitFor();
+  const named = ["2 unreferenced vertices", "1 duplicate faces", "3 non-manifold edges"];
+  expect(await defects.locator("li").allInnerTexts()).toEqual(named);
+  expect(await seriousProblems(page)).toEqual([]);
+  complaints(); // of the refused call
+  await defects.getByRole("button").click();
+  await page.locator(TRACKING).waitFor();
+  await page.getByText("all frames were sent").waitFor();
+  await expect.poll(() => lastMoment(page)).toBe(11); // the first frame of the recording is among them
+});
+
+test("a folder of depth images is tracked with a mesh", async () => {
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  await choose("Folder", path("images"));
+  await page.getByText("Depth images, 4 frames").waitFor();
+  expect(await page.getByRole("button", { name: "Start", exact: true }).isDisabled()).toBe(true);
+  await choose("Files", path("shirt.obj"));
+  await page.getByRole("button", { name: "Start", exact: true }).click();
+  await page.getByRole("button", { name: "Repair and start" }).click();
+  complaints();
+  await page.locator(".session .pill:not([data-state=unknown]):not([data-state=initializing])").waitFor();
+  await page.getByText("all frames were sent").waitFor();
+});
+
+test("a dropped mesh and a dropped folder are taken, without leaving the page", async () => {
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  const { x, y, width, height } = (await page.locator(".drop").boundingBox())!;
+  const at = { x: x + width / 2, y: y + height / 2 };
+  const debugged = await page.context().newCDPSession(page);
+  const drop = async (files: string[]) => {
+    const data = { items: [], files, dragOperationsMask: 1 };
+    for (const type of ["dragEnter", "dragOver", "drop"] as const)
+      await debugged.send("Input.dispatchDragEvent", { type, ...at, data });
+  };
+  await drop([path("shirt.obj"), path("clouds")]);
+  await page.getByText("Point clouds, a file per frame, 12 frames").waitFor();
+  await page.locator("section.card", { hasText: "shirt.obj" }).waitFor();
+  expect(await page.getByRole("button", { name: "Start", exact: true }).isEnabled()).toBe(true);
+  await page.getByRole("button", { name: "Remove shirt.obj" }).click();
+  await page.getByText("Add the garment's mesh").waitFor();
+});
+
+test("what is no mesh and no recording is said", async () => {
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  await choose("Files", [{ name: "notes.doc", mimeType: "text/plain", buffer: Buffer.from("notes") }]);
+  await page.getByRole("alert").getByText("Neither a mesh").waitFor();
+});
+
+test("a session is recorded, and the recording is looked at without a session", async () => {
+  const id = await trySample(page);
+  await ddakf("record", id, path("walk.mcap"), "--frames", "24", "--server", setting.service.grpc);
+  await stopPlaying(page);
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  await choose("Files", path("walk.mcap"));
+  await page.getByRole("button", { name: "Look at it" }).click();
+  await page.locator(".recorded .pill[data-state=tracking]").waitFor();
+  await expect.poll(() => lastMoment(page)).toBe(23);
+  await page.getByRole("button", { name: "Play" }).click();
+  await expect.poll(() => page.locator(".timeline-slider").inputValue().then(Number)).toBeGreaterThan(0);
+  await page.locator(".chart", { hasText: "Reliability" }).locator(".uplot").waitFor();
+  expect(await seriousProblems(page)).toEqual([]);
+  complaints(); // of the session that is no more
+});
+
+test("the recorded motion is exported as a glTF animation", async () => {
+  const saved = await exported(page, "Motion, glTF");
+  expect(saved.name).toBe("walk.glb");
+  const { issues, info } = await validateBytes(Uint8Array.from(readFileSync(saved.path)));
+  expect(issues.messages).toEqual([]);
+  expect(info.hasMorphTargets).toBe(true);
+});
+
+test("a replay gives the recorded vertices to the bit, side by side", async () => {
+  await page.getByRole("button", { name: "Track it again" }).click();
+  await page.getByText("bit for bit").waitFor();
+  await expect.poll(() => page.locator(".numbers tbody tr", { hasText: "Frame" }).locator("td").allInnerTexts()).toHaveLength(2);
+  const [left, right] = await page.locator(".numbers tbody tr", { hasText: "Reliability" }).locator("td").allInnerTexts();
+  expect(left).toBe(right);
+  expect(await page.locator(".compare-side canvas").count()).toBe(2);
+  expect(await seriousProblems(page)).toEqual([]);
+});
+
+test("the page records its session, and both clients replay it to the bit", async () => {
+  const id = await trySample(page);
+  const button = page.locator("button.record");
+  await button.click();
+  await expect.poll(async () => Number(/\d+/.exec(await button.innerText()))).toBeGreaterThan(15);
+  const saved = await download(page, () => button.click());
+  expect(saved.name).toBe(`${id}.mcap`);
+  await page.locator(".stage-notice", { hasText: /has \d+ frames\.$/ }).waitFor();
+  await stopPlaying(page);
+  copyFileSync(saved.path, path("of-the-page.mcap"));
+  const replayed = await ddakf("replay", path("of-the-page.mcap"), "--server", setting.service.grpc, "--json");
+  const { frames, short_of_time: short, largest_difference_mm: difference } = JSON.parse(replayed) as Record<string, number>;
+  expect([frames! > 15, short, difference]).toEqual([true, 0, 0]);
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  await choose("Files", path("of-the-page.mcap"));
+  await page.getByRole("button", { name: "Track it again" }).click();
+  await page.getByText("bit for bit").waitFor();
+  complaints(); // of the session that is no more
+});
+
+test("two live sessions are compared, on a phone too", async () => {
+  const id = await trySample(page);
+  const other = await Browser.start({ width: 390, height: 844, theme: "light" });
+  try {
+    await other.page.goto(setting.service.http);
+    await trySample(other.page);
+    await other.page.getByRole("link", { name: "Compare" }).click();
+    await expect.poll(() => other.page.locator(".compare-side .pill[data-state=tracking]").count()).toBe(2);
+    await other.page.locator(".verdict", { hasText: /apart on average|different frames/ }).waitFor();
+    expect(await other.page.locator("select[aria-label='Right session']").inputValue()).toBe(id);
+    await other.page.locator("select[aria-label='Left session']").selectOption(id);
+    await other.page.locator(".verdict", { hasText: "bit for bit" }).waitFor(); // of a session and itself
+    expect(await seriousProblems(other.page)).toEqual([]);
+    expect(await overflow(other.page)).toBeLessThanOrEqual(0);
+    expect(other.complaints).toEqual([]);
+  } finally {
+    await other.close();
+  }
+  await stopPlaying(page);
+  complaints(); // of the session that is no more
+});
+
+test("the result of a run is shown by the server that was started with it", async () => {
+  const sample = execFileSync(PYTHON, ["-c", "from ddakf.data import SAMPLE; print(SAMPLE)"]).toString().trim();
+  const options = ["--frames", "0:9", "--points", "2000", "--out", path("a run.npz"), "--json"];
+  await ddakf("track", sample, ...options);
+  const other = await Service.start(["--recording", path("a run.npz")]);
+  try {
+    await page.goto(`${other.http}/#/recording`);
+    await page.getByRole("heading", { name: "a run.npz" }).waitFor();
+    await page.locator(".recorded .pill[data-state=tracking]").waitFor();
+    await expect.poll(() => lastMoment(page)).toBe(7);
+    expect(await page.getByRole("button", { name: "Track it again" }).count()).toBe(0); // it has no frames
+    expect(await seriousProblems(page)).toEqual([]);
+  } finally {
+    await page.goto("about:blank"); // it asks its server no more
+    await other.stop();
+  }
+});

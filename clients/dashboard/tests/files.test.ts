@@ -1,0 +1,239 @@
+/** Files of users: read as Python reads them, and written so that others read them. */
+import { execFileSync } from "node:child_process";
+import { readFileSync } from "node:fs";
+import { join } from "node:path";
+import { afterAll, describe, expect, test } from "vitest";
+import * as three from "three";
+import { GLTFLoader, type GLTF } from "three/addons/loaders/GLTFLoader.js";
+import { validateBytes } from "gltf-validator";
+import { PYTHON, temporaryFolder } from "../../typescript/tests/server.js";
+import { gltfOf, MAX_POSES } from "../src/files/gltf.js";
+import { readObj, readSurface } from "../src/files/mesh.js";
+import { readNpz } from "../src/files/npz.js";
+import { readGreyPng } from "../src/files/png.js";
+import { recognise } from "../src/files/recognise.js";
+import { readMotion } from "../src/play/motion.js";
+import { Agreement, distanceOf, newestPair } from "../src/session/pairing.js";
+import type { Moment } from "../src/session/memory.js";
+
+const folder = temporaryFolder();
+afterAll(folder.remove);
+
+/** Runs a Python program with the folder as its argument, and returns the JSON that it prints. */
+function python(program: string): unknown {
+  return JSON.parse(execFileSync(PYTHON, ["-c", `import json, sys\nimport numpy as np\n${program}`, folder.path]).toString());
+}
+
+function bytes(name: string): Uint8Array<ArrayBuffer> {
+  return Uint8Array.from(readFileSync(join(folder.path, name)));
+}
+
+function file(name: string, content: BlobPart = ""): { path: string; file: File } {
+  return { path: name, file: new File([content], name.split("/").at(-1)!) };
+}
+
+describe("NPZ", () => {
+  test("arrays of every type and order are NumPy's", async () => {
+    const told = python(`
+rng = np.random.default_rng(1)
+arrays = {kind: (rng.normal(size=(2, 3, 4)) * 50).astype(kind) for kind in ("f4", "f8", "i1", "u1", "i2", "u2", "i4", "u4", "i8")}
+arrays["columns"] = np.asfortranarray(arrays["f8"])
+arrays["one"] = np.float32(29.5)
+arrays["states"] = np.array(["tracking", "lost"])
+np.savez_compressed(sys.argv[1] + "/packed.npz", **arrays)
+np.savez(sys.argv[1] + "/plain.npz", **arrays)
+print(json.dumps({name: [list(array.shape), array.ravel().tolist()] for name, array in arrays.items()}))
+`) as Record<string, [number[], unknown[]]>;
+    for (const name of ["packed.npz", "plain.npz"]) {
+      const arrays = await readNpz(bytes(name));
+      for (const [key, [shape, values]] of Object.entries(told)) {
+        expect(arrays.get(key)!.shape, key).toEqual(shape);
+        expect(Array.from<unknown>(arrays.get(key)!.data), key).toEqual(values);
+      }
+    }
+  });
+
+  test("another file is refused", async () => {
+    await expect(readNpz(new TextEncoder().encode("no archive at all, but some text"))).rejects.toThrow("no NPZ archive");
+  });
+
+  test("sequences are those of Python, plain and packed", async () => {
+    const told = python(`
+from ddakf import data
+from ddakf.files import moving_mesh
+from ddakf.files.sequence import load_sequence
+sample = data.sample()
+quantum = 1e-4
+steps = np.rint(sample.garment_vertices[:4].astype(float) / quantum).astype(np.int64)
+common = {"garment_F": sample.garment_faces, "fps": 30.0}
+np.savez(sys.argv[1] + "/plain.npz", garment_V=sample.garment_vertices[:4], **common)
+residual = moving_mesh.encode(steps, sample.garment_faces)
+np.savez_compressed(sys.argv[1] + "/residual.npz", garment_V_first=steps[0].astype("i4"), garment_V_residual=residual, quantum=quantum, **common)
+names = ("plain", "residual")
+print(json.dumps({name: load_sequence(f"{sys.argv[1]}/{name}.npz").garment_vertices.ravel()[::97].tolist() for name in names}))
+`) as Record<string, number[]>;
+    for (const [name, values] of Object.entries(told)) {
+      const { garment, rest, fps, body } = await readMotion(bytes(`${name}.npz`));
+      const flat = garment.flatMap((frame) => Array.from(frame)).filter((_, i) => i % 97 === 0);
+      expect(flat.length).toBe(values.length);
+      for (const [i, value] of values.entries()) expect(flat[i]).toBeCloseTo(value, 6);
+      expect([fps, body, rest]).toEqual([30, undefined, garment[0]]);
+    }
+  });
+});
+
+describe("meshes and clouds", () => {
+  test("PLY files in text and both byte orders, with further properties, are those of Python", () => {
+    const told = python(`
+from ddakf.files.io import read_mesh
+head = "ply\\nformat {} 1.0\\ncomment sensor_origin 0.5 1 -2\\nelement vertex 5\\nproperty double x\\nproperty float y\\nproperty float z\\nproperty uchar red\\nelement face 2\\nproperty list uchar int vertex_indices\\nend_header\\n"
+rows = [(0, 0, 0, 1), (1, 0, 0, 2), (1, 1, 0.25, 3), (0, 1, 0, 4), (2, 2, 2, 5)]
+faces = [(0, 1, 2, 3), (2, 3, 4)]
+text = "\\n".join(" ".join(map(str, row)) for row in rows) + "\\n" + "\\n".join(" ".join(map(str, (len(face), *face))) for face in faces)
+open(sys.argv[1] + "/ascii.ply", "w").write(head.format("ascii") + text + "\\n")
+for name, order in (("binary_little_endian", "<"), ("binary_big_endian", ">")):
+    data = np.array(rows, np.dtype([("x", order + "f8"), ("y", order + "f4"), ("z", order + "f4"), ("c", "u1")])).tobytes()
+    data += b"".join(bytes([len(face)]) + np.array(face, order + "i4").tobytes() for face in faces)
+    open(f"{sys.argv[1]}/{name}.ply", "wb").write(head.format(name).encode() + data)
+vertices, triangles = read_mesh(sys.argv[1] + "/ascii.ply")
+print(json.dumps([vertices.ravel().tolist(), np.sort(triangles, axis=0).ravel().tolist()]))
+`) as [number[], number[]];
+    for (const name of ["ascii", "binary_little_endian", "binary_big_endian"]) {
+      const { vertices, faces, origin } = readSurface(`${name}.ply`, bytes(`${name}.ply`));
+      expect(Array.from(vertices), name).toEqual(told[0]);
+      expect(Array.from(faces).sort(), name).toEqual(told[1].sort());
+      expect(origin).toEqual([0.5, 1, -2]);
+    }
+  });
+
+  test("OBJ files with texture indices, polygons and indices from the end", () => {
+    const { vertices, faces } = readObj("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 0 0 1\nf 1/1/1 2/2/1 3//1 4\nf -4 -3 -2\n");
+    expect(vertices.length).toBe(12);
+    expect(Array.from(faces)).toEqual([0, 1, 2, 0, 2, 3, 0, 1, 2]);
+  });
+
+  test("damaged files are refused with a sentence", () => {
+    const encode = (text: string) => new TextEncoder().encode(text);
+    const head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
+    expect(() => readSurface("a.ply", encode(`${head}0 0 0\n1 1`))).toThrow("ends early");
+    expect(() => readSurface("a.ply", encode("solid"))).toThrow("no PLY file");
+    expect(() => readSurface("a.obj", encode("v 0 0 nan\nf 1 1 1"))).toThrow("not finite");
+  });
+});
+
+test("16-bit images of every filter, and 8-bit masks, have Pillow's pixels", async () => {
+  const told = python(`
+from PIL import Image
+rng = np.random.default_rng(2)
+depth = (1500 + 400 * np.sin(np.arange(37)[None] / 5) + rng.integers(0, 60, (23, 37))).astype(np.uint16)
+Image.fromarray(depth).save(sys.argv[1] + "/depth.png")
+Image.fromarray((depth > 1500).astype(np.uint8) * 255).save(sys.argv[1] + "/mask.png")
+print(json.dumps([depth.ravel().tolist(), ((depth > 1500) * 255).ravel().tolist()]))
+`) as [number[], number[]];
+  for (const [i, name] of ["depth.png", "mask.png"].entries()) {
+    const { width, height, pixels } = await readGreyPng(bytes(name));
+    expect([width, height, Array.from(pixels)]).toEqual([37, 23, told[i]]);
+  }
+});
+
+describe("what files are", () => {
+  const mesh = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+  const cloud = "v 0 0 0\n";
+
+  test("a single mesh, a folder of clouds, and a mesh beside them", async () => {
+    expect((await recognise([file("shirt.obj", mesh)])).mesh?.faces.length).toBe(3);
+    const frames = [file("walk/10.obj", cloud), file("walk/9.obj", cloud), file("walk/11.obj", cloud)];
+    const { source } = await recognise(frames);
+    expect(source?.kind === "clouds" && source.files.map(({ name }) => name)).toEqual(["9.obj", "10.obj", "11.obj"]);
+    for (const beside of ["shirt.obj", "walk/template.obj"]) {
+      const both = await recognise([...frames, file(beside, mesh)]);
+      expect([both.mesh?.vertices.length, both.source?.kind]).toEqual([9, "clouds"]);
+    }
+  });
+
+  test("depth images need a camera; masks are told apart", async () => {
+    const images = [file("a/depth/1.png"), file("a/depth/2.png"), file("a/mask/1.png"), file("a/mask/2.png")];
+    expect((await recognise(images)).problems.join()).toContain("no camera.json");
+    const { source } = await recognise([...images, file("a/camera.json", "{}")]);
+    expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 2]);
+  });
+
+  test("what is neither is said", async () => {
+    expect((await recognise([file("notes.doc")])).problems[0]).toContain("Neither a mesh");
+    expect((await recognise([file("cloud.obj", cloud)])).problems[0]).toContain("points without faces");
+    expect((await recognise([file("broken.npz", "text, which is no archive")])).problems[0]).toContain("no NPZ archive");
+  });
+});
+
+describe("glTF", () => {
+  const faces = Uint32Array.from([0, 1, 2, 1, 3, 2]);
+  const pose = (k: number) => ({
+    time: 5 + k / 10,
+    vertices: Float32Array.from([0, 0, 0, 1, 0, 0, 0, 1, 0, 1, 1, 0], (value, i) => value + (i % 3 === 2 ? Math.sin(k + i) : 0)),
+  });
+
+  test("Khronos' validator has no complaint, of one pose or many", async () => {
+    for (const count of [1, 2, 30]) {
+      const { issues } = await validateBytes(
+        gltfOf(
+          Array.from({ length: count }, (_, k) => pose(k)),
+          faces,
+        ),
+      );
+      expect(issues.messages, String(count)).toEqual([]);
+    }
+  });
+
+  test("three.js plays every pose at its time", async () => {
+    const poses = Array.from({ length: 8 }, (_, k) => pose(k));
+    const { scene, animations } = await new Promise<GLTF>((resolve, reject) => {
+      new GLTFLoader().parse(gltfOf(poses, faces).buffer, "", resolve, reject);
+    });
+    const mesh = scene.getObjectByName("garment") as three.Mesh;
+    const mixer = new three.AnimationMixer(mesh);
+    mixer.clipAction(animations[0]!).play();
+    for (const [k, { vertices }] of poses.slice(0, -1).entries()) {
+      mixer.setTime(k / 10);
+      const shown = [0, 1, 2, 3].flatMap((v) => mesh.getVertexPosition(v, new three.Vector3()).toArray());
+      for (const [i, value] of shown.entries()) expect(value).toBeCloseTo(vertices[i]!, 5);
+    }
+  });
+
+  test("long motions are thinned out", async () => {
+    const { info } = await validateBytes(
+      gltfOf(
+        Array.from({ length: 3 * MAX_POSES }, (_, k) => pose(k)),
+        faces,
+      ),
+    );
+    expect(info.hasMorphTargets).toBe(true);
+    expect(info.drawCallCount).toBe(1);
+  });
+});
+
+describe("pairs of moments", () => {
+  const at = (captureTime: number) => ({ captureTime }) as Moment;
+
+  test("the newest of the same frame, else the newest of each", () => {
+    expect(newestPair([at(1), at(2), at(3)], [at(1), at(2)])).toEqual({ left: at(2), right: at(2), isSameFrame: true });
+    expect(newestPair([at(1)], [at(7)])).toEqual({ left: at(1), right: at(7), isSameFrame: false });
+    expect(newestPair([at(1)], [])).toBeUndefined();
+  });
+
+  test("frames after work was left out do not count as disagreement", () => {
+    const agreement = new Agreement();
+    const [equal, apart] = [0, 1].map((largest) => ({ perVertex: new Float32Array(), mean: largest, largest }));
+    agreement.note(equal!, true);
+    agreement.note(apart!, true);
+    expect(agreement).toMatchObject({ frames: 2, same: 1, before: undefined });
+    agreement.note(apart!, false);
+    agreement.note(equal!, true);
+    expect(agreement).toMatchObject({ frames: 4, same: 2, before: { frames: 2, same: 1 } });
+  });
+
+  test("distances are Euclidean, and need equal meshes", () => {
+    const distance = distanceOf(Float32Array.from([0, 0, 0, 1, 1, 1]), Float32Array.from([3, 4, 0, 1, 1, 1]))!;
+    expect([distance.mean, distance.largest, Array.from(distance.perVertex)]).toEqual([2.5, 5, [5, 0]]);
+    expect(distanceOf(new Float32Array(6), new Float32Array(3))).toBeUndefined();
+  });
+});

@@ -1,0 +1,307 @@
+"""Recordings: the frames and results of a session in an MCAP file, and their replay against a server.
+
+| topic | schema | content |
+|---|---|---|
+| `/session` | `ddakf_api.v1.Session` | meshes and configuration, once |
+| `/frame`, `/result` | `ddakf_api.v1.Frame`, `.Result` | as sent and answered |
+| `/cloud`, `/garment` | `foxglove.PointCloud`, `foxglove.SceneUpdate` | for Foxglove, see :mod:`.foxglove` |
+| `/numbers` | `ddakf.Numbers` | reliability, score, coverage, counters, seconds per stage |
+
+The attachment ``snapshot`` holds the tracker's state before the first frame: a replay continues from it and gives the same
+results to the bit. A key that may only read gets none; its replay starts from the first result.
+"""
+
+from __future__ import annotations
+
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+
+import grpc
+import numpy as np
+from ddakf_api import API_VERSION
+from ddakf_api.errors import InvalidArgument, PermissionDenied
+from ddakf_api.v1 import tracking_pb2 as pb
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+from ddakf_client.calls import failure
+from ddakf_client.client import Client, Session
+from ddakf_client.recordings import foxglove
+from ddakf_client.results import Result, result_from
+
+SESSION, FRAME, RESULT, CLOUD, GARMENT, NUMBERS = "/session", "/frame", "/result", "/cloud", "/garment", "/numbers"
+SNAPSHOT = "snapshot"
+_MESSAGES = {SESSION: pb.Session, FRAME: pb.Frame, RESULT: pb.Result}
+_SCHEMAS = {
+    CLOUD: ("foxglove.PointCloud", foxglove.POINT_CLOUD),
+    GARMENT: ("foxglove.SceneUpdate", foxglove.SCENE_UPDATE),
+    NUMBERS: ("ddakf.Numbers", foxglove.NUMBERS),
+}
+_NANOSECONDS = 1e9
+_NO_LIMIT = float("inf")
+
+
+def record(
+    session: Session,
+    path: str | PathLike,
+    *,
+    seconds: float = _NO_LIMIT,
+    frames: float = _NO_LIMIT,
+    on_start: Callable[[], None] = lambda: None,
+    on_result: Callable[[Result], None] = lambda result: None,
+) -> int:
+    """Records what a session's client sends and gets from now on, without slowing it. Returns the number of frames.
+
+    The recording ends after ``seconds`` or ``frames``, with the session, or with KeyboardInterrupt.
+
+    Args:
+        path: of the file; it is replaced.
+        on_start: called when the next frame will be recorded.
+        on_result: called after each recorded frame.
+
+    Raises:
+        ImportError: mcap is not installed.
+        SessionNotFound, Unavailable: no such session, or no server.
+    """
+    client = session._client
+    call = client.open_watch(pb.WatchSessionRequest(name=session.name, api_version=API_VERSION, include_frames=True))
+    end = time.monotonic() + seconds
+    timer = threading.Timer(min(seconds, threading.TIMEOUT_MAX), call.cancel)
+    timer.daemon = True
+    timer.start()
+    try:
+        next(call)  # Started: answers from now on are queued
+        with open(path, "wb") as file, _Writer(file) as writer:
+            after = _write_beginning(client, session.name, writer)
+            on_start()
+            return _write_frames(_pairs(call, after), writer, end, frames, on_result)
+    except grpc.RpcError as error:
+        raise failure(error, client.target, _NO_LIMIT) from None
+    finally:
+        timer.cancel()
+        call.cancel()
+
+
+def _write_beginning(client: Client, name: str, writer: _Writer) -> int:
+    """Writes the session with its meshes, and its state if the key may read it. Returns the last frame of that state; 0: none."""
+    try:
+        state = client.call("SnapshotSession", pb.SnapshotSessionRequest(name=name))
+    except PermissionDenied:
+        state = None
+    whole = client.call("GetSession", pb.GetSessionRequest(name=name, view=pb.SESSION_VIEW_FULL))
+    if state is not None:
+        whole.statistics.CopyFrom(state.session.statistics)
+        writer.attach(SNAPSHOT, state.data)
+    writer.faces = np.frombuffer(whole.garment.faces.data, "<u4").reshape(-1, 3)
+    writer.write(SESSION, whole.SerializeToString(), whole.statistics.last_capture_time)
+    return 0 if state is None else state.session.statistics.last_sequence_number
+
+
+def _pairs(call: grpc.Call, after: int) -> Iterator[tuple[pb.Frame, pb.Result] | None]:
+    """Each frame above a number with its result; None for another answer."""
+    frame = None
+    for response in call:
+        if response.HasField("frame"):
+            frame = response.frame
+        elif response.HasField("result") and frame is not None and frame.sequence_number > after:
+            yield frame, response.result
+            frame = None
+        else:
+            yield None
+
+
+def _write_frames(
+    pairs: Iterator[tuple[pb.Frame, pb.Result] | None],
+    writer: _Writer,
+    end: float,
+    most: float,
+    on_result: Callable[[Result], None],
+) -> int:
+    """Writes frames with their results until an end is reached; returns their number."""
+    count = 0
+    try:
+        for pair in pairs:
+            if pair is not None:
+                result = _converted(pair[1])
+                writer.write_pair(*pair, result)
+                count += 1
+                on_result(result)
+            if count >= most or time.monotonic() > end:
+                break
+    except KeyboardInterrupt:
+        pass
+    except grpc.RpcError:
+        if not count and time.monotonic() < end:
+            raise  # otherwise the time is over, or the session has ended and the recording with it
+    return count
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording in memory.
+
+    Attributes:
+        session: with its meshes and configuration.
+        frames, results: of equal length, in their order.
+        snapshot: state of the tracker before the first frame; empty: none.
+    """
+
+    session: pb.Session
+    frames: list[pb.Frame] = field(default_factory=list)
+    results: list[pb.Result] = field(default_factory=list)
+    snapshot: bytes = b""
+
+
+def load(path: str | PathLike) -> Recording:
+    """Reads a recording.
+
+    Raises:
+        ImportError: mcap is not installed. InvalidArgument: not a recording of a session.
+    """
+    reading = _mcap("reader")
+    with open(path, "rb") as file:
+        try:
+            reader = reading.make_reader(file)
+            messages = [(channel.topic, message.data) for _, channel, message in reader.iter_messages(list(_MESSAGES))]
+            attachments = {each.name: each.data for each in reader.iter_attachments()}
+        except _mcap("exceptions").McapError as error:
+            raise InvalidArgument(field="path", expected="an MCAP file", got=f"{Path(path).name}: {error}") from None
+    read = {topic: [kind.FromString(data) for at, data in messages if at == topic] for topic, kind in _MESSAGES.items()}
+    if not read[SESSION]:
+        raise InvalidArgument(field="path", expected="a recording of a session", got=f"{Path(path).name} without {SESSION}")
+    known = read[SESSION][0].statistics.last_sequence_number if SNAPSHOT in attachments else 0
+    pairs = [(f, r) for f, r in zip(read[FRAME], read[RESULT], strict=True) if f.sequence_number > known]
+    return Recording(read[SESSION][0], [f for f, _ in pairs], [r for _, r in pairs], attachments.get(SNAPSHOT, b""))
+
+
+def replay(client: Client, recording: Recording) -> Iterator[tuple[Result, Result]]:
+    """Sends the recorded frames to a new session and yields each recorded result with its new one; deletes the session.
+
+    With a snapshot of the same version of the tracker the arrays are equal to the bit.
+
+    Raises:
+        ServiceError: the server refuses the session, or ends its stream.
+    """
+    with _session_of(client, recording) as session:
+        call = client.open_track(_requests(session.name, recording))
+        answers = (response.result for response in call if response.HasField("result"))
+        recorded = {result.sequence_number: result for result in recording.results}
+        try:
+            for answer in answers:
+                yield _converted(recorded[answer.sequence_number]), _converted(answer)
+        except grpc.RpcError as error:
+            raise failure(error, client.target, _NO_LIMIT) from None
+        finally:
+            call.cancel()
+
+
+def _session_of(client: Client, recording: Recording) -> Session:
+    labels = {"source": "replay"}
+    if recording.snapshot:
+        return client.restore_session(recording.snapshot, labels=labels)
+    message = pb.Session(garment=recording.session.garment, config_json=recording.session.config_json, labels=labels)
+    if recording.session.HasField("body"):
+        message.body.CopyFrom(recording.session.body)
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=message)
+    session = client._session("CreateSession", request, keep=False)
+    if recording.results:
+        session.reset(_converted(recording.results[0]).vertices)
+    return session
+
+
+def _requests(name: str, recording: Recording) -> Iterator[pb.TrackRequest]:
+    """The frames as they were recorded, answered in the encodings of the recorded results."""
+    first = recording.results[0] if recording.results else pb.Result()
+    options = pb.ResultOptions(
+        vertex_encoding=first.vertices.encoding,
+        sigma_encoding=first.sigma.encoding,
+        reliability_encoding=first.vertex_reliability.encoding,
+        include_covariance=first.HasField("covariance"),
+        include_velocities=first.HasField("velocities"),
+    )
+    flow = pb.FLOW_MODE_LOSSLESS
+    yield pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=flow, result_options=options))
+    for frame in recording.frames:
+        yield pb.TrackRequest(frame=frame)
+
+
+def _converted(message: pb.Result) -> Result:
+    return result_from(message, dropped_before_sending=0, latency=float("nan"))
+
+
+class _Writer:
+    """An MCAP file with the channels of a recording."""
+
+    def __init__(self, file):
+        self._writer = _mcap("writer").Writer(file)
+        self.faces = np.empty((0, 3), np.uint32)
+
+    def __enter__(self) -> _Writer:
+        self._writer.start(profile="", library="ddakf")
+        self._channels = {topic: self._message_channel(topic, kind) for topic, kind in _MESSAGES.items()}
+        for topic, (name, schema) in _SCHEMAS.items():
+            identifier = self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode())
+            self._channels[topic] = self._writer.register_channel(topic, "json", identifier)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._writer.finish()
+
+    def attach(self, name: str, data: bytes) -> None:
+        now = time.time_ns()
+        self._writer.add_attachment(now, now, name, "application/octet-stream", data)
+
+    def write(self, topic: str, data: bytes, capture_time: float, sequence: int = 0) -> None:
+        published = max(0, int(capture_time * _NANOSECONDS))
+        self._writer.add_message(self._channels[topic], time.time_ns(), data, published, sequence & 0xFFFFFFFF)
+
+    def write_pair(self, frame: pb.Frame, message: pb.Result, result: Result) -> None:
+        """A frame, its result, and both for Foxglove."""
+        now, number = frame.capture_time, frame.sequence_number
+        self.write(FRAME, frame.SerializeToString(), now, number)
+        self.write(RESULT, message.SerializeToString(), now, number)
+        documents = {
+            CLOUD: foxglove.point_cloud(frame),
+            GARMENT: foxglove.garment(result, self.faces),
+            NUMBERS: foxglove.numbers(result),
+        }
+        for topic, document in documents.items():
+            if document is not None:
+                self.write(topic, json.dumps(document).encode(), now, number)
+
+    def _message_channel(self, topic: str, kind) -> int:
+        schema = _descriptor_set(kind.DESCRIPTOR.file).SerializeToString()
+        return self._writer.register_channel(
+            topic, "protobuf", self._writer.register_schema(kind.DESCRIPTOR.full_name, "protobuf", schema)
+        )
+
+
+def _descriptor_set(file: FileDescriptor) -> FileDescriptorSet:
+    """A schema with those that it depends on, which come first."""
+    files: dict[str, FileDescriptor] = {}
+
+    def add(each: FileDescriptor) -> None:
+        for dependency in each.dependencies:
+            add(dependency)
+        files[each.name] = each
+
+    add(file)
+    described = FileDescriptorSet()
+    for each in files.values():
+        each.CopyToProto(described.file.add())
+    return described
+
+
+def _mcap(module: str):
+    """A module of mcap, which only recordings need."""
+    import importlib
+
+    try:
+        return importlib.import_module(f"mcap.{module}")
+    except ImportError as error:
+        raise ImportError("recordings need mcap: pip install 'ddakf-client[recording]'") from error

@@ -1,0 +1,111 @@
+/** REST: calls of the HTTP interface, which speaks the JSON mapping of the contract's messages. */
+import { fromJson, toJsonString, type DescMessage, type JsonObject, type JsonValue, type MessageShape } from "@bufbuild/protobuf";
+import { DeadlineExceeded, Draining, Unavailable, fromDetail, fromStatus, type ServiceError } from "./errors.js";
+import { ErrorDetailSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
+
+/** Body and query of a call. */
+export interface CallOptions {
+  /** JSON, or the bytes of a snapshot. */
+  body?: string | Uint8Array<ArrayBuffer>;
+  query?: Record<string, string | string[] | undefined>;
+}
+
+/** Properties of the server; the only call that is made at another address after a timeout. */
+export const INFO = "/v1/info";
+
+const NO_SERVER = [502, 503, 504]; // of a proxy that reaches none
+
+/** HTTP calls with one key to one of several servers. */
+export class Rest {
+  /** Address of the present server. */
+  base: string;
+
+  /** @param bases addresses without a trailing slash, at least one; a path before `/v1` stays. */
+  constructor(
+    private readonly bases: readonly string[],
+    private readonly apiKey: string | undefined,
+    private readonly timeout: number,
+  ) {
+    this.base = bases[0]!;
+  }
+
+  /** Whether there are further addresses to try. */
+  get hasOthers(): boolean {
+    return this.bases.length > 1;
+  }
+
+  /** Sends later calls to the address after one that does not answer, unless they have gone elsewhere already. */
+  moveOn(base: string): void {
+    if (this.base === base && this.hasOthers) this.base = this.bases[(this.bases.indexOf(base) + 1) % this.bases.length]!;
+  }
+
+  /** The message that answers a call. Raises the classes of `errors`. */
+  async message<T extends DescMessage>(
+    schema: T,
+    method: string,
+    path: string,
+    options: CallOptions = {},
+  ): Promise<MessageShape<T>> {
+    const response = await this.call(method, path, options);
+    return fromJson(schema, (await response.json()) as JsonValue, { ignoreUnknownFields: true });
+  }
+
+  /**
+   * The answer of a call that succeeded. One that no server has answered, or whose server is about to stop, is made at the next
+   * address. Raises the classes of `errors`.
+   */
+  async call(method: string, path: string, options: CallOptions = {}): Promise<Response> {
+    for (let left = this.bases.length; ; left--) {
+      const base = this.base;
+      const answer = await this.answer(base, method, path, options);
+      if (answer instanceof Response && answer.ok) return answer;
+      const [error, answered] = answer instanceof Response ? await errorOf(answer) : [answer, false];
+      const silent = !answered && (error instanceof Unavailable || path === INFO);
+      if (!silent && !(error instanceof Draining)) throw error;
+      this.moveOn(base);
+      if (left === 1) throw error;
+    }
+  }
+
+  /** The answer of a server, or the reason why there is none. */
+  private async answer(
+    base: string,
+    method: string,
+    path: string,
+    { body, query = {} }: CallOptions,
+  ): Promise<Response | ServiceError> {
+    const headers: Record<string, string> = this.apiKey ? { authorization: `Bearer ${this.apiKey}` } : {};
+    if (body !== undefined) headers["content-type"] = typeof body === "string" ? "application/json" : "application/octet-stream";
+    const init: RequestInit = { method, headers, signal: AbortSignal.timeout(1000 * this.timeout), body: body ?? null };
+    return fetch(`${base}${path}${queryText(query)}`, init).catch((cause: unknown) => this.failure(base, cause));
+  }
+
+  private failure(base: string, cause: unknown): ServiceError {
+    if (cause instanceof DOMException && cause.name === "TimeoutError")
+      return new DeadlineExceeded(`${base} gave no answer within ${this.timeout} s`);
+    const reason = cause instanceof Error ? (cause.cause instanceof Error ? cause.cause.message : cause.message) : String(cause);
+    return new Unavailable(`${base} does not answer: ${reason}`);
+  }
+}
+
+/** A request as the body of its call. */
+export function bodyOf<T extends DescMessage>(schema: T, request: MessageShape<T>): string {
+  return toJsonString(schema, request, { useProtoFieldName: true });
+}
+
+function queryText(query: Record<string, string | string[] | undefined>): string {
+  const pairs = Object.entries(query).flatMap(([name, value]) => [value ?? []].flat().map((each) => [name, each]));
+  return pairs.length > 0 ? `?${new URLSearchParams(pairs).toString()}` : "";
+}
+
+/** The error of an answer, and whether it is a server's, not that of a proxy before it. */
+async function errorOf(response: Response): Promise<[error: ServiceError, answered: boolean]> {
+  const text = await response.text();
+  try {
+    const { error } = JSON.parse(text) as JsonObject;
+    return [fromDetail(fromJson(ErrorDetailSchema, error!, { ignoreUnknownFields: true })), true];
+  } catch {
+    const message = `the server answered ${response.status}: ${text.slice(0, 120)}`;
+    return [NO_SERVER.includes(response.status) ? new Unavailable(message) : fromStatus(response.status, message), false];
+  }
+}

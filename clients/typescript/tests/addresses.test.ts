@@ -1,0 +1,106 @@
+/** Several addresses: the client uses the first server that answers, and the next one when it is lost or falls silent. */
+import { createServer } from "node:http";
+import type { AddressInfo } from "node:net";
+import { afterAll, afterEach, beforeAll, beforeEach, expect, test } from "vitest";
+import { Client, connect, type Session } from "../dist/index.js";
+import * as errors from "../dist/errors.js";
+import { Proxy } from "./proxy.js";
+import { camera, makeSheet, sheetFrames } from "./scenes.js";
+import { Service, freePort } from "./server.js";
+
+const sheet = makeSheet();
+const COUNT = 30;
+const EVERY = Array.from({ length: COUNT }, (_, i) => i + 1);
+let service: Service;
+let proxies: Proxy[];
+let client: Client;
+let session: Session;
+
+beforeAll(async () => {
+  service = await Service.start();
+});
+
+afterAll(() => service.stop());
+
+/** Three addresses of one service, as if three servers shared its sessions. */
+beforeEach(async () => {
+  proxies = await Promise.all([1, 2, 3].map(() => Proxy.to(service.http)));
+  client = await connect(
+    proxies.map(({ url }) => url),
+    { timeout: 2 },
+  );
+  session = await client.createSession(sheet);
+});
+
+afterEach(async () => {
+  await session.delete();
+  client.close();
+  for (const proxy of proxies) proxy.close();
+});
+
+async function nobody(): Promise<string> {
+  return `http://127.0.0.1:${await freePort()}`;
+}
+
+/** Numbers of the answers of a lossless stream, at whose fifth something happens. */
+async function answeredAcross(event: () => void): Promise<number[]> {
+  const answered: number[] = [];
+  const frames = camera(sheetFrames(sheet, COUNT), 0.01);
+  for await (const { sequence } of session.track(frames, { flow: "lossless", onNotice: () => undefined })) {
+    answered.push(sequence);
+    if (sequence === 5) event();
+  }
+  return answered;
+}
+
+test("the first that answers is used", async () => {
+  const other = await connect([await nobody(), proxies[1]!.url, await nobody()]);
+  expect(other.url).toBe(proxies[1]!.url);
+  expect((await (await other.openSession(session.sessionId)).info()).name).toBe(session.name);
+  other.close();
+});
+
+test("none that answers is an error that names the last; none at all is refused", async () => {
+  const [one, two] = [await nobody(), await nobody()];
+  await expect(connect([one, two])).rejects.toThrow(two);
+  await expect(connect([])).rejects.toThrow(errors.InvalidArgument);
+});
+
+test("a call goes to the next server when one is lost", async () => {
+  proxies[0]!.close();
+  expect((await session.info()).name).toBe(session.name);
+  expect(client.url).toBe(proxies[1]!.url);
+});
+
+test("an answer of the server is no reason to go elsewhere", async () => {
+  await expect(client.openSession("some")).rejects.toThrow(errors.SessionNotFound);
+  expect(client.url).toBe(proxies[0]!.url);
+});
+
+test("a stream goes on at the next server, without a lost frame", async () => {
+  const answered = await answeredAcross(() => {
+    proxies[0]!.close();
+  });
+  expect(answered).toEqual(EVERY);
+  expect(client.url).toBe(proxies[1]!.url);
+});
+
+test("servers that fall silent are left, also one that never opens the stream", async () => {
+  const answered = await answeredAcross(() => {
+    proxies[0]!.silence();
+    proxies[1]!.silence();
+  });
+  expect(answered).toEqual(EVERY);
+  expect(client.url).toBe(proxies[2]!.url);
+});
+
+test("a proxy without a server behind it counts as none", async () => {
+  const gateway = createServer((_, response) => response.writeHead(502).end("Bad Gateway")).listen(0, "127.0.0.1");
+  await new Promise((resolve) => gateway.once("listening", resolve));
+  const address = `http://127.0.0.1:${(gateway.address() as AddressInfo).port}`;
+  const other = await connect([address, proxies[0]!.url]);
+  expect(other.url).toBe(proxies[0]!.url);
+  await expect(connect(address)).rejects.toThrow(errors.Unavailable);
+  other.close();
+  gateway.close();
+});

@@ -1,0 +1,75 @@
+"""Record a session as MCAP, read the file, and replay it: the same frames give the same vertices.
+
+python examples/08_record_and_replay.py                    starts its own service
+python examples/08_record_and_replay.py 127.0.0.1:7701     uses a running service (ddakf serve)
+
+It needs pip install 'ddakf-client[recording]'. Foxglove and `ddakf view` show the file.
+"""
+
+import contextlib
+import sys
+import tempfile
+import threading
+from pathlib import Path
+
+import numpy as np
+from ddakf_client import Frame, connect, recordings
+from ddakf_service.commands.service_process import ServiceProcess
+
+from ddakf import data
+from ddakf.evaluation.sensors import Sensor
+
+FRAMES = 8
+
+
+@contextlib.contextmanager
+def service(address: str | None):
+    """The address of a service."""
+    if address:
+        yield address
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
+        try:
+            process.wait_until_ready()
+            yield process.grpc
+        finally:
+            process.stop()
+
+
+def track(session, sequence, begin: threading.Event) -> None:
+    """The camera's program: streams the sample as a depth camera sees it."""
+    camera, rng = Sensor("front"), np.random.default_rng(1)
+
+    def frames():
+        begin.wait()
+        for number in range(1, FRAMES + 1):
+            cloud = camera.capture(sequence, number, rng)
+            yield Frame(cloud.points, sequence.timestamp(number), cloud.sensor_origin)
+
+    for _ in session.track(frames()):
+        pass
+
+
+def main(path: Path) -> None:
+    sequence = data.sample()
+    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address, connect(address) as client:
+        with client.create_session(sequence.template, sequence.garment_faces, flow="lossless") as session:
+            session.reset(sequence.garment_vertices[0])
+            begin = threading.Event()
+            camera = threading.Thread(target=track, args=(session, sequence, begin))
+            camera.start()
+            with connect(address) as other:  # a recorder is another client, and does not slow the camera
+                watched = other.open_session(session.session_id)
+                count = recordings.record(watched, path, frames=FRAMES, on_start=begin.set)
+            camera.join()
+        recording = recordings.load(path)
+        last = recording.results[-1]
+        print(f"{count} frames in {path.stat().st_size / 1e6:.1f} MB; the last reliability was {last.reliability:.2f}")
+        differences = [np.abs(before.vertices - now.vertices).max() for before, now in recordings.replay(client, recording)]
+        print(f"replayed {len(differences)} frames, largest difference of a coordinate: {max(differences):g} m")
+
+
+if __name__ == "__main__":  # the service's workers are spawned: they import this file
+    with tempfile.TemporaryDirectory() as folder:
+        main(Path(folder) / "walk.mcap")
