@@ -1,11 +1,15 @@
-"""Chaos test: sessions under injected faults. ``python benchmarks/chaos.py [--seconds 150] [--seed 1]``.
+"""Chaos test: sessions beside a hostile one and under injected faults. ``python benchmarks/chaos.py [--seconds 150] [--seed 1]``.
 
-Clients stream the sample through the client library and a proxy. On a schedule drawn from the seed, workers are killed,
+First a hostile session joins the clients: the largest garment and cloud, a fifth of the points on one spot. No client may wait
+longer than 250 ms between two answers, or than twice as long as without it where the machine is too busy for that.
+
+Then clients stream the sample through the client library and a proxy. On a schedule drawn from the seed, workers are killed,
 connections are cut, readers stall, the file system of the checkpoints is filled, the database is stopped, and the whole server
 is killed and started again. Afterwards every session has to be alive, its state tracking, and its error as without faults: over
-the last seconds at most 1.2 times, or 1 mm above, that of the same frames without faults. Exit status 1 otherwise. Faults that
-the machine cannot produce (no PostgreSQL, no root for a file system of limited size) are skipped and listed. Writes
-benchmarks/results/chaos.json.
+the last seconds at most 1.2 times, or 1 mm above, that of the same frames without faults. Faults that the machine cannot produce
+(no PostgreSQL, no root for a file system of limited size) are skipped and listed. Writes benchmarks/results/chaos.json.
+
+Exit status 1: the service failed. 2: the test itself did, and says nothing about the service.
 """
 
 from __future__ import annotations
@@ -13,11 +17,11 @@ from __future__ import annotations
 import argparse
 import asyncio
 import contextlib
+import itertools
 import json
 import os
 import random
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -26,12 +30,14 @@ from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import hostile
 import inputs
 import numpy as np
 import traffic
 from ddakf_client import Frame, Notice, Result, aconnect
-from ddakf_service.commands.service_process import ServiceProcess
-from postgres import NoPostgres, Postgres
+from ddakf_service.commands.service_process import ServiceFailed, ServiceProcess
+from ports import lasting_port
+from postgres import NoPostgres, Postgres, PostgresFailed
 from rich.console import Console
 
 import ddakf
@@ -42,6 +48,8 @@ RESULT = Path(__file__).parent / "results" / "chaos.json"
 QUIET = 10.0  # seconds without faults at the end, over whose last half errors are compared
 EVERY = (4.0, 8.0)  # seconds between faults
 RATIO, SLACK_MM = 1.2, 1.0
+LONGEST_GAP_MS, BUSY_RATIO = 250.0, 2.0  # between two answers beside a hostile session; over that without it, if larger
+UNDISTURBED = 10.0  # seconds of the clients before the hostile session begins
 DISK = "24m"  # of the file system that the checkpoints are on
 console = Console(stderr=True, highlight=False)
 
@@ -49,6 +57,31 @@ console = Console(stderr=True, highlight=False)
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
     a = _parser().parse_args(argv)
+    try:
+        part = _measured(a)
+    except (PostgresFailed, HarnessFailed) as failure:
+        print(f"THE TEST FAILED, not the service: {failure}")
+        return 2
+    report = {"name": "chaos", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
+    report["chaos"] = part
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    a.out.write_text(json.dumps(report, indent=1) + "\n")
+    for row in part["sessions"]:
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    if part["hostile"]:
+        print("  ".join(f"{name} {part['hostile'][name]}" for name in ("longest_gap_ms", "undisturbed_gap_ms", "answers")))
+    for sentence in part["failed"]:
+        print(f"FAILED: {sentence}")
+    print(a.out)
+    return 1 if part["failed"] else 0
+
+
+def _measured(a: argparse.Namespace) -> dict:
+    """The results, with the sentences of what failed.
+
+    Raises:
+        PostgresFailed, HarnessFailed: the test cannot go on.
+    """
     run = inputs.run_of(data.sample(), a.frames, "full", a.points)
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -57,24 +90,18 @@ def main(argv: list[str] | None = None) -> int:
         server = Fleet(folder, disk, database, a.workers)
         stack.callback(server.stop)
         server.start()
-        part = asyncio.run(_chaos(a, run, server))
-    report = {"name": "chaos", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
-    report["chaos"] = part
-    a.out.parent.mkdir(parents=True, exist_ok=True)
-    a.out.write_text(json.dumps(report, indent=1) + "\n")
-    for row in part["sessions"]:
-        print("  ".join(f"{name} {value}" for name, value in row.items()))
-    for sentence in part["failed"]:
-        print(f"FAILED: {sentence}")
-    print(a.out)
-    return 1 if part["failed"] else 0
+        return asyncio.run(_chaos(a, run, server))
+
+
+class HarnessFailed(RuntimeError):
+    """The test cannot go on, for a reason that is none of the service's."""
 
 
 class Fleet:
     """The server under test, always on the same ports, and the faults of its processes."""
 
     def __init__(self, folder: Path, disk: Path | None, database: Postgres | None, workers: int):
-        self.grpc_port, self.http_port = _free_port(), _free_port()
+        self.grpc_port, self.http_port = lasting_port(), lasting_port()
         self.disk, self.database = disk, database
         self._folder, self._process, self._starts = folder, None, 0
         data_dir = (disk or folder) / "state"
@@ -99,7 +126,7 @@ class Fleet:
 
     def workers(self) -> list[int]:
         """Process ids of those that compute."""
-        return [pid for pid in traffic.Usage(self.pid).tree() if b"workers.process" in _command(pid)]
+        return traffic.workers(self.pid)
 
     def logs(self) -> str:
         return "".join(path.read_text(errors="replace") for path in sorted(self._folder.glob("service-*.log")))
@@ -168,9 +195,10 @@ class Proxy:
 
 @dataclass
 class ClientLog:
-    """Log of one client: error in mm by frame index, notices, and the error that ended it."""
+    """Log of one client: error in mm by frame index, times of the answers, notices, and the error that ended it."""
 
     error: dict[int, float] = field(default_factory=dict)
+    answers: list[float] = field(default_factory=list)
     state: str = ""
     notices: list[str] = field(default_factory=list)
     gave_up: str = ""
@@ -178,29 +206,75 @@ class ClientLog:
 
 async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     console.print("without any trouble ...")
-    calm = await _stream(a, run, f"127.0.0.1:{fleet.grpc_port}", 2 * len(run.clouds) / a.rate, "calm-1")
+    direct = f"127.0.0.1:{fleet.grpc_port}"
+    calm = await _stream(a, run, direct, 2 * len(run.clouds) / a.rate, "calm-1")
     if calm.gave_up:
         raise SystemExit(f"the undisturbed stream ended: {calm.gave_up}")
+    beside = await _beside_hostile(a, run, direct) if a.hostile_seconds else None
     proxy = Proxy(fleet.grpc_port)
     address = await proxy.start()
     log: list[str] = []
     streams = [asyncio.create_task(_stream(a, run, address, a.seconds, f"chaos-{k}")) for k in range(a.clients)]
-    await _faults(a, fleet, proxy, log)
-    seen = await asyncio.gather(*streams)
-    await proxy.stop()
+    failed = beside["failed"] if beside else []
+    try:
+        await _faults(a, fleet, proxy, log)
+        seen = await asyncio.gather(*streams)
+    except ServiceFailed as error:
+        failed.append(f"the killed server did not start again: {error}")
+        seen = []
+    finally:
+        for stream in streams:
+            stream.cancel()
+        await proxy.stop()
     rows = [_judged(a, k, 2 * len(run.clouds), calm, one) for k, one in enumerate(seen)]
-    failed = [f"session {row['session']}: {row['verdict']}" for row in rows if row["verdict"] != "as undisturbed"]
+    failed += [f"session {row['session']}: {row['verdict']}" for row in rows if row["verdict"] != "as undisturbed"]
     left_out = [name for name, part in (("PostgreSQL", fleet.database), ("a small disk", fleet.disk)) if part is None]
-    return {"seconds": a.seconds, "seed": a.seed, "troubles": log, "left_out": left_out, "sessions": rows, "failed": failed}
+    part = {"seconds": a.seconds, "seed": a.seed, "troubles": log, "left_out": left_out, "sessions": rows}
+    return part | {"hostile": beside, "failed": failed}
 
 
-async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds: float, session_id: str) -> ClientLog:
-    """One client, at its frames' pace, for so many seconds."""
+async def _beside_hostile(a: argparse.Namespace, run: inputs.Run, address: str) -> dict:
+    """Longest times between two answers of the clients, in ms: undisturbed, and from the creation of a hostile session on."""
+    console.print("beside a hostile session ...")
+    over = asyncio.Event()
+    neighbours = (_stream(a, run, address, UNDISTURBED + 600.0, f"beside-{k}", over) for k in range(a.clients))
+    streams = [asyncio.create_task(stream) for stream in neighbours]
+    await asyncio.sleep(UNDISTURBED)
+    begun = time.monotonic()
+    attacker = await hostile.started(address, a.hostile_seconds)
+    output, _ = await attacker.communicate()
+    ended = time.monotonic()
+    over.set()
+    seen = await asyncio.gather(*streams)
+    if attacker.returncode:
+        raise HarnessFailed(f"the hostile client ended with status {attacker.returncode}")
+    undisturbed = max(_longest_gap_ms(one.answers, begun - UNDISTURBED / 2, begun) for one in seen)
+    disturbed = [_longest_gap_ms(one.answers, begun, ended) for one in seen]
+    part = {"seconds": round(ended - begun, 1), "answers": json.loads(output), "longest_gap_ms": disturbed}
+    part |= {"undisturbed_gap_ms": undisturbed, "limit_ms": max(LONGEST_GAP_MS, BUSY_RATIO * undisturbed)}
+    part["failed"] = [f"a neighbour of the hostile session ended: {one.gave_up}" for one in seen if one.gave_up]
+    if max(disturbed) > part["limit_ms"]:
+        part["failed"].append(f"a neighbour of the hostile session waited for {max(disturbed):g} ms")
+    return part
+
+
+def _longest_gap_ms(answers: list[float], begin: float, end: float) -> float:
+    """Between two answers, or an answer and the end of the span."""
+    inside = [begin, *(moment for moment in answers if begin <= moment <= end), end]
+    return round(1e3 * max(after - before for before, after in itertools.pairwise(inside)), 1)
+
+
+async def _stream(
+    a: argparse.Namespace, run: inputs.Run, address: str, seconds: float, session_id: str, over: asyncio.Event | None = None
+) -> ClientLog:
+    """One client, at its frames' pace, for so many seconds or until it is over."""
     seen, sequence = ClientLog(), run.sequence
     begun = time.monotonic()
 
     async def frames() -> AsyncIterator[Frame]:
         for k in range(round(seconds * a.rate)):
+            if over is not None and over.is_set():
+                return
             await asyncio.sleep(max(0.0, begun + k / a.rate - time.monotonic()))
             cloud = run.clouds[_place(k, len(run.clouds))]
             yield Frame(cloud.points, k / a.rate + 1.0, cloud.sensor_origin)
@@ -214,6 +288,7 @@ async def _stream(a: argparse.Namespace, run: inputs.Run, address: str, seconds:
             await session.reset(sequence.garment_vertices[0])
             async for result in session.track(frames(), on_error="yield", on_notice=notice):
                 if isinstance(result, Result):
+                    seen.answers.append(time.monotonic())
                     k = round((result.timestamp - 1.0) * a.rate)
                     truth = sequence.garment_vertices[1 + _place(k, len(run.clouds))]
                     seen.error[k] = metrics.rmse_mm(result.vertices, truth)
@@ -338,25 +413,13 @@ def _small_disk(folder: Path):
         subprocess.run(["umount", "-l", str(place)], check=False)
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
-def _command(pid: int) -> bytes:
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_bytes()
-    except OSError:
-        return b""
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seconds", type=float, default=150.0)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--clients", type=int, default=2)
     parser.add_argument("--rate", type=float, default=10.0, help="frames per second of each client")
+    parser.add_argument("--hostile-seconds", type=float, default=20.0, help="of frames of the hostile session; 0: none")
     parser.add_argument("--points", type=int, default=3_000)
     parser.add_argument("--frames", type=int, default=149, help="of the sample, which are played there and back")
     parser.add_argument("--workers", type=int, default=2)

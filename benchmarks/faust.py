@@ -96,8 +96,12 @@ def main() -> int:
     default = Path(os.environ.get("DDAKF_DATA", "."), "faust", "registrations_s0-s7.npz")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("path", nargs="?", default=default, type=Path)
+    what = "write into the checkout's results although its code has uncommitted changes"
+    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
+    if arguments.json:
+        machine.require_committed(arguments.json, arguments.allow_dirty)
     faust, rows = load_faust(arguments.path), []
     print(f"subjects {', '.join(map(str, faust.subjects))}; neutral pose {NEUTRAL}")
     for part in faust.clips:

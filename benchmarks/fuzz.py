@@ -3,7 +3,8 @@
 Each target runs in a process of its own with little memory and a limit on the CPU time of one input, under two engines:
 mutations of valid input drawn by hypothesis, and, if it is installed, atheris, which follows the Python code that they reach. A
 refusal by an error of the product is an answer. Anything else, a hang or a dead process is a finding, whose input is saved. The
-target "http" is schemathesis on the OpenAPI document of a service of its own.
+target "http" is schemathesis on the OpenAPI document of a service of its own. The target "cost" draws valid frames of adversarial
+geometry (adversarial.py); one that takes three times the processor time of a spread cloud of its size is a finding (cost.py).
 """
 
 from __future__ import annotations
@@ -25,12 +26,13 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-OUT, HTTP = Path("out/fuzz"), "http"
+OUT, HTTP, COST = Path("out/fuzz"), "http", "cost"
 MEMORY = 192 << 20  # bytes that a target may take beyond its memory after the valid inputs
 SECONDS = 5.0  # of CPU time for one input
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
 LONGEST = 1 << 16  # bytes of an input
 REPORT_EVERY = 0.5  # s
+COST_SIZES = (("2500:20000", "full"), ("2500:20000", "front+body"), ("10000:100000", "front"))  # vertices : points, view
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -40,14 +42,14 @@ def main(argv: list[str] | None = None) -> int:
         return child(arguments)
     from fuzz_targets import all_targets
 
-    known = [*all_targets(), HTTP]
+    known = [*all_targets(), HTTP, COST]
     if unknown := set(arguments.only or ()) - set(known):
         print(f"unknown targets {', '.join(sorted(unknown))}; there are {', '.join(known)}", file=sys.stderr)
         return 2
     if arguments.replay:
         all_targets()[arguments.only[0]]().run(arguments.replay.read_bytes())
         return 0
-    chosen = [name for name in arguments.only or known if name != HTTP]
+    chosen = [name for name in arguments.only or known if name not in (HTTP, COST)]
     arguments.out.mkdir(parents=True, exist_ok=True)
     engines = ["hypothesis", *(["atheris"] if importlib.util.find_spec("atheris") else [])]
     each = max(1, round(arguments.inputs / max(1, len(chosen) * len(engines))))
@@ -67,6 +69,8 @@ def main(argv: list[str] | None = None) -> int:
     sound = not any(row["finding"] for row in rows)
     if HTTP in (arguments.only or known):
         sound = http(arguments) and sound
+    if COST in (arguments.only or known):
+        sound = costs(arguments) and sound
     return int(not sound)
 
 
@@ -309,6 +313,26 @@ def http(arguments) -> bool:
         service.stop()
 
 
+# Cost of a frame -----------------------------------------------------------------------------------------------------
+
+
+def costs(arguments) -> bool:
+    """True if no drawn session costs much more than a spread one; prints the others."""
+    import cost
+
+    from ddakf.commands import warmup
+
+    os.environ.update(ONE_THREAD)
+    warmup.warm()
+    found = 0
+    for size, view in COST_SIZES:
+        for name, ratio in cost.findings(size, view, arguments.scenes, arguments.seed):
+            print(f"cost, {size}, {view}: {ratio} times a spread cloud: {name}", flush=True)
+            found += 1
+    print(f"{len(COST_SIZES) * arguments.scenes} sessions of adversarial frames, {found} findings")
+    return found == 0
+
+
 def _show(rows: list[dict]) -> None:
     columns = "target", "engine", "inputs", "accepted", "refused", "slowest ms", "MiB", "finding"
     table = Table(*columns, box=None, header_style="bold")
@@ -330,6 +354,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--out", type=Path, default=OUT, help=f"folder of findings and logs (default {OUT})")
     parser.add_argument("--replay", type=Path, metavar="FILE", help="run the first target of --only on the input in a file")
     parser.add_argument("--examples", type=int, default=50, help="of each operation over HTTP (default 50)")
+    parser.add_argument("--scenes", type=int, default=40, help="drawn for each size of the target cost (default 40)")
     parser.add_argument("--child", help=argparse.SUPPRESS)
     parser.add_argument("--engine", help=argparse.SUPPRESS)
     return parser

@@ -15,14 +15,15 @@ from ddakf_api import API_VERSION, codec
 from ddakf_api.arrays import pack, pack_mesh, unpack
 from ddakf_api.errors import ServiceError
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.store import checkpoints
+from ddakf_service.store.files import checkpoints
 from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
 from ddakf_service.streaming.frame_message import FrameMessage
+from ddakf_service.transports.dialect import reading
 from ddakf_service.transports.track_requests import read_track_request
-from ddakf_service.workers import decode
+from ddakf_service.workers.compute.tracker_host import TrackerHost
+from ddakf_service.workers.messages import decode
+from ddakf_service.workers.messages.wire import frame_request_head, unpack_result
 from ddakf_service.workers.pool import Limits
-from ddakf_service.workers.tracker_host import TrackerHost
-from ddakf_service.workers.wire import frame_request_head, unpack_result
 from google.protobuf import json_format
 from google.protobuf.message import DecodeError
 
@@ -32,7 +33,7 @@ from ddakf.commands import warmup
 from ddakf.errors import DdakfError
 
 LIMITS = Limits(max_points=2_000, max_vertices=200, max_faces=400, max_body_vertices=200, max_image_pixels=4_096)
-REFUSALS = (ServiceError, DdakfError, DecodeError, checkpoints.DamagedCheckpoint, json_format.ParseError, RecursionError)
+REFUSALS = (ServiceError, DdakfError, DecodeError, checkpoints.DamagedCheckpoint, RecursionError)
 _SIZES = struct.Struct("<HH")
 _RNG = np.random.default_rng(0)
 
@@ -54,7 +55,7 @@ def all_targets() -> dict[str, Callable[[], Target]]:
         "packed array": _packed_array,
         "depth image": _depth_image,
         "frame": _frame,
-        "frame as JSON": _frame_as_json,
+        "requests as JSON": _requests_as_json,
         "session": _session,
         "reset": _reset,
         "snapshot": _snapshot,
@@ -128,7 +129,8 @@ def _frames() -> list[pb.Frame]:
     vertices, _ = _sheet()
     frames = []
     for name in codec.CODECS:
-        cloud = codec.encode(vertices, name).cloud
+        colors = _RNG.integers(0, 256, vertices.shape, np.uint8) if name != "raw" else None
+        cloud = codec.encode(vertices, name, colors=colors).cloud
         cloud.ClearField("crc32")
         frames.append(pb.Frame(sequence_number=1, capture_time=1.0, point_cloud=cloud, display_time=1.1))
     frames[0].body_vertices = (vertices - [0, 0, 0.05]).astype("<f4").tobytes()
@@ -145,7 +147,8 @@ def _depth_images() -> list[pb.DepthImage]:
     pose = np.array([[1, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 1.0]])
     more = {"pose": pose, "mask": mask, "confidence": np.full(depth.shape, 200, np.uint8), "min_confidence": 100}
     images = [codec.encode_depth(depth, (100, 100, 15.5, 11.5), codec=name, **more) for name in codec.DEPTH_CODECS]
-    return [*images, codec.encode_depth(depth * 1e-3, (100, 100, 15.5, 11.5), **more)]
+    colors = _RNG.integers(0, 256, (*depth.shape, 3), np.uint8)
+    return [*images, codec.encode_depth(depth * 1e-3, (100, 100, 15.5, 11.5), colors=colors, **more)]
 
 
 def _depth_image() -> Target:
@@ -154,6 +157,7 @@ def _depth_image() -> Target:
         require_frame_within_bounds(FrameMessage.of(frame), LIMITS.max_points, LIMITS.max_image_pixels)
         arguments = decode.step_arguments(frame, LIMITS, None)
         assert len(arguments["points"]) <= LIMITS.max_image_pixels
+        assert arguments["colors"] is None or arguments["colors"].shape == arguments["points"].shape
 
     return Target(run, [image.SerializeToString() for image in _depth_images()])
 
@@ -186,13 +190,15 @@ def _frame() -> Target:
     return Target(run, [*seeds, pb.TrackRequest(start=start).SerializeToString()])
 
 
-def _frame_as_json() -> Target:
-    """What a browser's console sends."""
+def _requests_as_json() -> Target:
+    """What a browser sends: frames over a WebSocket, creations over REST."""
 
     def run(data: bytes) -> None:
-        json_format.Parse(data.decode("utf-8", "replace") or "{}", pb.TrackRequest())
+        kind = pb.CreateSessionRequest if b"garment" in data else pb.TrackRequest
+        reading.read(data, kind)
 
-    return Target(run, [json_format.MessageToJson(pb.TrackRequest(frame=frame)).encode() for frame in _frames()])
+    requests = [*(pb.TrackRequest(frame=frame) for frame in _frames()), _creation()]
+    return Target(run, [json_format.MessageToJson(request).encode() for request in requests])
 
 
 def _session() -> Target:
@@ -220,7 +226,7 @@ def _tracker() -> ddakf.Tracker:
     warmup.warm()
     vertices, faces = _sheet()
     tracker = ddakf.Tracker(ddakf.Mesh(vertices, faces), body=ddakf.Mesh(vertices - [0, 0, 0.05], faces))
-    tracker.step(vertices, timestamp=0.0)
+    tracker.step(vertices, timestamp=0.0, colors=_RNG.integers(0, 256, vertices.shape, np.uint8))
     return tracker
 
 
@@ -246,5 +252,6 @@ def _snapshot_inside() -> Target:
 
 
 def _checkpoint() -> Target:
-    whole = checkpoints.pack(pb.SessionSnapshot(session=pb.Session(name="sessions/fuzz"), data=bytes(64)))
+    state = pb.SessionSnapshot(session=pb.Session(name="sessions/fuzz"), data=bytes(64))
+    whole = checkpoints.pack(checkpoints.Checkpoint(state, (b"an answer",)))
     return Target(lambda data: checkpoints.unpack(data), [whole])

@@ -106,7 +106,7 @@ def _coarsened(sequence: Sequence, count: int) -> Sequence:
     triangles = owner[faces]
     distinct = (triangles != np.roll(triangles, 1, axis=1)).all(axis=1)
     mesh, kept = ddakf.Mesh.cleaned(positions[seeds], triangles[distinct])
-    return _replaced(sequence, lambda v: v[..., np.array(seeds)[kept], :], mesh.faces)
+    return replaced(sequence, lambda v: v[..., np.array(seeds)[kept], :], mesh.faces)
 
 
 def _refined(sequence: Sequence, count: int) -> Sequence:
@@ -131,7 +131,7 @@ def _refined(sequence: Sequence, count: int) -> Sequence:
         a, b, c = turned.T
         faces = np.concatenate([faces[~halved], np.stack([a, new, c], axis=1), np.stack([new, b, c], axis=1)])
         ends = edges[wanted]
-        sequence = _replaced(
+        sequence = replaced(
             sequence,
             lambda v, ends=ends: np.concatenate([v, 0.5 * (v[..., ends[:, 0], :] + v[..., ends[:, 1], :])], axis=-2),
             faces,
@@ -139,7 +139,8 @@ def _refined(sequence: Sequence, count: int) -> Sequence:
     return sequence
 
 
-def _replaced(sequence: Sequence, change, faces: np.ndarray) -> Sequence:
+def replaced(sequence: Sequence, change, faces: np.ndarray) -> Sequence:
+    """The sequence with other vertices, by a function of (..., V, 3) positions, and faces."""
     rest = None if sequence.garment_rest is None else change(sequence.garment_rest).astype(np.float32)
     vertices = change(sequence.garment_vertices).astype(np.float32)
     return replace(sequence, garment_vertices=vertices, garment_faces=faces, garment_rest=rest)

@@ -1,8 +1,10 @@
-"""Session interruption by a killed worker: ``python benchmarks/kill.py [--kills 5] [--vertices 2500 20000] [--rate 10] ...``.
+"""Session interruption by a killed worker, and a killed server: ``python benchmarks/kill.py [--kills 5] [--restarts 3] ...``.
 
 A client streams the sample. Whenever a spare worker is warm, the worker of its session is killed with SIGKILL, and the time is
-taken until the first answer to a frame that the next worker has tracked. Exit status 1 if that is ever longer than 2 s, or if
-the stream ends. Writes benchmarks/results/kill.json, with the load average of each size, since other load lengthens the times.
+taken until the first answer to a frame that the next worker has tracked. Then a server is killed and started again, see
+:mod:`restarts`. Exit status 1 if a client stands still for more than 2 s (worker) or 6 s (server), if no start takes 3 s or less,
+if an answer is missing, or if the stream ends. Writes benchmarks/results/kill.json, with the load average of each part, since
+other load lengthens the times.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ import urllib.request
 from pathlib import Path
 
 import numpy as np
+import restarts
 import traffic
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_service.commands.service_process import ServiceProcess
@@ -28,7 +31,8 @@ from rich.console import Console
 from ddakf.evaluation import machine
 
 RESULT = Path(__file__).parent / "results" / "kill.json"
-LIMIT = 2.0  # seconds that a session may stand still
+LIMIT, SERVER_LIMIT = 2.0, 6.0  # seconds that a session may stand still without its worker, without its server
+READY_LIMIT = 3.0  # seconds of a start with a warm cache
 # Seconds between two kills, so that one comes at any moment of a frame; four within a minute would end the session.
 PAUSE = (20.5, 22.0)
 PATIENCE = 300.0  # seconds in which a spare has to be warm, and a session back
@@ -39,13 +43,19 @@ def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
     a = _parser().parse_args(argv)
     report = {"name": "kill", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
-    report["kill"] = part = {"rate": a.rate, "points": a.points, "body": a.body, "limit_s": LIMIT, "rows": [], "failed": []}
+    limits = {"limit_s": LIMIT, "server_limit_s": SERVER_LIMIT, "ready_limit_s": READY_LIMIT}
+    part = {"rate": a.rate, "points": a.points, "body": a.body, **limits, "rows": [], "failed": []}
+    report["kill"] = part
     for vertices in a.vertices:
         script = traffic.Script(vertices, a.points, body=a.body)
         with traffic.service(["--workers", "1"]) as process:
             row = asyncio.run(_row(a, script, process))
         part["rows"].append(row)
         part["failed"] += [f"V = {row['vertices']}: {sentence}" for sentence in _failures(row)]
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    if a.restarts:
+        part["restart"] = row = restarts.row(traffic.Script(a.vertices[0], a.points), a.restarts, a.rate)
+        part["failed"] += [f"restart: {sentence}" for sentence in _failures_of_restart(row)]
         print("  ".join(f"{name} {value}" for name, value in row.items()))
     a.out.parent.mkdir(parents=True, exist_ok=True)
     a.out.write_text(json.dumps(report, indent=1) + "\n")
@@ -69,7 +79,7 @@ async def _row(a: argparse.Namespace, script: traffic.Script, process: ServicePr
             busy.append(os.getloadavg()[0])
             console.print(f"V = {script.vertices}: kill {len(killed) + 1} of {a.kills}")
             killed.append(time.monotonic())
-            os.kill(_oldest_worker(process), signal.SIGKILL)
+            os.kill(traffic.workers(process.pid)[0], signal.SIGKILL)  # the spare one is younger
             back = len(killed)
             await _until(lambda: len(_stood(record, killed)) == back, playing)  # noqa: B023
         playing.cancel()
@@ -112,20 +122,26 @@ def _failures(row: dict) -> list[str]:
     return found
 
 
+def _failures_of_restart(row: dict) -> list[str]:
+    found = []
+    if (longest := max(row["stood_s"])) > SERVER_LIMIT:
+        found.append(f"a client stood still for {longest:g} s, more than {SERVER_LIMIT:g} s")
+    if (shortest := min(row["ready_s"])) > READY_LIMIT:
+        found.append(f"every start took more than {READY_LIMIT:g} s, the shortest one {shortest:g} s")
+    if row["answers_missing"]:
+        found.append(f"{row['answers_missing']} answers are missing")
+    return found
+
+
 def _has_spare(process: ServiceProcess) -> bool:
     with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
         return b"ddakf_workers_spare 1.0" in answer.read()
 
 
-def _oldest_worker(process: ServiceProcess) -> int:
-    """The worker that takes frames; the spare one is younger."""
-    workers = [pid for pid in traffic.Usage(process.pid).tree() if pid != process.pid]
-    return min(workers, key=traffic.started)
-
-
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kills", type=int, default=5, help="of each size")
+    parser.add_argument("--restarts", type=int, default=3, help="kills of the server; 0: none")
     parser.add_argument("--vertices", type=int, nargs="+", default=[2_500, 20_000])
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--body", action="store_true", help="the body's vertices travel with every frame")

@@ -34,6 +34,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.write:
         DOCUMENT.write_text(fresh(json.loads(arguments.out.read_text())))
         return 0
+    machine.require_committed(arguments.out, arguments.allow_dirty)
     threadpool_limits(1)
     warmup.warm()
     rows = []
@@ -107,6 +108,8 @@ def fresh(report: dict) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=60, help="of each recording (default 60)")
+    what = "write into the checkout's results although its code has uncommitted changes"
+    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--out", type=Path, default=RESULT, help="result file")
     parser.add_argument("--write", action="store_true", help="write the table of docs/protocol.md from the result file")
     return parser

@@ -1,8 +1,9 @@
-"""Load generator: ``python benchmarks/load.py [--clients N] [--rate FPS] [--vertices V] [--points M] [--codec NAME] ...``.
+"""Load generator: ``python benchmarks/load.py [--clients N ...] [--rate FPS] [--vertices V] [--points M] [--codec NAME] ...``.
 
 Streams the bundled sample from several clients on schedule to a service of its own, or to a running one, and prints the
-sustained load: frames answered, dropped and refused, latency from the moment a frame was due to its answer, CPU, and the error of
-the results. Generator and service share the machine. Writes benchmarks/results/load.json unless ``--out`` says otherwise.
+sustained load: frames answered, dropped, refused, curtailed by their budgets, and of lighter trackers, latency from the moment a
+frame was due to its answer, CPU, and the error of the results. Generator and service share the machine. Writes
+benchmarks/results/load.json unless ``--out`` says otherwise.
 """
 
 from __future__ import annotations
@@ -35,28 +36,33 @@ def main(argv: list[str] | None = None) -> int:
     """Returns the exit status: 0 if no stream ended with an error, even with dropped frames; otherwise 1."""
     a = _parser().parse_args(argv)
     script = traffic.Script(a.vertices, a.points, view=a.view, codec_name=a.codec, body=a.body)
+    rows = [_run(a, script, clients) for clients in a.clients]
+    report = {"name": "load", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
+    report["load"] = rows
+    a.out.parent.mkdir(parents=True, exist_ok=True)
+    a.out.write_text(json.dumps(report, indent=1) + "\n")
+    _show(rows)
+    print(a.out)
+    return 1 if any(row["ended"] for row in rows) else 0
+
+
+def _run(a: argparse.Namespace, script: traffic.Script, clients: int) -> dict:
+    """One load, on a service of its own or on the one that runs."""
     with contextlib.ExitStack() as stack:
         address, pid = a.server, None
         if address is None:
             process = stack.enter_context(traffic.service(["--workers", str(a.workers)]))
             address, pid = process.grpc, process.pid
-        row = asyncio.run(_load(a, script, address, traffic.Usage(pid) if pid else None))
-    report = {"name": "load", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
-    report["load"] = row
-    a.out.parent.mkdir(parents=True, exist_ok=True)
-    a.out.write_text(json.dumps(report, indent=1) + "\n")
-    _show(row)
-    print(a.out)
-    return 1 if row["ended"] else 0
+        return asyncio.run(_load(a, script, clients, address, traffic.Usage(pid) if pid else None))
 
 
-async def _load(a: argparse.Namespace, script: traffic.Script, address: str, usage: traffic.Usage | None) -> dict:
-    records = [traffic.StreamLog() for _ in range(a.clients)]
+async def _load(a: argparse.Namespace, script: traffic.Script, clients: int, address: str, usage: traffic.Usage | None) -> dict:
+    records = [traffic.StreamLog() for _ in range(clients)]
     async with contextlib.AsyncExitStack() as stack:
         stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
         names = await asyncio.gather(*(traffic.created(stub, script) for stub in stubs))
-        before, begun = usage.cpu_seconds() if usage else 0.0, time.monotonic()
-        delays = traffic.spread(a.clients, a.rate)
+        before, own, begun = usage.cpu_seconds() if usage else 0.0, time.process_time(), time.monotonic()
+        delays = traffic.spread(clients, a.rate)
         plays = [
             traffic.play(stub, name, script, a.rate, a.seconds, record, flow=FLOWS[a.flow], delay=delay)
             for stub, name, record, delay in zip(stubs, names, records, delays, strict=False)
@@ -64,9 +70,10 @@ async def _load(a: argparse.Namespace, script: traffic.Script, address: str, usa
         await asyncio.gather(_progress(a.seconds), *plays)
         elapsed = time.monotonic() - begun
         cores = (usage.cpu_seconds() - before) / elapsed if usage else None
+        generator = (time.process_time() - own) / elapsed
         for stub, name in zip(stubs, names, strict=True):
             await stub.DeleteSession(pb.DeleteSessionRequest(name=name))
-    return _row(a, script, records, elapsed, cores)
+    return _row(a, script, records, elapsed, cores) | {"generator_cores": round(generator, 2)}
 
 
 async def _progress(seconds: float) -> None:
@@ -84,7 +91,7 @@ def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.St
     refused = {name: sum(r.errors.get(name, 0) for r in records) for name in sorted({n for r in records for n in r.errors})}
     sent, answered = sum(r.sent for r in records), sum(r.answered for r in records)
     return {
-        "clients": a.clients,
+        "clients": len(records),
         "rate": a.rate,
         "vertices": script.vertices,
         "points": a.points,
@@ -100,26 +107,35 @@ def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.St
         "ended": [r.ended for r in records if r.ended],
         "frames_per_second": round(answered / elapsed, 2),
         "latency_ms": {f"p{p:g}": round(float(np.percentile(latency, p)), 2) for p in (50, 99, 99.9)} if len(latency) else {},
+        "least_frames_per_second": round(min(r.answered for r in records) / elapsed, 2),
+        "curtailed": sum(r.curtailed for r in records),
+        "lighter": sum(r.lighter for r in records),
+        "processor_ms": round(1e3 * float(np.mean([seconds for r in records for seconds in r.used])), 2) if answered else None,
         "cores": None if cores is None else round(cores, 2),
         "rmse_mm": round(float(rmse.mean()), 2) if len(rmse) else None,
     }
 
 
-def _show(row: dict) -> None:
-    table = Table("figure", "value", box=None, header_style="bold")
-    table.columns[1].justify = "right"
-    for name, value in row.items():
-        if isinstance(value, list):
-            value = ", ".join(value) or "none"
-        if isinstance(value, dict):
-            value = ", ".join(f"{key} {number}" for key, number in value.items()) or "none"
-        table.add_row(name, str(value))
+def _show(rows: list[dict]) -> None:
+    table = Table("figure", box=None, header_style="bold")
+    for row in rows:
+        table.add_column(f"{row['clients']} clients", justify="right")
+    for name in rows[0]:
+        table.add_row(name, *(_text(row[name]) for row in rows))
     Console(highlight=False).print(table)
+
+
+def _text(value) -> str:
+    if isinstance(value, list):
+        return ", ".join(value) or "none"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {number}" for key, number in value.items()) or "none"
+    return str(value)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--clients", type=int, default=4)
+    parser.add_argument("--clients", type=int, nargs="+", default=[4], help="of one load after another")
     parser.add_argument("--rate", type=float, default=30.0, help="frames per second of each client")
     parser.add_argument("--vertices", type=int, default=2_500)
     parser.add_argument("--points", type=int, default=10_000)

@@ -33,19 +33,24 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks/results/mutants.json"
 FOLDERS = ("stages", "physics", "body", "multiresolution", "search")  # of ddakf
-TESTS = [*(f"tests/{folder}" for folder in FOLDERS), "tests/kernels", "tests/test_tracker.py", "tests/test_tracker_input.py",
-         "tests/test_tracker_loss.py", "tests/test_snapshot.py"]  # fmt: skip
+TRACK = "tests/test_reference_track.py"
+TESTS = [*(f"tests/{folder}" for folder in FOLDERS), "tests/kernels", TRACK, "tests/test_snapshot.py",
+         *(f"tests/test_tracker{part}.py" for part in ("", "_ahead", "_input", "_loss"))]  # fmt: skip
 PATIENCE = 30.0  # seconds beyond ten times what the tests take without a change
 DURATIONS = "MUTANT_TEST_DURATIONS"  # environment variable: the file that the plugin below writes
 
 # The mutations -----------------------------------------------------------------------------------------------------
 
+# A comparison becomes its opposite: between real numbers, < in place of <= is the same program.
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Div, ast.Mod: ast.Mult,
     ast.Pow: ast.Mult, ast.MatMult: ast.Mult, ast.BitAnd: ast.BitOr, ast.BitOr: ast.BitAnd, ast.And: ast.Or, ast.Or: ast.And,
-    ast.Lt: ast.LtE, ast.LtE: ast.Lt, ast.Gt: ast.GtE, ast.GtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Lt: ast.GtE, ast.LtE: ast.Gt, ast.Gt: ast.LtE, ast.GtE: ast.Lt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In,
 }  # fmt: skip
+
+
+ROUNDING = 1e-6  # smaller numbers keep a division or a factorization regular; their size has no meaning
 
 
 @dataclass(frozen=True)
@@ -71,8 +76,11 @@ def mutated(node: ast.AST, part: int) -> ast.AST | None:
     if isinstance(node, ast.Constant) and isinstance(node.value, bool):
         new.value = not node.value
         return new
-    if isinstance(node, ast.Constant) and isinstance(node.value, (int, float)):
-        new.value = node.value + 1 if node.value == 0 or 1e-3 < abs(node.value) < 1e3 else 2 * node.value
+    if isinstance(node, ast.Constant) and isinstance(node.value, int):
+        new.value = node.value + 1
+        return new
+    if isinstance(node, ast.Constant) and isinstance(node.value, float) and (node.value == 0 or abs(node.value) > ROUNDING):
+        new.value = 2 * node.value if node.value else 1.0
         return new
     if isinstance(node, ast.IfExp):
         new.body, new.orelse = new.orelse, new.body
@@ -91,6 +99,8 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
     def visit(node: ast.AST, lines: tuple[int, int] | None, inside: bool) -> Iterator[Mutant]:
         if isinstance(node, (ast.Raise, ast.Assert, ast.Import, ast.ImportFrom)):
             return
+        if isinstance(node, ast.FunctionDef) and any("njit" in ast.unparse(decorator) for decorator in node.decorator_list):
+            return  # compiled: its lines are never seen to be executed
         if isinstance(node, ast.stmt):
             last = node.body[0].lineno - 1 if getattr(node, "body", None) else node.end_lineno
             lines = node.lineno, max(last, node.lineno)
@@ -182,12 +192,12 @@ def run_tests(tests: Sequence[str]) -> tuple[dict[str, float], dict[str, dict[in
 
 
 def chosen_tests(mutant: Mutant, seconds: dict[str, float], executed: dict, budget: float) -> list[str]:
-    """Tests that execute the statement: those of its own file first, the fastest first, until the budget is spent."""
+    """Tests that execute the statement, until the budget is spent: of its own file, the reference track, then the fastest."""
     lines = executed.get(mutant.path, {})
     tests = {test for number in range(mutant.lines[0], mutant.lines[1] + 1) for test in lines.get(number, ()) if test in seconds}
     own = f"test_{Path(mutant.path).stem}.py"
     chosen, spent = [], 0.0
-    for test in sorted(tests, key=lambda test: (own not in test, seconds[test], test)):
+    for test in sorted(tests, key=lambda test: (own not in test, TRACK not in test, seconds[test], test)):
         if not chosen or spent + seconds[test] <= budget:
             chosen.append(test)
             spent += seconds[test]

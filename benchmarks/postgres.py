@@ -1,17 +1,19 @@
-"""Temporary PostgreSQL for tests and the chaos test: Debian's binaries, a temporary folder, a free loopback port."""
+"""Temporary PostgreSQL for tests and the chaos test: Debian's binaries, a temporary folder, a loopback port that stays free."""
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import pwd
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
 from pathlib import Path
+
+from ports import lasting_port
 
 _FOLDERS = [*sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True), Path("/usr/local/bin"), Path("/usr/bin")]
 _PATIENCE = 30.0  # seconds for a start or a stop
@@ -19,6 +21,10 @@ _PATIENCE = 30.0  # seconds for a start or a stop
 
 class NoPostgres(Exception):
     """PostgreSQL cannot run on this machine; the message has the reason."""
+
+
+class PostgresFailed(RuntimeError):
+    """PostgreSQL did not start or stop; the message has the end of its log."""
 
 
 class Postgres:
@@ -34,16 +40,17 @@ class Postgres:
             raise NoPostgres("PostgreSQL is not installed here")
         if importlib.util.find_spec("psycopg") is None:
             raise NoPostgres("psycopg is not installed, the driver of PostgreSQL")
-        self._user = _not_root() if os.geteuid() == 0 else {}
+        user = _not_root() if os.geteuid() == 0 else None
+        # setpriv becomes PostgreSQL. Popen itself would fork to change the user, which the threads of gRPC forbid.
+        self._as_user = [] if user is None else ["setpriv", f"--reuid={user.pw_uid}", f"--regid={user.pw_gid}", "--clear-groups"]
         # Of its own, for a folder of pytest's may be entered by this user alone, and PostgreSQL refuses to run as root.
         self._folder = Path(tempfile.mkdtemp(prefix="ddakf-postgres-"))
-        if self._user:
-            os.chown(self._folder, self._user["user"], self._user["group"])
+        if user is not None:
+            os.chown(self._folder, user.pw_uid, user.pw_gid)
         self._process: subprocess.Popen | None = None
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self._port = free.getsockname()[1]
+        self._port = lasting_port()
         arguments = ["-D", "data", "-U", "ddakf", "-A", "trust", "-E", "UTF8", "--no-locale", "--no-sync"]
-        subprocess.run([self._bin / "initdb", *arguments], cwd=self._folder, check=True, capture_output=True, **self._user)
+        subprocess.run([*self._as_user, self._bin / "initdb", *arguments], cwd=self._folder, check=True, capture_output=True)
 
     @property
     def url(self) -> str:
@@ -59,39 +66,63 @@ class Postgres:
         return self._url(name)
 
     def start(self) -> None:
+        """Returns when it accepts connections.
+
+        Raises:
+            PostgresFailed
+        """
         options = ("listen_addresses=127.0.0.1", "unix_socket_directories=", f"port={self._port}", "fsync=off")
         arguments = [part for option in options for part in ("-c", option)]
-        self._process = subprocess.Popen(
-            [self._bin / "postgres", "-D", "data", *arguments], cwd=self._folder, stderr=subprocess.DEVNULL, **self._user
-        )
+        with self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [*self._as_user, self._bin / "postgres", "-D", "data", *arguments], cwd=self._folder, stderr=log
+            )
         deadline = time.monotonic() + _PATIENCE
         ask = [self._bin / "pg_isready", "-q", "-h", "127.0.0.1", "-p", str(self._port)]
-        while subprocess.run(ask).returncode:
-            if self._process.poll() is not None or time.monotonic() > deadline:
-                raise RuntimeError("PostgreSQL did not start")
-            time.sleep(0.05)
+        answered = False
+        while not answered:
+            answered = subprocess.run(ask).returncode == 0
+            if (status := self._process.poll()) is not None:
+                raise self._failed(f"ended with status {status} at its start")
+            if time.monotonic() > deadline:
+                raise self._failed(f"accepted no connection for {_PATIENCE:g} s")
+            time.sleep(0.0 if answered else 0.05)
 
     def stop(self) -> None:
-        """Stops at once and cuts the connections."""
+        """Stops at once and cuts the connections.
+
+        Raises:
+            PostgresFailed
+        """
         if self._process is not None:
             self._process.send_signal(signal.SIGQUIT)
-            self._process.wait(_PATIENCE)
+            try:
+                self._process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                raise self._failed(f"did not stop in {_PATIENCE:g} s") from None
             self._process = None
 
     def remove(self) -> None:
         self.stop()
         shutil.rmtree(self._folder)
 
+    @property
+    def _log(self) -> Path:
+        return self._folder / "log"
+
+    def _failed(self, what: str) -> PostgresFailed:
+        last = self._log.read_text(errors="replace").strip().splitlines()[-3:]
+        return PostgresFailed(f"PostgreSQL {what}: {' / '.join(last) or 'its log is empty'}")
+
     def _url(self, database: str) -> str:
         return f"postgresql+psycopg://ddakf@127.0.0.1:{self._port}/{database}"
 
 
-def _not_root() -> dict:
-    """Arguments of a subprocess that another user runs."""
+def _not_root() -> pwd.struct_passwd:
+    """Another user than root."""
+    if shutil.which("setpriv") is None:
+        raise NoPostgres("setpriv is not installed, and PostgreSQL refuses to run as root")
     for name in ("postgres", "nobody"):
-        try:
-            other = pwd.getpwnam(name)
-        except KeyError:
-            continue
-        return {"user": other.pw_uid, "group": other.pw_gid, "extra_groups": []}
+        with contextlib.suppress(KeyError):
+            return pwd.getpwnam(name)
     raise NoPostgres("there is no user but root to run PostgreSQL as")

@@ -212,8 +212,12 @@ def main() -> int:
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--procs", type=int, default=1)
+    what = "write into the checkout's results although its code has uncommitted changes"
+    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path, help="result file")
     arguments = parser.parse_args()
+    if arguments.json:
+        machine.require_committed(arguments.json, arguments.allow_dirty)
     names = arguments.sequences or [sequence.name for sequence in sequences()]
     report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
     with multiprocessing.get_context("spawn").Pool(arguments.procs) if arguments.procs > 1 else nullcontext() as pool:

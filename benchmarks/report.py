@@ -190,11 +190,11 @@ def readme_table(report: dict) -> str:
     rows = [
         (f"one frame, {largest['vertices']:,} vertices and {largest['points']:,} points", f"{frame_ms:.0f} ms, {compared}"),
         (
-            "error of the sample, points all around",
+            "error of the sample, on which constants were chosen; points all around",
             f"{around['rmse_mm']:.1f} mm RMSE, {around['normal_rmse_mm']:.1f} mm along the normal",
         ),
         (
-            "error of the sample, one depth camera and the body",
+            "the same, one depth camera and the body",
             f"{sample['rmse_mm']:.1f} mm RMSE, {sample['normal_rmse_mm']:.1f} mm along the normal",
         ),
         ("truth inside the 90 % ellipsoids, the same run", f"{sample['coverage90']:.0%}"),

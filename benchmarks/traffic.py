@@ -57,7 +57,8 @@ class Script:
         run = inputs.run_of(inputs.resampled(sequence, vertices) if vertices else sequence, frames, view, points, body=body)
         s = self._sequence = run.sequence
         self.fps, self.vertices = s.fps, len(s.template)
-        self.session = pb.Session(garment=pack_mesh(s.template, s.garment_faces))
+        self.mesh, self.begin = (s.template, s.garment_faces), s.garment_vertices[0]
+        self.session = pb.Session(garment=pack_mesh(*self.mesh))
         if body:
             self.session.body.CopyFrom(pack_mesh(s.body_vertices[0], s.body_faces))
         self._frames = []
@@ -101,6 +102,9 @@ class StreamLog:
         answers: when each came (monotonic clock, seconds).
         resumed: when each notice came that the session goes on in another worker, and how many frames were forgotten.
         rmse: mm of each.
+        used: seconds of the worker's processor, of each answered frame.
+        curtailed: answered frames of which a budget left work out.
+        lighter: those of lighter trackers.
         errors: refusals and ends of streams, by name.
         ended: name of the error that ended the stream before its time; empty when none did.
     """
@@ -113,6 +117,9 @@ class StreamLog:
     answers: list[float] = field(default_factory=list)
     resumed: list[tuple[float, float]] = field(default_factory=list)
     rmse: list[float] = field(default_factory=list)
+    used: list[float] = field(default_factory=list)
+    curtailed: int = 0
+    lighter: int = 0
     states: list[int] = field(default_factory=list)
     numbers: list[int] = field(default_factory=list)
     errors: dict[str, int] = field(default_factory=dict)
@@ -177,6 +184,9 @@ async def play(
                 record.latency.append(now - due.get(result.sequence_number, now))
                 record.states.append(result.state)
                 record.numbers.append(result.sequence_number)
+                record.used.append(result.usage.processor_seconds)
+                record.curtailed += result.usage.widening > 1.0
+                record.lighter += result.usage.lighter
                 if record.answered % accuracy_every == 0 and result.HasField("vertices"):
                     record.rmse.append(script.rmse_mm(result))
             elif kind == "frame_error":
@@ -242,9 +252,22 @@ class Usage:
         return {pid: count for pid in self.tree() if (count := _descriptors(pid)) is not None}
 
 
-def started(pid: int) -> float:
-    """When a process was, in ticks since the system was; infinite when it is gone."""
+def workers(pid: int) -> list[int]:
+    """Worker processes of a service, the oldest first."""
+    named = [child for child in Usage(pid).tree() if _name(child) == "ddakf-worker"]
+    return sorted(named, key=_started)
+
+
+def _started(pid: int) -> float:
+    """When a process was started, in ticks since the system was; infinite when it is gone."""
     return int(stat[19]) if (stat := _stat(pid)) else math.inf
+
+
+def _name(pid: int) -> str:
+    try:
+        return (Path("/proc") / str(pid) / "comm").read_text().strip()
+    except OSError:
+        return ""
 
 
 def _stat(pid: int) -> list[str] | None:

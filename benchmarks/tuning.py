@@ -1,10 +1,12 @@
-"""Tuning of the baselines' settings: ``python benchmarks/tuning.py [--only NAME ...]``, about three quarters of an hour.
+"""Tuning of the baselines' settings: ``python benchmarks/tuning.py [--only NAME ...]``, about a quarter of an hour.
 
-Every baseline but the learned one, which has clips of its own, is tuned on the same clips by its error alone. A
-coordinate search starts with the first value of each axis, and chooses the best value of one axis after another. All tries go
-into ``benchmarks/results/tuning.json``, which a later call with ``--only`` completes. The defaults of the settings are the ones
-chosen there, and a test compares them. The score is the geometric mean over the clips of the RMSE, so that every clip has the
-same weight. DD-AKF runs beside them with its defaults. Recordings come from DDAKF_DATA.
+Every baseline but the learned one, which has clips of its own, is tuned on the same clips by its error alone: training recordings
+of the collection, in all conditions. A coordinate search starts with the first value of
+each axis, and chooses the best value of one axis after another. A best value at the end of an axis widens it, by the ratio of
+the last two values, until the error rises or a limit is reached. All tries go into ``benchmarks/results/tuning.json``, which a
+later call with ``--only`` completes. The defaults of the settings are the ones chosen there, and a test compares them. The score
+is the geometric mean over the clips of the RMSE, so that every clip has the same weight. DD-AKF runs beside them with its
+defaults.
 """
 
 from __future__ import annotations
@@ -32,10 +34,11 @@ from ddakf.evaluation.baselines.clothfit.method import ClothFit
 from ddakf.evaluation.baselines.clothfit.settings import AnswerSettings
 from ddakf.evaluation.baselines.clothfit.settings import TrainingSettings as Training
 from ddakf.evaluation.baselines.embedded_deformation import EmbeddedDeformation, EmbeddedSettings
+from ddakf.evaluation.baselines.filters.as_printed import AsPrinted, PrintedSettings
+from ddakf.evaluation.baselines.filters.kalman_filter import KalmanFilter, KalmanSettings
+from ddakf.evaluation.baselines.filters.particle_filter import ParticleFilter, ParticleSettings
 from ddakf.evaluation.baselines.icp import IcpSettings, NonRigidPointToPlane, RigidPointToPlane, RigidSettings
-from ddakf.evaluation.baselines.kalman_filter import KalmanFilter, KalmanSettings
 from ddakf.evaluation.baselines.nicp import NicpSettings, NonRigidIcp
-from ddakf.evaluation.baselines.particle_filter import ParticleFilter, ParticleSettings
 from ddakf.evaluation.sensors import CapturedFrame, Sensor
 from ddakf.evaluation.splits import RecordingLabels, labels_of
 from ddakf.evaluation.trials.estimates import MethodFactory
@@ -44,8 +47,19 @@ from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.mesh import Mesh
 
 RESULT = Path(__file__).parent / "results/tuning.json"
-CLIPS = (("sample", "full"), ("sample", "front"), ("pergamo_005", "full"), ("sim_tshirt_jump", "full"))
-FRAMES, SEED, SENSOR = 44, 1, Sensor(points=10_000, noise=0.003)  # tracked, after frame 0, which is the start
+CLIPS = (
+    ("long-shirt_run_loose_45", "full"), ("skirt_squat_loose_53", "front"), ("tshirt_dance_loose_63", "front+body"),
+    ("trousers_dance_loose_11", "front+body"),
+)  # fmt: skip
+FIRST = 30  # frame of the start, as in the study
+FRAMES, SEED, SENSOR = 30, 1, Sensor(points=10_000, noise=0.003)  # tracked
+LEARNED_FRAMES = 44
+WIDENINGS = 4  # of an axis at most
+LIMITS = {  # of axes: beyond them a value has no further effect, or no meaning (a node for nearly every vertex)
+    "hold": (0.001, 1.0), "momentum": (0.0, 1.0), "harmonics": (1, 96), "nodes": (20, 675), "normal_cosine": (-1.0, 1.0),
+    "proposal_steps": (1, 24), "tangential_sd": (0.001, 3.0), "alpha": (0.0, 0.99),
+    "lowest_sd": (1e-5, 0.05),
+}  # fmt: skip
 
 LEARNED_STEPS = 300  # of the learned method's training, for every try alike; in use there are more
 
@@ -67,10 +81,22 @@ def clips(frames: int) -> Iterator[Clip]:
         yield _clip(name, view, frames)
 
 
+def wider(axis: str, values: Iterable[float], best: float) -> float | None:
+    """The value beyond ``best`` at the end of an axis, in the ratio of the last two, at most the axis's limit; None inside, or
+    where the axis is no scale of numbers."""
+    known = sorted(set(values))
+    if len(known) < 2 or any(isinstance(value, bool) or value <= 0 for value in known) or known[0] < best < known[-1]:
+        return None
+    new = best * best / (known[1] if best == known[0] else known[-2])
+    new = round(new) if isinstance(best, int) else float(f"{new:.2g}")
+    low, high = LIMITS.get(axis, (new, new))
+    return min(max(new, low), high)
+
+
 def learned_clips(frames: int) -> Iterator[Clip]:
     """Clips on which the learned method is tuned: the training recordings that ship; bodies without clouds."""
     for path in sorted(data.TRAINING.glob("*.npz")):
-        yield _learned_clip(path.stem, frames)
+        yield _learned_clip(path.stem, min(frames, LEARNED_FRAMES))
 
 
 class Search(NamedTuple):
@@ -97,25 +123,30 @@ def clothfit(settings: AnswerSettings, scored: RecordingLabels) -> ClothFit:
 
 SEARCHES = {
     "kf": Search(without_labels(KalmanFilter), KalmanSettings, {
-        "measurement_sd": (0.1, 0.03, 0.3), "acceleration_density": (0.3, 0.1, 1.0), "gate": (0.05, 0.1, 0.15),
-        "facing": (True, False),
-    }),
-    "icp": Search(without_labels(NonRigidPointToPlane), IcpSettings, {
-        "iterations": (12, 8), "stiffness": (2.0, 1.0, 4.0), "gate": (0.10, 0.05), "normal_cosine": (0.5, 0.0, 0.8),
-    }),
-    "icp-rigid": Search(without_labels(RigidPointToPlane), RigidSettings, {
-        "gate": (0.15, 0.05, 0.10, 0.30), "robust_scale": (0.10, 0.02, 0.05, 0.30),
+        "tangential_sd": (0.3, 0.1, 1.0), "measurement_sd": (0.03, 0.01, 0.1), "acceleration_density": (1.0, 0.3, 3.0),
+        "damping": (4.0, 2.0, 8.0), "gate": (0.1, 0.05, 0.2), "held_sd": (0.02, 0.01, 0.04),
     }),
     "pf": Search(without_labels(ParticleFilter), ParticleSettings, {
-        "amplitude_sd": (0.002, 0.001, 0.004), "harmonics": (3, 5), "elasticity": (10.0, 3.0, 30.0),
-        "likelihood_sd": (0.0005, 0.00025, 0.001), "shift_sd": (0.005, 0.0025), "turn_sd": (0.015, 0.0075),
-        "momentum": (0.8, 0.5, 1.0), "passes": (3, 1, 5),
+        "harmonics": (24, 12, 48), "elasticity": (30.0, 10.0, 90.0), "proposal_steps": (6, 3, 12), "hold": (0.1, 0.03, 0.3),
+        "amplitude_sd": (0.001, 0.0005, 0.002),
+    }),
+    "icp": Search(without_labels(NonRigidPointToPlane), IcpSettings, {
+        "stiffness": (2.0, 1.0, 4.0), "gate": (0.1, 0.05, 0.2), "hold": (0.1, 0.03, 0.3),
+    }),
+    "nicp": Search(without_labels(NonRigidIcp), NicpSettings, {
+        "stiffness": (24.0, 12.0, 48.0), "gate": (0.1, 0.07, 0.14), "hold": (0.1, 0.03, 0.3),
     }),
     "opt-ed": Search(without_labels(EmbeddedDeformation), EmbeddedSettings, {
-        "nodes": (300, 100, 200), "rotation": (1.0, 0.3, 3.0), "point": (0.01, 0.003, 0.03),
-        "regularisation": (1.0, 0.3, 3.0), "smoothness": (1.0, 0.3, 3.0), "gate": (0.10, 0.05),
+        "smoothness": (3.0, 1.0, 9.0), "nodes": (300, 200, 450), "gate": (0.1, 0.05, 0.2), "hold": (0.1, 0.03, 0.3),
     }),
-    "nicp": Search(without_labels(NonRigidIcp), NicpSettings, {"stiffness": (24.0, 16.0)}),
+    "printed": Search(without_labels(AsPrinted), PrintedSettings, {
+        "velocity_rows": (True, False), "acceleration": (12.0, 6.0, 24.0), "lowest_sd": (0.001, 0.003, 0.01),
+        "speed_sd": (0.5, 0.25, 1.0), "alpha": (0.9, 0.8), "gate": (0.1, 0.05, 0.2), "stiffness": (1.0, 0.3, 3.0),
+        "longest_correction": (0.02, 0.01, 0.04),
+    }),
+    "icp-rigid": Search(without_labels(RigidPointToPlane), RigidSettings, {
+        "gate": (0.15, 0.1, 0.22), "robust_scale": (0.3, 0.1, 0.9),
+    }),
     "clothfit": Search(clothfit, AnswerSettings, {
         "gate": (1.0, 0.0), "caution": (2.0, 0.0, 0.5, 1.0, 4.0, 8.0), "smoothing": (2, 0, 4),
     }, learned_clips),
@@ -132,6 +163,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
+    what = "write into the checkout's results although its code has uncommitted changes"
+    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--table", action="store_true", help="print --out in Markdown, and run nothing")
     parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
     arguments = parser.parse_args(argv)
@@ -139,6 +172,7 @@ def main(argv: list[str] | None = None) -> int:
         report = json.loads(arguments.out.read_text())
         print(table(report), chosen_settings(report), learned_tries(report), sep="\n\n")
         return 0
+    machine.require_committed(arguments.out, arguments.allow_dirty)
     threadpool_limits(1)
     warmup.warm()
     report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
@@ -167,8 +201,15 @@ def search(name: str, frames: int) -> dict:
     try:
         best = tried(chosen)
         for axis, values in axes.items():
-            rows = [tried(best["settings"] | {axis: value}) for value in values[1:]]
-            best = min([best, *rows], key=lambda row: row["rmse_mm"])
+            rows = [best, *(tried(best["settings"] | {axis: value}) for value in values[1:])]
+            best = min(rows, key=lambda row: row["rmse_mm"])
+            for _ in range(WIDENINGS):
+                known = {row["settings"][axis] for row in rows}
+                new = wider(axis, known, best["settings"][axis])
+                if new is None or new in known:
+                    break
+                rows.append(tried(best["settings"] | {axis: new}))
+                best = min(rows, key=lambda row: row["rmse_mm"])
     except NotApplicable as absent:
         return {"not_applicable": str(absent)}
     return {"chosen": asdict(settings(**best["settings"])), "score": best, "tries": tries}
@@ -203,14 +244,16 @@ def geometric_mean(values: list[float]) -> float:
 
 @lru_cache(maxsize=len(CLIPS))
 def _clip(name: str, view: str, frames: int) -> Clip:
-    sequence = find_recording(name)
-    sensor = Sensor(view, SENSOR.points, SENSOR.noise)
+    side, _, told = view.partition("+")
+    sequence, sensor = find_recording(name), Sensor(side, SENSOR.points, SENSOR.noise)
     seen = []
-    for k in range(1, min(frames, len(sequence) - 1) + 1):
+    for k in range(FIRST + 1, min(FIRST + frames, len(sequence) - 1) + 1):
         cloud = sensor.capture(sequence, k, np.random.default_rng([SEED, k]))
-        seen.append(CapturedFrame(k, sequence.timestamp(k), *cloud, truth=sequence.garment_vertices[k]))
-    garment, start = Mesh(sequence.template, sequence.garment_faces), sequence.garment_vertices[0].astype(np.float64)
-    return Clip(f"{name} {view}", labels_of(sequence), garment, start, None, seen)
+        pose = sequence.body_vertices[k] if told else None
+        seen.append(CapturedFrame(k, sequence.timestamp(k), *cloud, pose, truth=sequence.garment_vertices[k]))
+    garment, start = Mesh(sequence.template, sequence.garment_faces), sequence.garment_vertices[FIRST].astype(np.float64)
+    body = Mesh(sequence.body_vertices[FIRST], sequence.body_faces) if told else None
+    return Clip(f"{name} {view}", labels_of(sequence), garment, start, body, seen)
 
 
 def _learned_clip(name: str, frames: int) -> Clip:
