@@ -13,8 +13,8 @@ import pytest
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).parents[1]
-STAGES = {"predict", "preprocess", "coarse", "pyramid", "associate", "robust", "adapt", "physics", "fuse"}
-STAGES |= {"uncertainty", "reliability", "total"}
+STAGES = {"input", "predict", "preprocess", "coarse", "associate", "robust", "adapt", "physics", "fuse"}
+STAGES |= {"uncertainty", "reliability", "output", "total"}
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from ddakf.config import Checked
 from ddakf.errors import InvalidConfig
 from tests.physics.shapes import sheet
 
-PRESETS = {"default": Config(), "paper": Config.paper()}
-BOTH = pytest.mark.parametrize("preset", list(PRESETS.values()), ids=list(PRESETS))
+PRESETS = {"default": Config(), "fast": Config.fast(), "paper": Config.paper()}
+EACH = pytest.mark.parametrize("preset", list(PRESETS.values()), ids=list(PRESETS))
 
 
 def variants():
@@ -31,7 +31,7 @@ def ranged():
                 yield pytest.param(stage, kind, field, id=f"{parameter.id}-{field.name}")
 
 
-@BOTH
+@EACH
 def test_presets_survive_a_round_trip_through_json(preset):
     text = json.dumps(preset.to_dict())
     assert Config.from_dict(json.loads(text)) == preset
@@ -63,13 +63,14 @@ def test_variants_that_do_not_fit_together_are_refused(stage):
 def test_what_is_left_out_keeps_its_default():
     assert Config.from_dict({}) == Config()
     assert Config.from_dict({"preset": "paper"}) == Config.paper()
+    assert Config.from_dict({"preset": "fast"}) == Config.fast()
     changed = Config.from_dict({"preset": "paper", "predict": {"acceleration": 3.0}})
     expected = dataclasses.replace(Config.paper().predict, acceleration=3.0)
     assert changed == dataclasses.replace(Config.paper(), predict=expected)
 
 
-def test_the_two_presets_differ_in_every_change_the_default_makes():
-    default, paper = PRESETS.values()
+def test_the_papers_preset_differs_in_every_change_that_the_default_makes():
+    default, paper = Config(), Config.paper()
     for stage in ("preprocess", "associate", "adapt", "fuse", "reliability"):
         assert type(getattr(default, stage)) is not type(getattr(paper, stage))
 
@@ -84,10 +85,12 @@ def test_the_two_presets_differ_in_every_change_the_default_makes():
         ({"predict": None}, "config.predict"),
         ({"preset": "nonsense"}, "config.preset"),
         ({"preset": ["paper"]}, "config.preset"),
-        ({"physics": {"fabric": "nonsense"}}, "fabric"),
+        ({"physics": {"fabric": "nonsense"}}, "config.physics.fabric"),
         ({"physics": {"fabric": 3}}, "config.physics.fabric"),
-        ({"physics": {"fabric": {"warp": 1.0}}}, "config.physics.fabric"),
-        ({"physics": {"fabric": {"stretch": -1.0}}}, "fabric.stretch"),
+        ({"physics": {"fabric": {"warp": 1.0}}}, "config.physics.fabric.warp"),
+        ({"physics": {"fabric": {"stretch": -1.0}}}, "config.physics.fabric.stretch"),
+        ({"physics": {"stretch": -1.0}}, "config.physics.stretch"),
+        ({"preset": "paper", "predict": {"type": "ConstantAcceleration", "damping": "no"}}, "config.predict.damping"),
         (["predict"], "config"),
         (None, "config"),
         ("paper", "config"),
@@ -144,7 +147,7 @@ def test_every_number_has_a_range(stage, kind):
             assert "range" in field.metadata, field.name
 
 
-@BOTH
+@EACH
 def test_configurations_cannot_be_changed_in_place_and_can_be_hashed(preset):
     with pytest.raises(dataclasses.FrozenInstanceError):
         preset.predict.damping = 1.0

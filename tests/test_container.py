@@ -1,16 +1,25 @@
 """The container's files agree with the repository: what they copy exists, what they set is a setting, ports are the defaults."""
 
 import re
+import subprocess
+import sys
 import tomllib
 from fnmatch import fnmatch
 from pathlib import Path
+from urllib.parse import urlsplit
 
 import pytest
 
+from ddakf.kernels import cache
+
 ROOT = Path(__file__).resolve().parents[1]
 DOCKERFILE = (ROOT / "docker/Dockerfile").read_text(encoding="utf-8")
+INSTALL = (ROOT / "docker/install").read_text(encoding="utf-8")
 COMPOSE = ROOT / "docker/compose.yaml"
 DOCUMENT = (ROOT / "docs/container.md").read_text(encoding="utf-8")
+# Variables of compose, of the library and of the tools, which the service does not read as settings
+OTHERS = {f"DDAKF_{name}" for name in ("CONFIG", "KERNEL_CACHE", "COMPILED_KERNELS", "PUBLISH", "BUILD", "API_KEY", "IMAGE",
+                                       "IMAGES", "RAY_IMAGE", "DOMAIN", "GRPC", "HTTP")}  # fmt: skip
 
 
 def _ignored(path: str) -> bool:
@@ -30,45 +39,104 @@ def _settings() -> dict:
 
 def test_what_is_installed_reaches_the_build():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    installed = {path.removeprefix("/src").strip("/") for path in re.findall(r"/src[\w/]*", DOCKERFILE)} - {""}
-    assert installed == {"protos", "clients/python"}
-    for path in (*installed, *project["tool"]["setuptools"]["package-dir"].values(), "pyproject.toml", "README.md", "LICENSE"):
+    places = [*project["tool"]["uv"]["workspace"]["members"], *project["tool"]["setuptools"]["package-dir"].values()]
+    for path in (*places, "pyproject.toml", "uv.lock", "setup.py", "README.md", "LICENSE"):
         assert not _ignored(path), path
     for path in (".git", ".venv", "tests", "out"):
         assert _ignored(path), path
 
 
-def test_copied_files_exist():
-    for path in re.findall(r"^COPY (?!--from)(\S+) ", DOCKERFILE, re.MULTILINE):
-        assert (ROOT / path).exists(), path
-        assert path == "." or not _ignored(path), path
-    assert (ROOT / "docker/start").stat().st_mode & 0o111 == 0o111
+def test_the_files_of_the_build_exist():
+    named = set(re.findall(r"/src/([\w/.-]+)", DOCKERFILE + INSTALL))
+    assert {"docker/install", "docker/rootfs", "docker/healthy"} <= named
+    for path in named:
+        assert (ROOT / path).is_file(), path
+        assert not _ignored(path), path
+
+
+def test_every_extra_that_the_image_installs_exists():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    assert set(re.findall(r"--extra (\w+)", INSTALL)) == {"service", "postgres", "tracing"} <= set(extras)
 
 
 def test_exposed_ports_are_the_defaults():
     defaults = {str(_settings()[name].default) for name in ("grpc_port", "http_port")}
     assert set(re.search(r"^EXPOSE (.*)$", DOCKERFILE, re.MULTILINE)[1].split()) == defaults
-    assert set(re.findall(r":(\d+):\1", COMPOSE.read_text(encoding="utf-8"))) == defaults
+    assert defaults <= set(re.findall(r":(\d+):\1", COMPOSE.read_text(encoding="utf-8")))
 
 
 def test_variables_are_settings():
-    others = {"DDAKF_CONFIG", "DDAKF_KERNEL_CACHE", "DDAKF_PUBLISH", "DDAKF_BUILD", "DDAKF_API_KEY"}
-    known = {f"DDAKF_{name.upper()}" for name in _settings()} | others
-    for text in (DOCKERFILE, COMPOSE.read_text(encoding="utf-8"), DOCUMENT):
+    known = {f"DDAKF_{name.upper()}" for name in _settings()} | OTHERS
+    for text in (DOCKERFILE, INSTALL, COMPOSE.read_text(encoding="utf-8"), DOCUMENT):
         assert set(re.findall(r"DDAKF_[A-Z_]*[A-Z]", text)) <= known
 
 
-def test_the_cache_is_compiled_for_the_cpu_that_the_image_names():
-    stages = DOCKERFILE.split("\nFROM ")[1:]
-    for variable in ("NUMBA_CPU_NAME=", "NUMBA_CPU_FEATURES="):
-        values = [re.search(rf"{variable}(\S+)", stage)[1] for stage in stages]
-        assert values[0] == values[1]
+def test_the_levels_of_the_kernels_are_known():
+    levels = re.search(r'^ARG KERNEL_CPUS="(.*)"$', DOCKERFILE, re.MULTILINE)[1].split()
+    assert levels == [name for name in reversed(cache.LEVELS) if name != "generic"]
+    assert cache.COMPILED in DOCKERFILE
 
 
 def test_compose_is_well_formed():
     yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
-    service = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]["ddakf"]
+    services = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]
+    service = services["ddakf"]
     assert (COMPOSE.parent / service["build"]["context"] / service["build"]["dockerfile"]).is_file()
-    cache = re.search(r"DDAKF_KERNEL_CACHE=(/var\S+)", DOCKERFILE)[1]
     assert service["read_only"]
-    assert {"/tmp", cache} <= set(service["tmpfs"])
+    assert "/var/lib/ddakf" in {volume.partition(":")[2] for volume in service["volumes"]}
+    assert {profile for other in services.values() for profile in other.get("profiles", ())} == {"postgres", "ray", "tls"}
+    for name, other in services.items():
+        for volume in other.get("volumes", ()):
+            source = volume.partition(":")[0]
+            assert not source.startswith(".") or (COMPOSE.parent / source).is_dir(), f"{name}: {source}"
+
+
+def test_the_gateway_of_compose_shares_what_its_ray_node_needs():
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    services = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]
+    head, worker, gateway = (services[f"ray-{name}"] for name in ("head", "worker", "gateway"))
+    assert {gateway[name] for name in ("network_mode", "pid", "ipc")} == {"service:ray-head"}
+    assert "ray:/tmp/ray" in set(head["volumes"]) & set(gateway["volumes"])
+    assert "ports" not in gateway
+    assert {port.rpartition("}:")[2] for port in head["ports"]} == {"7701:7701", "7702:7702"}
+    assert len({service["image"] for service in (head, worker, gateway)}) == 1
+    environment = gateway["environment"]
+    assert environment["DDAKF_WORKER_KIND"] == "ray"
+    assert f"--address={environment['DDAKF_RAY_ADDRESS']}" in worker["command"]
+    processors = int(next(part for part in worker["command"] if "num-cpus" in part).rpartition("=")[2])
+    actors = int(environment["DDAKF_WORKERS"]) + int(environment["DDAKF_SPARE_WORKERS"])
+    assert "--num-cpus=0" in head["command"]
+    assert processors * worker["deploy"]["replicas"] >= actors
+
+
+def test_the_database_of_compose_is_that_of_its_url():
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    services = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]
+    lines = (ROOT / "docker/postgres.env").read_text().splitlines()
+    variables = dict(line.split("=", 1) for line in lines if not line.startswith("#"))
+    url = urlsplit(variables["DDAKF_DATABASE_URL"])
+    database = services["postgres"]["environment"]
+    assert (url.username, url.path[1:]) == (database["POSTGRES_USER"], database["POSTGRES_DB"])
+    assert url.password == variables["POSTGRES_PASSWORD"]
+    assert url.hostname == "postgres"
+    assert variables["COMPOSE_PROFILES"] == services["postgres"]["profiles"][0]
+    assert services["ddakf"]["environment"]["DDAKF_DATABASE_URL"] == "${DDAKF_DATABASE_URL:-}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ["docker/compose.yaml", ".github/workflows/ci.yaml", ".github/workflows/release.yaml",
+                                  "CITATION.cff"])  # fmt: skip
+def test_a_file_has_the_form_of_its_schema(path):
+    pytest.importorskip("check_jsonschema", reason="check-jsonschema is not installed")
+    schema = {"compose.yaml": "vendor.compose-spec", "CITATION.cff": "vendor.citation-file-format"}.get(Path(path).name)
+    command = [sys.executable, "-m", "check_jsonschema", "--builtin-schema", schema or "vendor.github-workflows", ROOT / path]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+
+
+def test_workflows_call_targets_of_the_makefile():
+    targets = set(re.findall(r"^([a-z-]+(?: [a-z-]+)*):", (ROOT / "Makefile").read_text(), re.M))
+    targets = {name for names in targets for name in names.split()}
+    for path in (ROOT / ".github/workflows").glob("*.yaml"):
+        called = set(re.findall(r"\bmake ([a-z-]+)", path.read_text()))
+        assert called <= targets, path.name

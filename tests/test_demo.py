@@ -57,6 +57,9 @@ def test_an_interrupted_demo_leaves_no_process(tmp_path, number):
         demo.send_signal(number)
         assert demo.wait(60) == 128 + number
         demo.stderr.read()
+    deadline = time.monotonic() + 20  # the kernel kills the template when the service has ended
+    while processes_of(log) and time.monotonic() < deadline:
+        time.sleep(0.05)
     assert processes_of(log) == []
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -18,6 +20,9 @@ SAYS = {
     "04_async_client": "7 frames",
     "05_your_own_mesh": "2658 of the file's vertices have a new place",
     "06_depth_camera": "the prediction is nearer than the truth of the image",
+    "08_record_and_replay": "replayed 8 frames, largest difference of a coordinate: 0 m",
+    "09_depth_folder": "of the garment measured, mean sigma",
+    "11_submit_a_tracker": "error of the centroid's garment over DD-AKF's",
 }
 
 
@@ -36,3 +41,28 @@ def test_an_example_runs_as_it_stands(example, tmp_path):
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: example.stem)
 def test_an_example_fits_on_a_page(example):
     assert len(example.read_text().splitlines()) < 100
+
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "examples").glob("*.ipynb"))
+
+
+def cells(notebook: Path) -> list[dict]:
+    return json.loads(notebook.read_text())["cells"]
+
+
+def test_a_notebook_runs_cell_after_cell(tmp_path):
+    (notebook,) = NOTEBOOKS
+    code = "\n".join("".join(cell["source"]) for cell in cells(notebook) if cell["cell_type"] == "code")
+    environment = os.environ | {"MPLBACKEND": "Agg"}
+    command = [sys.executable, "-W", "ignore:FigureCanvasAgg", "-c", code]
+    ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=250, check=False, env=environment)
+    assert ended.returncode == 0, ended.stderr
+    assert [line.partition(":")[0] for line in ended.stdout.splitlines()] == ["seen", "half hidden"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_notebook_is_stored_without_outputs():
+    (notebook,) = NOTEBOOKS
+    for cell in cells(notebook):
+        if cell["cell_type"] == "code":
+            assert (cell["outputs"], cell["execution_count"]) == ([], None)

@@ -79,3 +79,16 @@ def test_what_a_target_must_not_do_is_found(tmp_path, monkeypatch, body, said):
     assert ended.returncode != 0
     assert said in fuzz._why(ended.returncode, log)
     assert current.read_bytes() == b"input"
+
+
+@pytest.mark.parametrize(("limit", "findings"), [(0.0, 2), (1e9, 0)])
+def test_sessions_that_cost_more_than_the_limit_are_found(limit, findings):
+    program = (
+        f"import sys; sys.path.insert(0, {str(ROOT / 'benchmarks')!r})\n"
+        f"import cost, fuzz\ncost.LIMIT, fuzz.COST_SIZES = {limit}, (('400:1000', 'full'),)\n"
+        "sys.exit(fuzz.main(['--only', 'cost', '--scenes', '2']))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=250, check=False)
+    assert ended.returncode == int(findings > 0), ended.stderr
+    assert f"2 sessions of adversarial frames, {findings} findings" in ended.stdout
+    assert ended.stdout.count("times a spread cloud") == findings

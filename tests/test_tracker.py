@@ -1,9 +1,12 @@
 """The tracker as its users see it: recordings, invariances, repeatability."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 
 from ddakf import Config, FrameResult, Mesh, Tracker
+from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors import Sensor
 from tests.stages.scenes import FPS, about, rms, scan, turn
 from tests.tracker_runs import ARRAYS, BODY, EYE, PRESETS, SAMPLE, SHIRT, TUBE, WEARER, assert_finite, assert_same, cloud, swaying
@@ -59,6 +62,23 @@ def test_less_noise_is_tracked_more_closely():
     assert fine < coarse
 
 
+def test_the_fast_preset_takes_less_time_for_a_larger_error():
+    """On the sample, whose motion is fast; ``benchmarks/omission.py`` measures both on the training recordings."""
+    error, seconds = {}, {}
+    for name, config in (("default", Config()), ("fast", Config.fast())):
+        tracker, squares, used = Tracker(SHIRT, config=config), [], []
+        tracker.reset(vertices=SAMPLE.garment_vertices[0])
+        for k in range(1, 25):
+            points = scan(SAMPLE.garment_vertices[k], SHIRT, 6000, 0.003, seed=k)
+            result = tracker.step(points, timestamp=k / FPS)
+            assert result.vertices.shape == SHIRT.vertices.shape
+            squares.append(np.square(result.vertices - SAMPLE.garment_vertices[k]).sum(axis=1).mean())
+            used.append(result.usage.seconds)
+        error[name], seconds[name] = np.sqrt(np.mean(squares)), np.median(used)
+    assert seconds["fast"] < 0.7 * seconds["default"]
+    assert error["fast"] < 0.03
+
+
 def test_the_papers_preset_runs_on_the_sample_and_stays_finite():
     tracker = Tracker(SHIRT, config=Config.paper())
     tracker.reset(SAMPLE.garment_vertices[0])
@@ -81,7 +101,19 @@ def test_a_resting_garment_stays_where_it_is(part):
     for k in range(12):
         points = scan(start, SHIRT, 6000, 0.003, seed=k)
         result = tracker.step(points[points[:, 1] < height], timestamp=k / FPS)
-    assert rms(result.vertices - start) < 0.005
+    assert rms(result.vertices - start) < 0.006  # of 3 mm of noise; a hidden half sways with the seen one
+
+
+def test_a_skirt_that_hangs_in_folds_does_not_open_where_nothing_sees_it():
+    """One camera shows the same frame again and again; the template is a wide cone."""
+    skirt = collection.load("skirt_overhead_loose_09")
+    start = skirt.garment_vertices[30].astype(float)
+    tracker = Tracker(Mesh(skirt.template, skirt.garment_faces))
+    tracker.reset(start)
+    for k in range(24):
+        points, origin = Sensor("front").capture(skirt, 30, np.random.default_rng(k))
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=origin)
+    assert rms(result.vertices - start) < 0.03
 
 
 def test_a_garment_that_turns_all_the_way_round_keeps_its_shape():
@@ -220,6 +252,19 @@ def test_results_own_their_arrays(config, worn):
                 given_in += 3.0
 
 
+@PRESETS
+def test_trackers_in_threads_are_identical_to_the_bit_to_those_of_one_thread(config):
+    def run(_=None):
+        tracker = Tracker(TUBE, body=BODY, config=config)
+        return [tracker.step(cloud(k), timestamp=k / FPS, sensor_origin=EYE, body_vertices=BODY.vertices) for k in range(6)]
+
+    alone = run()
+    with ThreadPoolExecutor(3) as threads:
+        for beside_others in threads.map(run, range(6)):
+            for a, b in zip(alone, beside_others, strict=True):
+                assert_same(a, b)
+
+
 def test_points_are_not_written_to():
     tracker, points, body = Tracker(TUBE, body=BODY), cloud(0), BODY.vertices.copy()
     points.setflags(write=False)
@@ -250,6 +295,12 @@ def test_a_result_has_the_documented_shapes_and_types():
         result.timings
     )
     assert all(seconds >= 0 for seconds in result.timings.values())
-    assert sum(s for name, s in result.timings.items() if name != "total") == pytest.approx(
-        result.timings["total"], rel=0.3, abs=1e-3
-    )
+
+
+def test_the_seconds_of_the_stages_add_up_to_the_frames():
+    """In one of some frames: the machine may stop the thread between two stages."""
+    tracker = Tracker(TUBE)
+    timings = [tracker.step(cloud(k), timestamp=k / FPS).timings for k in range(20)]
+    shares = [(sum(seconds.values()) - seconds["total"]) / seconds["total"] for seconds in timings]
+    assert max(shares) <= 1.0
+    assert max(shares) > 0.7

@@ -228,6 +228,7 @@ def test_arbitrary_messages_give_an_image_or_an_error(payload, numbers, size, le
         ({"confidence": bytes(64 * 48), "min_confidence": 256}, "depth_image.min_confidence"),
         ({"mask": bytes(7)}, "depth_image.mask"),
         ({"mask": bytes(8), "mask_compression": 4}, "depth_image.mask"),
+        ({"colors": bytes(64 * 48)}, "depth_image.colors"),
     ],
 )
 def test_invalid_cameras_are_refused_by_field(change, field):
@@ -250,6 +251,8 @@ def test_invalid_cameras_are_refused_by_field(change, field):
         (np.ones((2, 2)), {"mask": np.ones((2, 3))}, "mask"),
         (np.ones((2, 2)), {"confidence": np.ones((2, 2))}, "confidence"),
         (np.ones((2, 2)), {"pose": np.eye(3)}, "pose"),
+        (np.ones((2, 2)), {"colors": np.ones((2, 2), np.uint8)}, "colors"),
+        (np.ones((2, 2)), {"colors": np.ones((2, 2, 3))}, "colors"),
         (np.ones((2, 2)), {"confidence": np.ones((2, 2), np.uint8), "min_confidence": 300}, "min_confidence"),
     ],
 )

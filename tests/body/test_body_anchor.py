@@ -54,9 +54,21 @@ def test_a_rigidly_moving_body_takes_the_garment_along_exactly():
     np.testing.assert_allclose(held.target, MESH.vertices @ turned + [0.3, 0.0, -1.0], atol=1e-9)
 
 
-def test_only_what_was_not_measured_is_held():
+def test_what_was_measured_is_held_across_its_normal_alone_and_less():
     _, held = after(np.zeros(3), frames=1)
-    np.testing.assert_array_equal(held.weight, np.where(FRONT, 0.0, 1.0))
+    assert (held.variance[FRONT] > 1e6 * held.variance[~FRONT].max()).all()
+    assert (held.tangential[FRONT] < 1.0).all()
+    less = CONFIG.anchor_seen_samples / CONFIG.anchor_tangential_samples
+    assert less * held.tangential[FRONT].min() > held.tangential[~FRONT].min()
+
+
+def test_a_garment_whose_shape_shows_where_it_is_is_held_less_where_it_is_seen():
+    known, _ = after(np.zeros(3), frames=1)
+
+    def held(slippage: float) -> float:
+        return frame(known._replace(slippage=slippage), posed(BODY)).anchored.tangential[FRONT].mean()
+
+    assert held(0.01) == held(CONFIG.anchor_slippage) < 0.2 * held(2.0 * CONFIG.anchor_slippage)
 
 
 def test_vertices_far_from_the_body_are_not_held():
@@ -73,9 +85,23 @@ def test_nothing_is_held_while_the_body_is_not_known():
 
 
 def test_before_anything_is_seen_the_first_guess_stands():
-    _, held = after(np.zeros(3), frames=0)
-    np.testing.assert_allclose(held.variance, PER_VERTEX * CONFIG.worn_sd**2)
-    np.testing.assert_allclose(held.tangential, SLIPPING * CONFIG.worn_sd**2)
+    known, held = after(np.zeros(3), frames=0)
+    along, across = known.guess[GARMENT.patch].T
+    np.testing.assert_allclose(held.variance, PER_VERTEX * along)
+    np.testing.assert_allclose(held.tangential, SLIPPING * across)
+
+
+def test_the_first_guess_grows_with_the_distance_from_the_body():
+    sizes = []
+    for wider in (1.0, 1.05, 1.1, 3.0):
+        along, across = np.sqrt(anchored(MESH.vertices * [wider, 1.0, wider]).guess).T
+        assert (along >= CONFIG.worn_normal_sd).all()
+        assert (across >= np.maximum(along, CONFIG.worn_tangential_sd)).all()
+        assert (across <= CONFIG.worn_sd).all()
+        sizes.append([along.mean(), across.mean()])
+    assert (np.diff(sizes, axis=0) > 0).all()
+    far = CONFIG.worn_slope * CONFIG.anchor_reach  # nothing is within reach
+    np.testing.assert_allclose(sizes[-1], far + np.array([CONFIG.worn_normal_sd, CONFIG.worn_tangential_sd]), rtol=0.1)
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])

@@ -121,3 +121,35 @@ def test_a_search_of_the_nearest_vertices_finds_what_a_search_of_all_finds():
         np.testing.assert_array_equal(found.face[near], exact.face[near])
         np.testing.assert_array_equal(found.distance[near], exact.distance[near])
         np.testing.assert_array_equal(found.normal[near], exact.normal[near])
+
+
+def test_each_vertex_is_searched_in_the_whole_body_once_in_a_round_of_frames():
+    """A body that turned since: nothing follows its surface, so that only searches find it, until every vertex had one."""
+    every, position = CONFIG.faces_followed, above(np.abs(HEIGHTS))
+    track = contact.start(MODEL, position, CONFIG)
+    wrong = contact.nearest(contact.posed(MODEL, track), -position)  # on the other side
+    far = wrong.closest._replace(face=np.full(len(position), -1, np.int32))
+    track = track._replace(contacts=contact.Contacts(far, position))
+    exact = contact.nearest(contact.posed(MODEL, track), position).closest.face
+    for turn in range(every):
+        last, health = Track(None, None, None, 0.0, Health(), None, track, None), Health(state="tracking")
+        pose, config = contact.posed(MODEL, track), dataclasses.replace(Config(), physics=CONFIG)
+        problem = problem_of(None, None, config, last=last, body=pose, health=health)
+        found = contact.followed(problem, position)
+        right = found.closest.face == exact
+        assert right[turn::every].all()
+        assert right.sum() == sum(len(right[t::every]) for t in range(turn + 1))
+        track = contact.learned(problem, found, position, np.ones(len(position), bool))
+    assert right.all()
+
+
+def test_all_vertices_are_searched_in_the_whole_body_while_the_garment_is_not_tracked():
+    position = above(np.abs(HEIGHTS))
+    track = contact.start(MODEL, position, CONFIG)
+    wrong = contact.nearest(contact.posed(MODEL, track), -position)
+    pose = contact.posed(MODEL, track._replace(contacts=wrong))
+    for health in (Health(), Health(state="lost"), Health(state="tracking", settling=2)):
+        last = Track(None, None, None, 0.0, health, None, track, None)
+        problem = problem_of(None, None, Config(), last=last, body=pose, health=health)
+        found, exact = contact.followed(problem, position), contact.nearest(pose, position)
+        np.testing.assert_array_equal(found.closest.face, exact.closest.face)

@@ -140,8 +140,8 @@ class FakeService(rpc.TrackingServiceServicer):
             start = next(requests).start
             require_compatible(start.api_version, peer="client")
             session = self._find(start.name)
-            if not self.starts:
-                time.sleep(1)
+            while not self.starts and context.is_active():
+                time.sleep(0.01)
             last = session.statistics.last_sequence_number
             yield pb.TrackResponse(started=pb.Started(name=start.name, last_sequence_number=last, max_frames_in_flight=4))
             yield from self._answers(session, start, self._mailbox(requests, start.flow_mode), context)

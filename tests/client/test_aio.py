@@ -112,8 +112,8 @@ async def test_invalid_arguments_are_refused_before_sending(service, mesh):
 async def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
     service.silent_from = 2
     async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
-            await collected(session.track(frames(3), timeout=0.3))
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 1 s"):
+            await collected(session.track(frames(3), timeout=1))
 
 
 async def test_a_stream_can_be_left_and_cancelled(service, mesh, frames):

@@ -122,6 +122,13 @@ def test_another_major_version_is_refused(service):
         connect(service.target)
 
 
+@pytest.mark.parametrize("target", ["here", "127.0.0.1:99999", "[::1]", "dns:///here", "http://127.0.0.1:7702", ":7701"])
+def test_a_target_without_a_port_is_refused(target):
+    """gRPC would take its own default port, or another one than was written."""
+    with pytest.raises(errors.InvalidArgument, match="target: expected HOST:PORT"):
+        connect(target)
+
+
 def test_a_missing_server_is_an_immediate_error():
     """An exceeded timeout would be another error."""
     with pytest.raises(errors.Unavailable, match=r"127\.0\.0\.1:1 does not answer"):

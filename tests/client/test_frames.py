@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ddakf_api.codec import CODECS, decode_depth
+from ddakf_api.codec import CODECS, DracoDecoder, decode, decode_colors, decode_depth
 from ddakf_api.errors import CodecError, InvalidArgument, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
@@ -23,7 +23,8 @@ def message(frame: object, **options) -> pb.Frame:
 @pytest.mark.parametrize("codec", ["none", "zstd", "png", "rvl"])
 def test_a_depth_image_is_sent_as_it_is(codec):
     mask, confidence = DEPTH > 3, (20 * DEPTH).astype(np.uint8)
-    more = {"mask": mask, "confidence": confidence, "min_confidence": 120, "depth_scale": 0.01}
+    colors = np.arange(36, dtype=np.uint8).reshape(3, 4, 3)
+    more = {"mask": mask, "confidence": confidence, "min_confidence": 120, "depth_scale": 0.01, "colors": colors}
     sent = message(Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, pose=POSE, **more), depth_codec=codec)
     assert sent.WhichOneof("payload") == "depth_image"
     assert not sent.sensors
@@ -31,6 +32,33 @@ def test_a_depth_image_is_sent_as_it_is(codec):
     assert np.allclose(back.depth, DEPTH * 0.01)
     assert np.array_equal(back.keep, mask & (confidence >= 120))
     assert (back.intrinsics, back.pose.tolist()) == (LENS, POSE.tolist())
+    assert np.array_equal(back.colors, colors)
+
+
+@pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("sensors", [1, 3])
+def test_every_point_keeps_its_color_whatever_the_order_is(codec, sensors):
+    rng = np.random.default_rng(0)
+    points, colors = rng.uniform(0, 1, (50, 3)), rng.integers(0, 256, (50, 3), np.uint8)
+    origin = rng.permutation(np.arange(50) % sensors)[:, None] * np.ones(3)
+    sent = to_message(Frame(points, 1.0, origin, colors=colors), 1, codec, 1e-4).point_cloud
+    back = decode(sent, max_points=50, draco_decoder=DracoDecoder(50) if codec == "draco" else None)
+    nearest = np.square(back[:, None] - points).sum(axis=2).argmin(axis=1)
+    assert np.array_equal(decode_colors(sent), colors[nearest])
+
+
+@pytest.mark.parametrize("colors", [np.zeros((2, 3), np.uint8), np.zeros((3, 3)), np.zeros(9, np.uint8), "red"])
+def test_colors_of_another_shape_or_type_are_refused(colors):
+    with pytest.raises(CodecError, match="colors"):
+        message(Frame(np.zeros((3, 3)), 1.0, colors=colors))
+
+
+def test_received_colors_of_another_length_are_refused_with_the_field():
+    sent = message(Frame(np.zeros((3, 3)), 1.0, colors=np.zeros((3, 3), np.uint8))).point_cloud
+    sent.colors = sent.colors[1:]
+    with pytest.raises(CodecError, match="9 bytes, 3 for each of the 3 points, got 8 bytes") as refusal:
+        decode_colors(sent)
+    assert refusal.value.field == "point_cloud.colors"
 
 
 def test_a_homogeneous_pose_is_accepted():

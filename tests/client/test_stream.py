@@ -109,13 +109,13 @@ def test_a_second_stream_continues_the_sequence_numbers(service, mesh, frames):
 def test_slow_sources_and_slow_readers_cause_no_timeout(service, mesh, frames):
     def source():
         for frame in frames(2):
-            time.sleep(0.75)
+            time.sleep(1.25)
             yield frame
 
     with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        assert len(list(session.track(source(), timeout=0.5))) == 2
-        for _ in session.track(frames(2), timeout=0.5):
-            time.sleep(0.75)
+        assert len(list(session.track(source(), timeout=1))) == 2
+        for _ in session.track(frames(1), timeout=1):
+            time.sleep(1.25)
 
 
 def test_leaving_the_loop_ends_stream_and_threads(service, mesh, frames):

@@ -81,11 +81,11 @@ def test_a_lost_worker_is_a_retryable_error(service, mesh, frames):
 def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):
     service.silent_from = 2
     with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 0\.3 s"):
-            list(session.track(frames(3), timeout=0.3))
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to frame 2 within 1 s"):
+            list(session.track(frames(3), timeout=1))
         service.starts = False
-        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to the start of the stream within 0\.2 s"):
-            list(session.track(frames(3), timeout=0.2))
+        with pytest.raises(errors.DeadlineExceeded, match=r"no answer to the start of the stream within 1 s"):
+            list(session.track(frames(3), timeout=1))
 
 
 @pytest.mark.parametrize("flow", ["lossless", "realtime"])

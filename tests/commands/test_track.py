@@ -19,6 +19,7 @@ from ddakf.data import SAMPLE, sample
 from ddakf.evaluation.datasets import KINECT
 from ddakf.evaluation.sensors import Camera, Sensor
 from ddakf.evaluation.tracking import replay
+from ddakf.evaluation.tracking.server import Server
 from ddakf.evaluation.tracking.sources import open_source
 from ddakf.files import io
 
@@ -100,10 +101,35 @@ def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
     assert "RMSE" not in capsys.readouterr().out
 
 
+def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp_path):
+    """And without either, the side is estimated and the table says so, once."""
+    s, sensor = sample(), Sensor("front", points=4000)
+    folders = [tmp_path / name for name in ("unplaced", "placed")]
+    for folder in folders:
+        folder.mkdir()
+    io.write_mesh(tmp_path / "t.ply", s.garment_vertices[0], s.garment_faces)
+    for k in range(3):
+        points, eye = sensor.capture(s, k, np.random.default_rng(k))
+        for folder in folders:
+            io.write_points(folder / f"{k}.ply", points)
+        file = folders[1] / f"{k}.ply"
+        said = "comment sensor_origin {} {} {}\n".format(*eye).encode()
+        file.write_bytes(file.read_bytes().replace(b"element vertex", said + b"element vertex"))
+    unplaced, placed = ([folder, "--template", tmp_path / "t.ply"] for folder in folders)
+    (warning,) = _summary(capsys, *unplaced)["warnings"]
+    assert (warning["code"], warning["field"], warning["frames"]) == ("sensor_origin_missing", "sensor_origin", 3)
+    assert _track(*unplaced) == 0
+    assert capsys.readouterr().out.count("sensor_origin_missing") == 1
+    by_file, by_hand = _summary(capsys, *placed), _summary(capsys, *unplaced, "--sensor-origin", *eye)
+    assert by_file["warnings"] == by_hand["warnings"] == []
+    assert by_file["residual_mean_mm"] == pytest.approx(by_hand["residual_mean_mm"])
+
+
 @pytest.mark.parametrize(
     ("arguments", "names"),
     [
         (["none.npz"], "nothing there"),
+        ([SAMPLE, "--sensor-origin", "0", "0", "2"], "sensor_origin"),
         ([SAMPLE, "--frames", "9:9"], "frames"),
         ([SAMPLE, "--drop", "2"], "drop"),
         ([SAMPLE, "--occlude", "9"], "FROM:TO"),
@@ -113,6 +139,8 @@ def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
         ([SAMPLE, "--animation", "a.mp4"], "animation"),
         ([SAMPLE, "--out", "/nowhere/r.npz"], "out"),
         ([SAMPLE, "--template", "t.ply"], "template"),
+        ([SAMPLE, "--api-key", "k"], "api_key: expected to be used with --server"),
+        ([SAMPLE, "--tls-ca", "ca.pem"], "tls_ca: expected to be used with --server"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_one_sentence_before_the_run(capsys, arguments, names):
@@ -180,7 +208,7 @@ def test_a_server_gets_the_same_frames_one_at_a_time(monkeypatch):
     monkeypatch.setitem(sys.modules, "ddakf_client", client)
     source = open_source(SAMPLE, Sensor(points=2000), frames="0:5")
     here = [result.vertices.copy() for _, result, _ in replay.local(source)]
-    there = [(frame.number, result.vertices.copy(), seconds) for frame, result, seconds in replay.remote(source, "x:1")]
+    there = [(frame.number, result.vertices.copy(), seconds) for frame, result, seconds in replay.remote(source, Server("x:1"))]
     assert [number for number, _, _ in there] == [1, 2, 3, 4]
     assert all(np.array_equal(a, b) for a, (_, b, _) in zip(here, there, strict=True))
     assert {seconds for _, _, seconds in there} == {0.02}

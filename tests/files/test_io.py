@@ -247,6 +247,12 @@ def test_packing_refuses_in_a_sentence(tmp_path, capsys):
 GOOD = dict(garment_V=VERTICES[None], garment_F=FACES, fps=30.0)
 PACKED = {"garment_V": None, "garment_V_second_difference": np.zeros((1, 3, 4), np.int16), "quantum": 1e-3}
 
+CODED = {
+    "garment_V": None, "garment_V_first": np.zeros((4, 3), np.int32), "garment_V_residual": np.zeros((2, 3, 4), np.int8),
+    "quantum": 1e-3,
+}  # fmt: skip
+SHAPED = {"body_rotations": np.zeros((1, 20, 3)), "body_shift": np.zeros((1, 3))}
+
 
 @pytest.mark.parametrize(
     ("change", "names"),
@@ -272,6 +278,15 @@ PACKED = {"garment_V": None, "garment_V_second_difference": np.zeros((1, 3, 4), 
         (PACKED | {"quantum": np.nan}, "quantum: expected one float"),
         (PACKED | {"garment_V_second_difference": np.full((1, 3, 4), 2**62)}, "int16 of shape"),
         (PACKED | {"garment_V_second_difference": np.zeros((1, 2, 4), np.int16)}, "garment_V: expected shape"),
+        (CODED | {"quantum": None}, "quantum: expected to be"),
+        (CODED | {"garment_V_first": None}, "garment_V_first"),
+        (CODED | {"garment_V_first": np.zeros((4, 2), np.int32)}, r"garment_V_first: expected int32 of shape \(V, 3\)"),
+        (CODED | {"garment_V_residual": np.zeros((2, 3, 5), np.int8)}, "garment_V_residual: expected int8 or int16"),
+        (CODED | {"garment_V_residual": np.zeros((2, 3, 4))}, "garment_V_residual: expected int8 or int16"),
+        (CODED | {"garment_F": FACES + 2}, "indices in"),
+        (SHAPED | {"body_shape": np.ones(7)}, r"body_shape: expected factors of shape \(8,\)"),
+        (SHAPED | {"body_shape": np.full(8, 9.0)}, "body_shape: expected a factor"),
+        (SHAPED | {"body_shape": np.full(8, np.nan)}, "body_shape: expected finite"),
         ({"body_rotations": np.zeros((1, 20, 3))}, "body_shift"),
         ({"body_rotations": np.zeros((1, 7, 3)), "body_shift": np.zeros((1, 3))}, "body_rotations: expected with"),
         ({"body_rotations": np.zeros((2, 20, 3)), "body_shift": np.zeros((2, 3))}, "body_rotations"),
@@ -301,3 +316,31 @@ def test_a_single_array_is_no_sequence(tmp_path):
     np.save(tmp_path / "array.npy", VERTICES)
     with pytest.raises(InvalidFile, match="archive"):
         io.load_sequence(tmp_path / "array.npy")
+
+
+PLY = "ply\nformat ascii 1.0\n{}\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n0 0 0\n"
+PCD = "# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nPOINTS 1\n{}\nDATA ascii\n0 0 0\nVIEWPOINT 9 9 9\n"
+SAID = {
+    ("a.ply", PLY.format("comment sensor_origin 1 -2.5 3e-1")): [1, -2.5, 0.3],
+    ("a.ply", PLY.format("comment made by hand")): None,
+    ("a.pcd", PCD.format("VIEWPOINT 0.5 1 2 1 0 0 0")): [0.5, 1, 2],
+    ("a.pcd", PCD.format("VIEWPOINT 0 0 0 1 0 0 0")): None,  # what writers put that do not know it
+    ("a.pcd", PCD.format("VIEWPOINT 0 0 0 0 1 0 0")): [0, 0, 0],
+    ("a.pcd", PCD.format("")): None,
+    ("a.xyz", "0 0 0\n"): None,
+}
+
+
+@pytest.mark.parametrize(("file", "origin"), SAID.items())
+def test_the_origin_of_a_cloud_is_read_from_its_header(tmp_path, file, origin):
+    name, text = file
+    (tmp_path / name).write_text(text)
+    found = io.read_sensor_origin(tmp_path / name)
+    assert found is None if origin is None else np.array_equal(found, origin)
+
+
+@pytest.mark.parametrize("line", ["comment sensor_origin 1 2", "comment sensor_origin 1 2 nan", "comment sensor_origin here"])
+def test_an_origin_that_is_none_is_refused(tmp_path, line):
+    (tmp_path / "a.ply").write_text(PLY.format(line))
+    with pytest.raises(InvalidFile, match=r"a.ply: sensor origin: expected three finite numbers, got comment sensor_origin"):
+        io.read_sensor_origin(tmp_path / "a.ply")

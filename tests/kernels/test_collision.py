@@ -3,7 +3,7 @@
 import numpy as np
 
 from ddakf.kernels import collision
-from ddakf.kernels.proximity import Contact
+from ddakf.kernels.signed_distance import Contact
 
 
 def test_agrees_with_the_formula():

@@ -7,6 +7,7 @@ from ddakf.garment import model
 from ddakf.kernels import fuse, strain
 from ddakf.physics import gradient, shear, stretch
 from ddakf.physics.energies import softened
+from ddakf.physics.rigidity import padded
 from tests.physics.shapes import ball, sheet
 
 STRETCH, SHEAR, SCALE = 3e5, 1e5, 0.05
@@ -38,8 +39,8 @@ def test_force_and_blocks_are_those_of_the_jacobians(name, flat):
     x = garment.mesh.vertices + rng.normal(scale=0.003, size=(n, 3))
     if flat:
         x[garment.mesh.faces[0]] = x[garment.mesh.faces[0, 0]]  # a face without an area has tangents without a direction
-    force, blocks = np.zeros((n, 4)), np.zeros((len(garment.mesh.edges), 9), np.float32)
-    strain.add_strain(x, garment.strain, STRETCH, SHEAR, SCALE**2, blocks, force)
+    force, blocks = np.zeros((n, 4)), np.zeros((len(garment.mesh.edges), 12), np.float32)
+    strain.add_strain(padded(x), garment.strain, STRETCH, SHEAR, SCALE**2, blocks, force)
     D, B = np.zeros((n, 3, 3)), np.empty((len(garment.neighbour), 12), np.float32)
     fuse.add_coupling(garment.start, garment.neighbour, garment.edge, blocks, 700.0, np.zeros((n, 3, 3)), D, B)
 
@@ -50,8 +51,8 @@ def test_force_and_blocks_are_those_of_the_jacobians(name, flat):
             np.add.at(A, (row, a, column, a), 700.0 * sign)
     row = np.repeat(np.arange(n), np.diff(garment.start))
     scale = np.abs(A).max()
-    np.testing.assert_allclose(force[:, :3], -g, rtol=0, atol=1e-9 * np.abs(g).max())
+    np.testing.assert_allclose(force[:, :3], -g, rtol=0, atol=4e-6 * np.abs(g).max())
     by_columns = B.reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1)
-    np.testing.assert_allclose(by_columns, A[row, :, garment.neighbour], rtol=0, atol=1e-6 * scale)
-    np.testing.assert_allclose(D, A[np.arange(n), :, np.arange(n)], rtol=0, atol=1e-6 * scale)
+    np.testing.assert_allclose(by_columns, A[row, :, garment.neighbour], rtol=0, atol=4e-6 * scale)
+    np.testing.assert_allclose(D, A[np.arange(n), :, np.arange(n)], rtol=0, atol=4e-6 * scale)
     assert not B[:, 3::4].any(), "the padding is zero"

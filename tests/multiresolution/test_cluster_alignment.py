@@ -171,3 +171,38 @@ def test_a_garment_of_more_pieces_than_clusters_is_tracked():
         cloud = scan(soup.vertices + [0.05 * (k > 1), 0, 0], soup, 4000, 0.002, seed=k)
         assert np.isfinite(tracker.step(cloud, timestamp=k / 30).vertices).all()
     assert Tracker.restore(tracker.snapshot()).step(cloud, timestamp=1.0).vertices.shape == soup.vertices.shape
+
+
+def coupled(ends, k, seed):
+    """A positive definite matrix of k clusters that are coupled along ``ends``, and a right side."""
+    rng = np.random.default_rng(seed)
+    A = np.eye(6 * k)
+    for p, q in [*ends, *((c, c) for c in range(k))]:
+        unknowns = np.r_[6 * p : 6 * p + 6, 6 * q : 6 * q + 6]
+        J = rng.normal(size=(9, 12))
+        A[np.ix_(unknowns, unknowns)] += J.T @ J
+    return A, rng.normal(size=6 * k)
+
+
+@pytest.mark.parametrize("k", [1, 2, 7, 30])
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_the_sparse_factor_solves_what_a_dense_one_does(k, pieces):
+    rng = np.random.default_rng(k)
+    chain = [(c, c + 1) for c in range(k - 1) if pieces == 1 or c != k // 2]
+    pairs = {*chain, *((int(p), int(q)) for p, q in rng.integers(0, k // pieces + 1, (k, 2)) if p < q < k)}
+    ends = np.array([pair for p, q in sorted(pairs) for pair in ((p, q), (q, p))], np.int32).reshape(-1, 2)
+    (A, b), order = coupled(ends, k, 1), clusters.elimination(ends, k)
+    assert sorted(order.order) == list(range(k))
+    factor, x = np.full((6 * k, order.width), np.nan, np.float32), np.empty(6 * k)
+    assert kernels.factorise(np.tril(A), order, 0.5, factor)
+    kernels.substitute(factor, order, b, x)
+    np.testing.assert_allclose(x, np.linalg.solve(A + 0.5 * np.eye(6 * k), b), rtol=0, atol=1e-5)
+    assert not kernels.factorise(np.tril(A) - 1e3 * np.eye(6 * k), order, 0.5, factor), "not positive definite"
+
+
+def test_the_elimination_of_a_garment_fills_little():
+    order = GARMENT.clusters.elimination
+    place = np.argsort(order.order)
+    p, q = place[GARMENT.clusters.ends].T
+    assert (order.first[p] <= np.minimum(p, q)).all()
+    assert (np.arange(len(place)) - order.first + 1).mean() < 0.35 * len(place)

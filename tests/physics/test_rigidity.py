@@ -12,7 +12,7 @@ from ddakf.config import MapUpdate
 from ddakf.garment import model
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, State
+from ddakf.types import Evidence, Setup, State
 from tests.physics.shapes import sheet
 from tests.stages import dense
 from tests.stages.scenes import about, measured, problem_of, rms, tube
@@ -23,6 +23,7 @@ ONLY = dataclasses.replace(
     Config().physics, stretch=0.0, shear=0.0, bend=0.0, collision=0.0, rest_rigidity=6e3, motion_rigidity=3e4
 )
 RIGID = dataclasses.replace(Config(), physics=ONLY, fuse=MapUpdate(solver_iterations=1000, solver_tolerance=1e-9))
+WHOLE_START = dataclasses.replace(RIGID, physics=dataclasses.replace(ONLY, start_strain=1e3))
 AXES = st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda axis: np.linalg.norm(axis) > 0.1)
 
 
@@ -44,6 +45,47 @@ def rigid_alone(garment, position, last, config=RIGID):
     np.add.at(matrix, (i, j), -weight)
     np.add.at(matrix, (j, i), -weight)
     return update, matrix @ (update.position - position)
+
+
+def rolled(mesh, radius=0.3):
+    """The mesh about a cylinder along y: bent, and hardly strained."""
+    x, y, z = mesh.vertices.T
+    return np.column_stack([(radius + z) * np.sin(x / radius), y, (radius + z) * np.cos(x / radius)])
+
+
+def rest_force(garment, position, shape) -> float:
+    """Largest force of the term of rest at ``position``, of 6,000 per square metre and edge."""
+    term = rigidity.to_rest(garment, 6e3, rigidity.rotations(position, garment), shape=shape)
+    rigidity.fit(term, rigidity.padded(position), garment, 4)
+    force = np.zeros((len(position), 4))
+    rigidity.add_force((term,), rigidity.padded(position), garment, force)
+    return np.abs(force).max()
+
+
+def off_template(shape, garment) -> np.ndarray:
+    """(2E, 3) m, edges of a shape at rest less those of the template, turned to it."""
+    row = np.repeat(np.arange(len(shape.rotation)), np.diff(garment.start))
+    turn = 0.5 * (shape.rotation[row] + shape.rotation[garment.neighbour])
+    return shape.edge - np.einsum("eab,eb->ea", turn, garment.rest_edge)
+
+
+@pytest.mark.parametrize("name", ["sheet", "tube"])
+def test_the_start_is_at_rest(name):
+    garment = GARMENTS[name]
+    start = rolled(garment.mesh)
+    resting = rigidity.resting(start, Setup(garment, None, WHOLE_START))
+    assert rest_force(garment, start, resting) < 1e-4 * rest_force(garment, start, None)
+
+
+@pytest.mark.parametrize("name", ["sheet", "tube"])
+def test_a_start_that_no_cloth_can_have_leaves_the_template(name):
+    garment = GARMENTS[name]
+    noise = np.random.default_rng(1).normal(0, 0.5 * garment.rest_length.mean(), garment.mesh.vertices.shape)
+    found, whole = (
+        off_template(rigidity.resting(garment.mesh.vertices + noise, Setup(garment, None, config)), garment)
+        for config in (RIGID, WHOLE_START)
+    )
+    assert np.linalg.norm(found) < 0.2 * np.linalg.norm(whole)
 
 
 def energy(position, source, weight, rotation, garment):  # rotation: T_i

@@ -150,6 +150,24 @@ def children(pid: int) -> list[int]:
     return found
 
 
+def workers(pid: int) -> list[int]:
+    """Worker processes of the server `pid`, the oldest first; they take frames, or are spare."""
+    return sorted(child for child in children(pid) if name_of(child) == "ddakf-worker")
+
+
+def template(pid: int) -> int | None:
+    """Template process of the server `pid`."""
+    return next((child for child in children(pid) if name_of(child) == "ddakf-template"), None)
+
+
+def name_of(pid: int) -> str:
+    """Name of a process, as `ps` shows it; empty when it has ended."""
+    try:
+        return Path(f"/proc/{pid}/comm").read_text().strip()
+    except OSError:
+        return ""
+
+
 @contextlib.contextmanager
 def held(pids: Sequence[int]) -> Iterator[None]:
     """Context in which processes are stopped."""

@@ -19,7 +19,7 @@ from ddakf_service.server import Server
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
 
-from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, is_running
+from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_running, template
 
 pytestmark = pytest.mark.slow
 
@@ -77,7 +77,6 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
     command = [sys.executable, "-m", "ddakf_service", "--http-port", str(port), "--grpc-port", "0", "--workers", "1"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
-            seen = []
 
             def status(path: str) -> int:
                 try:
@@ -85,9 +84,10 @@ def test_before_the_workers_are_warm_nothing_is_ready(tmp_path):
                 except httpx.TransportError:
                     return 0
 
-            eventually(lambda: status("/healthz") == 200)
-            eventually(lambda: seen.append(status("/readyz")) or seen[-1] == 200, 120)
-            assert seen[0] == 503
+            with held([eventually(lambda: template(process.pid))]):
+                eventually(lambda: status("/healthz") == 200)
+                assert status("/readyz") == 503
+            eventually(lambda: status("/readyz") == 200, 120)
         finally:
             process.terminate()
         assert process.wait(TIMEOUT) == 0
@@ -169,10 +169,10 @@ def test_a_second_signal_forces_the_end(own_service, sheet):
 
 
 def test_a_killed_server_leaves_no_worker(own_service):
-    workers = children(own_service.pid)
-    assert len(workers) == 1
+    processes = children(own_service.pid)
+    assert len(processes) == 2, "a worker and its template"
     assert own_service.stop(signal.SIGKILL) == -signal.SIGKILL
-    eventually(lambda: not any(is_running(pid) for pid in workers))
+    eventually(lambda: not any(is_running(pid) for pid in processes))
 
 
 def test_a_service_of_a_killed_parent_ends(tmp_path):

@@ -1,7 +1,8 @@
 """Settings: flags override the environment, which overrides the file and the defaults; errors name the setting."""
 
 import pytest
-from ddakf_service.settings import Settings, load, shown
+from ddakf_service.setting_sources import load, shown, unknown_variables
+from ddakf_service.settings import Settings
 
 from ddakf.errors import InvalidConfig
 
@@ -37,10 +38,27 @@ def test_default_workers_are_between_one_and_four():
     ("flags", "words"),
     [
         ({"workers": "0"}, ["workers", "1", "'0'", "--workers"]),
-        ({"grpc_port": "many"}, ["grpc_port", "integer", "'many'"]),
+        ({"grpc_port": "many"}, ["grpc_port", "a whole number", "'many'"]),
         ({"http_port": "70000"}, ["http_port", "65535"]),
         ({"default_flow": "best-effort"}, ["default_flow", "realtime", "best-effort"]),
         ({"idle_timeout": "-1"}, ["idle_timeout", "greater than 0"]),
+        ({"idle_timeout": "inf"}, ["idle_timeout", "a finite number"]),
+        (
+            {"idle_timeout": "30", "departure_timeout": "40"},
+            ["departure_timeout", "at most the idle_timeout, 30", "'40' from flag"],
+        ),
+        ({"successor": "foo"}, ["successor", "HOST:PORT", "'foo' from flag --successor"]),
+        ({"successor": "foo:0"}, ["successor", "HOST:PORT"]),
+        ({"successor": "http://foo:1"}, ["successor", "HOST:PORT"]),
+        (
+            {"allow_anonymous": "true", "require_keys": "true"},
+            ["allow_anonymous", "false where require_keys"],
+        ),
+        ({"costly_slow_after": "7"}, ["costly_isolate_after", "at least costly_slow_after, 7"]),
+        ({"costly_isolate_after": "20"}, ["costly_end_after", "at least costly_isolate_after, 20"]),
+        ({"spare_workers": "0", "recycle_frames": "9"}, ["recycle_frames", "0 where spare_workers is 0", "'9' from flag"]),
+        ({"host": ""}, ["host", "some text"]),
+        ({"require_keys": "perhaps"}, ["require_keys", "true or false"]),
     ],
 )
 def test_a_bad_setting_is_named(flags, words):
@@ -61,6 +79,35 @@ def test_a_bad_file_is_named(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InvalidConfig, match=r"bad\.toml"):
         load({}, path)
+
+
+@pytest.mark.parametrize("address", ["", "garments.example:7701", "192.0.2.1:1", "[::1]:65535"])
+def test_a_successor_is_an_address(address):
+    assert load({"successor": address})[0].successor == address
+
+
+def test_the_default_departure_timeout_is_no_error_beside_a_shorter_idle_timeout():
+    assert load({"idle_timeout": "30"})[0].departure_timeout == 60
+
+
+def test_the_nearest_name_of_a_mistyped_setting_is_shown(tmp_path):
+    path = tmp_path / "ddakf.toml"
+    path.write_text("max_sesions = 1\n")
+    with pytest.raises(InvalidConfig, match=r"max_sesions: .*; did you mean max_sessions"):
+        load({}, path)
+
+
+def test_unknown_variables_are_told_with_the_nearest_name(monkeypatch):
+    for name in ("DDAKF_WROKERS", "DDAKF_ZZZZZZZZZZZZZZZZ"):
+        monkeypatch.setenv(name, "1")
+    for name in ("DDAKF_KERNEL_CACHE", "DDAKF_WORKERS", "DDAKF_CONFIG", "DDAKF_DATA"):  # known
+        monkeypatch.setenv(name, "1")
+    for name in ("DDAKF_PORT", "DDAKF_SERVICE_HOST", "DDAKF_SERVICE_PORT_GRPC", "DDAKF_PORT_7701_TCP_ADDR"):  # of Kubernetes
+        monkeypatch.setenv(name, "tcp://10.0.0.1:7701")
+    assert unknown_variables() == [
+        "DDAKF_WROKERS is no setting; did you mean DDAKF_WORKERS or DDAKF_SPARE_WORKERS?",
+        "DDAKF_ZZZZZZZZZZZZZZZZ is no setting",
+    ]
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -42,6 +42,13 @@ def spacing(garment, cloud):
     return np.sqrt(garment.area / cloud.surfels.shape[1])
 
 
+def test_frames_far_apart_may_have_more_passes():
+    garment, cloud = prepared(wavy(0), wavy(0).vertices.astype(np.float32))
+    base, config = problem_of(garment, cloud=cloud), CONFIG.associate
+    passes = [len(list(associate.gates(base._replace(dt=dt)))) for dt in (1 / 90, 1 / 30, 0.05, 1 / 15, 0.1, 3.0)]
+    assert passes == [config.iterations] * 2 + [round(1.5 * config.iterations)] + [config.slow_iterations] * 3
+
+
 # Nearest point ------------------------------------------------------------------------------------------------------
 
 

@@ -12,6 +12,7 @@ from tests.physics.shapes import ball
 
 BODY = ball(1, 0.2)
 CLOUD = np.random.default_rng(0).normal(size=(50, 3)).astype(np.float32)
+MANY = np.random.default_rng(0).normal(size=(65, 3))
 
 
 def checked(points=CLOUD, timestamp=1.0, sensor_origin=None, body_vertices=None, last=0.5, body=BODY):
@@ -52,6 +53,8 @@ BAD = {
     "time going backwards": (dict(timestamp=0.25), "timestamp", "later than", "0.250000"),
     "an origin of two coordinates": (dict(sensor_origin=[0.0, 1.0]), "sensor_origin", "(3,) or (50, 3)", "(2,)"),
     "origins of too few points": (dict(sensor_origin=np.zeros((49, 3))), "sensor_origin", "(50, 3)", "(49, 3)"),
+    "an origin of its own for each point": (
+        dict(points=MANY, sensor_origin=MANY), "sensor_origin", "at most 64 sensors", "65 distinct origins"),
     "an origin that is not a number": (dict(sensor_origin=[0, np.nan, 0]), "sensor_origin", "finite", "nan"),
     "an origin of text": (dict(sensor_origin=["a", "b", "c"]), "sensor_origin", "numbers", "dtype"),
     "an origin of truth values": (dict(sensor_origin=[True, False, True]), "sensor_origin", "numbers", "dtype"),

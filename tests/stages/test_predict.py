@@ -8,12 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf.config import Config, ConstantAcceleration, ConstantVelocity
+from ddakf.data.rotation import rotation_matrices
 from ddakf.stages.fuse import condition
 from ddakf.stages.predict import learned, predict
 from tests.stages.scenes import assert_positive_definite, full, problem_of, random_state
 
 PLAIN = ConstantVelocity(damping=0.0)
-DAMPED = ConstantVelocity(damping=3.0)
+WHOLE = ConstantVelocity(damping=0.0, acceleration_time=10.0)  # one acceleration in a step, however long
+DAMPED = ConstantVelocity(damping=3.0, acceleration_time=10.0)
 ACCELERATED = ConstantAcceleration(damping=0.0, share=1.0)
 STEPS = st.floats(1e-3, 0.4)
 SEEDS = st.integers(0, 2**32 - 1)
@@ -41,16 +43,72 @@ def dense(state, dt, config):
     return x, np.array([F @ P @ F.T + Q for P in full(state)])
 
 
-@pytest.mark.parametrize("config", [PLAIN, DAMPED], ids=["constant velocity", "damped"])
+@pytest.mark.parametrize("config", [WHOLE, DAMPED], ids=["constant velocity", "damped"])
 @given(dt=STEPS, seed=SEEDS)
 @settings(max_examples=25, deadline=None, derandomize=True)
 def test_prediction_is_F_x_and_F_P_Ft_plus_Q(config, dt, seed):
     state = start(seed)
-    prior = predict(state, dt, None, config)
+    prior = predict(state, dt, None, config, seen=False)
     x, P = dense(state, dt, config)
     np.testing.assert_allclose(np.concatenate([prior.position, prior.velocity], axis=1), x, rtol=1e-12, atol=1e-14)
     np.testing.assert_allclose(full(prior), P, rtol=1e-10, atol=1e-15)
     np.testing.assert_array_equal(prior.R, state.R)
+
+
+@given(n=st.integers(1, 6), seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_accelerations_that_follow_each_other_are_independent(n, seed):
+    """A step over several of them leaves what as many short steps leave."""
+    state, part = start(seed), PLAIN.acceleration_time
+    stepwise = state
+    for _ in range(n):
+        stepwise = predict(stepwise, part, None, PLAIN)
+    np.testing.assert_allclose(full(predict(state, n * part, None, PLAIN)), full(stepwise), rtol=1e-9, atol=1e-14)
+
+
+def test_velocity_of_a_slow_stream_settles():
+    """Positions alone are measured, exactly; what is missed shrinks from frame to frame instead of ringing."""
+    dt, config = 0.1, ConstantVelocity(damping=0.0)
+    state = start()._replace(velocity=np.ones((7, 3)), P_pu=np.zeros((7, 3, 3)))
+    missed = []
+    for _ in range(6):
+        prior = predict(state, dt, None, config)
+        missed.append(np.abs(prior.position - state.position).max())  # the truth stands still
+        state = condition(prior, state.position, 1e-8 * np.tile(np.eye(3), (7, 1, 1)), prior.R)
+    assert missed[-1] < 0.05 * missed[0]
+
+
+def turning(state, rng):
+    """The state with the velocities of a rigid motion, and where it will be after ``seconds``, as a function."""
+    center, mean, by = state.position.mean(axis=0), rng.normal(size=3), rng.normal(size=3)
+    velocity = mean + np.cross(by, state.position - center)
+
+    def later(seconds):
+        return center + seconds * mean + (state.position - center) @ rotation_matrices(seconds * by).T
+
+    return state._replace(velocity=velocity), later
+
+
+@given(dt=STEPS, seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_a_garment_without_a_body_goes_on_turning(dt, seed):
+    state, later = turning(start(seed), np.random.default_rng(seed))
+    prior = predict(state, dt, None, DAMPED)
+    np.testing.assert_allclose(prior.position, later(dt), atol=1e-6)
+    np.testing.assert_allclose(predict(prior, dt, None, DAMPED).position, later(2 * dt), atol=1e-5)
+    for slower in (predict(state, dt, None, DAMPED, seen=False), predict(state, dt, np.zeros((7, 3)), DAMPED)):
+        np.testing.assert_allclose(slower.velocity, np.exp(-DAMPED.damping * dt) * state.velocity)
+
+
+@given(seed=SEEDS)
+@settings(max_examples=25, deadline=None, derandomize=True)
+def test_motion_that_is_not_rigid_is_damped(seed):
+    """Velocities away from a centre turn nothing."""
+    state = start(seed)
+    state = state._replace(velocity=state.position - state.position.mean(axis=0))
+    prior, damped = predict(state, 0.1, None, DAMPED), predict(state, 0.1, None, DAMPED, seen=False)
+    np.testing.assert_allclose(prior.position, damped.position, atol=1e-9)
+    np.testing.assert_allclose(prior.velocity, damped.velocity, atol=1e-9)
 
 
 def test_undamped_velocity_is_constant():
@@ -60,8 +118,8 @@ def test_undamped_velocity_is_constant():
 
 def test_damped_velocity_decays_and_its_steps_compose():
     state = start()
-    once = predict(state, 0.2, None, DAMPED)
-    twice = predict(predict(state, 0.08, None, DAMPED), 0.12, None, DAMPED)
+    once = predict(state, 0.2, None, DAMPED, seen=False)
+    twice = predict(predict(state, 0.08, None, DAMPED, seen=False), 0.12, None, DAMPED, seen=False)
     np.testing.assert_allclose(once.velocity, np.exp(-3.0 * 0.2) * state.velocity)
     np.testing.assert_allclose(twice.velocity, once.velocity)
     np.testing.assert_allclose(twice.position, once.position)
@@ -69,7 +127,7 @@ def test_damped_velocity_decays_and_its_steps_compose():
 
 def test_body_motion_is_added_to_the_position_alone():
     state, carried = start(), np.random.default_rng(1).normal(size=(7, 3))
-    still, ridden = predict(state, 0.03, None, DAMPED), predict(state, 0.03, carried, DAMPED)
+    still, ridden = predict(state, 0.03, None, DAMPED, seen=False), predict(state, 0.03, carried, DAMPED)
     np.testing.assert_allclose(ridden.position, still.position + carried)
     np.testing.assert_array_equal(ridden.velocity, still.velocity)
     np.testing.assert_array_equal(full(ridden), full(still))

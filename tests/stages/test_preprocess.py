@@ -10,6 +10,7 @@ from ddakf.config import GridFilter, KnnFilter
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor
 from ddakf.files.sequence import load_sequence
+from ddakf.stages.preprocess import Density
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import about, cloud_of, open3d, planes_of
 
@@ -178,6 +179,43 @@ def test_planes_of_a_noisy_sphere_follow_it_and_look_at_their_sensor(config):
         toward = np.where(at[:, :1] > 0, sensor.max(axis=0), sensor.min(axis=0)) if origin.ndim == 2 else origin
         clear = fitted & (np.abs(at[:, 0]) > 0.01)  # near the seam either camera may own a point
         assert ((normal * (toward - at)).sum(axis=1)[clear] >= -1e-6).all()
+
+
+def test_planes_of_a_sparse_cloud_follow_a_sleeve():
+    """Of 200 points; fitted to as wide cells as five points fill, they lie inside it."""
+    rng, radius = np.random.default_rng(6), 0.05
+    angle, height = rng.uniform(0, 2 * np.pi, 200), rng.uniform(0, 0.6, 200)
+    points = np.column_stack([radius * np.cos(angle), height, radius * np.sin(angle)]).astype(np.float32)
+    wide = dataclasses.replace(DEFAULT, preprocess=GridFilter(widest_cell=1.0))
+    depths = []
+    for config in (DEFAULT, wide):
+        at, normal = planes_of(cloud_of(points, None, points.astype(float), 2 * np.pi * radius * 0.6, config))
+        fitted = np.linalg.norm(normal, axis=1) > 0.5
+        assert fitted.mean() > 0.7
+        depths.append(np.mean(radius - np.hypot(at[fitted, 0], at[fitted, 2])))
+    assert depths[0] < 0.7 * depths[1]
+
+
+@pytest.mark.parametrize(("noise", "grows"), [(0.001, False), (0.003, False), (0.01, True)])
+def test_cells_grow_with_the_noise(noise, grows):
+    vertices, points, normal = patch(3, noise=noise)
+    narrow = dataclasses.replace(DEFAULT, preprocess=GridFilter(doublings=0))
+    (cloud, planes), (before, _) = (
+        (found, planes_of(found)) for found in (cloud_of(points, None, vertices, 1.0, c) for c in (DEFAULT, narrow))
+    )
+    assert (cloud.cell > 1.3 * before.cell) == grows
+    fitted = np.linalg.norm(planes[1], axis=1) > 0.5
+    assert fitted.mean() > 0.6
+    off = (planes[0][fitted] - vertices[0]) @ normal
+    assert np.sqrt(np.mean(off**2)) < 0.6 * noise
+
+
+def test_cells_are_as_wide_as_ever_where_they_are_narrow():
+    wide = Density(1.0, 5.0)
+    rule = Density(1.0, 5.0, widest=0.04, least_per_cell=2.0)
+    assert rule.cell(10_000) == wide.cell(10_000)
+    assert rule.cell(2000) == pytest.approx(0.04)
+    assert rule.cell(500) == pytest.approx(np.sqrt(2.0 / 500))
 
 
 def test_without_a_sensor_normals_carry_no_side():

@@ -54,14 +54,6 @@ def test_points_take_their_sensors_with_them():
     assert (kept.sensor_origin == origin[~bare]).all()
 
 
-def test_a_cloud_is_of_a_whole_person_where_much_of_it_is_skin():
-    contact, garment = posed(BODY), GARMENT.vertices.astype(np.float32)
-    for points, person in ((garment, False), (np.concatenate([garment, BODY.vertices.astype(np.float32)]), True)):
-        problem = problem_of(MODEL, body=contact, frame=frame_of(points, None, BODY.vertices))
-        cloth = skin_removal.remove_skin(problem.frame, problem, GARMENT.vertices, SkinRemoval.cloth_distance)
-        assert skin_removal.of_person(problem._replace(garment=cloth)) == person
-
-
 def test_apart_is_the_distance_to_the_nearest_vertex():
     rng = np.random.default_rng(0)
     points = rng.uniform(-0.4, 0.4, (3000, 3))

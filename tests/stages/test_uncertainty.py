@@ -17,8 +17,8 @@ from ddakf.config import Uncertainty
 from ddakf.garment import model
 from ddakf.kernels import uncertainty as kernels
 from ddakf.physics import energies, rigidity
-from ddakf.stages import fuse, uncertainty
-from ddakf.stages.uncertainty import bound, marginals
+from ddakf.stages import error_size, fuse, uncertainty
+from ddakf.stages.uncertainty import PatchEvidence, bound, marginals
 from ddakf.types import Contacts, Drift, Estimate, Evidence, Health, Problem, State, Track
 from tests.physics.shapes import sheet
 from tests.stages import dense
@@ -82,21 +82,10 @@ def test_trace_is_bounded_for_a_thousand_steps_of_any_missing_data(preset, patte
                     assert np.isfinite(result.vertices).all()
 
 
-def slack(tracker):
-    """(V,) that the next frame's covariance knows of, None without."""
-    track = tracker._track
-    if track.anchor is None:
-        return None
-    return body_anchor.slack(problem_of(tracker._setup.model, None, tracker.config, last=track, anchored=()))
-
-
-def without_room(tracker, result, slack):
-    """(V,) traces of the covariance, without the factor of what a body leaves room for: cloth that falls on it is held again."""
-    room = 1.0
-    if tracker.body is not None and tracker.config == CONFIGS["default"]:
-        clearance = tracker._track.body.contacts.closest.distance
-        room = np.where(result.observed, 1.0, uncertainty._room_on_body(clearance, slack, tracker.config.uncertainty))
-    return traces(result.covariance) / room
+def without_clearance(config: Config) -> Config:
+    """A configuration whose laws do not know how far cloth is from a body: cloth that falls on it is held again."""
+    along, across = (dataclasses.replace(law, clearance_power=0.0) for law in (config.normal_error, config.tangential_error))
+    return dataclasses.replace(config, normal_error=along, tangential_error=across)
 
 
 @PRESETS
@@ -104,22 +93,20 @@ def without_room(tracker, result, slack):
 def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     """Everywhere: each frame, or each five where cloth falls on a body and its strain, which counts, relaxes meanwhile."""
     body = inner_body(GARMENT) if worn else None
-    tracker = Tracker(GARMENT, body=body, config=CONFIGS[preset])
+    tracker = Tracker(GARMENT, body=body, config=without_clearance(CONFIGS[preset]))
     more = {"body_vertices": body.vertices} if worn else {}
     for k in range(1, 11):
-        known = slack(tracker)
         result = tracker.step(CLOUDS[k % 6], timestamp=k / 30, **more)
-    sizes, rooms = [traces(result.covariance)], [without_room(tracker, result, known)]
+    sizes = [traces(result.covariance)]
     for k in range(11, 50):
-        drift, known = tracker._track.drift.covariance.diagonal(), slack(tracker)
+        drift = tracker._track.drift.covariance.diagonal()
         result = tracker.step(CLOUDS[0][:0], timestamp=k / 30, **more)
         sizes.append(traces(result.covariance))
-        rooms.append(without_room(tracker, result, known))
         assert not result.observed.any()
         if preset == "default":  # the recursion itself, of all patches in all directions
             assert (tracker._track.drift.covariance.diagonal() > drift).all()
     stride = 5 if worn and preset == "default" else 1
-    before, after = np.array(rooms[:-stride]), np.array(rooms[stride:])
+    before, after = np.array(sizes[:-stride]), np.array(sizes[stride:])
     growing = np.array(sizes[:-stride]) < 0.9 * 3 * CONFIGS[preset].uncertainty.ceiling_sd ** 2
     assert growing.mean() > 0.5
     assert (after > before)[growing].all()
@@ -349,7 +336,7 @@ def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
     assert (traces(near) < traces(far))[unseen].all()
     assert (traces(far) < traces(beyond))[unseen].all()
     assert np.isfinite(beyond).all()
-    np.testing.assert_array_equal(near[~unseen], far[~unseen])
+    assert (traces(near) <= traces(far)).all()
 
 
 def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_not_seen():
@@ -358,22 +345,24 @@ def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_no
     unknown, tight, loose, looser = (
         run.report(clearance=np.zeros(n), slack=slack and np.full(n, slack))[0] for slack in (None, 0.005, 0.05, 0.1)
     )
-    np.testing.assert_array_equal(tight, unknown)
+    assert (traces(unknown) <= traces(tight)).all()
     assert (traces(tight) < traces(loose))[unseen].all()
     assert (traces(loose) < traces(looser))[unseen].all()
-    np.testing.assert_array_equal(tight[~unseen], looser[~unseen])
+    assert (traces(tight) <= traces(looser)).all()
 
 
 def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
     garment = model.build(MESHES["larger sheet"])
     seen = garment.mesh.vertices[:, 0] < 0.03
-    room = uncertainty._room_off_body(seen, garment, Uncertainty())
+    distance = error_size._along_cloth(seen, garment)
     order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
-    assert np.corrcoef(np.arange(len(order)), room[~seen][order])[0, 1] > 0.9
-    assert (room[seen] == 1.0).all()
-    nothing = uncertainty._room_off_body(np.zeros_like(seen), garment, Uncertainty())
+    assert np.corrcoef(np.arange(len(order)), distance[~seen][order])[0, 1] > 0.9
+    assert (distance[seen] == 0.0).all()
+    nothing = error_size._along_cloth(np.zeros_like(seen), garment)
     assert (nothing == nothing.max()).all()
-    assert nothing.max() >= room.max()
+    assert nothing.max() >= distance.max()
+    for law in (Config().normal_error, Config().tangential_error):
+        assert law.distance_power > 0.0
 
 
 @given(seed=st.integers(0, 2**32 - 1), most=st.sampled_from([0.02, 0.05, 10.0]))
@@ -398,21 +387,14 @@ def test_a_cloud_that_lies_off_the_surface_makes_all_less_certain():
     assert (sizes[1] < sizes[2]).all()
 
 
-def test_a_frame_without_measurements_keeps_the_level_that_the_last_cloud_called_for():
-    run = solved(MESHES["tube"], "half")
-    nothing = run._replace(update=run.update._replace(rejected=True))
-    drift = Drift.at(run.garment, 0.005)._replace(level=2.5)
-    problem = run.problem._replace(last=run.problem.last._replace(drift=drift), health=Health(offset=1e-4))
-    _, after = marginals(problem, nothing.update, run.state)
-    assert after.level == 2.5
-
-
 @pytest.mark.parametrize("seen", list(SEEN))
-def test_the_two_fitted_constants_scale_the_standard_deviations_of_their_group(seen):
+def test_the_bases_of_the_laws_scale_the_standard_deviations_of_their_group(seen):
     run = solved(MESHES["tube"], seen)
-    limits = LIMP.uncertainty
-    doubled = dataclasses.replace(limits, observed_scale=2 * limits.observed_scale, unseen_scale=3 * limits.unseen_scale)
-    one, other = run.report()[0], run.report(dataclasses.replace(LIMP, uncertainty=doubled))[0]
+    laws = {
+        name: dataclasses.replace(law, seen=2 * law.seen, hidden=3 * law.hidden)
+        for name, law in (("normal_error", LIMP.normal_error), ("tangential_error", LIMP.tangential_error))
+    }
+    one, other = run.report()[0], run.report(dataclasses.replace(LIMP, **laws))[0]
     factor = np.where(run.update.evidence.weight > 0, 4.0, 9.0)[:, None, None]
     np.testing.assert_allclose(other, factor * one, rtol=1e-9)
 
@@ -447,3 +429,15 @@ def test_a_place_found_anew_forgets_the_drift():
     assert lost.state == "lost"
     found = tracker.step(CLOUDS[0] + np.float32([0.5, 0.0, 0.0]), timestamp=4.1)
     assert np.median(found.sigma) < 0.5 * np.median(lost.sigma)
+
+
+@pytest.mark.parametrize(("before", "share"), [(0.0, 1.0), (2.0, 1.0 - Config().uncertainty.innovation_memory)])
+def test_innovations_are_remembered_per_second_and_the_first_counts_in_full(before, share):
+    dt, garment = 0.1, model.build(tube())
+    n = len(garment.likeness)
+    last = Tracker(tube())._track._replace(drift=Drift.at(garment, 0.01)._replace(speed2=before))
+    ones, zeros = np.ones(n), np.zeros(n)
+    evidence = PatchEvidence(ones, ones, np.zeros((n, 6)), ones, zeros, 0.04 * ones, zeros, zeros, False)
+    grown, speed2 = uncertainty._growth(problem_of(garment, last=last, dt=dt), evidence, uncertainty.Coupling(None, 0.0, False))
+    assert speed2 == pytest.approx((1.0 - share) * before + share * 0.04 / dt**2)
+    assert (grown > 0).all()

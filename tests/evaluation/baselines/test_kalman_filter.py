@@ -1,13 +1,15 @@
 """The Kalman filter per vertex is the textbook's."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from ddakf.evaluation.baselines.kalman_filter import FIRST_STEP, START_SD, START_SPEED_SD, KalmanFilter, KalmanSettings
+from ddakf.evaluation.baselines.filters.kalman_filter import FIRST_STEP, START_SD, START_SPEED_SD, KalmanFilter, KalmanSettings
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
-from ddakf.mesh import Mesh
+from tests.evaluation.baselines.shapes import tube
 
-TRIANGLE = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+ISOTROPIC = KalmanSettings(measurement_sd=0.02, tangential_sd=0.02, acceleration_density=2.0, damping=3.0, gate=0.5)
 
 
 def textbook(places, times, settings):
@@ -17,7 +19,8 @@ def textbook(places, times, settings):
     h, r = np.eye(3, 6), settings.measurement_sd**2 * np.eye(3)
     for place, time in zip(places, times, strict=True):
         dt, now = time - now, time
-        f = np.eye(6) + dt * np.eye(6, k=3)
+        g = np.exp(-settings.damping * dt)
+        f = np.kron([[1, (1 - g) / settings.damping], [0, g]], np.eye(3))
         q = settings.acceleration_density**2 * np.kron([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]], np.eye(3))
         x, p = f @ x, f @ p @ f.T + q
         if place is not None:
@@ -26,23 +29,39 @@ def textbook(places, times, settings):
     return x[:3]
 
 
-def test_a_vertex_is_filtered_as_in_the_textbook():
-    rng, settings = np.random.default_rng(0), KalmanSettings(measurement_sd=0.02, acceleration_density=2.0, gate=0.2)
-    times = [0.05, 0.08, 0.2, 0.23]
-    places = [0.03 * rng.normal(size=3), 0.03 * rng.normal(size=3), None, 0.03 * rng.normal(size=3)]
+def shifted(garment, shifts, times, settings):
+    """The estimate after clouds that are the garment's own vertices, each shifted; None for an empty cloud."""
     method = KalmanFilter(settings)
-    method.start(TRIANGLE, TRIANGLE.vertices, None)
-    for place, time in zip(places, times, strict=True):
-        cloud = np.zeros((0, 3)) if place is None else place[None]
+    method.start(garment, garment.vertices, None)
+    for shift, time in zip(shifts, times, strict=True):
+        cloud = np.zeros((0, 3)) if shift is None else garment.vertices + shift
         estimate = method.step(CapturedFrame(0, time, cloud))
-    assert estimate[0] == pytest.approx(textbook(places, times, settings))
-    assert estimate[1:] == pytest.approx(TRIANGLE.vertices[1:])
+    return estimate - garment.vertices
 
 
-def test_a_vertex_without_points_flies_on_at_its_speed():
-    method = KalmanFilter(KalmanSettings(measurement_sd=0.001, acceleration_density=10.0, gate=0.2))
-    method.start(TRIANGLE, TRIANGLE.vertices, None)
-    for k in range(1, 40):
-        method.step(CapturedFrame(0, k / 30, TRIANGLE.vertices + [0.01 * k, 0, 0]))
-    estimate = method.step(CapturedFrame(0, 49 / 30, np.zeros((0, 3))))
-    assert estimate - TRIANGLE.vertices == pytest.approx(np.tile([0.49, 0, 0], (3, 1)), abs=0.005)
+def test_vertices_are_filtered_as_in_the_textbook():
+    garment, rng = tube(8, 4), np.random.default_rng(0)  # 15 cm between vertices: the nearest point is a vertex's own
+    times = [0.05, 0.08, 0.2, 0.23]
+    shifts = [0.01 * rng.normal(size=3), 0.01 * rng.normal(size=3), None, 0.01 * rng.normal(size=3)]
+    found = shifted(garment, shifts, times, replace(ISOTROPIC, normal_cosine=-2.0))
+    assert found == pytest.approx(np.tile(textbook(shifts, times, ISOTROPIC), (garment.n_vertices, 1)), abs=1e-9)
+
+
+def test_a_vertex_without_points_coasts_to_a_stop():
+    garment = tube(8, 4)
+    settings = replace(ISOTROPIC, measurement_sd=0.001, tangential_sd=0.001, acceleration_density=10.0, normal_cosine=-2.0)
+    shifts = [np.array([0.002 * k, 0, 0]) for k in range(1, 20)]
+    times = [k / 30 for k in range(1, 20)]
+    last = shifted(garment, shifts, times, settings)
+    later = shifted(garment, [*shifts, None], [*times, times[-1] + 9.0], settings)
+    speed = 0.002 * 30
+    assert (later - last)[:, 0] == pytest.approx(speed / settings.damping, rel=0.1)
+
+
+def test_points_say_nothing_along_the_surface_when_told_so():
+    garment = tube(24, 14)
+    free = replace(ISOTROPIC, tangential_sd=10.0)
+    upward = shifted(garment, [np.array([0, 0.01, 0])], [0.05], free)  # along the tube's axis
+    across = shifted(garment, [np.array([0, 0.01, 0])], [0.05], ISOTROPIC)
+    inner = slice(30, 300)
+    assert np.abs(upward[inner, 1]).mean() < 0.3 * across[inner, 1].mean()

@@ -3,9 +3,18 @@
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
+from ddakf.evaluation.baselines.filters.particle_filter import (
+    NearestPoints,
+    ParticleFilter,
+    ParticleSettings,
+    harmonics,
+    slopes,
+    systematic,
+    tempered,
+)  # fmt: skip
 from ddakf.evaluation.baselines.linear_algebra import graph_laplacian
-from ddakf.evaluation.baselines.particle_filter import NearestPoints, ParticleFilter, ParticleSettings, harmonics, systematic
 from ddakf.evaluation.metrics import normal_rmse_mm
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.sensors.virtual_sensor import sample_surface
@@ -65,7 +74,7 @@ def test_the_mean_is_that_of_all_particles(garment):
 
 
 def test_the_effective_sample_size_is_that_of_the_last_frame_with_points(garment):
-    method = ParticleFilter(ParticleSettings(particles=50))
+    method = ParticleFilter(ParticleSettings(particles=50, least_size=10.0))
     method.start(garment, garment.vertices, None)
     assert method.effective_sample_size == pytest.approx(50)
     method.step(CapturedFrame(0, 0.1, garment.vertices))
@@ -76,6 +85,31 @@ def test_the_effective_sample_size_is_that_of_the_last_frame_with_points(garment
     assert method.effective_sample_size == size
     method.start(garment, garment.vertices, None)
     assert method.effective_sample_size == pytest.approx(50)
+
+
+def test_a_tempered_likelihood_keeps_the_sample_size_and_the_order():
+    energy = np.random.default_rng(3).exponential(1e-4, 500)
+    sharp = tempered(np.full(500, 1 / 500), energy, 1e-5, 1.0)
+    assert 1 / np.square(sharp).sum() < 5, "the likelihood alone leaves a few"
+    kept = tempered(np.full(500, 1 / 500), energy, 1e-5, 50.0)
+    assert kept.sum() == pytest.approx(1)
+    assert 1 / np.square(kept).sum() == pytest.approx(50, rel=0.05)
+    assert (np.argsort(kept) == np.argsort(-energy)).all()
+    soft = tempered(np.full(500, 1 / 500), energy, 1.0, 50.0)
+    assert soft == pytest.approx(1 / 500, rel=1e-3), "a soft one is as it is"
+
+
+def test_slopes_are_the_derivatives_of_the_places(garment):
+    rng = np.random.default_rng(0)
+    phi, turn, shift = rng.normal(size=(5, 2)), Rotation.from_rotvec([0.3, -0.2, 0.5]), np.array([1.0, 2.0, 3.0])
+    shape, amplitude = rng.normal(size=(5, 3)), rng.normal(size=(2, 3))
+
+    def places(u):
+        return (Rotation.from_rotvec(u[:3]) * turn).apply(shape + phi @ (amplitude + u[6:].reshape(2, 3))) + shift + u[3:6]
+
+    h = 1e-6
+    numeric = np.stack([(places(h * e) - places(-h * e)) / (2 * h) for e in np.eye(12)], axis=2)
+    assert slopes(places(np.zeros(12)) - shift, turn.as_matrix(), phi) == pytest.approx(numeric, abs=1e-6)
 
 
 def test_soft_enough_it_follows_a_smooth_deformation(garment):

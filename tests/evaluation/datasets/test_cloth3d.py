@@ -8,9 +8,10 @@ from scipy.io import loadmat, savemat
 from scipy.spatial.transform import Rotation
 
 from ddakf.errors import InvalidArgument, InvalidFile
-from ddakf.evaluation.datasets import cloth3d, open_dataset, smpl
+from ddakf.evaluation.datasets import cloth3d, open_dataset
 from ddakf.evaluation.datasets.cloth3d import load_cloth3d
-from ddakf.evaluation.datasets.point_cache import read_point_cache, write_point_cache
+from ddakf.evaluation.datasets.formats import smpl
+from ddakf.evaluation.datasets.formats.point_cache import read_point_cache, write_point_cache
 
 FRAMES, ZROT = 5, 0.7
 QUADS = [[0, 1, 4, 3], [1, 2, 5, 4]]  # a sheet of two squares

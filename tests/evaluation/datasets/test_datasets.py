@@ -11,7 +11,7 @@ from ddakf.data import sample
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation import datasets, metrics
 from ddakf.evaluation.datasets import KINECT
-from ddakf.evaluation.datasets.depth_template import template_from_depth
+from ddakf.evaluation.datasets.captures.depth_template import template_from_depth
 from ddakf.evaluation.sensors.camera import Camera
 from ddakf.files import io
 from ddakf.files.sequence import Sequence

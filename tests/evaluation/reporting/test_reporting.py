@@ -13,9 +13,11 @@ from rich.console import Console
 from ddakf.commands import cli
 from ddakf.errors import InvalidFile
 from ddakf.evaluation import machine
-from ddakf.evaluation.reporting import content, markdown, not_reproduced, paper_figures, paper_numbers, paper_tables
+from ddakf.evaluation.paper_scope import CONDITIONS, REFERENCES
+from ddakf.evaluation.reporting import content, headline, markdown, not_reproduced, paper_figures, paper_numbers, paper_tables
 from ddakf.evaluation.reporting import page as html
 from ddakf.evaluation.reporting import result_files as read
+from ddakf.evaluation.splits import is_untouched
 from ddakf.evaluation.studies import paper_studies
 from ddakf.evaluation.studies.execution import run_study
 from ddakf.evaluation.studies.frame_estimates import FrameEstimates
@@ -193,17 +195,6 @@ def test_a_mean_of_fewer_cells_is_marked_and_the_mark_explained():
     assert paper_tables.PARTIAL not in paper_tables.comparison("t", "t", result({"kf": [run(3.0)]}), ["rmse_mm"], {}).notes
 
 
-def test_an_interval_that_holds_zero_beside_a_small_p_is_explained(folder):
-    test = {
-        "n": 12, "groups": 12, "flipped": "clip", "p_smallest": 1e-3, "dependence": None, "gain": 1.0, "p": 0.001,
-        "p_holm": 0.001, "effect": 0.5, "effect_low": -0.1, "effect_high": 1.1, "verdict_holm": "better",
-    }  # fmt: skip
-    for low, said in ((-0.1, True), (0.1, False)):
-        one = result({"kf": [run(3.0)], "ddakf": [run(2.0)]})
-        one.p_values["all"] = {"rmse_mm": {"comparisons": {"kf": test | {"effect_low": low}}}}
-        assert (paper_tables.SKEWED in paper_tables.significance("t", "t", one, ["rmse_mm"], {}).notes) == said
-
-
 def test_a_document_has_the_gains_of_the_page(folder):
     main = read.read(folder)["main"]
     page = paper_tables.significance("t", "t", main, content.TESTED, {}).rows
@@ -248,13 +239,13 @@ def test_the_same_results_give_the_same_page(folder, page):
 
 def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
     document = tmp_path / "results.md"
-    document.write_text(f"before\n{markdown.BEGIN}\nold\n{markdown.END}\nafter\n")
+    document.write_text(f"before\n{markdown.BEGIN}\nstale words\n{markdown.END}\nafter\n")
     arguments = ["report", "--results", str(folder), "--out", str(tmp_path), "--markdown", str(document)]
     assert cli.main(arguments) == cli.main(arguments) == 0
     text = document.read_text()
     assert text.startswith("before\n")
     assert text.endswith("\nafter\n")
-    assert "old" not in text
+    assert "stale words" not in text
     assert text.count("## Table 5") == 1
     assert "## What is not reproduced, and why\n\n| what | why |\n| --- | --- |\n" in text
     document.write_text(f"{markdown.BEGIN.replace('begin', 'begin by-sequence missing')}\n{markdown.END}\n")
@@ -262,7 +253,7 @@ def test_a_document_keeps_its_own_text_around_the_tables(folder, tmp_path):
     assert re.findall("^## (.*)$", document.read_text(), re.M) == ["RMSE in mm by sequence", not_reproduced.TITLE]
     document.write_text("no marks")
     with pytest.raises(InvalidFile, match="a document with"):
-        markdown.rewritten(document, [])
+        markdown.rewritten(document, [], tmp_path)
 
 
 def test_a_folder_without_results_is_refused_in_a_sentence(tmp_path):
@@ -294,7 +285,12 @@ def test_the_studies_of_the_paper_have_its_levels(monkeypatch):
         *(f"noise-{level}" for level in (0, 1, 3, 5)), *(f"drop-{level}" for level in (0, 10, 20, 30, 40)),
     }  # fmt: skip
     assert whole["main"].runs == 5
-    assert len(quick["main"].views) == quick["main"].runs == 2
+    assert quick["main"].runs == 2
+    assert {plan.views for name, plan in whole.items() if name in ("main", "untouched", "ablation")} == {tuple(CONDITIONS)}
+    assert all(is_untouched(name) for name in whole["untouched"].sequences)
+    assert len(whole["untouched"].sequences) >= 16
+    assert not any(is_untouched(name) for name in whole["main"].sequences)
+    assert set(REFERENCES) <= set(whole["untouched"].systems)
     assert {plan.frames for plan in quick.values()} == {"0:31"}
 
 
@@ -320,8 +316,54 @@ def test_results_of_several_commits_say_so_and_those_of_one_do_not():
 def test_where_another_system_is_better_it_stands_in_the_table_of_what_is_not_won():
     assert paper_tables.behind("b", "b", result({"icp": [run(3.0)], "ddakf": [run(2.0)]}), ["rmse_mm"]).rows == []
     lost = paper_tables.behind("b", "b", result({"icp": [run(3.0)], "nicp": [run(1.5)], "ddakf": [run(2.0)]}), ["rmse_mm"])
-    assert [cell.text for cell in lost.rows[0]] == ["a", "full", "non-rigid ICP (ARAP): 1.5, 2.0"]
-    assert lost.heads[2:] == ["RMSE, mm"]
+    assert [cell.text for cell in lost.rows[0]] == ["a", "full", "tuned", "non-rigid ICP (ARAP): 1.5, 2.0"]
+    assert lost.heads[3:] == ["RMSE, mm"]
+
+
+def headline_of(errors: dict[str, list[float]], view: str = "front+body") -> read.Result:
+    """A study whose methods have these errors, one per sequence."""
+    cells = [
+        {"sequence": f"s{k}", "view": view, "method": method, "runs": [run(value)],
+         "mean": {"rmse_mm": value, "rmse_normal_mm": value / 2, "ms_per_frame": 10.0 + len(method), "load_average": 1.5}}
+        for method, own in errors.items() for k, value in enumerate(own)
+    ]  # fmt: skip
+    return read.Result("untouched", {"commits": ["old"], "seeds": [1], "frames": "30:91"}, cells, {})
+
+
+def test_the_headline_names_the_best_baseline_and_its_ratio():
+    found = headline_of({"still": [5.0] * 4, "kf": [40.0] * 4, "nicp": [8.0, 8, 16, 16], "ddakf": [4.0, 4, 8, 8]})
+    table = headline.table(found)
+    assert [row[0].text for row in table.rows[:4]] == ["do nothing", "Kalman filter", "non-rigid ICP (ARAP)", "DD-AKF"]
+    assert table.rows[-2][1].text == "2.00 [2.00, 2.00], non-rigid ICP (ARAP)", "doing nothing is no baseline"
+    assert table.rows[3][1].kind == "best"
+    assert table.rows[2][1].text == f"{np.sqrt(8 * 16):.1f}"
+    assert any("Load average" in note for note in table.notes)
+
+
+def test_a_baseline_that_lacks_a_sequence_is_not_the_best():
+    found = headline_of({"icp": [3.0, 3.0], "nicp": [8.0, 8, 8], "ddakf": [4.0, 4, 4]})
+    assert headline.best_baseline(found, "front+body")[0] == "nicp"
+
+
+def test_runs_of_uncommitted_code_are_marked_in_red(folder, monkeypatch):
+    monkeypatch.setattr(machine, "is_traceable", lambda revision: False)
+    text = html.page("t", [], content.tables_of(read.read(folder), folder), [], "..")
+    assert f"<li class=warning>main.json {read.UNTRACEABLE}" in text
+    monkeypatch.setattr(machine, "is_traceable", lambda revision: True)
+    assert "class=warning" not in html.page("t", [], content.tables_of(read.read(folder), folder), [], "..")
+
+
+def test_the_figures_of_the_page_are_drawn(tmp_path):
+    found = headline_of({"still": [50.0] * 3, "carried": [30.0] * 3, "nicp": [8.0] * 3, "ddakf": [4.0] * 3})
+    paper_figures.speed(tmp_path / "speed.png", found)
+    cells = [
+        {"sequence": "a_depth.mat", "view": "front", "method": method, "mean": {},
+         "runs": [{"per_frame": {"number": [1, 2, 3], "residual_mm": [3.0, 4.0, 5.0]}}]}
+        for method in ("nicp", "ddakf")
+    ]  # fmt: skip
+    paper_figures.residuals(tmp_path / "depth.png", read.Result("depth", {}, cells, {}))
+    for name in ("speed", "depth"):
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_seeds_that_no_two_cells_share_still_have_a_mean():

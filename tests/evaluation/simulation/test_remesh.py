@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.errors import InvalidMesh
-from ddakf.evaluation.simulation.remesh import cut, largest_part, remeshed, subdivided
+from ddakf.evaluation.simulation.cutting.remesh import cut, largest_part, remeshed, subdivided
 from ddakf.mesh import Mesh
 
 

@@ -7,15 +7,16 @@ import pytest
 
 from ddakf.commands import cli
 from ddakf.data.body import load_body
+from ddakf.data.body_shape import random_shape, shaped
 from ddakf.data.pack import pack
 from ddakf.errors import InvalidArgument, PoorQuality
 from ddakf.evaluation.simulation import motions, simulated_recording
 from ddakf.files.sequence import Sequence, load_sequence
 
 
-def posed(n_frames=4):
+def posed(n_frames=4, body=None):
     """A triangle that rides on the walking body, and the body's pose."""
-    body = load_body()
+    body = body or load_body()
     pose = motions.make("walk", body, n_frames)
     pose = type(pose)(pose.rotations.astype(np.float32), pose.shift.astype(np.float32))
     vertices = body.skinned(pose)
@@ -47,6 +48,20 @@ def test_packing_keeps_the_pose_in_place_of_the_body(tmp_path):
     assert (read.garment, read.motion) == ("tshirt", "walk")
 
 
+def test_a_recording_of_another_body_travels_as_its_shape_and_poses(tmp_path):
+    order = simulated_recording.Order("tshirt", "walk", 4, body=7)
+    body = shaped(load_body(), random_shape(7))
+    sequence, pose = posed(body=body)
+    simulated_recording.write(tmp_path / "a.npz", order, sequence, pose, "1.8")
+    with np.load(tmp_path / "a.npz") as archive:
+        assert not any(key.startswith("body_V") for key in archive.files)
+    read = load_sequence(tmp_path / "a.npz")
+    assert np.abs(read.body_vertices - sequence.body_vertices).max() < 1e-6
+    assert np.abs(read.body_vertices - load_body().skinned(pose)).max() > 0.02
+    pack(tmp_path / "a.npz", tmp_path / "b.npz")
+    assert np.array_equal(load_sequence(tmp_path / "b.npz").body_vertices, read.body_vertices)
+
+
 def test_a_bad_recording_is_not_written(tmp_path):
     sequence, pose = posed()
     torn = Sequence(**{**vars(sequence), "garment_vertices": sequence.garment_vertices * 3})
@@ -55,7 +70,10 @@ def test_a_bad_recording_is_not_written(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("change", [{"garment": "toga"}, {"motion": "moonwalk"}, {"n_frames": 1}, {"fps": 1.0}])
+@pytest.mark.parametrize(
+    "change",
+    [{"garment": "toga"}, {"motion": "moonwalk"}, {"fit": "tight"}, {"fabric": "steel"}, {"n_frames": 1}, {"fps": 1.0}],
+)
 def test_orders_that_cannot_be_filled_are_refused(change):
     with pytest.raises(InvalidArgument):
         simulated_recording.Order(**{"garment": "skirt", "motion": "walk", **change})

@@ -9,15 +9,15 @@ import pytest
 from ddakf import data
 from ddakf.data.body import load_body
 from ddakf.evaluation.baselines.clothfit import library
-from ddakf.evaluation.simulation import garments, motions, quality
+from ddakf.evaluation.simulation import motions, quality
 from ddakf.files.sequence import load_sequence
 
 PATHS = sorted(data.TRAINING.glob("*.npz"))
 
 
-def test_there_is_a_mixture_of_every_garment_and_four_motions_and_it_is_small():
+def test_there_is_a_mixture_of_four_garments_and_four_motions_and_it_is_small():
     sequences = data.training()
-    assert {sequence.garment for sequence in sequences} == set(garments.GARMENTS)
+    assert {sequence.garment for sequence in sequences} == {"tshirt", "tank", "skirt", "dress"}
     assert len({sequence.motion for sequence in sequences} & set(motions.MOTIONS)) >= 4
     assert sum(path.stat().st_size for path in PATHS) < 6e6
 

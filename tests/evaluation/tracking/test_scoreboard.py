@@ -6,7 +6,7 @@ import pytest
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.tracking.scoreboard import Scoreboard
 from ddakf.mesh import Mesh
-from ddakf.types import FrameResult
+from ddakf.results import FrameResult
 
 SQUARE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
 GARMENT = Mesh(SQUARE, np.array([[0, 1, 2], [0, 2, 3]]))

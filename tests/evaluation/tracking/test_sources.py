@@ -12,13 +12,13 @@ from ddakf.files import io
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [(":", range(10)), ("2:5", range(2, 5)), ("7:", range(7, 10)), (":-8", range(2)), ("1:99", range(1, 10))],
+    [(":", range(10)), ("2:5", range(2, 5)), ("7:", range(7, 10)), (":-8", range(2)), ("1:10", range(1, 10))],
 )
 def test_ranges_follow_the_rules_of_slices(text, expected):
     assert chosen_frames(text, 10) == expected
 
 
-@pytest.mark.parametrize("text", ["", "3", "a:b", "4:5", "5:4", "1:2:3"])
+@pytest.mark.parametrize("text", ["", "3", "a:b", "4:5", "5:4", "1:2:3", "1:11", ":99"])
 def test_ranges_that_are_none(text):
     with pytest.raises(InvalidArgument, match="frames"):
         chosen_frames(text, 10)

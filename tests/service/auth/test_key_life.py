@@ -7,18 +7,22 @@ import os
 import subprocess
 import sys
 import threading
+import time
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import grpc
 import httpx
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Unauthenticated, from_rpc_error
+from ddakf_api.errors import ResourceExhausted, Unauthenticated, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
-from ddakf_client import connect
+from ddakf_client import Frame, connect
 
-from ..conftest import TIMEOUT, eventually
+from ddakf.commands import cli
+
+from ..conftest import TIMEOUT, eventually, make_sheet
 from .conftest import As, call, keys_command, metadata, new_key
 
 pytestmark = pytest.mark.slow
@@ -44,6 +48,55 @@ def test_a_new_key_works_at_once_and_a_revoked_one_soon_no_more(guarded):
     assert rows[key_id]["name"] == "passing"
 
 
+def test_a_key_with_limits_is_held_to_them_by_every_transport(guarded):
+    limits = {"requests_per_minute": 2, "frames_per_second": 5, "expires": "2h"}
+    key = new_key(guarded.data, "guest", "read", **limits)
+    headers = {"authorization": f"Bearer {key}"}
+    answers = [httpx.get(guarded.http + "/v1/sessions", headers=headers) for _ in range(3)]
+    assert [answer.status_code for answer in answers] == [200, 200, 429]
+    assert 1 <= int(answers[2].headers["retry-after"]) <= 30
+    refused = call(guarded, "ListSessions", key)
+    assert isinstance(refused, ResourceExhausted)
+    assert refused.retry_after > 0
+    assert "2 requests per minute" in str(refused)
+    rows = {row["name"]: row for row in json.loads(keys_command(guarded.data, "list", "--json"))}
+    assert (rows["guest"]["requests_per_minute"], rows["guest"]["frames_per_second"]) == (2, 5)
+    left = datetime.fromisoformat(rows["guest"]["expires"]) - datetime.now(UTC)
+    assert timedelta(hours=1) < left < timedelta(hours=2)
+
+
+def test_the_streams_of_a_key_share_its_frame_rate(guarded):
+    """Lossless, so that no frame is dropped: together they take no less time than the rate allows."""
+    guarded.keys["slow"] = new_key(guarded.data, "slow", "stream", frames_per_second=4)
+    slow, sheet = As(guarded, "slow"), make_sheet()
+    names = [slow.create().name for _ in range(2)]
+    began, results = time.monotonic(), []
+    with connect(guarded.grpc, api_key=guarded.keys["slow"], timeout=TIMEOUT) as client:
+        for name in names:
+            frames = [Frame(sheet.vertices, i / 100) for i in (1, 2, 3)]
+            results += client.open_session(name, flow="lossless").track(iter(frames))
+    assert len(results) == 6
+    assert time.monotonic() - began > (6 - 1) / 4
+    for name in names:
+        slow.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+@pytest.mark.parametrize(
+    ("flags", "words"),
+    [
+        (["--expires", "soon"], "expires: expected a number of m, h, d or w"),
+        (["--expires", "2001-01-01"], "in the future"),
+        (["--expires", "9" * 30 + "d"], "expires: expected"),
+        (["--frames-per-second", "-1"], "frames_per_second: expected a number from 0, got -1"),
+        (["--requests-per-minute", "nan"], "requests_per_minute: expected a number from 0, got nan"),
+    ],
+)
+def test_limits_that_make_no_sense_are_refused_before_a_database_is_made(tmp_path, capsys, flags, words):
+    assert cli.main(["keys", "--data-dir", str(tmp_path / "new"), "create", "x", "--scope", "read", *flags]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
 def test_secrets_are_nowhere_but_with_their_holders(guarded):
     """Neither in the log at its lowest level nor in the database."""
     call(guarded, "ListSessions", guarded.keys["read"])
@@ -65,6 +118,7 @@ def test_a_recording_is_tracked_with_the_key_of_the_environment(guarded):
 
 
 def test_keys_command_refuses_what_it_cannot_do(tmp_path):
+    new_key(tmp_path, "another", "read")
     command = [sys.executable, "-m", "ddakf.commands.cli", "keys", "--data-dir", str(tmp_path), "revoke", "0123456789ab"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
     assert done.returncode == 2

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import time
+from dataclasses import replace
 
 import pytest
-from ddakf_api.errors import Unauthenticated, Unavailable
-from ddakf_service.auth import keys
+from ddakf_api.errors import ResourceExhausted, Unauthenticated, Unavailable
+from ddakf_service.auth import guard, keys
 from ddakf_service.auth.principal import Scope
 
 
@@ -41,6 +43,47 @@ async def test_a_key_that_is_made_right_after_the_keys_were_read_counts_at_once(
     key, presented = keys.generate("somebody", [Scope.STREAM], 0.0)
     store.kept.append(key)
     assert await ring.principal(presented) == key.principal
+    await ring.stop()
+
+
+async def test_an_expired_key_is_refused_with_its_time_and_loses_its_streams():
+    shut_out = []
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=shut_out.append)
+    store.there = True
+    limits = keys.KeyLimits(expires=time.time() + 3600)
+    key, presented = keys.generate("guest", [Scope.STREAM], 0.0, limits)
+    store.kept = [key]
+    await ring.start()
+    assert await ring.principal(presented) == key.principal
+    await ring.stop()
+    store.kept = [replace(key, limits=keys.KeyLimits(expires=1e9))]
+    await ring.start()
+    with pytest.raises(Unauthenticated, match="the key expired at 2001-09-09T01:46:40Z: ask for a new one"):
+        await ring.principal(presented)
+    with pytest.raises(Unauthenticated, match="not known"):
+        await ring.principal(presented[:-1] + ("A" if presented[-1] != "A" else "B"))
+    assert shut_out == [set(), {key.id}]
+    await ring.stop()
+
+
+async def test_a_key_calls_no_more_often_than_it_may(monkeypatch):
+    now = 1000.0
+    monkeypatch.setattr(guard, "monotonic", lambda: now)
+    limits = keys.KeyLimits(requests_per_minute=30)
+    (key, presented), (free, unlimited) = (keys.generate("k", [Scope.READ], 0.0, of) for of in (limits, keys.NO_LIMITS))
+    ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
+    store.there, store.kept = True, [key, free]
+    await ring.start()
+    door = guard.Guard(ring, anonymous=False, local=False)
+    for _ in range(30):
+        await door.admit(presented, guard.READ, {})
+    with pytest.raises(ResourceExhausted, match="30 requests per minute; try again in 2 s") as refused:
+        await door.admit(presented, guard.READ, {})
+    assert refused.value.retry_after == pytest.approx(2.0)
+    now += 2.0
+    assert await door.admit(presented, guard.READ, {}) == key.principal
+    for _ in range(100):
+        await door.admit(unlimited, guard.READ, {})
     await ring.stop()
 
 

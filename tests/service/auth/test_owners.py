@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 
 import grpc
+import httpx
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import ResourceExhausted, SessionNotFound
+from ddakf_api.arrays import pack_mesh
+from ddakf_api.errors import NotFound, ResourceExhausted, SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import connect
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect as websocket
 
-from ..conftest import TIMEOUT
+from ..conftest import TIMEOUT, eventually, make_sheet
 from .conftest import As
 
 pytestmark = pytest.mark.slow
@@ -45,6 +49,28 @@ def test_a_session_belongs_to_its_key(guarded):
     assert mine.Track(iter([start])).started.name == name
     admin.DeleteSession(pb.DeleteSessionRequest(name=name))
     other.DeleteSession(pb.DeleteSessionRequest(name=theirs))
+
+
+def test_a_mesh_belongs_to_its_key(guarded):
+    mine, other, admin = (As(guarded, key) for key in ("stream", "other", "admin"))
+    upload = pb.CreateMeshRequest(api_version=API_VERSION, mesh=pack_mesh(*make_sheet(4)))
+    name = mine.CreateMesh(upload).name
+    by_name = pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment_mesh=name))
+    for call in (
+        lambda: other.GetMesh(pb.GetMeshRequest(name=name)),
+        lambda: other.DeleteMesh(pb.DeleteMeshRequest(name=name)),
+        lambda: other.CreateSession(by_name),
+    ):
+        with pytest.raises(NotFound, match="there is no meshes/"):
+            call()
+    assert not other.ListMeshes(pb.ListMeshesRequest()).meshes
+    assert admin.GetMesh(pb.GetMeshRequest(name=name)).name == name
+    assert other.CreateMesh(upload).name == name, "the same content has the same name"
+    other.DeleteMesh(pb.DeleteMeshRequest(name=name))
+    mine.DeleteSession(pb.DeleteSessionRequest(name=mine.CreateSession(by_name).name))
+    assert [mesh.name for mesh in mine.ListMeshes(pb.ListMeshesRequest()).meshes] == [name]
+    admin.DeleteMesh(pb.DeleteMeshRequest(name=name))
+    assert not mine.ListMeshes(pb.ListMeshesRequest()).meshes
 
 
 def test_a_key_has_as_many_sessions_as_it_may(guarded):
@@ -79,6 +105,7 @@ def test_a_key_has_as_many_streams_and_watchers_as_it_may(guarded):
         assert caught.value.retry_after > 0
     address = guarded.http.replace("http", "ws", 1) + f"/v1/{name}/watch?api_version={API_VERSION}"
     with websocket(address, proxy=None, subprotocols=["ddakf.v1", f"ddakf.key.{guarded.keys['stream']}"]) as line:
+        assert pb.TrackResponse.FromString(line.recv(TIMEOUT)).error.name == "ResourceExhausted"
         with pytest.raises(ConnectionClosed) as closed:
             line.recv(TIMEOUT)
         assert closed.value.rcvd.code == 4429
@@ -138,3 +165,20 @@ def test_a_repeated_request_does_not_answer_with_the_session_that_another_key_ha
     with pytest.raises(SessionNotFound):
         mine.create(request_id="first")
     other.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+def test_a_key_lists_its_own_ended_sessions_and_one_that_reads_lists_all(guarded):
+    names, sheet = {}, make_sheet()
+    for key in ("stream", "admin"):
+        with connect(guarded.grpc, api_key=guarded.keys[key]) as client, contextlib.ExitStack() as stack:
+            names[key] = stack.enter_context(client.create_session(*sheet, labels={"test": "past-keys"})).name
+
+    def listed(key: str) -> set[str]:
+        query = {"states": "SESSION_STATE_CLOSED", "labels": "test=past-keys"}
+        headers = {"authorization": f"Bearer {guarded.keys[key]}"}
+        answer = httpx.get(f"{guarded.http}/v1/sessions", params=query, headers=headers, timeout=TIMEOUT)
+        return {session["name"] for session in answer.json()["sessions"]}
+
+    assert eventually(lambda: listed("read") == set(names.values()))
+    assert listed("admin") == set(names.values())
+    assert listed("stream") == {names["stream"]}

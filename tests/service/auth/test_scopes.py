@@ -68,14 +68,14 @@ def test_no_route_works_without_a_key_or_without_its_scope(guarded):
             assert answer.status_code == 401, (method, path)
             assert answer.json()["error"]["name"] == "Unauthenticated"
             assert answer.headers["www-authenticate"] == "Bearer"
-            needs_stream = method != "GET" or path.endswith("/snapshot")
-            for key, refused in (("read", needs_stream), ("stream", path == "/metrics")):
+            needs_stream = method != "GET" or path.endswith("/snapshot") or "/meshes" in path
+            for key, refused in (("read", needs_stream), ("stream", path in ("/metrics", "/v1/recording"))):
                 headers = {"authorization": f"Bearer {guarded.keys[key]}"}
                 assert (http.request(method, path, headers=headers).status_code == 403) == refused, (method, path, key)
 
 
 def test_what_says_whether_the_service_lives_is_open(guarded):
-    for path in ("/healthz", "/readyz", "/v1/info", "/openapi.json"):
+    for path in ("/", "/healthz", "/readyz", "/v1/info", "/openapi.json"):
         assert httpx.get(guarded.http + path).status_code == 200, path
 
 

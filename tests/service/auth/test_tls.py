@@ -12,10 +12,12 @@ from pathlib import Path
 import grpc
 import httpx
 import pytest
-from ddakf_api.errors import ServiceError
-from ddakf_client import connect
+from ddakf_api.errors import InvalidArgument, ServiceError
+from ddakf_client import connect, tls_credentials
 from ddakf_service.auth import tls
 from ddakf_service.auth.tls import Tls
+
+from ddakf.commands import cli
 
 from ..conftest import TIMEOUT, eventually, running
 from .certificates import Authority
@@ -70,6 +72,51 @@ def test_a_client_needs_a_certificate_of_the_authority(encrypted):
             https(encrypted, encrypted.authority, wrong)
         with pytest.raises(Exception, match=r"does not answer|handshake|certificate"):
             secure(encrypted, encrypted.authority, wrong)
+
+
+@pytest.fixture
+def own(encrypted) -> dict[str, str]:
+    """The options of a connection with a certificate of the authority."""
+    contents = {"ca": encrypted.authority.pem, **dict(zip(("certificate", "key"), encrypted.authority.issue("own"), strict=True))}
+    for name, content in contents.items():
+        (encrypted.folder / f"own.{name}").write_bytes(content)
+    return {f"--tls-{name}": str(encrypted.folder / f"own.{name}") for name in contents}
+
+
+@pytest.mark.parametrize("after_the_action", [True, False])
+def test_the_commands_connect_with_tls(encrypted, own, after_the_action, capsys):
+    options = [word for pair in own.items() for word in pair] + ["--server", encrypted.grpc]
+    arguments = ["list", "--json", *options] if after_the_action else [*options, "list", "--json"]
+    assert cli.main(["sessions", *arguments]) == 0
+    assert capsys.readouterr().out == "[]\n"
+
+
+@pytest.mark.parametrize("lacking", ["--tls-ca", "--tls-certificate"])
+def test_a_command_without_the_right_files_is_refused_in_a_sentence(encrypted, own, lacking, capsys):
+    """The system's authorities did not sign the server's certificate; without a certificate of its own a client is nobody."""
+    own = {**own, "--tls-ca": "system"} if lacking == "--tls-ca" else {"--tls-ca": own["--tls-ca"]}
+    options = [word for pair in own.items() for word in pair]
+    assert cli.main(["sessions", "list", "--server", encrypted.grpc, *options]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"ddakf: {encrypted.grpc} does not answer")
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"--tls-ca": "/nowhere"}, "tls_ca"),
+        ({"--tls-ca": __file__}, "tls_ca"),
+        ({"--tls-key": None}, "tls_key"),
+        ({"--tls-certificate": None}, "tls_certificate"),
+        ({"--tls-key": __file__}, "tls_key"),
+    ],
+)
+def test_files_of_a_client_that_cannot_be_used_are_named(encrypted, own, changes, field):
+    files = {name.removeprefix("--tls-"): path for name, path in {**own, **changes}.items()}
+    with pytest.raises(InvalidArgument) as caught:
+        tls_credentials(**files)
+    assert caught.value.field == field
 
 
 def test_plain_text_is_not_served_beside_it(encrypted):

@@ -2,6 +2,8 @@
 
 import json
 import logging
+import re
+from pathlib import Path
 
 import pytest
 from ddakf_service.observability.logs import configure_logging, current_session
@@ -37,6 +39,26 @@ def test_a_session_given_with_the_line_wins(logged):
     assert written().endswith("INFO    s-2 created vertices=5\n")
 
 
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_fields_that_a_library_adds_to_every_record_stay_out(logged, form):
+    factory = logging.getLogRecordFactory()
+
+    def with_a_stamp(*args, **keywords):
+        record = factory(*args, **keywords)
+        record._library_timestamp_ns = 1
+        return record
+
+    logging.setLogRecordFactory(with_a_stamp)
+    try:
+        written = logged(form)
+        logging.getLogger("m").info("created", extra={"vertices": 5})
+    finally:
+        logging.setLogRecordFactory(factory)
+    line = written()
+    assert "vertices" in line
+    assert "_library" not in line
+
+
 def test_exceptions_are_part_of_the_line(logged):
     written = logged("json")
     try:
@@ -44,3 +66,12 @@ def test_exceptions_are_part_of_the_line(logged):
     except ValueError:
         logging.getLogger("m").exception("failed")
     assert "ValueError: oh" in json.loads(written())["exception"]
+
+
+def test_the_sample_of_the_documents_has_the_fields_of_a_line(logged):
+    text = (Path(__file__).parents[3] / "docs/operations.md").read_text()
+    lines = re.search(r"```json\n(.*?)```", text, re.S)[1].replace(",\n ", ", ").splitlines()
+    written = logged("json")
+    logging.getLogger("some.module").info("done")
+    fields = list(json.loads(written()))
+    assert [list(json.loads(line))[: len(fields)] for line in lines] == [fields] * 3

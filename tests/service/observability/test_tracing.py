@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 from ddakf_api.errors import InvalidFrame
@@ -93,3 +95,13 @@ def test_parts_are_all_timings_but_the_sums():
     timings = {name: 0.001 for name in ("encode", "reliability", "new stage", *STAGES, "queue", "decode", "total", "server")}
     names = [name for name, _, _ in frame_spans(timings, 0)]
     assert names == ["queue", "decode", *STAGES, "new stage", "encode"]
+
+
+def test_the_sample_of_the_documents_has_the_spans_and_attributes_of_a_frame(collector):
+    text = (Path(__file__).parents[3] / "docs/operations.md").read_text()
+    head, _, inside = re.search(r"```\n(frame .*?)```", text, re.S)[1].partition("  queue ")
+    assert re.findall(r"(\w+) [\d.]+", "queue " + inside) == ["queue", "decode", *STAGES, "encode"]
+    tracer = tracer_for(1.0, "here")
+    tracer.applied("s-1", FRAME, result(server=0.02), "raw", "realtime")
+    tracer.close()
+    assert set(re.findall(r"(ddakf\.\w+)=", head)) == set(attributes_of(collector.spans()[0]))

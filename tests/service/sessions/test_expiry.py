@@ -74,7 +74,7 @@ def test_a_lifetime_ends_even_a_busy_session(api, sheet):
 
 
 def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):
-    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=1)).name
+    name = api.create(sheet, limits=pb.SessionLimits(idle_timeout=2)).name
 
     def bad_frames():
         for number in range(1, 10):

@@ -9,7 +9,7 @@ import uuid
 import numpy as np
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.arrays import pack, pack_mesh
+from ddakf_api.arrays import pack, pack_mesh, unpack
 from ddakf_api.errors import (
     FailedPrecondition,
     InvalidArgument,
@@ -20,6 +20,7 @@ from ddakf_api.errors import (
 )
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
+from google.protobuf import json_format
 
 import ddakf
 from ddakf import data
@@ -44,14 +45,15 @@ def test_life_over_grpc(api, sheet):
 
 
 def test_life_over_rest(http, sheet):
-    body = {"garment": {"vertices": sheet.vertices.tolist(), "faces": sheet.faces.tolist()}, "session_id": "shirt-2"}
+    garment = {"vertices": sheet.vertices.tolist(), "faces": sheet.faces.tolist()}
+    body = {"session": {"garment": garment}, "session_id": "shirt-2"}
     created = http.post("/v1/sessions", json=body)
     assert created.status_code == 201
     assert created.headers["location"] == "/v1/sessions/shirt-2"
     assert created.json()["garment_vertex_count"] == len(sheet.vertices)
     got = http.get("/v1/sessions/shirt-2").json()
-    assert got["state"] == "idle"
-    assert got["config"] == ddakf.Config().to_dict()
+    assert got["state"] == "SESSION_STATE_IDLE"
+    assert json.loads(got["config_json"]) == ddakf.Config().to_dict()
     assert "sessions/shirt-2" in [s["name"] for s in http.get("/v1/sessions").json()["sessions"]]
     assert http.post("/v1/sessions", json=body).status_code == 409
     assert http.delete("/v1/sessions/shirt-2").status_code == 204
@@ -61,13 +63,13 @@ def test_life_over_rest(http, sheet):
 def test_a_mesh_as_base64_is_the_same_mesh(http, api, sheet):
     packed = pack_mesh(*sheet)
     mesh = {
-        "vertices": {"encoding": "float64", "data": base64.b64encode(packed.vertices.data).decode()},
-        "faces": {"encoding": "uint32", "data": base64.b64encode(packed.faces.data).decode()},
+        "vertices": {"encoding": "ARRAY_ENCODING_FLOAT64", "data": base64.b64encode(packed.vertices.data).decode()},
+        "faces": {"encoding": "ARRAY_ENCODING_UINT32", "data": base64.b64encode(packed.faces.data).decode()},
     }
-    name = http.post("/v1/sessions", json={"garment": mesh, "body": mesh}).json()["name"]
-    full = http.get(f"/v1/{name}", params={"view": "full"}).json()
-    assert full["garment"] == full["body"] == mesh
-    assert full["body_vertex_count"] == len(sheet.vertices)
+    name = http.post("/v1/sessions", json={"session": {"garment": mesh, "body": mesh}}).json()["name"]
+    full = json_format.Parse(http.get(f"/v1/{name}", params={"view": "SESSION_VIEW_FULL"}).text, pb.Session())
+    assert full.garment == full.body == packed
+    assert full.body_vertex_count == len(sheet.vertices)
     api.delete(name)
 
 
@@ -75,24 +77,28 @@ def test_both_sides_report_the_last_frame(api, http, session, sheet):
     responses = list(api.track(session, (request_of(frame_of(sheet, i)) for i in (1, 2, 3))))
     last = responses[-1].result
     over_grpc = api.get(session).statistics
-    over_rest = http.get(f"/v1/{session}").json()
+    over_rest = json_format.Parse(http.get(f"/v1/{session}").text, pb.Session())
     for field in ("reliability", "paper_score", "coverage", "frames_applied", "frames_dropped", "frames_rejected"):
-        assert getattr(over_grpc, field) == getattr(last, field) == over_rest["statistics"][field]
+        assert getattr(over_grpc, field) == getattr(last, field) == getattr(over_rest.statistics, field)
     assert over_grpc.last_sequence_number == 3
     assert over_grpc.last_capture_time == pytest.approx(0.1)
     assert over_grpc.frame_rate > 0
-    assert over_rest["state"] == "idle"
+    assert over_rest.state == pb.SESSION_STATE_IDLE
 
 
 def test_listing_by_pages_and_state(api, http, sheet):
     names = [api.create(sheet, labels={"page": "yes"}).name for _ in range(3)]
-    first = http.get("/v1/sessions", params={"label": "page=yes", "page_size": 2, "state": "idle"}).json()
-    params = {"label": "page=yes", "page_size": 2, "state": "idle", "page_token": first["next_page_token"]}
+    first = http.get("/v1/sessions", params={"labels": "page=yes", "page_size": 2, "states": "SESSION_STATE_IDLE"}).json()
+    params = {"labels": "page=yes", "page_size": 2, "states": "SESSION_STATE_IDLE", "page_token": first["next_page_token"]}
     second = http.get("/v1/sessions", params=params).json()
     assert [s["name"] for s in first["sessions"] + second["sessions"]] == names
     assert second["next_page_token"] == ""
-    assert http.get("/v1/sessions", params={"label": "page=yes", "state": "lost"}).json()["sessions"] == []
-    assert http.get("/v1/sessions", params={"state": "happy"}).json()["error"]["field"] == "state"
+    changed = http.get("/v1/sessions", params=params | {"states": "SESSION_STATE_TRACKING"})
+    assert (changed.status_code, changed.json()["error"]["field"]) == (422, "page_token")
+    with pytest.raises(InvalidArgument, match="page_token"):
+        api.call("ListSessions", pb.ListSessionsRequest(page_token="garbage"))
+    assert http.get("/v1/sessions", params={"labels": "page=yes", "states": "SESSION_STATE_LOST"}).json()["sessions"] == []
+    assert http.get("/v1/sessions", params={"states": "happy"}).json()["error"]["field"] == "states"
     for name in names:
         api.delete(name)
 
@@ -159,6 +165,32 @@ def test_a_session_tells_its_memory_and_when_it_expires(api, sheet):
         api.delete(name)
 
 
+@pytest.mark.parametrize(
+    ("field", "wrong"),
+    [
+        ("session.name", pb.Session(name="sessions/mine")),
+        ("labels", pb.Session(labels={"": "nothing"})),
+    ],
+)
+def test_a_new_session_takes_nothing_silently(api, sheet, field, wrong):
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment=pack_mesh(*sheet)))
+    request.session.MergeFrom(wrong)
+    with pytest.raises(InvalidArgument) as refused:
+        api.call("CreateSession", request)
+    assert refused.value.field == field
+
+
+def test_an_unknown_view_is_refused(api, session):
+    with pytest.raises(InvalidArgument, match="view: expected SESSION_VIEW_BASIC"):
+        api.call("GetSession", pb.GetSessionRequest(name=session, view=9))
+
+
+@pytest.mark.parametrize("states", [[0], [99], [pb.SESSION_STATE_IDLE, pb.SESSION_STATE_CLOSED]])
+def test_sessions_of_no_state_or_of_both_kinds_are_not_listed(api, states):
+    with pytest.raises(InvalidArgument, match="states: expected states of"):
+        api.call("ListSessions", pb.ListSessionsRequest(states=states))
+
+
 @pytest.mark.parametrize("field", ["max_frame_rate", "idle_timeout", "max_lifetime", "departure_timeout"])
 @pytest.mark.parametrize("value", [-1.0, float("nan"), float("inf")])
 def test_a_limit_that_is_no_number_is_refused(api, session, field, value):
@@ -196,15 +228,17 @@ def test_cleaning_answers_the_vertex_map(api, http, sheet):
     vertices = np.concatenate([[[9.0, 9.0, 9.0]], sheet.vertices])
     faces = np.concatenate([sheet.faces + 1, sheet.faces[:1] + 1])
     mesh = {"vertices": vertices.tolist(), "faces": faces.tolist()}
-    refused = http.post("/v1/sessions", json={"garment": mesh})
+    refused = http.post("/v1/sessions", json={"session": {"garment": mesh}})
     assert refused.status_code == 422
     message = refused.json()["error"]["message"]
     assert "1 unreferenced" in message
     assert "1 duplicate" in message
     assert "clean=true" in message
-    created = http.post("/v1/sessions", json={"garment": mesh, "clean": True}).json()
-    assert created["vertex_map"] == list(range(1, len(vertices)))
-    api.delete(created["name"])
+    answer = http.post("/v1/sessions", json={"session": {"garment": mesh}, "clean": True}).text
+    created = json_format.Parse(answer, pb.Session())
+    vertex_map = unpack(created.vertex_map, field="vertex_map", max_items=len(vertices))
+    assert vertex_map.tolist() == list(range(1, len(vertices)))
+    api.delete(created.name)
 
 
 def test_another_major_version_is_refused(api, sheet):

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
-from ddakf_service.store.database import Database
-from ddakf_service.store.session_record import SessionRecord
+from ddakf_service.store.tables.database import Database
+from ddakf_service.store.tables.session_record import SessionRecord
 
 PATIENCE = 60.0  # seconds
 

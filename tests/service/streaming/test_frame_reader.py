@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from ddakf_api import codec
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.streaming.frame_message import FrameMessage
+from ddakf_service.streaming.frame_message import LARGE_FIELDS, FrameMessage
 from ddakf_service.streaming.frame_reader import read_frame
 from ddakf_service.transports.track_requests import read_track_request
 from google.protobuf.message import DecodeError
@@ -26,12 +26,13 @@ sensors = st.one_of(
 )
 clouds = st.builds(
     pb.PointCloud, codec=st.integers(0, 9), point_count=uint32, data=st.binary(max_size=300), step=doubles, origin=vectors,
-    crc32=st.none() | uint32,
+    crc32=st.none() | uint32, colors=st.binary(max_size=100),
 )  # fmt: skip
 images = st.builds(
     pb.DepthImage, encoding=st.integers(0, 3), compression=st.integers(0, 9), width=uint32, height=uint32,
     data=st.binary(max_size=300), intrinsics=st.builds(pb.Intrinsics, fx=doubles, cy=doubles), pose=poses, depth_scale=doubles,
     mask=st.binary(max_size=200), confidence=st.binary(max_size=200), min_confidence=uint32,
+    colors=st.binary(max_size=100),
 )  # fmt: skip
 common = {
     "sequence_number": st.integers(0, 2**64 - 1),
@@ -54,7 +55,7 @@ def parsed(data: bytes) -> FrameMessage:
     message = FrameMessage.of(frame)
     if message.measurement is None:
         return message
-    names = ("data",) if message.measurement == "point_cloud" else ("data", "mask", "confidence")
+    names = LARGE_FIELDS[message.measurement]
     return message._replace(sizes={name: len(getattr(getattr(frame, message.measurement), name)) for name in names})
 
 

@@ -19,7 +19,7 @@ import ddakf
 from ddakf.evaluation.sensors import Camera, Intrinsics
 from ddakf.files import depth as depths
 
-from ..conftest import children, frame_of, make_sheet, request_of
+from ..conftest import Talk, children, frame_of, make_sheet, request_of, workers
 
 SHEET = make_sheet(20)
 FRAMES = 6
@@ -65,6 +65,18 @@ def test_a_frame_that_nobody_needs_any_more_is_late_and_no_other(client):
     assert 0 < info.last_latency < (info.last_frame_time - info.create_time).total_seconds()
 
 
+@pytest.mark.parametrize(("flow", "budgets"), [(pb.FLOW_MODE_REALTIME, True), (pb.FLOW_MODE_LOSSLESS, False)])
+def test_a_result_says_what_was_used_and_frames_in_realtime_flow_have_budgets(api, flow, budgets):
+    name = api.create(SHEET).name
+    with Talk(api, name, flow=flow) as talk:
+        usages = [talk.ask(frame_of(SHEET, number))[-1].result.usage for number in range(1, 8)]
+    assert all(0 < usage.processor_seconds < 10 for usage in usages)
+    assert usages[0].budget_seconds == 0.0, "no rate is known of the first frame"
+    assert all((usage.budget_seconds > 0) == budgets for usage in usages[2:])
+    assert all(usage.widening >= 1.0 for usage in usages)
+    api.delete(name)
+
+
 @pytest.mark.parametrize("depth_codec", ["zstd", "none"])
 def test_a_depth_image_tracks_as_its_points_do(client, depth_codec):
     tracker = ddakf.Tracker(ddakf.Mesh(*SHEET))
@@ -75,6 +87,29 @@ def test_a_depth_image_tracks_as_its_points_do(client, depth_codec):
         expected = tracker.step(points, timestamp=number / 30, sensor_origin=CAMERA.eye)
         assert np.array_equal(result.vertices, expected.vertices.astype(np.float32))
         assert result.coverage == expected.coverage > 0.5
+
+
+def test_the_colors_of_pixels_and_of_points_reach_the_tracker(client):
+    tracker, sheet = ddakf.Tracker(ddakf.Mesh(*SHEET)), []
+    pattern = np.random.default_rng(0).integers(40, 216, (96, 128, 3), np.uint8)
+    coloured = list(images(colors=pattern))
+    for frame, result in zip(coloured, tracked(client, coloured), strict=True):
+        depth = frame.depth.astype(np.float32)
+        keep = frame.mask & depths.without_fliers(depth, depths.largest_step(depth, 150.0))
+        points = depths.unproject(depth, keep, depths.Intrinsics(*LENS), POSE)
+        expected = tracker.step(points, timestamp=frame.timestamp, sensor_origin=CAMERA.eye, colors=pattern[keep])
+        assert np.array_equal(result.vertices, expected.vertices.astype(np.float32))
+        sheet.append(Frame(points, frame.timestamp, CAMERA.eye, colors=pattern[keep]))
+    assert tracker._track.appearance is not None
+    assert np.array_equal(tracked(client, sheet, codec="raw")[-1].vertices, expected.vertices.astype(np.float32))
+
+
+def test_colors_of_another_length_cost_their_frame_alone(api, session, sheet):
+    first, second = frame_of(sheet, 1), frame_of(sheet, 2)
+    first.point_cloud.colors = bytes(7)
+    refused, result = list(api.track(session, [request_of(first), request_of(second)]))[1:]
+    assert refused.frame_error.error.field == "point_cloud.colors"
+    assert result.result.sequence_number == 2
 
 
 @pytest.mark.parametrize("depth_codec", ["zstd", "png", "rvl"])
@@ -127,7 +162,7 @@ def test_every_codec_of_points_is_tracked(api, session, sheet):
 def test_a_draco_decoder_that_is_killed_costs_one_frame_at_most(service, api, session, sheet):
     first = [request_of(frame_of(sheet, i, codec_name="draco")) for i in (1, 2)]
     assert [r.result.sequence_number for r in api.track(session, first)][1:] == [1, 2]
-    decoders = [child for worker in children(service.pid) for child in children(worker)]
+    decoders = [child for worker in workers(service.pid) for child in children(worker)]
     assert decoders
     for decoder in decoders:
         os.kill(decoder, signal.SIGKILL)

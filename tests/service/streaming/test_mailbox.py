@@ -5,7 +5,7 @@ import asyncio
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.streaming.mailbox import LosslessMailbox, RealtimeMailbox, mailbox_for
-from ddakf_service.streaming.rate_limit import Overload, RateLimit
+from ddakf_service.streaming.rate_limit import Overload, RateLimit, frame_bucket
 
 
 def frame(number):
@@ -65,23 +65,35 @@ async def test_closing_frees_a_sender_that_is_held_back():
 
 @pytest.mark.parametrize("rate", [0.5, 10.0, 90.0])
 def test_a_rate_is_kept_in_the_mean_and_a_stutter_is_no_offence(rate):
-    limit, interval = RateLimit(), 0.5 / rate
+    limit, interval = frame_bucket(), 0.5 / rate
     passed = sum(limit.wait(rate, 100.0 + i * interval) == 0 for i in range(1000))
     assert passed == pytest.approx(500 + 0.1 * rate, abs=2)
-    punctual = RateLimit()
+    punctual = frame_bucket()
     stutter = (100.0 + (i + 0.1 * (i % 2)) / rate for i in range(200))
     refused = sum(punctual.wait(rate, now) > 0 for now in stutter)
     assert refused <= (0 if rate > 20 else 100)
 
 
 def test_who_waits_as_long_as_is_said_may_come():
-    limit, now = RateLimit(), 5.0
+    limit, now = frame_bucket(), 5.0
     for _ in range(20):
         if pause := limit.wait(10.0, now):
             now += pause
             assert limit.wait(10.0, now) == 0
     assert now == pytest.approx(5.0 + 1.9)
     assert limit.wait(0.0, now) == 0, "no bound"
+
+
+def test_the_streams_of_a_key_share_its_rate():
+    of_key = frame_bucket()
+    one, other = RateLimit(of_key, 20.0), RateLimit(of_key, 20.0)
+    assert sum(one.wait(0.0, 100.0 + i / 60)[0] == 0 for i in range(600)) == pytest.approx(200, abs=3)
+    shared = sum(stream.wait(0.0, 200.0 + i / 60)[0] == 0 for i in range(600) for stream in (one, other))
+    assert shared == pytest.approx(200, abs=3)
+    assert one.wait(0.0, 209.99)[1] == 20.0
+    slow = RateLimit(frame_bucket(), 20.0)
+    passed = sum(slow.wait(5.0, 300.0 + i / 60)[0] == 0 for i in range(600))
+    assert passed == pytest.approx(50, abs=2), "a frame that the session refuses costs the key none"
 
 
 def told(share, seconds, overload, start):
@@ -91,12 +103,12 @@ def told(share, seconds, overload, start):
         if (i * share) % 1 + share >= 1:
             rates.append(overload.missed(1, start + i / 100))
         else:
-            overload.applied()
+            overload.applied(start + i / 100)
     return [rate for rate in rates if rate]
 
 
 def test_overload_is_told_once_and_rarely_repeated():
-    overload = Overload(0.0)
+    overload = Overload()
     assert told(0.1, 5, overload, 0.0) == []
     (rate,) = told(0.5, 8, overload, 5.0)
     assert rate == pytest.approx(50, abs=5)
@@ -105,7 +117,37 @@ def test_overload_is_told_once_and_rarely_repeated():
 
 
 def test_what_is_over_and_begins_again_is_told_again():
-    overload = Overload(0.0)
+    overload = Overload()
     assert len(told(0.5, 3, overload, 0.0)) == 1
     assert told(0.02, 2, overload, 3.0) == []
     assert len(told(0.5, 3, overload, 5.0)) == 1
+
+
+@pytest.mark.parametrize("pause", [0.0, 2.0, 60.0])
+@pytest.mark.parametrize("tracked", [0.4, 3.0, 40.0])
+def test_the_rate_of_a_notice_was_tracked(tracked, pause):
+    """A client sends 100 frames per second in bursts of 15 s; the first frames of each wait for the worker."""
+    overload, now, rates = Overload(), 50.0, []
+    for _ in range(3):
+        now += pause
+        applied, begun = 0, now
+        while now < begun + 15.0:
+            if now > begun + (applied + 2) / tracked:
+                overload.applied(now)
+                applied += 1
+            else:
+                rates.append(overload.missed(1, now))
+            now += 0.01
+    rates = [rate for rate in rates if rate]
+    assert rates
+    slowest = tracked if pause != 2.0 else 1 / (1 / tracked + pause + 2 / tracked)
+    assert all(0.97 * slowest <= rate <= 1.03 * tracked for rate in rates), rates
+
+
+def test_no_rate_is_named_before_one_is_known():
+    overload = Overload()
+    assert not any(overload.missed(1, i / 100) for i in range(1000))
+    overload.applied(10.0)
+    assert not any(overload.missed(1, 10 + i / 100) for i in range(100))
+    overload.applied(11.0)
+    assert overload.missed(1, 11.01) == pytest.approx(1.0)

@@ -14,10 +14,11 @@ import pytest
 from ddakf_api.errors import DeadlineExceeded, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1 import tracking_pb2_grpc as rpc
+from ddakf_client import Limits
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect as connect_websocket
 
-from ..conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_free, make_sheet, request_of, running
+from ..conftest import TIMEOUT, Api, Talk, eventually, frame_of, held, is_free, make_sheet, request_of, running, workers
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +43,7 @@ def api(single):
 def test_a_frame_whose_turn_comes_too_late_is_not_tracked(single, api, sheet):
     name = api.create(sheet).name
     answers = {}
-    with Talk(api, name) as talk, held(children(single.pid)):
+    with Talk(api, name) as talk, held(workers(single.pid)):
         for number, deadline in ((1, 0.0), (2, 0.1), (3, 60.0)):
             frame = frame_of(sheet, number)
             frame.deadline = deadline
@@ -68,9 +69,36 @@ def test_frames_beyond_a_realtime_sessions_rate_are_dropped_and_the_client_is_to
     responses = list(api.track(name, [request_of(frame_of(sheet, i)) for i in range(1, 31)], pb.FLOW_MODE_REALTIME))
     notices = [response.notice for response in responses if response.HasField("notice")]
     assert [(notice.kind, notice.value) for notice in notices] == [(pb.NOTICE_KIND_SLOW_DOWN, 2.0)]
+    assert responses[-1].result.sequence_number == 30
     statistics = api.get(name).statistics
     assert statistics.frames_applied + statistics.frames_dropped == 30
     assert statistics.frames_dropped > 20
+    api.delete(name)
+
+
+def test_a_client_far_beyond_a_realtime_sessions_rate_never_waits_in_vain(client, sheet):
+    """It may have eight unanswered frames, and all of them may be dropped."""
+
+    def camera():
+        for number in range(1, 61):
+            time.sleep(0.005)
+            yield sheet.vertices, number / 30
+
+    with client.create_session(*sheet, limits=Limits(max_frame_rate=8.0)) as session:
+        answers = list(session.track(camera(), timeout=20.0, on_notice=lambda _: None))
+    assert answers[-1].sequence == 60
+    assert answers[-1].applied + answers[-1].dropped == 60
+
+
+def test_a_stream_that_ends_while_a_frame_waits_for_its_rate_counts_the_frame_as_dropped(api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=0.01)).name
+    with Talk(api, name, flow=pb.FLOW_MODE_REALTIME) as talk:
+        assert talk.ask(frame_of(sheet, 1))[-1].HasField("result")
+        talk.send(frame_of(sheet, 2))
+        talk.await_arrival()
+        list(api.track(name, [], takeover=True))
+    statistics = api.get(name).statistics
+    assert (statistics.frames_applied, statistics.frames_dropped) == (1, 1)
     api.delete(name)
 
 
@@ -93,11 +121,13 @@ def test_who_sends_more_than_can_be_tracked_is_told_how_much_can_be(single, api,
 
     stream = api.track(name, too_many(), pb.FLOW_MODE_REALTIME)
     assert next(stream).HasField("started")
+    for _ in range(3):
+        assert next(response for response in stream if response.HasField("result"))
     notices = (response.notice for response in stream if response.HasField("notice"))
-    with held(children(single.pid)):
+    with held(workers(single.pid)):
         told = next(notices)
     assert told.kind == pb.NOTICE_KIND_SLOW_DOWN
-    assert 0 < told.value < 100
+    assert 0 < told.value < 300
     assert list(notices) == []
     api.delete(name)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from ddakf_api.errors import (
     FailedPrecondition,
+    InvalidArgument,
     InvalidFrame,
     SessionBusy,
     SessionNotFound,
@@ -20,7 +21,7 @@ from ddakf_api.errors import (
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 
-from ..conftest import TIMEOUT, Talk, children, eventually, frame_of, held, is_free, make_sheet, request_of
+from ..conftest import TIMEOUT, Talk, eventually, frame_of, held, is_free, make_sheet, request_of, workers
 
 FRAMES = 60
 
@@ -104,7 +105,7 @@ def test_results_come_in_the_encodings_asked_for(api, session, sheet):
         include_covariance=True,
     )
     (result,) = results_of(api.track(session, [request_of(frame_of(sheet, 1))], result_options=options))
-    sizes = {f.name: len(value.data) for f, value in result.ListFields() if f.message_type and f.name != "timings"}
+    sizes = {field.name: len(value.data) for field, value in result.ListFields() if isinstance(value, pb.PackedArray)}
     assert sizes == {
         "vertices": 24 * count,
         "sigma": 2 * count,
@@ -147,15 +148,14 @@ def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, se
     """The caller gives up while the old stream's frame is in the worker."""
     with Talk(api, session) as first:
         first.ask(frame_of(sheet, 1))
-        with held(children(service.pid)):
+        with held(workers(service.pid)):
             first.send(frame_of(sheet, 2))
             first.await_arrival()
             begin = pb.TrackRequest(start=pb.Start(name=session, api_version="1.0", takeover=True))
-            with pytest.raises(grpc.RpcError) as given_up:
-                list(api.stub.Track(iter([begin]), timeout=0.3))
-            assert given_up.value.code() is grpc.StatusCode.DEADLINE_EXCEEDED
-        with pytest.raises(StreamTakenOver):
-            list(first.answers)
+            takeover = api.stub.Track(iter([begin]), timeout=TIMEOUT)
+            with pytest.raises(StreamTakenOver):
+                list(first.answers)
+            takeover.cancel()
         assert next(api.track(session, [])).started.last_sequence_number == 2
 
 
@@ -163,7 +163,7 @@ def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet
     """The worker hangs; the client must not take the wait for a dead connection."""
     with Talk(api, session) as talk:
         talk.ask(frame_of(sheet, 1))
-        with held(children(service.pid)):
+        with held(workers(service.pid)):
             talk.send(frame_of(sheet, 2))
             notices = [next(talk.answers).notice for _ in range(2)]
         assert [notice.kind for notice in notices] == [pb.NOTICE_KIND_WAITING] * 2
@@ -236,3 +236,19 @@ def test_a_session_whose_stream_was_left_takes_the_next_one(client, leave):
                     if leave == "break":
                         break
         assert len(list(session.track([Frame(sheet.vertices, 100.0)]))) == 1
+
+
+@pytest.mark.parametrize(
+    ("field", "encoding", "got"),
+    [
+        ("vertex_encoding", pb.ARRAY_ENCODING_UINT32, "ARRAY_ENCODING_UINT32"),
+        ("sigma_encoding", 99, "unknown encoding 99"),
+        ("reliability_encoding", pb.ARRAY_ENCODING_FLOAT64, "ARRAY_ENCODING_FLOAT64"),
+    ],
+)
+def test_a_stream_whose_results_cannot_be_encoded_is_refused_at_its_start(api, session, sheet, field, encoding, got):
+    requests = [request_of(frame_of(sheet, 1))]
+    with pytest.raises(InvalidArgument, match=got) as refused:
+        list(api.track(session, requests, result_options=pb.ResultOptions(**{field: encoding})))
+    assert refused.value.field == f"result_options.{field}"
+    assert api.get(session).statistics.frames_rejected == 0

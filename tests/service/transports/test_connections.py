@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -23,7 +24,7 @@ ORIGIN = "https://example.org"
 @pytest.fixture(scope="module")
 def strict(tmp_path_factory):
     """A service with small messages, short pings, one foreign origin and a short drain."""
-    settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "0.5", "--cors-origins", ORIGIN]
+    settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "1", "--cors-origins", ORIGIN]
     settings += ["--drain-grace", "0.5", "--spare-workers", "0"]  # a spare that starts later would be one more descriptor
     with running(settings, tmp_path_factory.mktemp("strict")) as service:
         yield service
@@ -62,8 +63,8 @@ def test_a_dead_client_is_noticed_by_its_silence(strict, strict_session, sheet):
     data = START.SerializeToString()
     with handshake(strict, f"{name}/stream") as dead:
         dead.sendall(bytes([0x82, 0x80 | len(data), 0, 0, 0, 0]) + data)  # a binary frame, masked with zeros
-        eventually(lambda: httpx.get(f"{strict.http}/v1/{name}").json()["state"] != "idle")
-        eventually(lambda: httpx.get(f"{strict.http}/v1/{name}").json()["state"] == "idle")
+        eventually(lambda: httpx.get(f"{strict.http}/v1/{name}").json()["state"] != "SESSION_STATE_IDLE")
+        eventually(lambda: httpx.get(f"{strict.http}/v1/{name}").json()["state"] == "SESSION_STATE_IDLE")
         eventually(lambda: descriptors(strict) <= before)
         received = b"".join(iter(lambda: dead.recv(1 << 16), b""))
     assert b"keepalive ping timeout" in received
@@ -93,7 +94,7 @@ def test_a_client_that_answers_pings_stays(strict, strict_session, sheet):
     with line(strict, f"{name}/stream") as websocket:
         websocket.send(START)
         websocket.receive()
-        time.sleep(2.0)  # four pings
+        time.sleep(2.5)  # two pings
         websocket.send(request_of(frame_of(sheet, 1)))
         assert websocket.receive().result.sequence_number == 1
 
@@ -148,6 +149,12 @@ def test_pages_of_foreign_origins_are_refused(strict, strict_session, origin, ho
     assert "cors_origins" in json.loads(caught.value.response.body)["error"]["message"]
 
 
+def test_an_allowed_page_can_read_why_its_key_is_refused(strict):
+    answer = httpx.get(f"{strict.http}/v1/sessions", headers={"Origin": ORIGIN, "Authorization": "Bearer wrong"})
+    assert (answer.status_code, answer.json()["error"]["name"]) == (401, "Unauthenticated")
+    assert answer.headers["access-control-allow-origin"] == ORIGIN
+
+
 def test_preflights_are_answered_for_the_origins_of_the_setting_alone(strict, http):
     asked = {"Access-Control-Request-Method": "PATCH", "Access-Control-Request-Headers": "content-type"}
     allowed = httpx.options(f"{strict.http}/v1/sessions", headers={"Origin": ORIGIN, **asked})
@@ -172,8 +179,8 @@ def test_every_answer_has_security_headers(http):
 
 
 def test_a_flood_of_headers_is_refused(http):
-    with pytest.raises(httpx.TransportError):  # the connection is closed while they still come
-        http.get("/healthz", headers={f"x-{i}": "y" * 10_000 for i in range(100)})
+    with contextlib.suppress(httpx.TransportError):  # the connection is closed, perhaps while they still come
+        assert http.get("/healthz", headers={f"x-{i}": "y" * 10_000 for i in range(100)}).status_code == 431
     assert http.get("/healthz").status_code == 200
 
 

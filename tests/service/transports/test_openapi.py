@@ -17,6 +17,7 @@ from schemathesis.specs.openapi import checks
 from ..conftest import TIMEOUT, frame_of, request_of
 
 OCTETS = "application/octet-stream"
+UNSET = "/v1/recording"  # of a setting that the tests' service does not have
 CHECKS = [
     not_a_server_error,
     checks.status_code_conformance,
@@ -90,7 +91,7 @@ def test_every_example_runs(http, document, left_as_it_was):
             else:
                 sent = {"json": value["value"]} if kind else {}
                 answer = http.request(method, path.format(**where), params=query, **sent)
-            assert answer.is_success, (method, path, answer.text)
+            assert answer.is_success or (path == UNSET and answer.status_code == 404), (method, path, answer.text)
             response = operation["responses"][str(answer.status_code)]
             if "application/json" in response.get("content", {}):
                 schema = response["content"]["application/json"]["schema"]
@@ -102,6 +103,7 @@ def test_every_example_runs(http, document, left_as_it_was):
 def test_a_snapshot_travels_over_http_bit_for_bit(http, api, session, sheet):
     answer = http.get(f"/v1/{session}/snapshot")
     assert answer.headers["content-type"] == OCTETS
+    assert answer.headers["ddakf-last-sequence-number"] == str(api.get(session).statistics.last_sequence_number)
     params = {"session_id": "copy-of-it", "label": ["a=b", "c=d=e"], "max_points": 7, "idle_timeout": 20}
     created = http.post("/v1/sessions:restore", params=params, content=answer.content)
     assert created.status_code == 201, created.text
@@ -115,8 +117,8 @@ def test_a_snapshot_travels_over_http_bit_for_bit(http, api, session, sheet):
 
 def test_another_method_is_refused_with_those_there_are(http, session):
     for path, methods in (
-        ("/v1/sessions", "GET, POST"),
-        (f"/v1/{session}", "DELETE, GET, PATCH"),
+        ("/v1/sessions", "GET, HEAD, POST"),
+        (f"/v1/{session}", "DELETE, GET, HEAD, PATCH"),
         (f"/v1/{session}:reset", "POST"),
         ("/v1/sessions:restore", "POST"),
     ):
@@ -157,7 +159,7 @@ def test_reset_over_http_starts_where_it_says(http, api, session, sheet):
     assert http.post(f"/v1/{session}:reset", json={"vertices": moved}).status_code == 200
     result = list(api.track(session, [request_of(frame_of(sheet, 1, shift=(0.3, 0, 0)))]))[-1].result
     assert result.coverage > 0.9
-    assert http.get(f"/v1/{session}/statistics").json()["last_sequence_number"] == 1
+    assert http.get(f"/v1/{session}/statistics").json()["last_sequence_number"] == "1"
     assert http.post(f"/v1/{session}:reset").status_code == 200
     refused = http.post(f"/v1/{session}:reset", json={"vertices": moved[:3]})
     assert (refused.status_code, refused.json()["error"]["field"]) == (422, "vertices")

@@ -10,11 +10,12 @@ from typing import NamedTuple
 
 import pytest
 from ddakf_api import API_VERSION
+from ddakf_api.errors import ERRORS
 from ddakf_api.v1 import tracking_pb2 as pb
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
-from ..conftest import TIMEOUT, children, frame_of, held, make_sheet, request_of
+from ..conftest import TIMEOUT, frame_of, held, make_sheet, request_of, workers
 from .websockets_client import START, Line, line
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -24,6 +25,7 @@ def without_timings(responses) -> list[pb.TrackResponse]:
     for response in responses:
         if response.HasField("result"):
             response.result.ClearField("timings")
+            response.result.ClearField("usage")
     return responses
 
 
@@ -59,6 +61,16 @@ def test_a_watcher_sees_the_clients_answers(service, api, session, sheet, mode):
         assert [watcher.receive() for _ in answers] == answers
 
 
+@pytest.mark.parametrize("mode", ["binary", "json"])
+def test_a_watcher_sees_the_clients_frames(service, api, session, sheet, mode):
+    frame = frame_of(sheet, 1)
+    with line(service, f"{session}/watch?api_version=1.0&include_frames=true", mode) as watcher:
+        assert watcher.receive().started.name == session
+        _, answer = api.track(session, [request_of(frame)])
+        assert watcher.receive() == pb.TrackResponse(frame=frame)
+        assert watcher.receive() == answer
+
+
 def test_a_watcher_is_told_the_end_and_only_reads(service, api, sheet):
     name = api.create(sheet).name
     with line(service, f"{name}/watch?api_version=1.0") as watcher, line(service, f"{name}/watch?api_version=1.0") as other:
@@ -67,8 +79,9 @@ def test_a_watcher_is_told_the_end_and_only_reads(service, api, sheet):
         assert other.ending() == (4409, "a watcher only reads")
         api.delete(name)
         assert watcher.ending() == (4404, f"{name} was deleted")
-    with line(service, f"{name}/watch?api_version=1.0&every_nth=often") as refused:
-        assert refused.ending()[0] == 4422
+    for query in ("every_nth=often", "include_frames=some"):
+        with line(service, f"{name}/watch?api_version=1.0&{query}") as refused:
+            assert refused.ending()[0] == 4422
 
 
 class Wrong(NamedTuple):
@@ -104,12 +117,28 @@ WRONG = {
 }
 
 
+@pytest.mark.parametrize("mode", ["binary", "json"])
+@pytest.mark.parametrize(("path", "name"), [("sessions/nobody", "SessionNotFound"), ("", "SessionBusy")])
+def test_the_error_that_ends_a_stream_comes_whole_before_the_close_code(service, session, mode, path, name):
+    """Several errors have the status of one close code, 409, and its reason holds no more than a sentence."""
+    with line(service, f"{session}/stream") as first:
+        first.send(START)
+        assert first.receive().started.name == session
+        with line(service, f"{path or session}/stream", mode) as refused:
+            with contextlib.suppress(ConnectionClosed):  # it ends at once where there is no session
+                refused.send(START)
+            error = refused.receive().error
+            code, reason = refused.ending()
+    assert (error.name, error.message) == (name, reason)
+    assert code == 4000 + ERRORS[name].http_status
+
+
 @pytest.mark.parametrize("case", WRONG)
 def test_a_stream_that_ends_with_an_error_says_why_in_its_close_code(service, session, case):
     wrong = WRONG[case]
     url = f"{service.http.replace('http', 'ws', 1)}/v1/{wrong.path or session}/stream?{wrong.query}"
     with connect(url, proxy=None, open_timeout=TIMEOUT) as connection:
-        with contextlib.suppress(ConnectionClosed), held(children(service.pid)):
+        with contextlib.suppress(ConnectionClosed), held(workers(service.pid)):
             for message in wrong.send:
                 connection.send(message)
         code, reason = Line(connection, "").ending()

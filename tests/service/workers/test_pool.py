@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
+import sys
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack_mesh, unpack
 from ddakf_api.errors import (
     DeadlineExceeded,
+    InvalidArgument,
     InvalidConfig,
     InvalidFrame,
     InvalidMesh,
@@ -22,27 +25,56 @@ from ddakf_api.errors import (
     WorkerLost,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.workers import wire
+from ddakf_service.workers.compute.tracker_host import TrackerHost
 from ddakf_service.workers.local_pool import LocalPool
+from ddakf_service.workers.messages import wire
 from ddakf_service.workers.pool import Limits, Memory
-from ddakf_service.workers.tracker_host import TrackerHost
 
 from ddakf import Tracker
 
-from ..conftest import children, frame_of, is_running
+from ..conftest import frame_of, is_running, make_sheet, workers
 
 LIMITS = Limits(max_points=5_000, max_vertices=1_000, max_faces=2_000, max_body_vertices=1_000, max_image_pixels=100_000)
 
 
-def local(size=2, **options) -> LocalPool:
-    return LocalPool(size, LIMITS, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+def local(size=2, limits=LIMITS, **options) -> LocalPool:
+    return LocalPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
+
+
+def on_ray(size=2, limits=LIMITS, **options) -> LocalPool:
+    """The same pool with actors of a Ray cluster of this machine."""
+    ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+    from ddakf_service.workers.ray_actors import RayActors
+
+    if not ray.is_initialized():  # for all pools of this file; with processors for all of their workers
+        store = {"object_store_memory": 100_000_000, "include_dashboard": False}
+        ray.init("local", num_cpus=16, log_to_driver=False, configure_logging=False, **store)
+    return local(size, limits, source=RayActors(limits, "auto"), **options)
 
 
 NAMES = ("one", "two", "three", "copy", "bad", "greedy", "other", "modest")  # of the sessions in these tests
-IMPLEMENTATIONS = [pytest.param(local, id="local")]
+IMPLEMENTATIONS = [pytest.param(local, id="local"), pytest.param(on_ray, id="ray")]
 
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def no_cluster_afterwards():
+    """Ends the cluster after the pools of this file."""
+    yield
+    if "ray" in sys.modules:
+        sys.modules["ray"].shutdown()
+
+
+@contextlib.asynccontextmanager
+async def running(pool):
+    """The pool between its start and its stop."""
+    await pool.start(lambda *_: None)
+    try:
+        yield pool
+    finally:
+        await pool.stop()
 
 
 @pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
@@ -51,11 +83,8 @@ async def shared_pool(request):
     lost: list[str] = []
     pool = request.param(on_lost=lost.extend)
     pool.lost = lost
-    await pool.start(lambda *_: None)
-    try:
+    async with running(pool):
         yield pool
-    finally:
-        await pool.stop()
 
 
 @pytest_asyncio.fixture(loop_scope="module")
@@ -69,14 +98,14 @@ async def pool(shared_pool):
         await shared_pool.close(name)
 
 
-def creation(sheet) -> bytes:
-    session = pb.Session(garment=pack_mesh(*sheet))
+def creation(sheet, config_json: str = "") -> bytes:
+    session = pb.Session(garment=pack_mesh(*sheet), config_json=config_json)
     return pb.CreateSessionRequest(api_version=API_VERSION, session=session).SerializeToString()
 
 
-async def track(pool, session_id: str, frame: pb.Frame, **options) -> pb.Result:
+async def track(pool, session_id: str, frame: pb.Frame, max_points: int = LIMITS.max_points, **options) -> pb.Result:
     options = pb.ResultOptions(**options).SerializeToString()
-    numbers, arrays = await pool.submit(session_id, frame.SerializeToString(), options, max_points=LIMITS.max_points)
+    numbers, arrays = await pool.submit(session_id, frame.SerializeToString(), options, max_points=max_points)
     return pb.Result.FromString(b"".join((numbers, arrays)))
 
 
@@ -108,7 +137,7 @@ async def test_what_cannot_be_used_changes_nothing(pool, sheet):
     await track(pool, "one", frame_of(sheet, 1))
     with pytest.raises(InvalidFrame, match="capture_time"):
         await track(pool, "one", frame_of(sheet, 1))
-    with pytest.raises(InvalidFrame, match="vertex_encoding"):
+    with pytest.raises(InvalidArgument, match="vertex_encoding"):
         await track(pool, "one", frame_of(sheet, 2), vertex_encoding=pb.ARRAY_ENCODING_INT32)
     assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
 
@@ -178,26 +207,20 @@ async def test_a_call_in_progress_fails_when_its_worker_is_killed(pool, sheet):
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_a_hung_worker_is_replaced(implementation, sheet):
     pool = implementation(frame_timeout=1.0)
-    await pool.start(lambda *_: None)
-    try:
+    async with running(pool):
         await pool.open("one", creation(sheet))
         os.kill(pool.process_ids()[0], signal.SIGSTOP)
         with pytest.raises(WorkerLost):
             await track(pool, "one", frame_of(sheet, 1))
         await until(lambda: pool.health().restarts == 1)
-    finally:
-        await pool.stop()
 
 
 @pytest_asyncio.fixture(params=IMPLEMENTATIONS, loop_scope="module")
 async def recycling_pool(request):
     """One worker that is replaced after three frames, and a spare."""
     pool = request.param(1, spares=1, recycle_frames=3)
-    await pool.start(lambda *_: None)
-    try:
+    async with running(pool):
         yield pool
-    finally:
-        await pool.stop()
 
 
 @pytest.mark.slow
@@ -231,22 +254,17 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
 @pytest.mark.slow
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
-    lost, others = [], set(children(os.getpid()))
+    lost = []
     pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))
-    await pool.start(lambda *_: None)
-    try:
+    async with running(pool):
         await until(lambda: pool.health().spares == 1)
         await pool.open("one", creation(sheet))
         os.kill(pool.process_ids()[0], signal.SIGKILL)
         await until(lambda: lost)
         assert lost == [(["one"], 1)], "who is told finds a worker"
         await pool.open("one", creation(sheet))
-        started = [pid for pid in children(os.getpid()) if pid not in others and is_running(pid)]
-        assert started == pool.process_ids(), "the next spare is not begun before"
         assert (await track(pool, "one", frame_of(sheet, 1))).sequence_number == 1
         await until(lambda: pool.health().spares == 1)
-    finally:
-        await pool.stop()
 
 
 @pytest.mark.slow
@@ -265,16 +283,13 @@ async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
 async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(implementation, sheet):
     """The first sessions of a lost worker continue while the last ones wait for their restore."""
     pool = implementation(1)
-    await pool.start(lambda *_: None)
-    try:
+    async with running(pool):
         await pool.open("first", creation(sheet))
         opening = [asyncio.create_task(pool.open(f"s{i}", creation(sheet))) for i in range(8)]
         await asyncio.sleep(0)
         await track(pool, "first", frame_of(sheet, 1))
         assert sum(task.done() for task in opening) <= 3
         await asyncio.gather(*opening)
-    finally:
-        await pool.stop()
 
 
 @pytest.mark.slow
@@ -313,21 +328,70 @@ async def test_another_configuration_goes_on_from_the_same_state(pool, sheet):
     assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
 
 
+@pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
+async def single_pool(request):
+    """One worker, which a session with a costly frame shares with another, and no spare."""
+    pool = request.param(1, Limits(200_000, 20_000, 40_000, 1_000, 1))
+    async with running(pool):
+        yield pool
+
+
+@pytest.mark.slow
+async def test_a_costly_frame_does_not_hold_up_the_frames_of_others(single_pool, sheet):
+    pool, large, order = single_pool, make_sheet(100, 0.01), []
+    await pool.open("large", creation(large, '{"discretisation": {"working_edge": 0}}'))  # a working mesh would be cheap
+    await pool.open("small", creation(sheet))
+    await track(pool, "small", frame_of(sheet, 1))
+
+    async def submit(name, sheet, numbers):
+        for number in numbers:
+            await track(pool, name, frame_of(sheet, number), max_points=200_000)
+            order.append(name)
+
+    noise = np.random.default_rng(0).normal(0.0, 0.004, (20 * len(large.vertices), 3))
+    dense = large._replace(vertices=np.tile(large.vertices, (20, 1)) + noise)
+    costly = asyncio.create_task(submit("large", dense, [1, 2]))
+    await asyncio.sleep(0)
+    await submit("small", sheet, range(2, 6))
+    await costly
+    assert order.index("large") >= 2, order
+    for name in ("large", "small"):
+        await pool.close(name)
+
+
+@pytest.mark.slow
+async def test_an_isolated_session_continues_exactly_in_a_worker_of_low_priority(single_pool, sheet):
+    pool, (shared,) = single_pool, single_pool.process_ids()
+    for name in ("moved", "stays"):
+        await pool.open(name, creation(sheet))
+        await track(pool, name, frame_of(sheet, 1))
+    await asyncio.gather(*(pool.isolate("moved") for _ in range(2)))
+    assert pool.process_ids() == [shared]
+    own = pool._placements["moved"].worker.process.pid
+    assert own != shared
+    if own in workers(os.getpid()):  # of this machine, and no actor
+        niceness = {os.getpriority(os.PRIO_PROCESS, int(thread)) for thread in os.listdir(f"/proc/{own}/task")}
+        assert min(niceness) > os.getpriority(os.PRIO_PROCESS, shared)
+    moved, stayed = [await track(pool, i, frame_of(sheet, 2), include_covariance=True) for i in ("moved", "stays")]
+    assert (moved.vertices, moved.covariance) == (stayed.vertices, stayed.covariance)
+    await pool.close("moved")
+    await until(lambda: not is_running(own))
+    assert (await track(pool, "stays", frame_of(sheet, 3))).sequence_number == 3
+    await pool.close("stays")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_sessions_beyond_a_worker_s_memory_are_refused(implementation, sheet):
     pool = implementation(1, max_memory=100.0)
-    await pool.start(lambda *_: None)
-    try:
-        await pool.open("one", creation(sheet), Memory(40, 30))
-        await pool.open("two", creation(sheet), Memory(30, 20))
+    async with running(pool):
+        await pool.open("one", creation(sheet), Memory(30, 20))
+        await pool.open("two", creation(sheet), Memory(20, 20))  # both may be tracked at a time
         with pytest.raises(ResourceExhausted, match="memory") as caught:
-            await pool.open("three", creation(sheet), Memory(10, 0))
+            await pool.open("three", creation(sheet), Memory(20, 0))
         assert caught.value.retry_after > 0
         await pool.close("two")
-        await pool.open("three", creation(sheet), Memory(10, 0))
-    finally:
-        await pool.stop()
+        await pool.open("three", creation(sheet), Memory(20, 0))
 
 
 @pytest.mark.slow
@@ -338,4 +402,4 @@ async def test_stopping_leaves_no_process(implementation):
     pids = pool.process_ids()
     assert len(pids) == 2
     await pool.stop()
-    assert not any(is_running(pid) for pid in pids)
+    await until(lambda: not any(is_running(pid) for pid in pids))  # Ray ends its processes by itself

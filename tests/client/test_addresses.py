@@ -1,0 +1,138 @@
+"""Several addresses: the client uses the first server that answers, and the next one when it is lost, stops or refuses."""
+
+import grpc
+import pytest
+from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import aconnect, connect, errors
+from ports import lasting_port
+
+from . import fake_server
+
+
+@pytest.fixture
+def pair():
+    """Two services with the same sessions; each stops with ``stop``."""
+    services = fake_server.FakeService(), fake_server.FakeService()
+    services[1].sessions = services[0].sessions
+    servers = []
+    for service in services:
+        server, service.target = fake_server.start(service)
+        service.stop = lambda server=server: server.stop(0).wait()
+        servers.append(server)
+    yield services
+    for server in servers:
+        server.stop(0).wait()
+
+
+def nobody() -> str:
+    return f"127.0.0.1:{lasting_port()}"
+
+
+@pytest.mark.parametrize("as_text", [False, True])
+def test_the_first_that_answers_is_used(service, as_text):
+    addresses = [nobody(), service.target, nobody()]
+    with connect(", ".join(addresses) if as_text else addresses) as client:
+        assert client.target == service.target
+
+
+async def test_the_asynchronous_client_does_the_same(service):
+    async with aconnect([nobody(), service.target]) as client:
+        assert client.target == service.target
+
+
+def test_none_that_answers_is_an_error_that_names_the_last():
+    addresses = [nobody(), nobody()]
+    with pytest.raises(errors.Unavailable, match=addresses[1]):
+        connect(addresses)
+
+
+@pytest.mark.parametrize("addresses", [[], "", "host", "one:7701,", ["one:7701", "two"], "one:7701,http://two:7702"])
+def test_an_address_without_a_port_is_refused(addresses):
+    with pytest.raises(errors.InvalidArgument) as refused:
+        connect(addresses)
+    assert refused.value.field == "target"
+
+
+def test_a_call_goes_to_the_next_server_when_one_is_lost(pair, mesh):
+    one, two = pair
+    with connect([one.target, two.target]) as client:
+        session = client.create_session(*mesh)
+        one.stop()
+        assert session.info().name == session.name
+        assert client.target == two.target
+        session.delete()
+    assert not two.sessions
+
+
+def test_an_answer_of_the_server_is_no_reason_to_go_elsewhere(pair, mesh):
+    one, two = pair
+    with connect([one.target, two.target]) as client:
+        with pytest.raises(errors.SessionNotFound):
+            client.open_session("some")
+        assert client.target == one.target
+
+
+def test_a_stream_goes_on_at_the_next_server(pair, mesh, frames):
+    """The second server has the session as the first one left it, and repeats no answers."""
+    one, two = pair
+    one.delay = two.delay = 0.005
+    answered = []
+    with connect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
+        for result in session.track(frames(30), on_notice=lambda _: None):
+            answered.append(result.sequence)
+            if result.sequence == 5:
+                one.stop()
+        assert client.target == two.target
+    assert answered[-1] == 30
+    assert answered == sorted(set(answered))
+    tracked = [frame.sequence_number for frame in (*one.frames, *two.frames)]
+    assert tracked == list(range(1, 31))
+
+
+def test_a_server_that_falls_silent_is_left(pair, mesh, frames):
+    """It holds its connections, as a vanished machine does."""
+    one, two = pair
+    one.silent_from = 4
+    with connect([one.target, two.target], timeout=1.0) as client, client.create_session(*mesh, flow="lossless") as session:
+        answered = [result.sequence for result in session.track(frames(8), on_notice=lambda _: None)]
+        assert client.target == two.target
+    assert answered[-1] == 8
+    assert answered[:3] == [1, 2, 3]
+
+
+async def test_an_asynchronous_client_leaves_it_too(pair, mesh, frames):
+    one, two = pair
+    one.silent_from = 4
+    async with aconnect([one.target, two.target], timeout=1.0) as client:
+        async with client.create_session(*mesh, flow="lossless") as session:
+            answered = [result.sequence async for result in session.track(frames(8), on_notice=lambda _: None)]
+        assert client.target == two.target
+    assert answered[-1] == 8
+
+
+async def test_an_asynchronous_stream_goes_on_at_the_next_server(pair, mesh, frames):
+    one, two = pair
+    one.drains_at = 3
+    async with aconnect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
+        answered = [result.sequence async for result in session.track(frames(6), on_notice=lambda _: None)]
+        assert client.target == two.target
+    assert answered == [1, 2, 3, 4, 5, 6]
+
+
+def test_a_redirection_wins_over_the_next_address(pair, service, mesh, frames):
+    one, two = pair
+    service.sessions = one.sessions
+    one.drains_at = 3
+    one.notice = pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message="elsewhere", target=service.target)
+    with connect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
+        assert [result.sequence for result in session.track(frames(6), on_notice=lambda _: None)] == [1, 2, 3, 4, 5, 6]
+        assert client.target == service.target
+
+
+def test_one_address_stays_one(service, monkeypatch):
+    opened, open_channel = [], grpc.insecure_channel
+    monkeypatch.setattr(grpc, "insecure_channel", lambda target, options: opened.append(target) or open_channel(target, options))
+    with connect(service.target) as client:
+        client.move_on(service.target)
+        assert client.server_info()
+    assert opened == [service.target]

@@ -1,0 +1,116 @@
+"""Recordings: what a session's client sent and got, for Foxglove and for a replay that gives the same to the bit."""
+
+from __future__ import annotations
+
+import base64
+import json
+import threading
+
+import numpy as np
+import pytest
+from ddakf_api.errors import InvalidArgument, SessionNotFound
+from ddakf_client import Frame, connect, recordings
+from mcap.reader import make_reader
+
+from ..service.conftest import TIMEOUT, make_sheet, running
+
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory):
+    arguments = ["--workers", "1", "--spare-workers", "0", "--data-dir", "none"]
+    with running(arguments, tmp_path_factory.mktemp("recordings")) as service:
+        yield service
+
+
+def frames(sheet, first: int, count: int):
+    rng = np.random.default_rng(3)
+    for number in range(first, first + count):
+        points = sheet.vertices + [0.0, 0.0, 0.002 * number] + rng.normal(scale=1e-3, size=sheet.vertices.shape)
+        colors = np.rint(255 * (0.5 + 0.4 * np.sin(200.0 * sheet.vertices))).astype(np.uint8)
+        yield Frame(points, number / 30, [0.1, 0.1, 1.0], colors=colors)
+
+
+@pytest.fixture(scope="module")
+def recorded(service, tmp_path_factory):
+    """The file of a session that had tracked three frames before, and the results that its client got."""
+    path, started, sheet = tmp_path_factory.mktemp("files") / "some.mcap", threading.Event(), make_sheet()
+    with connect(service.grpc) as client, client.create_session(*sheet, flow="lossless") as session:
+        list(session.track(frames(sheet, 1, 3)))
+        observer = connect(service.grpc)
+        other = observer.open_session(session.session_id)
+        options = {"frames": FRAMES, "on_start": started.set}
+        recorder = threading.Thread(target=recordings.record, args=(other, path), kwargs=options)
+        recorder.start()
+        assert started.wait(TIMEOUT)
+        results = list(session.track(frames(sheet, 4, FRAMES), covariance=True))
+        recorder.join(TIMEOUT)
+        assert not recorder.is_alive()
+        observer.close()
+    return path, results
+
+
+def test_a_replay_gives_the_same_to_the_bit(service, recorded):
+    path, results = recorded
+    with connect(service.grpc) as client:
+        pairs = list(recordings.replay(client, recordings.load(path)))
+        assert list(client.sessions(labels={"source": "replay"})) == []
+    assert [before.sequence for before, _ in pairs] == [result.sequence for result in results]
+    for result, (before, now) in zip(results, pairs, strict=True):
+        for name in ("vertices", "sigma", "vertex_reliability", "observed", "covariance"):
+            expected = getattr(result, name)
+            assert np.array_equal(getattr(before, name), expected), name
+            assert np.array_equal(getattr(now, name), expected), name
+
+
+def test_without_a_snapshot_the_replay_starts_from_the_first_result(service, recorded):
+    whole = recordings.load(recorded[0])
+    bare = recordings.Recording(whole.session, whole.frames, whole.results)
+    with connect(service.grpc) as client:
+        pairs = list(recordings.replay(client, bare))
+    assert len(pairs) == FRAMES
+    assert max(np.abs(before.vertices - now.vertices).max() for before, now in pairs) < 5e-3
+
+
+def test_the_file_has_clouds_meshes_and_numbers_in_the_schemas_of_foxglove(recorded):
+    path, results = recorded
+    with path.open("rb") as file:
+        messages = [(schema, channel.topic, message) for schema, channel, message in make_reader(file).iter_messages()]
+    schemas = {topic: schema.name for schema, topic, _ in messages}
+    assert (schemas["/cloud"], schemas["/garment"]) == ("foxglove.PointCloud", "foxglove.SceneUpdate")
+    by_topic = {topic: [m for _, t, m in messages if t == topic] for topic in schemas}
+    assert {topic: len(found) for topic, found in by_topic.items() if topic != "/session"} == {
+        topic: FRAMES for topic in ("/frame", "/result", "/cloud", "/garment", "/numbers")
+    }
+    cloud, mesh, numbers = (json.loads(by_topic[topic][-1].data) for topic in ("/cloud", "/garment", "/numbers"))
+    points = np.frombuffer(base64.b64decode(cloud["data"]), "<f4").reshape(-1, cloud["point_stride"] // 4)
+    sheet = make_sheet()
+    assert points.shape == sheet.vertices.shape
+    (triangles,) = mesh["entities"][0]["triangles"]
+    assert np.allclose([[p[axis] for axis in "xyz"] for p in triangles["points"]], results[-1].vertices, atol=1e-5)
+    assert np.array_equal(np.reshape(triangles["indices"], (-1, 3)), sheet.faces)
+    assert (numbers["sequence"], numbers["state"]) == (results[-1].sequence, results[-1].state)
+    assert numbers["reliability"] == pytest.approx(results[-1].reliability)
+    assert by_topic["/cloud"][-1].publish_time == pytest.approx(1e9 * results[-1].timestamp)
+
+
+def test_a_file_that_is_no_recording_is_refused(tmp_path):
+    path = tmp_path / "no.mcap"
+    path.write_bytes(b"nothing of the kind")
+    with pytest.raises(InvalidArgument, match=r"no\.mcap"):
+        recordings.load(path)
+
+
+def test_a_recording_ends_in_time_although_no_frame_comes(service, tmp_path):
+    with connect(service.grpc) as client, client.create_session(*make_sheet()) as session:
+        assert recordings.record(session, tmp_path / "empty.mcap", seconds=0.2) == 0
+    assert recordings.load(tmp_path / "empty.mcap").frames == []
+
+
+def test_a_session_that_is_not_there_is_not_recorded(service, tmp_path):
+    with connect(service.grpc) as client, client.create_session(*make_sheet()) as session:
+        session.delete()
+        with pytest.raises(SessionNotFound):
+            recordings.record(session, tmp_path / "none.mcap")
+    assert not (tmp_path / "none.mcap").exists()

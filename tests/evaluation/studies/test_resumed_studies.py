@@ -1,0 +1,192 @@
+"""Studies that were interrupted, cut off, or made larger go on where they were."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from io import StringIO
+
+import pytest
+from rich.console import Console
+
+from ddakf.commands import cli
+from ddakf.errors import InvalidFile
+from ddakf.evaluation import machine
+from ddakf.evaluation.studies import worker_processes
+from ddakf.evaluation.studies.execution import execute, run_study
+from ddakf.evaluation.studies.row_log import RowLog
+from ddakf.evaluation.trials import methods
+from tests.evaluation.studies.small import QUIET, Frozen, plan
+
+pytestmark = pytest.mark.slow
+
+TIMES = {"wall_ms_p50", "wall_ms_p99", "cpu_ms_p50", "cpu_ms_p99", "fps", "memory_mib", "processes", "load_average", "seconds"}
+
+
+def test_a_larger_study_runs_what_is_new_alone(systems, tmp_path):
+    out, rows = tmp_path / "out.json", tmp_path / "out.rows.jsonl"
+    first = run_study(plan("frozen"), out, 1, QUIET)
+    before = rows.read_text()
+    second = run_study(plan("frozen", "ddakf"), out, 1, QUIET)
+    assert rows.read_text().startswith(before)
+    assert rows.read_text().count("\n") == 2
+    assert second["results"][0] == first["results"][0]
+
+
+def test_a_system_that_failed_is_tried_again(systems, tmp_path, monkeypatch):
+    out = tmp_path / "out.json"
+    run_study(plan("broken"), out, 1, QUIET)
+    monkeypatch.setitem(methods.BASELINES, "broken", lambda scored: Frozen())
+    assert "failed" not in run_study(plan("broken"), out, 1, QUIET)["results"][0]
+
+
+def test_a_line_that_was_cut_off_is_run_again_and_another_file_is_refused(systems, tmp_path):
+    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
+    execute(wanted, RowLog(path), 1, QUIET)
+    whole = path.read_text()
+    path.write_text(whole[:-40])
+    journal = RowLog(path)
+    assert [journal.done(trial) for trial in wanted] == [True, False]
+    execute(wanted, journal, 1, QUIET)
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [1, 2]
+    path.write_text("not rows\nat all\n")
+    with pytest.raises(InvalidFile, match="line 1"):
+        RowLog(path)
+
+
+def test_a_line_without_its_end_is_written_anew_and_not_continued(systems, tmp_path):
+    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
+    execute(wanted, RowLog(path), 1, QUIET)
+    path.write_text(path.read_text()[:-1])
+    execute(wanted, RowLog(path), 1, QUIET)
+    assert [json.loads(line)["seed"] for line in path.read_text().splitlines()] == [1, 2]
+
+
+@pytest.fixture
+def code(monkeypatch):
+    """What the code calls itself from now on."""
+    return lambda name: monkeypatch.setattr(machine, "code_version", lambda: name)
+
+
+def test_runs_of_older_code_are_kept_and_named_and_those_of_some_systems_run_again(systems, tmp_path, code):
+    out, said = tmp_path / "out.json", Console(file=StringIO(), width=200)
+    code("old")
+    run_study(plan("frozen", "nicp"), out, 1, QUIET)
+    code("new")
+    kept = run_study(plan("frozen", "nicp"), out, 1, said)
+    assert "2 of them are of other code than new (old: 2); --again frozen,nicp runs them again" in said.file.getvalue()
+    assert kept["meta"]["commits"] == ["old"]
+    changed = run_study(plan("frozen", "nicp"), out, 1, QUIET, again=["frozen"])
+    assert [cell["runs"][0]["commit"] for cell in changed["results"]] == ["new", "old"]
+    assert changed["meta"]["commits"] == ["new", "old"]
+    before = (tmp_path / "out.rows.jsonl").read_bytes()
+    run_study(plan("frozen", "nicp"), out, 1, QUIET, again=["frozen"])
+    assert (tmp_path / "out.rows.jsonl").read_bytes() == before, "these are of this code already"
+
+
+def test_uncommitted_code_is_not_known_to_be_the_same_and_what_did_not_apply_may_now(systems, tmp_path, code):
+    out, rows = tmp_path / "out.json", tmp_path / "out.rows.jsonl"
+    for name, lines in (("one-dirty", 2), ("one-dirty", 4)):
+        code(name)
+        run_study(plan("frozen", "absent"), out, 1, QUIET, again=["all"])
+        assert rows.read_text().count("\n") == lines
+    for again, lines in (([], 4), (["absent"], 5)):
+        run_study(plan("frozen", "absent"), out, 1, QUIET, again=again)
+        assert rows.read_text().count("\n") == lines
+
+
+def test_a_system_to_be_run_again_is_one_of_the_study(tmp_path, capsys):
+    command = ["evaluate", "sample", "--methods", "nicp", "--again", "icp", "--json", str(tmp_path / "out.json")]
+    assert cli.main(command) == 2
+    assert "again" in capsys.readouterr().err
+
+
+def test_two_processes_give_the_rows_of_one(tmp_path):
+    wanted = plan("nicp", runs=2).trials()
+    one, two = RowLog(tmp_path / "1"), RowLog(tmp_path / "2")
+    execute(wanted, one, 1, QUIET)
+    execute(wanted, two, 2, QUIET)
+    for a, b in zip(one.rows(wanted), two.rows(wanted), strict=True):
+        assert {k: v for k, v in a.items() if k not in TIMES} == {k: v for k, v in b.items() if k not in TIMES}
+
+
+def test_a_packed_log_is_gone_on_with(tmp_path, systems):
+    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
+    execute(wanted[:1], RowLog(path), 1, QUIET)
+    path.with_name("j.rows.jsonl.gz").write_bytes(gzip.compress(path.read_bytes()))
+    path.unlink()
+    assert [RowLog(path).done(trial) for trial in wanted] == [True, False]
+    execute(wanted, RowLog(path), 1, QUIET)
+    assert path.read_text().count("\n") == 2
+
+
+class Started:
+    """``ddakf evaluate`` in a process group of its own, as a terminal has it, when its first row is there."""
+
+    def __init__(self, folder, procs: int, runs: int):
+        self.out, self.rows = folder / "out.json", folder / "out.rows.jsonl"
+        self.command = [sys.executable, "-m", "ddakf.commands.cli", "evaluate", "sample", "--methods", "nicp",
+                        "--runs", str(runs),
+                        "--frames", "0:8", "--points", "1500", "--procs", str(procs), "--json", str(self.out)]  # fmt: skip
+        self.process = subprocess.Popen(
+            self.command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True,
+            preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),  # a shell's background jobs ignore it
+        )  # fmt: skip
+        while not (self.rows.is_file() and self.rows.read_text().count("\n")):
+            assert self.process.poll() is None, self.process.communicate()
+            time.sleep(0.02)
+
+    def all_ended(self) -> bool:
+        """Within 20 seconds, the workers too."""
+        for _ in range(200):
+            try:
+                os.killpg(self.process.pid, 0)
+            except ProcessLookupError:
+                return True
+            time.sleep(0.1)
+        return False
+
+    def resumed(self) -> dict:
+        before = self.rows.read_bytes()
+        subprocess.run(self.command, check=True, capture_output=True, timeout=250)
+        assert self.rows.read_bytes().startswith(before[: before.rindex(b"\n") + 1])
+        return json.loads(self.out.read_text())["results"][0]
+
+
+@pytest.mark.parametrize("procs", [1, 2])
+def test_an_interrupted_study_goes_on_where_it_was(tmp_path, procs):
+    started = Started(tmp_path, procs, 8)
+    os.killpg(started.process.pid, signal.SIGINT)
+    _, said = started.process.communicate(timeout=250)
+    assert started.process.returncode == 130
+    assert "of 8 runs are in" in said
+    assert "Traceback" not in said
+    assert started.all_ended()
+    assert started.rows.read_text().count("\n") < 8
+    assert len(started.resumed()["runs"]) == 8
+
+
+def test_a_killed_study_leaves_no_process(tmp_path):
+    started = Started(tmp_path, 2, 8)
+    started.process.kill()
+    started.process.communicate(timeout=250)
+    assert started.all_ended()
+
+
+def test_a_process_that_dies_costs_its_trial_alone(tmp_path):
+    wanted, journal = plan("nicp", runs=3).trials(), RowLog(tmp_path / "j")
+    rows = worker_processes.rows(wanted, 2)
+    journal.add({"commit": "x"} | next(rows))
+    multiprocessing.active_children()[-1].kill()
+    for row in rows:
+        journal.add({"commit": "x"} | row)
+    failed = [row["failed"] for row in journal.rows() if "failed" in row]
+    assert len(failed) == 1
+    assert "status -9" in failed[0]
+    assert len(journal.rows(wanted)) == 3

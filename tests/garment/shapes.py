@@ -1,0 +1,29 @@
+"""Other triangulations of a surface."""
+
+import numpy as np
+
+from ddakf import Mesh
+
+
+def centre_split(mesh: Mesh, seed: int = 0) -> Mesh:
+    """Half of the faces split at their centre: uneven triangles on the same surface; the first vertices are the mesh's."""
+    rows = np.random.default_rng(seed).permutation(mesh.n_faces)[: mesh.n_faces // 2]
+    (a, b, c), centre = mesh.faces[rows].T, mesh.n_vertices + np.arange(len(rows))
+    parts = [np.stack(corners, axis=1) for corners in ((a, b, centre), (b, c, centre), (c, a, centre))]
+    vertices = np.concatenate([mesh.vertices, mesh.vertices[mesh.faces[rows]].mean(axis=1)])
+    return Mesh(vertices, np.concatenate([np.delete(mesh.faces, rows, axis=0), *parts]))
+
+
+def turned_numbers(mesh: Mesh) -> Mesh:
+    """The mesh with its vertices and faces in another order."""
+    rng = np.random.default_rng(1)
+    order = rng.permutation(mesh.n_vertices)
+    return Mesh(mesh.vertices[order], np.argsort(order)[mesh.faces][rng.permutation(mesh.n_faces)])
+
+
+def sheet(n: int = 24, size: float = 0.6) -> Mesh:
+    """A square of n by n vertices, of ``size`` metres."""
+    i, j = np.divmod(np.arange(n * n), n)
+    first = np.flatnonzero((i < n - 1) & (j < n - 1))
+    faces = np.concatenate([np.stack([first, first + n, first + 1], 1), np.stack([first + 1, first + n, first + n + 1], 1)])
+    return Mesh(np.stack([size * i / (n - 1), size * j / (n - 1), np.zeros(n * n)], axis=1), faces)

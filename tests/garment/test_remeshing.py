@@ -1,0 +1,109 @@
+"""Remeshing: the surface stays, the triangles become even."""
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh
+from ddakf.garment import remeshing, working_mesh
+from ddakf.garment.remeshing import areas, boundary_loops, remesh, subdivided
+from tests.garment.shapes import centre_split, sheet, turned_numbers
+from tests.stages.scenes import tube
+from tests.tracker_runs import SHIRT
+
+EDGE = 0.03
+SHAPES = pytest.mark.parametrize(
+    "mesh",
+    [SHIRT, tube(), sheet(), centre_split(SHIRT), subdivided(tube(), 0.02)[0]],
+    ids=["shirt", "tube", "sheet", "split shirt", "fine tube"],
+)
+
+
+def lengths(mesh):
+    ends = mesh.vertices[mesh.edges]
+    return np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+
+
+def pieces_openings_handles(mesh):
+    return remeshing._topology(mesh)
+
+
+@SHAPES
+def test_edges_are_even_and_of_the_wanted_length(mesh):
+    length = lengths(remesh(mesh, EDGE).mesh)
+    assert abs(length.mean() / EDGE - 1) < 0.15
+    assert np.log(length).std() < 0.25
+
+
+@SHAPES
+def test_pieces_openings_and_area_stay(mesh):
+    even = remesh(mesh, EDGE).mesh
+    assert pieces_openings_handles(even) == pieces_openings_handles(mesh)
+    assert areas(even).sum() == pytest.approx(areas(mesh).sum(), rel=0.04)  # chords of a curved surface are shorter
+
+
+@SHAPES
+def test_vertices_lie_on_the_surface_and_faces_look_outward(mesh):
+    even = remesh(mesh, EDGE)
+    on_surface = np.einsum("wk,wka->wa", even.share, mesh.vertices[even.corner])
+    np.testing.assert_allclose(even.mesh.vertices, on_surface, atol=1e-12)
+    known = {tuple(sorted(face)) for face in mesh.faces.tolist()}
+    inside = (even.share > 0).all(axis=1)
+    assert all(tuple(sorted(corner)) in known for corner in even.corner[inside].tolist())
+    centre = mesh.vertices.mean(axis=0)
+
+    def volume(mesh):
+        return np.linalg.det(mesh.vertices[mesh.faces] - centre).sum()
+
+    assert volume(even.mesh) == pytest.approx(volume(mesh), rel=0.1, abs=1e-4)
+
+
+def test_the_triangulation_hardly_matters():
+    counts = [remesh(mesh, 0.02).mesh.n_vertices for mesh in (SHIRT, centre_split(SHIRT), subdivided(SHIRT, 0.01)[0])]
+    assert max(counts) < 1.06 * min(counts)
+
+
+def test_the_numbering_does_not_matter():
+    a, b = remesh(SHIRT, EDGE), remesh(turned_numbers(SHIRT), EDGE)
+    a, b = (np.sort(np.round(even.mesh.vertices, 9).view("f8,f8,f8").ravel()) for even in (a, b))
+    np.testing.assert_array_equal(a, b)
+
+
+def test_a_narrow_opening_is_surrounded_by_short_edges():
+    narrow = Mesh(tube().vertices * [0.1, 1.0, 0.1], tube().faces)
+    around = min(len(loop) for loop in boundary_loops(narrow))
+    even = remesh(subdivided(narrow, 0.01)[0], EDGE)
+    assert around > 6
+    assert even is not None
+    assert min(len(loop) for loop in boundary_loops(even.mesh)) >= 6
+
+
+@pytest.mark.parametrize("longest", [0.05, 0.02, 0.009])
+def test_subdivision_keeps_the_surface(longest):
+    fine, place = subdivided(SHIRT, longest)
+    assert lengths(fine).max() <= longest
+    assert pieces_openings_handles(fine) == pieces_openings_handles(SHIRT)
+    assert areas(fine).sum() == pytest.approx(areas(SHIRT).sum(), rel=1e-9)
+    np.testing.assert_allclose(working_mesh.interpolated(SHIRT.vertices, *place), fine.vertices, atol=1e-12)
+    np.testing.assert_array_equal(fine.vertices[: SHIRT.n_vertices], SHIRT.vertices)
+
+
+def test_however_long_the_edges_a_tube_stays_one():
+    even = remesh(tube(), 10.0).mesh
+    assert even.n_vertices < 20
+    assert pieces_openings_handles(even) == pieces_openings_handles(tube())
+
+
+def test_needles_are_refused_before_they_take_memory():
+    needle = Mesh(np.array([[0, 0, 0], [5000, 0, 0], [0, 1e-3, 0]]), np.array([[0, 1, 2]]))
+    assert subdivided(needle, 0.001) is None
+    assert remesh(needle, 0.001) is None
+    assert working_mesh.build(needle, Config().discretisation).mesh is needle
+
+
+@pytest.mark.parametrize("fold", ["point", "line"])
+def test_a_folded_mesh_of_many_pieces_is_survived(fold):
+    """Faces just above the least area, most of them apart from each other."""
+    rng = np.random.default_rng(0)
+    corners = 2e-6 * rng.random((6000, 3)) + ([0, 0, 0] if fold == "point" else np.outer(np.arange(6000) // 3, [1e-3, 0, 0]))
+    mesh, _ = Mesh.cleaned(corners, np.arange(6000).reshape(-1, 3))
+    assert working_mesh.build(mesh, Config().discretisation).mesh.n_vertices >= 3

@@ -1,0 +1,64 @@
+"""Slippage of surfaces along themselves."""
+
+import numpy as np
+import pytest
+
+from ddakf.evaluation.datasets import collection
+from ddakf.garment.slippage import least_normal_share
+from tests.stages.scenes import turn
+from tests.tracker_runs import SHIRT
+
+
+def tube(radii=(0.2, 0.2), height=0.6, around=48, along=12):
+    angle, y = np.meshgrid(np.linspace(0, 2 * np.pi, around, endpoint=False), np.linspace(0, height, along))
+    vertices = np.column_stack([radii[0] * np.cos(angle).ravel(), y.ravel(), radii[1] * np.sin(angle).ravel()])
+    row, column = np.meshgrid(np.arange(along - 1), np.arange(around), indexing="ij")
+    a, b = row * around + column, row * around + (column + 1) % around
+    quads = np.stack([a, a + around, b + around, b], axis=-1).reshape(-1, 4)
+    return vertices, np.vstack([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def test_a_round_tube_turns_unnoticed_and_an_oval_one_less():
+    shares = [least_normal_share(*tube(radii)) for radii in ((0.2, 0.2), (0.22, 0.18), (0.26, 0.14))]
+    assert shares[0] < 1e-3
+    assert (np.diff(shares) > -1e-12).all()
+
+
+def test_a_shirt_slips_less_than_a_tube():
+    assert least_normal_share(SHIRT.vertices, SHIRT.faces) > 0.05
+
+
+@pytest.mark.parametrize(
+    ("garments", "least", "most"),
+    [
+        ({"straight-skirt"}, 0.02, 0.03),
+        ({"skirt", "dress", "trousers"}, 0.02, 0.055),
+        ({"tshirt", "long-shirt", "hoodie", "jacket"}, 0.08, 0.155),
+    ],
+    ids=["straight", "skirts and trousers", "sleeves"],
+)
+def test_garments_slip_by_their_shape(garments, least, most):
+    chosen = [each for each in collection.listed(collection.TRAINING) if each.garment in garments]
+    recordings = [collection.load(each.name) for each in chosen]
+    shares = [least_normal_share(each.garment_vertices[0], each.garment_faces) for each in recordings]
+    assert len(shares) >= 4
+    assert least < min(shares) <= max(shares) < most
+
+
+def test_place_size_and_orientation_change_nothing():
+    vertices, faces = tube((0.25, 0.15))
+    share = least_normal_share(vertices, faces)
+    moved = 3.0 * vertices @ turn(40).T + [1.0, -2.0, 5.0]
+    assert least_normal_share(moved, faces) == pytest.approx(share, rel=1e-6)
+
+
+@pytest.mark.parametrize("scale", [(0, 0, 0), (0, 1, 0), (1, 1, 0)])
+def test_a_surface_that_is_folded_flat_has_a_share(scale):
+    vertices, faces = tube()
+    assert 0.0 <= least_normal_share(vertices * scale, faces) <= 1.0
+
+
+@pytest.mark.parametrize("faces", [[[0, 1, 2]], [[0, 1, 2], [2, 1, 3]]], ids=["one", "two"])
+def test_a_few_triangles_slip(faces):
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]])
+    assert 0.0 <= least_normal_share(vertices, np.array(faces)) <= 0.34

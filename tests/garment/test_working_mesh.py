@@ -1,0 +1,134 @@
+"""Working mesh: the template rides on it, and the tracker's error does not depend on the template's triangles."""
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker
+from ddakf.evaluation.sensors import Sensor
+from ddakf.garment import remeshing, working_mesh
+from tests.garment.shapes import centre_split
+from tests.stages.scenes import FPS, about, rms
+from tests.tracker_runs import ARRAYS, SAMPLE, SHIRT, TUBE, WEARER, assert_same, cloud
+
+NUMBERS = Config().discretisation
+FINE = remeshing.subdivided(SHIRT, 0.012)
+UNEVEN = centre_split(SHIRT)
+FINE_TUBE, PLACE = remeshing.subdivided(TUBE, 0.012)
+
+
+@pytest.fixture(scope="module")
+def fine():
+    return working_mesh.build(FINE[0], NUMBERS)
+
+
+@pytest.mark.parametrize("mesh", [SHIRT, TUBE], ids=["shirt", "tube"])
+def test_an_even_template_that_is_not_too_fine_is_its_own(mesh):
+    assert working_mesh.build(mesh, NUMBERS).mesh is mesh
+
+
+@pytest.mark.parametrize("mesh", [FINE[0], UNEVEN], ids=["fine", "uneven"])
+def test_others_get_an_even_one_of_bounded_size(mesh):
+    working = working_mesh.build(mesh, NUMBERS)
+    assert NUMBERS.working_vertices_least * 0.9 < working.mesh.n_vertices < NUMBERS.working_vertices_most * 1.25
+    assert working_mesh.unevenness(working.mesh) < 0.5
+    assert working_mesh.unevenness(UNEVEN) > NUMBERS.working_unevenness
+
+
+def test_the_paper_tracks_the_template_itself():
+    assert working_mesh.build(FINE[0], Config.paper().discretisation).mesh is FINE[0]
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 3.0])
+def test_the_number_of_vertices_is_bounded_for_every_size(scale):
+    mesh = Mesh(scale * FINE[0].vertices, FINE[0].faces)
+    count = remeshing.remesh(mesh, working_mesh.working_edge(mesh, NUMBERS)).mesh.n_vertices
+    assert 0.9 * NUMBERS.working_vertices_least < count < 1.25 * NUMBERS.working_vertices_most
+
+
+def test_at_rest_the_template_is_where_it_is(fine):
+    still = np.broadcast_to(np.eye(3), (fine.mesh.n_vertices, 3, 3))
+    np.testing.assert_allclose(fine.carried(fine.mesh.vertices, still), fine.template.vertices, atol=1e-12)
+
+
+def test_a_rigid_motion_carries_the_template_rigidly(fine):
+    Q, shift = about([1, 2, 3], 0.7), np.array([0.3, -1.0, 2.0])
+    turned = np.broadcast_to(Q, (fine.mesh.n_vertices, 3, 3))
+    carried = fine.carried(fine.mesh.vertices @ Q.T + shift, turned)
+    np.testing.assert_allclose(carried, fine.template.vertices @ Q.T + shift, atol=1e-12)
+
+
+def test_what_is_linear_over_the_template_is_sampled_and_spread_exactly(fine):
+    values = fine.template.vertices @ np.diag([1.0, -2.0, 0.5])
+    sampled = fine.sampled(values)
+    np.testing.assert_allclose(sampled, fine.mesh.vertices @ np.diag([1.0, -2.0, 0.5]), atol=1e-12)
+    assert rms(fine.spread(sampled) - values) < 2e-3  # the working faces are chords
+
+
+def follow(mesh, vertices, count=6, config=None, **sensor):
+    """RMS errors, m, over a template that moves as ``vertices`` of each frame say; and the last result and its tracker."""
+    tracker = Tracker(mesh, config=config)
+    tracker.reset(vertices(30))
+    rng, errors = np.random.default_rng(0), []
+    for k in range(31, 31 + count):
+        points, origin = Sensor(points=6000, noise=0.003, **sensor).capture(SAMPLE, k, rng)
+        result = tracker.step(points, timestamp=SAMPLE.timestamp(k), sensor_origin=origin)
+        errors.append(rms(result.vertices - vertices(k)))
+    return np.mean(errors), result, tracker
+
+
+def fine_vertices(k):
+    return working_mesh.interpolated(SAMPLE.garment_vertices[k].astype(np.float64), *FINE[1])
+
+
+def test_the_error_does_not_depend_on_the_triangles():
+    own, *_ = follow(SHIRT, lambda k: SAMPLE.garment_vertices[k])
+    subdivided, result, _ = follow(FINE[0], fine_vertices)
+    rows = np.random.default_rng(0).permutation(SHIRT.n_faces)[: SHIRT.n_faces // 2]
+
+    def with_centres(k):
+        vertices = SAMPLE.garment_vertices[k].astype(np.float64)
+        return np.concatenate([vertices, vertices[SHIRT.faces[rows]].mean(axis=1)])
+
+    split, *_ = follow(UNEVEN, with_centres)
+    assert max(subdivided, split) < 1.1 * own + 3e-4
+    assert len(result.vertices) == FINE[0].n_vertices
+
+
+def test_results_of_the_template_are_those_of_its_own_mesh_where_it_tracks_itself():
+    own = Config.from_dict({"discretisation": {"working_edge": 0.0}})
+    a, b = (follow(SHIRT, lambda k: SAMPLE.garment_vertices[k], count=2, config=config)[1] for config in (None, own))
+    assert_same(a, b)
+
+
+def test_a_result_has_a_row_for_each_vertex_of_the_template():
+    _, result, tracker = follow(FINE[0], fine_vertices, count=2)
+    for name in ARRAYS:
+        assert len(getattr(result, name)) == FINE[0].n_vertices
+    assert np.isfinite(np.linalg.cholesky(result.covariance)).all()
+    assert result.observed.mean() == pytest.approx(result.coverage, abs=0.05)
+    np.testing.assert_allclose(result.sigma, np.sqrt(np.trace(result.covariance, axis1=1, axis2=2) / 3))
+    later = tracker.predicted(result, 0.02)
+    assert later.vertices.shape == result.vertices.shape
+    assert (later.sigma >= result.sigma).all()
+
+
+def test_a_snapshot_goes_on_to_the_bit():
+    tracker = Tracker(FINE_TUBE)
+    for k in range(3):
+        tracker.step(cloud(k), timestamp=k / FPS)
+    other = Tracker.restore(tracker.snapshot())
+    a, b = (t.step(cloud(3), timestamp=3 / FPS) for t in (tracker, other))
+    assert_same(a, b)
+
+
+def test_a_body_carries_a_fine_template():
+    tracker = Tracker(FINE[0], body=WEARER)
+    tracker.reset(fine_vertices(0))
+    errors = []
+    for k in range(1, 6):
+        points, origin = Sensor(view="front", points=6000, noise=0.003).capture(SAMPLE, k, np.random.default_rng(k))
+        more = {"sensor_origin": origin, "body_vertices": SAMPLE.body_vertices[k]}
+        result = tracker.step(points, timestamp=SAMPLE.timestamp(k), **more)
+        errors.append(rms(result.vertices - fine_vertices(k)))
+    assert np.mean(errors) < 0.02
+    assert result.state == "tracking"

@@ -1,0 +1,54 @@
+"""Handedness: meshes inside out, clouds seen from the wrong side."""
+
+import pytest
+
+from ddakf import Mesh, Tracker
+from ddakf.plausibility.handedness import outward
+from tests.stages.scenes import FPS, scan, turn
+from tests.tracker_runs import BODY, EYE, SHIRT, TUBE, WEARER, cloud
+
+MIRRORED = Mesh(TUBE.vertices * [-1.0, 1.0, 1.0], TUBE.faces)
+
+
+@pytest.mark.parametrize("mesh", [TUBE, SHIRT, WEARER], ids=["tube", "shirt", "body"])
+def test_normals_point_outward_whatever_the_pose(mesh):
+    value = outward(mesh)
+    assert value > 0.2
+    moved = Mesh(2.0 * mesh.vertices @ turn(40).T + [1.0, -2.0, 3.0], mesh.faces)
+    assert outward(moved) == pytest.approx(value)
+    assert outward(Mesh(mesh.vertices * [1.0, 1.0, -1.0], mesh.faces)) == pytest.approx(-value)
+
+
+def warned(garment, points, origin, frames=7, body=None):
+    tracker = Tracker(garment, body=body)
+    return [tracker.step(points, timestamp=k / FPS, sensor_origin=origin).warnings for k in range(frames)]
+
+
+def test_a_mirrored_mesh_is_told():
+    found = warned(MIRRORED, scan(MIRRORED.vertices, MIRRORED), None)
+    assert [(w.code, w.field) for w in found[-1]] == [("mirrored", "garment")]
+    assert "inside out" in found[-1][0].message
+
+
+def test_a_mirrored_body_is_told():
+    inside_out = Mesh(BODY.vertices, BODY.faces[:, ::-1])
+    found = warned(TUBE, cloud(0), EYE, body=inside_out)
+    assert [(w.code, w.field) for w in found[-1]] == [("mirrored", "body")]
+    assert not any(warned(TUBE, cloud(0), EYE, body=BODY))
+
+
+def test_a_cloud_seen_from_the_wrong_side_is_told():
+    half = cloud(0)
+    half = half[half[:, 2] > 0.05]
+    found = warned(TUBE, half, EYE * [1, 1, -1])
+    assert ("mirrored", "sensor_origin") in [(w.code, w.field) for w in found[-1]]
+    assert not any(warned(TUBE, half, EYE))
+
+
+def test_a_cloud_upside_down_is_told():
+    """As of a depth camera whose y points down."""
+    points = scan(SHIRT.vertices, SHIRT, 5000)
+    (found,) = warned(SHIRT, points * [1, -1, -1], None, 1)
+    assert "upside_down" in [warning.code for warning in found]
+    for heading in (0, 60, 180):
+        assert not any(warned(SHIRT, points @ turn(heading).T + [0.5, 0.0, 0.3], None, 3))

@@ -1,0 +1,72 @@
+"""Placement: points out of reach, an origin amid its points, a body that the garment is not on."""
+
+import numpy as np
+import pytest
+
+from ddakf import Tracker
+from tests.stages.scenes import FPS
+from tests.tracker_runs import BODY, EYE, TUBE, cloud, swaying
+
+
+def last_of(frames, body=None):
+    """The warnings of the last frame by code, and the number of frames without any."""
+    tracker, quiet = Tracker(TUBE, body=body), 0
+    for k, (points, how) in enumerate(frames):
+        result = tracker.step(points, timestamp=k / FPS, **how)
+        quiet += not result.warnings
+    return {warning.code: warning for warning in result.warnings}, quiet
+
+
+def test_points_that_stay_out_of_reach_are_told_with_their_distance():
+    wall = np.random.default_rng(1).uniform(-1, 1, (3000, 3)) * [1.0, 0.5, 0.001] + [0.0, 0.2, -3.0]
+    frames = [(cloud(k), {"sensor_origin": EYE}) for k in range(3)]
+    frames += [(wall.astype(np.float32), {"sensor_origin": EYE})] * 10
+    found, quiet = last_of(frames)
+    assert found.keys() == {"nothing_in_reach"}
+    assert "3000 points" in found["nothing_in_reach"].message
+    assert "2.8" in found["nothing_in_reach"].message
+    assert quiet >= 3 + 4
+
+
+def test_a_garment_that_jumps_and_is_found_is_no_sign():
+    frames = [(cloud(k) + np.float32([0.0 if k < 5 else 0.8, 0, 0]), {"sensor_origin": EYE}) for k in range(20)]
+    assert last_of(frames) == ({}, 20)
+
+
+def test_empty_frames_are_no_sign():
+    frames = [(cloud(k)[: 0 if k % 4 else None], {"sensor_origin": EYE}) for k in range(20)]
+    assert last_of(frames) == ({}, 20)
+
+
+@pytest.mark.parametrize("each", [False, True], ids=["one origin", "one per point"])
+def test_an_origin_amid_its_points_is_told(each):
+    def origin(points, place):
+        return np.tile(place, (len(points), 1)) if each else np.asarray(place)
+
+    frames = [(cloud(k), {"sensor_origin": origin(cloud(k), cloud(k).mean(axis=0))}) for k in range(4)]
+    found, _ = last_of(frames)
+    assert found["points_behind_sensor"].field == "sensor_origin"
+    frames = [(cloud(k), {"sensor_origin": origin(cloud(k), EYE)}) for k in range(4)]
+    assert last_of(frames) == ({}, 4)
+
+
+def test_cameras_on_all_sides_are_no_sign():
+    eyes = 2.0 * np.array([[0, 0.1, 1], [1, 0.1, 0], [0, 0.1, -1], [-1, 0.1, 0]])
+    frames = []
+    for k in range(4):
+        points = cloud(k)
+        nearest = np.linalg.norm(points[:, None] - eyes, axis=2).argmin(axis=1)
+        frames.append((points, {"sensor_origin": eyes[nearest]}))
+    assert last_of(frames) == ({}, 4)
+
+
+def test_a_body_elsewhere_is_told():
+    def frames(shift):
+        for k in range(6):
+            worn = BODY.vertices + swaying(k)[0] - TUBE.vertices[0] + shift
+            yield cloud(k), {"sensor_origin": EYE, "body_vertices": worn}
+
+    assert last_of(frames(0.0), BODY) == ({}, 6)
+    found, _ = last_of(frames([3.0, 0.0, 0.0]), BODY)
+    assert found["body_apart"].field == "body_vertices"
+    assert "2.9 m apart" in found["body_apart"].message

@@ -1,0 +1,120 @@
+"""Units: what is certain to be wrong is refused, what looks wrong is told."""
+
+import numpy as np
+import pytest
+
+from ddakf import Mesh, Tracker
+from ddakf.errors import InvalidFrame, InvalidMesh
+from ddakf.plausibility.units import extent
+from tests.stages.scenes import FPS
+from tests.tracker_runs import BODY, EYE, TUBE, assert_same, cloud
+
+
+def codes(result):
+    return {warning.code for warning in result.warnings}
+
+
+SCALES = {1000: "looks like millimetres", 100: "centimetres", 39.37: "inches", 20: "20", 0.001: "the other were in millimetres"}
+UNEVEN = [0.03, 60.0, 0.03, 0.03, 600.0, 0.03], [30.0, 0.5, 90.0, 0.1]  # s
+
+
+@pytest.mark.parametrize(("factor", "words"), SCALES.items())
+def test_a_first_cloud_of_another_scale_is_refused_and_the_next_good_one_tracked(factor, words):
+    tracker, fresh = Tracker(TUBE), Tracker(TUBE)
+    for _ in range(3):
+        with pytest.raises(InvalidFrame, match=words) as refused:
+            tracker.step(factor * cloud(0), timestamp=0.0, sensor_origin=EYE)
+    assert refused.value.field == "points"
+    assert_same(tracker.step(cloud(0), timestamp=0.0, sensor_origin=EYE), fresh.step(cloud(0), timestamp=0.0, sensor_origin=EYE))
+
+
+@pytest.mark.parametrize("factor", [0.2, 1, 5])
+def test_a_cloud_of_about_the_scale_is_tracked(factor):
+    Tracker(TUBE).step(factor * cloud(0), timestamp=0.0)
+
+
+def test_a_scene_that_contains_the_garment_is_tracked():
+    room = np.random.default_rng(0).uniform(-6, 6, (8000, 3))
+    room = np.concatenate([room, cloud(0)])
+    assert extent(room) > 10 * TUBE.size
+    assert not Tracker(TUBE).step(room, timestamp=0.0, sensor_origin=EYE).warnings
+
+
+@pytest.mark.parametrize(
+    ("start", "field", "words"),
+    [
+        (dict(vertices=1000 * TUBE.vertices), "vertices", "looks like millimetres"),
+        (dict(vertices=39.37 * TUBE.vertices), "vertices", "looks like inches"),
+        (dict(velocities=np.full_like(TUBE.vertices, 300.0)), "velocities", "metres per second"),
+    ],
+)
+def test_a_start_in_another_unit_is_refused(start, field, words):
+    tracker, fresh = Tracker(TUBE), Tracker(TUBE)
+    with pytest.raises(InvalidFrame, match=words) as refused:
+        tracker.reset(**start)
+    assert refused.value.field == field
+    assert_same(tracker.step(cloud(0), timestamp=0.0, sensor_origin=EYE), fresh.step(cloud(0), timestamp=0.0, sensor_origin=EYE))
+
+
+def test_a_garment_may_start_crumpled_or_thrown():
+    Tracker(TUBE).reset(vertices=0.01 * TUBE.vertices, velocities=np.full_like(TUBE.vertices, 30.0))
+
+
+def test_few_points_have_no_size():
+    Tracker(TUBE).step(1000 * cloud(0)[:50], timestamp=0.0)
+
+
+def test_stray_points_do_not_change_the_extent():
+    points = cloud(0)
+    strewn = np.concatenate([points, np.full((len(points) // 20, 3), 500.0, np.float32)])
+    assert extent(strewn) == pytest.approx(extent(points), rel=0.15)
+    assert extent(points) == pytest.approx(np.ptp(points, axis=0).max(), rel=0.15)
+
+
+def test_another_scale_after_the_start_is_told():
+    tracker = Tracker(TUBE)
+    for k in range(5):
+        assert not tracker.step(cloud(k), timestamp=k / FPS, sensor_origin=EYE).warnings
+    for k in range(5, 12):
+        result = tracker.step(1000 * cloud(k), timestamp=k / FPS, sensor_origin=EYE)
+    assert {"length_unit", "nothing_in_reach"} <= codes(result)
+    (told,) = (warning for warning in result.warnings if warning.code == "length_unit")
+    assert told.field == "points"
+    assert "millimetres" in told.message
+
+
+def test_a_garment_in_another_unit_than_its_body_is_refused():
+    with pytest.raises(InvalidMesh, match="millimetres") as refused:
+        Tracker(Mesh(1000 * TUBE.vertices, TUBE.faces), body=BODY)
+    assert refused.value.field == "garment"
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+def test_steps_of_another_unit_are_told(factor, unit):
+    tracker = Tracker(TUBE)
+    found = [tracker.step(cloud(0), timestamp=factor * k / FPS, sensor_origin=EYE) for k in range(6)]
+    assert "time_unit" in codes(found[-1])
+    assert unit in found[-1].warnings[0].message
+    assert codes(found[1]) <= {"clock_jump"}, "one long step is a gap"
+
+
+@pytest.mark.parametrize("steps", [[1 / 30] * 9, [0.1] * 9, [1.0] * 9, *UNEVEN])
+def test_usual_steps_and_gaps_are_no_sign(steps):
+    tracker = Tracker(TUBE)
+    for time in np.cumsum(steps):
+        assert not tracker.step(cloud(0), timestamp=time, sensor_origin=EYE).warnings
+
+
+def test_a_clock_that_was_set_is_told_once():
+    tracker = Tracker(TUBE)
+    times = [0.0, 1 / FPS, *(1.7e9 + k / FPS for k in range(3))]
+    found = [tracker.step(cloud(0), timestamp=time, sensor_origin=EYE) for time in times]
+    assert [codes(result) for result in found] == [set(), set(), {"clock_jump"}, set(), set()]
+    assert "days" in found[2].warnings[0].message
+
+
+def test_a_clock_that_hardly_advances_is_told():
+    tracker = Tracker(TUBE)
+    found = [tracker.step(cloud(0), timestamp=1e-5 * k, sensor_origin=EYE) for k in range(6)]
+    assert codes(found[-1]) == {"stale_clock"}
+    assert "10 us" in found[-1].warnings[0].message

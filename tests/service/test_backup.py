@@ -1,0 +1,113 @@
+"""``ddakf backup`` and ``ddakf restore``: a session goes on from the copy of a running service's data."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import stat
+import tarfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from ddakf_client import connect
+from ddakf_service.store.files.checkpoints import unpack
+
+from ddakf.commands import cli
+
+from .conftest import TIMEOUT, eventually, make_sheet, running
+
+SHEET = make_sheet()
+
+
+def cloud(number: int) -> tuple[np.ndarray, float]:
+    return SHEET.vertices + [0.002 * number, 0, 0], number / 30
+
+
+def stored_frames(data: Path) -> int:
+    """Frames of the only session in its newest checkpoint."""
+    files = sorted((data / "checkpoints").rglob("*.checkpoint"))
+    with contextlib.suppress(FileNotFoundError, IndexError):  # the service replaces it
+        return unpack(files[-1].read_bytes()).snapshot.session.statistics.frames_applied
+    return 0
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_from_the_backup_of_a_running_service(tmp_path, capsys):
+    data, archive, again = tmp_path / "data", tmp_path / "backup.tar", tmp_path / "again"
+    arguments = ["--workers", "1", "--server-id", "one", "--checkpoint-every", "1"]
+    with running([*arguments, "--data-dir", str(data)], tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
+        mesh = client.upload_mesh(*SHEET)
+        session = client.create_session(mesh, flow="lossless", labels={"take": "7"})
+        session_id = session.session_id
+        list(session.track(cloud(k) for k in range(1, 11)))
+        eventually(lambda: stored_frames(data) == 10)
+        assert cli.main(["backup", str(archive), "--data-dir", str(data)]) == 0
+        list(session.track(cloud(k) for k in range(11, 15)))
+    assert stat.S_IMODE(archive.stat().st_mode) == 0o600
+    assert cli.main(["restore", str(archive), "--data-dir", str(again)]) == 0
+    assert {stat.S_IMODE(path.stat().st_mode) for path in again.rglob("*") if path.is_file()} == {0o600}
+    capsys.readouterr()
+    with running([*arguments, "--data-dir", str(again)], tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
+        session = client.open_session(session_id, flow="lossless")
+        assert session.info().labels == {"take": "7"}
+        results = list(session.track(cloud(k) for k in range(11, 15)))
+        assert [result.state for result in results] == ["tracking"] * 4
+        assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
+        assert session.info().recoveries == 1
+        assert [found.name for found in client.meshes()] == [mesh]
+
+
+def test_what_is_no_data_folder_is_refused(tmp_path, capsys):
+    assert cli.main(["backup", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path / "none")]) == 2
+    assert "has no ddakf.sqlite" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_a_folder_with_content_is_left_alone(tmp_path, capsys):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data/own").write_text("mine")
+    assert cli.main(["restore", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path / "data")]) == 2
+    assert "data_dir: expected an empty folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["../outside", "/outside"])
+def test_an_archive_cannot_write_elsewhere(tmp_path, capsys, name):
+    cli.main(["keys", "--data-dir", str(tmp_path / "data"), "create", "x", "--scope", "read"])
+    assert cli.main(["backup", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path / "data")]) == 0
+    with tarfile.open(tmp_path / "x.tar", "a") as archive:
+        archive.addfile(tarfile.TarInfo(name))
+    assert cli.main(["restore", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path / "again")]) == 2
+    assert "files of a data folder" in capsys.readouterr().err
+    assert not (tmp_path / "outside").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive", "other"])
+def test_other_files_are_refused(tmp_path, capsys, content):
+    file = tmp_path / "x.tar"
+    if content == "other":
+        with tarfile.open(file, "w") as archive:
+            archive.addfile(tarfile.TarInfo("something"))
+    else:
+        file.write_bytes(content)
+    assert cli.main(["restore", str(file), "--data-dir", str(tmp_path / "data")]) == 2
+    assert "archive of `ddakf backup`" in capsys.readouterr().err
+    assert not (tmp_path / "data").exists()
+
+
+def test_keys_outlive_a_backup(tmp_path, capsys):
+    place = ["--data-dir", str(tmp_path / "data")]
+    cli.main(["keys", *place, "create", "x", "--scope", "read"])
+    cli.main(["backup", str(tmp_path / "x.tar"), *place])
+    cli.main(["restore", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path / "again")])
+    capsys.readouterr()
+    cli.main(["keys", "--data-dir", str(tmp_path / "again"), "list", "--json"])
+    assert [row["name"] for row in json.loads(capsys.readouterr().out)] == ["x"]
+
+
+def test_a_service_that_stores_elsewhere_is_told_how(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("DDAKF_DATABASE_URL", "postgresql+psycopg://ddakf:secret@db/ddakf")
+    assert cli.main(["backup", str(tmp_path / "x.tar"), "--data-dir", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "its own tools" in said
+    assert "secret" not in said

@@ -1,0 +1,82 @@
+"""Actors whose caller has left, or whose cluster has ended: nothing stays behind, and errors are those of a worker's start."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+
+import pytest
+from ddakf_service.workers.template import WorkerStartFailed
+
+from .test_pool import LIMITS
+
+ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+from ddakf_service.workers.ray_actors import ActorProcess, RayActors  # noqa: E402
+
+pytestmark = pytest.mark.slow
+
+PROCESSORS = 4
+PATIENCE = 120.0  # seconds
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    if ray.is_initialized():
+        ray.shutdown()
+    store = {"object_store_memory": 100_000_000, "include_dashboard": False}
+    ray.init("local", num_cpus=PROCESSORS, log_to_driver=False, configure_logging=False, **store)
+    yield
+    ray.shutdown()
+
+
+def nothing(*_) -> None:
+    """Progress that nobody follows."""
+
+
+async def all_free() -> None:
+    """Returns when no actor has a processor."""
+    deadline = time.monotonic() + PATIENCE
+    while ray.available_resources().get("CPU") != PROCESSORS:
+        assert time.monotonic() < deadline
+        await asyncio.sleep(0.1)
+
+
+@pytest.mark.parametrize("seconds", [0.0, 0.001, 0.3, 2.0])
+async def test_a_caller_who_leaves_leaves_no_actor(cluster, seconds):
+    """Whether it is being created, starts, or has just connected."""
+    source = RayActors(LIMITS, "auto")
+    starting = asyncio.create_task(source.worker(nothing))
+    await asyncio.sleep(seconds)
+    starting.cancel()
+    try:
+        connected = await starting
+    except asyncio.CancelledError:
+        pass
+    else:  # it was ready already
+        connected.writer.close()
+    assert source._expected == {}
+    await all_free()
+    await source.end()
+
+
+async def test_a_killed_actor_is_not_waited_for(cluster):
+    server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
+    host, port = server.sockets[0].getsockname()
+    process = await asyncio.to_thread(ActorProcess, host, port, bytes(32), LIMITS.to_json())
+    assert process.failure() == ""
+    process.kill()
+    assert process.wait() == 1
+    await all_free()
+    server.close()
+
+
+async def test_without_its_cluster_no_worker_starts_and_the_pool_may_try_again(cluster):
+    source = RayActors(LIMITS, "auto")
+    async with source._lock:
+        await source._connect()
+    ray.shutdown()
+    with pytest.raises(WorkerStartFailed, match="no actor can be created: the connection to the cluster has ended"):
+        await source.worker(nothing)
+    assert not ray.is_initialized(), "no call has started another cluster"
+    assert source._expected == {}
+    await source.end()

@@ -1,0 +1,172 @@
+"""A service whose workers are actors of a Ray cluster with two nodes: streams outlive an actor and a node."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from ddakf_client import Frame, connect
+
+from ..conftest import TIMEOUT, eventually, make_sheet, running
+
+pytestmark = pytest.mark.slow
+
+SHEET = make_sheet()
+RATE = 20  # frames per second
+PATIENCE = 120.0  # seconds for the next answer
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A node without processors, where the service is, and two nodes for actors."""
+    pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+    from ray.cluster_utils import Cluster
+
+    store = {"object_store_memory": 100_000_000}
+    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False, **store})
+    for _ in range(2):
+        cluster.add_node(num_cpus=4, **store)
+    yield cluster
+    cluster.shutdown()
+
+
+@pytest.fixture(scope="module")
+def service(cluster, tmp_path_factory):
+    arguments = ["--worker-kind", "ray", "--ray-address", cluster.address, "--workers", "1", "--spare-workers", "1"]
+    with running([*arguments, "--checkpoint-every", "5"], tmp_path_factory.mktemp("ray")) as service:
+        yield service
+
+
+class Stream(threading.Thread):
+    """A lossless stream; the numbers of its answers, the kinds of its notices, and the longest time between two answers."""
+
+    def __init__(self, address: str):
+        super().__init__()
+        self._address, self._wanted = address, threading.Event()
+        self._wanted.set()
+        self.sent, self.answered, self.notices, self.longest = 0, [], [], 0.0
+
+    def run(self) -> None:
+        with connect(self._address, timeout=PATIENCE) as client, client.create_session(*SHEET, flow="lossless") as session:
+            last = time.monotonic()
+            for result in session.track(self._frames(), on_notice=lambda notice: self.notices.append(notice.kind)):
+                self.longest, last = max(self.longest, time.monotonic() - last), time.monotonic()
+                self.answered.append(result.sequence)
+
+    def _frames(self) -> Iterator[Frame]:
+        while self._wanted.is_set():
+            self.sent += 1
+            yield Frame(SHEET.vertices + [0.001 * self.sent, 0, 0], self.sent / RATE)
+            time.sleep(1 / RATE)
+
+    def end(self) -> None:
+        self._wanted.clear()
+        self.join(PATIENCE)
+        assert not self.is_alive()
+
+
+@pytest.fixture
+def stream(service):
+    """A stream with its first answers; every frame has an answer at its end."""
+    stream = Stream(service.grpc)
+    stream.start()
+    try:
+        eventually(lambda: len(stream.answered) >= 10, PATIENCE)
+        yield stream
+    finally:
+        stream.end()
+    assert stream.answered == list(range(1, stream.sent + 1))
+
+
+def raylet_of(node) -> int:
+    """Process id of a node."""
+    return node.all_processes["raylet"][0].process.pid
+
+
+def actors(cluster) -> dict[int, int]:
+    """Of the actors of this cluster, which run on this machine: the process id, and that of the node."""
+    found, nodes = {}, {raylet_of(node) for node in cluster.worker_nodes}
+    for entry in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            if (entry / "cmdline").read_text().startswith("ray::Actor"):
+                found[int(entry.name)] = int(_fields(int(entry.name))[_PARENT])
+    return {actor: node for actor, node in found.items() if node in nodes}
+
+
+def busy_actor(cluster) -> tuple[int, int]:
+    """Process id and node of the actor that tracks the stream: the one that uses the processor most, as the spare one waits."""
+    nodes = actors(cluster)
+    before = {actor: _used(actor) for actor in nodes}
+    time.sleep(2.0)
+    return max(nodes.items(), key=lambda found: _used(found[0]) - before[found[0]])
+
+
+_PARENT, _USER, _SYSTEM = 1, 11, 12  # fields of /proc/PID/stat, from the state on
+
+
+def _fields(process: int) -> list[str]:
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+
+
+def _used(process: int) -> int:
+    """Clock ticks."""
+    fields = _fields(process)
+    return int(fields[_USER]) + int(fields[_SYSTEM])
+
+
+def is_warm(service) -> bool:
+    """Whether a spare actor waits."""
+    return "ddakf_workers_spare 1.0" in httpx.get(f"{service.http}/metrics", timeout=TIMEOUT).text
+
+
+def test_a_node_that_drains_gives_its_sessions_away(service, stream, cluster):
+    """They move between two frames: nothing is forgotten, no actor is left there, and the stream has nothing to be told."""
+    eventually(lambda: is_warm(service), PATIENCE)
+    before, (_, raylet) = len(stream.answered), busy_actor(cluster)
+    (node,) = [n for n in cluster.worker_nodes if raylet_of(n) == raylet]
+    why = ["--reason", "DRAIN_NODE_REASON_PREEMPTION", "--reason-message", "test", "--deadline-remaining-seconds", "3600"]
+    command = [sys.executable, "-m", "ray.scripts.scripts", "drain-node", "--address", cluster.address, "--node-id", node.node_id]
+    subprocess.run([*command, *why], check=True, capture_output=True, timeout=TIMEOUT)
+    eventually(lambda: raylet not in actors(cluster).values(), PATIENCE)
+    eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
+    assert stream.notices == []
+    cluster.remove_node(node)
+    cluster.add_node(num_cpus=4, object_store_memory=100_000_000)
+    print(f"node drained: {stream.longest:.2f} s without an answer")
+
+
+def test_a_stream_outlives_its_actor(service, stream, cluster):
+    eventually(lambda: is_warm(service), PATIENCE)
+    before = len(stream.answered)
+    os.kill(busy_actor(cluster)[0], signal.SIGKILL)
+    eventually(lambda: "resumed" in stream.notices, PATIENCE)
+    eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
+    print(f"actor killed: {stream.longest:.2f} s without an answer")
+
+
+def test_a_stream_outlives_the_node_of_its_actor(service, stream, cluster):
+    eventually(lambda: is_warm(service), PATIENCE)
+    before, (_, raylet) = len(stream.answered), busy_actor(cluster)
+    (node,) = [n for n in cluster.worker_nodes if raylet_of(n) == raylet]
+    cluster.remove_node(node, allow_graceful=False)
+    eventually(lambda: "resumed" in stream.notices, PATIENCE)
+    eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
+    print(f"node lost: {stream.longest:.2f} s without an answer")
+
+
+def test_a_cluster_that_is_not_there_is_one_sentence(tmp_path):
+    pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+    arguments = ["--worker-kind", "ray", "--ray-address", "127.0.0.1:1", "--data-dir", str(tmp_path / "data")]
+    command = [sys.executable, "-m", "ddakf_service", "--grpc-port", "0", "--http-port", "0", *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
+    assert ended.returncode == 1
+    assert "ddakf serve: the Ray cluster '127.0.0.1:1' cannot be reached" in ended.stderr.splitlines()[-1]

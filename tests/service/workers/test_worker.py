@@ -1,0 +1,68 @@
+"""One worker and the server's end of its connection."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import logging
+
+import pytest
+from ddakf_api.errors import WorkerLost
+from ddakf_service.workers.messages import wire
+from ddakf_service.workers.template import Connected
+from ddakf_service.workers.worker import Worker
+
+
+class Process:
+    """A process elsewhere; the calls that it got."""
+
+    pid = 1
+
+    def __init__(self):
+        self.calls = []
+
+    def kill(self) -> None:
+        self.calls.append("kill")
+
+    def wait(self, timeout: float | None = None) -> int:
+        self.calls.append("wait")
+        return 0
+
+
+class Source:
+    """Gives one worker over a connection within this process; ``far`` is the other end."""
+
+    def __init__(self, process: Process):
+        self._process = process
+
+    async def worker(self, progress) -> Connected:
+        accepted = asyncio.get_running_loop().create_future()
+        server = await asyncio.start_server(lambda *ends: accepted.set_result(ends), "127.0.0.1", 0)
+        reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
+        self.reader, (_, self.far) = reader, await accepted
+        server.close()
+        return Connected(self._process, reader, writer, here=False)
+
+
+@pytest.mark.parametrize("number", [errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ECONNRESET])
+async def test_a_vanished_machine_is_a_lost_worker_and_no_invalid_message(number, caplog):
+    process = Process()
+    source = Source(process)
+    worker = await Worker.start(source, 10, lambda *_: None)
+    answer = worker.send(wire.Kind.CLOSE, "some")
+    source.reader.set_exception(OSError(number, "gone"))
+    with caplog.at_level(logging.INFO):
+        with pytest.raises(WorkerLost):
+            await asyncio.wait_for(answer, 10)
+        await asyncio.wait_for(worker.gone.wait(), 10)
+    assert caplog.records == []
+    source.far.close()
+
+
+async def test_what_is_no_message_costs_the_worker_and_is_logged(caplog):
+    source = Source(Process())
+    worker = await Worker.start(source, 10, lambda *_: None)
+    source.far.write(wire.head(99, 1, "", 0))
+    await asyncio.wait_for(worker.gone.wait(), 10)
+    assert "invalid message" in caplog.text
+    source.far.close()
