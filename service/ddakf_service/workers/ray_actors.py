@@ -182,10 +182,11 @@ class ActorProcess:
             if not done:
                 raise subprocess.TimeoutExpired("actor", timeout)
             ray.get(self._ending)
+            status = 0
         except _RAY_ERRORS:
-            return 1
-        self.kill()  # its work is done, its process still there
-        return 0
+            status = 1
+        self.kill()  # its work has ended, well or not, and its process is still there
+        return status
 
 
 class Actor:

@@ -70,6 +70,16 @@ async def test_a_killed_actor_is_not_waited_for(cluster):
     server.close()
 
 
+async def test_an_actor_whose_work_failed_is_gone(cluster):
+    """Its server has closed the connection before the answers were read."""
+    server = await asyncio.start_server(lambda _, writer: writer.transport.abort(), "127.0.0.1", 0)
+    host, port = server.sockets[0].getsockname()
+    process = await asyncio.to_thread(ActorProcess, host, port, bytes(32), LIMITS.to_json())
+    assert await asyncio.to_thread(process.wait, PATIENCE) == 1
+    await all_free()
+    server.close()
+
+
 async def test_without_its_cluster_no_worker_starts_and_the_pool_may_try_again(cluster):
     source = RayActors(LIMITS, "auto")
     async with source._lock:

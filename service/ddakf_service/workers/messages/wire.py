@@ -143,12 +143,15 @@ class BlockingChannel:
 
     def receive(self) -> Message | None:
         """The next message; None when the server is gone."""
-        head = self._file.read(_HEADER.size)
-        if len(head) < _HEADER.size:
+        try:
+            head = self._file.read(_HEADER.size)
+            if len(head) < _HEADER.size:
+                return None
+            kind, number, id_size, size = _HEADER.unpack(head)
+            session_id = self._file.read(id_size).decode()
+            content = self._file.read(size)
+        except ConnectionError:  # it closed with an answer unread
             return None
-        kind, number, id_size, size = _HEADER.unpack(head)
-        session_id = self._file.read(id_size).decode()
-        content = self._file.read(size)
         return Message(Kind(kind), number, session_id, content) if len(content) == size else None
 
     def send(self, message: Message) -> None:
