@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import logging
 import secrets
+import signal
 import socket
 import subprocess
 import sys
+import threading
 from typing import Any
 
 import ray
@@ -102,6 +104,7 @@ class RayActors:
             except (OSError, RuntimeError, ValueError) as error:
                 raise WorkerStartFailed(f"the Ray cluster {self._address!r} cannot be reached: {_first_line(error)}") from None
             self._connected_here = True
+            _keep_own_handler_of_sigterm()
         self._host = ray.util.get_node_ip_address()
         self._server = await asyncio.start_server(self._arrived, self._host, 0, limit=STREAM_BUFFER)
         self._following = asyncio.create_task(self._follow_nodes())
@@ -247,6 +250,12 @@ def _draining_nodes() -> frozenset[str]:
     except (ImportError, AttributeError, *_RAY_ERRORS):
         log.debug("the nodes that drain are not known", exc_info=True)
         return frozenset()
+
+
+def _keep_own_handler_of_sigterm() -> None:
+    """Takes SIGTERM back from Ray, whose handler aborts the process three seconds later: an orderly stop may take longer."""
+    if threading.current_thread() is threading.main_thread() and (handler := signal.getsignal(signal.SIGTERM)) is not None:
+        signal.signal(signal.SIGTERM, handler)  # Python keeps the handler that it had, and does not know of Ray's
 
 
 def _require_port(address: str) -> None:

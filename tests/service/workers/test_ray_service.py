@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from pathlib import Path
 
 import httpx
 import pytest
+from ddakf_api.errors import ServiceError
 from ddakf_client import Frame, connect
 
 from ..conftest import TIMEOUT, eventually, make_sheet, running
@@ -161,6 +163,21 @@ def test_a_stream_outlives_the_node_of_its_actor(service, stream, cluster):
     eventually(lambda: "resumed" in stream.notices, PATIENCE)
     eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
     print(f"node lost: {stream.longest:.2f} s without an answer")
+
+
+def test_a_stop_gives_the_clients_their_grace(cluster, tmp_path):
+    """Also when that is longer than the three seconds after which Ray would abort the process; ``running`` wants the status 0."""
+    arguments = ["--worker-kind", "ray", "--ray-address", cluster.address, "--workers", "1", "--spare-workers", "0"]
+    with running([*arguments, "--drain-grace", "4"], tmp_path) as service, connect(service.grpc, timeout=PATIENCE) as client:
+        session = client.create_session(*SHEET, flow="lossless")
+        frames = (Frame(SHEET.vertices, number / RATE) for number in itertools.count(1) if not time.sleep(1 / RATE))
+        answers = session.track(frames, resume=0)
+        next(answers)
+        before = time.monotonic()
+        assert service.stop() == 0
+        assert time.monotonic() - before > 3.5
+        with contextlib.suppress(ServiceError):
+            answers.close()
 
 
 def test_a_cluster_that_is_not_there_is_one_sentence(tmp_path):
