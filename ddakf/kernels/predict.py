@@ -38,3 +38,72 @@ def propagate(last, travel, damping, noise, prior):
             prior_pp[i, a, a] += pp
             prior_pu[i, a, a] += pu
             prior_uu[i, a, a] += uu
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def means(position, velocity, center, mean):
+    """Means of (V, 3) ``position``, metres, and ``velocity``, m/s, into (3,) ``center`` and ``mean``."""
+    n = position.shape[0]
+    for a in range(3):
+        x, u = 0.0, 0.0
+        for i in range(n):
+            x += position[i, a]
+            u += velocity[i, a]
+        center[a], mean[a] = x / n, u / n
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def moments(position, velocity, center, inertia, momentum):
+    """Inertia (3, 3), m^2, and angular momentum (3,), m^2/s, of vertices of mass 1 about ``center``, which they set.
+
+    Returns:
+        Sum of |u|^2, m^2/s^2.
+    """
+    xx, yy, zz, xy, xz, yz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    momentum[:] = 0.0
+    square = 0.0
+    for i in range(position.shape[0]):
+        x, y, z = position[i, 0] - center[0], position[i, 1] - center[1], position[i, 2] - center[2]
+        u, v, w = velocity[i, 0], velocity[i, 1], velocity[i, 2]
+        xx, yy, zz, xy, xz, yz = xx + x * x, yy + y * y, zz + z * z, xy + x * y, xz + x * z, yz + y * z
+        momentum[0] += y * w - z * v
+        momentum[1] += z * u - x * w
+        momentum[2] += x * v - y * u
+        square += u * u + v * v + w * w
+    inertia[0, 0], inertia[1, 1], inertia[2, 2] = yy + zz, xx + zz, xx + yy
+    inertia[0, 1] = inertia[1, 0] = -xy
+    inertia[0, 2] = inertia[2, 0] = -xz
+    inertia[1, 2] = inertia[2, 1] = -yz
+    return square
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def move_rigidly(position, velocity, motion, rotation, rigid, own, moved, moved_velocity):
+    """Moves vertices with a rigid motion, and with what of their velocities is not of it.
+
+    Args:
+        position, velocity: (V, 3) m and m/s.
+        motion: centre (m), its velocity (m/s) and the angular velocity (rad/s), (3,) each.
+        rotation: (3, 3) of the motion.
+        rigid, own: (seconds of travel, factor on the velocity) of the rigid motion, and of the rest of the velocity.
+        moved, moved_velocity: (V, 3) out.
+    """
+    center, mean, turning = motion
+    travel, kept = rigid
+    own_travel, own_kept = own
+    wx, wy, wz = turning
+    for i in range(position.shape[0]):
+        x, y, z = position[i, 0] - center[0], position[i, 1] - center[1], position[i, 2] - center[2]
+        u = velocity[i, 0] - mean[0] - (wy * z - wz * y)
+        v = velocity[i, 1] - mean[1] - (wz * x - wx * z)
+        w = velocity[i, 2] - mean[2] - (wx * y - wy * x)
+        x, y, z = x + own_travel * u, y + own_travel * v, z + own_travel * w
+        for a in range(3):
+            moved[i, a] = rotation[a, 0] * x + rotation[a, 1] * y + rotation[a, 2] * z
+            moved_velocity[i, a] = own_kept * (rotation[a, 0] * u + rotation[a, 1] * v + rotation[a, 2] * w)
+        x, y, z = moved[i, 0], moved[i, 1], moved[i, 2]
+        moved_velocity[i, 0] += kept * (mean[0] + wy * z - wz * y)
+        moved_velocity[i, 1] += kept * (mean[1] + wz * x - wx * z)
+        moved_velocity[i, 2] += kept * (mean[2] + wx * y - wy * x)
+        for a in range(3):
+            moved[i, a] += center[a] + travel * mean[a]

@@ -66,6 +66,26 @@ def fit_rotations(position, start, neighbour, term, iterations):
                 stretch_rotation(covariance[k], follow[i], half_weight, shared[i])
 
 
+@njit(nogil=True, cache=True, error_model="numpy")
+def products(left, right, product):
+    """A_i B_i of (V, 3, 3) matrices."""
+    for i in range(left.shape[0]):
+        for a in range(3):
+            for b in range(3):
+                x, y, z = right[i, 0, b], right[i, 1, b], right[i, 2, b]
+                product[i, a, b] = left[i, a, 0] * x + left[i, a, 1] * y + left[i, a, 2] * z
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def products_with_transposed(left, right, product):
+    """A_i B_i' of (V, 3, 3) matrices."""
+    for i in range(left.shape[0]):
+        for a in range(3):
+            for b in range(3):
+                x, y, z = right[i, b, 0], right[i, b, 1], right[i, b, 2]
+                product[i, a, b] = left[i, a, 0] * x + left[i, a, 1] * y + left[i, a, 2] * z
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
 def stretch_rotation(covariance, follow, half_weight, shared):
     """Replaces w / 2 R in ``shared`` (12,) by w / 2 (C + m R) (S + m I)^-1, by columns, padded.

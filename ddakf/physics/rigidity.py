@@ -42,13 +42,18 @@ def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.
     follow = np.empty((n if share > 0 else 0, 8), np.float32)
     if share > 0:
         kernels.followers(model.start, edge, share, follow)
-    rotation = rotation.copy() if shape is None else rotation @ shape.rotation.transpose(0, 2, 1)
-    return LocalRigidity(edge, float(weight), rotation, np.empty((n, 12), np.float32), follow)
+    own = rotation.copy()
+    if shape is not None:
+        kernels.products_with_transposed(rotation, shape.rotation, own)
+    return LocalRigidity(edge, float(weight), own, np.empty((n, 12), np.float32), follow)
 
 
 def against_template(term: LocalRigidity, shape: Resting | None) -> np.ndarray:
     """(V, 3, 3) rotations of :func:`to_rest` 's term against the template."""
-    return term.rotation if shape is None else term.rotation @ shape.rotation
+    if shape is None:
+        return term.rotation
+    kernels.products(term.rotation, shape.rotation, rotation := np.empty_like(term.rotation))
+    return rotation
 
 
 def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:

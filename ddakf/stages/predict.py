@@ -98,26 +98,28 @@ def _rigidly_moved(
     The rigid motion is the least-squares one, of all vertices alike. With r its share of sum |u|^2 it is damped by (1 - r)
     ``damping``, what remains of u by ``damping``.
     """
-    center, mean, turning = _rigid_motion(position, velocity)
-    rigid = mean + np.cross(turning, position - center)
-    lasting = damping * (1.0 - min(1.0, float(np.square(rigid).sum() / max(np.square(velocity).sum(), 1e-30))))
-    kept, travel = float(np.exp(-lasting * dt)), _travel(lasting, step)
-    turned = rotation_matrices(travel * turning).T
-    own = velocity - rigid
-    moved = (position + _travel(damping, step) * own - center) @ turned
-    return (
-        moved + center + travel * mean,
-        float(np.exp(-damping * dt)) * own @ turned + kept * (mean + np.cross(turning, moved)),
-    )
+    motion, share = _rigid_motion(position, velocity)
+    lasting = damping * (1.0 - share)
+    travel = _travel(lasting, step)
+    moved, kept = np.empty(position.shape), np.empty(position.shape)
+    kernels.move_rigidly(
+        position, velocity, motion, rotation_matrices(travel * motion[2]), (travel, float(np.exp(-lasting * dt))),
+        (_travel(damping, step), float(np.exp(-damping * dt))), moved, kept,
+    )  # fmt: skip
+    return moved, kept
 
 
-def _rigid_motion(position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Centre (m), its velocity (m/s), and the angular velocity (rad/s), (3,) each, of the least-squares rigid motion."""
-    center, mean = position.mean(axis=0), velocity.mean(axis=0)
-    arm = position - center
-    inertia = np.square(arm).sum() * np.eye(3) - arm.T @ arm
-    momentum = np.cross(arm, velocity - mean).sum(axis=0)
-    return center, mean, np.linalg.solve(inertia + (1e-9 * np.trace(inertia) + 1e-30) * np.eye(3), momentum)
+def _rigid_motion(position: np.ndarray, velocity: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], float]:
+    """The least-squares rigid motion, and its share of sum |u|^2.
+
+    The motion is its centre (m), the centre's velocity (m/s), and the angular velocity (rad/s), (3,) each.
+    """
+    center, mean, momentum, inertia = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
+    kernels.means(position, velocity, center, mean)
+    square = kernels.moments(position, velocity, center, inertia, momentum)
+    turning = np.linalg.solve(inertia + (1e-9 * np.trace(inertia) + 1e-30) * np.eye(3), momentum)
+    rigid = len(position) * float(mean @ mean) + float(turning @ inertia @ turning)
+    return (center, mean, turning), min(1.0, rigid / max(square, 1e-30))
 
 
 class Ahead(NamedTuple):
