@@ -315,6 +315,7 @@ def _ray_cluster():
     """A node without processors for the gateways, and two for actors."""
     from ray.cluster_utils import Cluster
 
+    os.environ["RAY_worker_niceness"] = "0"  # noqa: SIM112 (the name that Ray reads)
     head = {"num_cpus": 0, "include_dashboard": False, "object_store_memory": NODE["object_store_memory"]}
     cluster = Cluster(initialize_head=True, head_node_args=head)
     for _ in range(2):

@@ -34,11 +34,13 @@ def cluster():
     from ray.cluster_utils import Cluster
 
     store = {"object_store_memory": 100_000_000}
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False, **store})
-    for _ in range(2):
-        cluster.add_node(num_cpus=4, **store)
-    yield cluster
-    cluster.shutdown()
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("RAY_worker_niceness", "0")  # as the documents have it
+        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False, **store})
+        for _ in range(2):
+            cluster.add_node(num_cpus=4, **store)
+        yield cluster
+        cluster.shutdown()
 
 
 @pytest.fixture(scope="module")
