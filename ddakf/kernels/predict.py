@@ -54,7 +54,12 @@ def means(position, velocity, center, mean):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def moments(position, velocity, center, inertia, momentum):
-    """Inertia (3, 3), m^2, and angular momentum (3,), m^2/s, of vertices of mass 1 about ``center``, which they set.
+    """Inertia and angular momentum of vertices of mass 1 about ``center``.
+
+    Args:
+        position, velocity: (V, 3) m and m/s; the velocities' mean does not matter.
+        center: (3,) m, mean of the positions.
+        inertia, momentum: (3, 3) m^2 and (3,) m^2/s, out.
 
     Returns:
         Sum of |u|^2, m^2/s^2.
