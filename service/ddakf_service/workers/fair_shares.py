@@ -23,6 +23,7 @@ _LEAST = 0.9  # of the time that a whole frame takes: the smallest budget
 _WHOLE_EVERY, _WHOLE_BUDGET = 30, 2.0  # frames, of which one has so many times the budget and shows what a whole one takes
 _SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
 _URGENT, _URGENT_FRAMES = 0.6, 5  # of what it needs: a share with which a session waits neither so long nor for others
+_FIRST_FRAMES = 10  # of a tracker, which nothing is left out of; later ones take less, when all is in the caches
 _FADES = 0.998  # per frame, what the own tracker took
 _SETTLED = 0.5  # seconds between two changes of trackers in a worker, so that each one shows
 _ROOMY = 1.1  # of what its own tracker takes has room beside the others' when a session goes back to it
@@ -40,9 +41,11 @@ class _Demand:
         rate: frames per second that are due.
         seconds: running mean of the processor seconds of a frame; infinite before the first.
         whole: running mean of the processor seconds of frames of which nothing was left out, after the prediction; 0 before the
-            first. A lost garment is searched in each frame where there is time, which would crowd out the other work.
-        own_whole: the same of its own tracker, while the lighter one is in use. It fades, since it is often of the first second,
-            when nothing is in the caches, or of a motion that is over: the own tracker is tried again in the end.
+            first, the least of a tracker's first ones. A lost garment is searched in each frame where there is time, which would
+            crowd out the other work.
+        own_whole: the same of its own tracker, while the lighter one is in use. It fades, since it is often of a motion that is
+            over: the own tracker is tried again in the end.
+        tracked: number of frames of the tracker that is in use.
         frames: number of frames in realtime flow.
         granted: processor seconds per second; infinite before the first frame with a budget.
         lighter: its lighter tracker is wanted.
@@ -58,6 +61,7 @@ class _Demand:
     seconds: float = math.inf
     whole: float = 0.0
     own_whole: float = 0.0
+    tracked: int = 0
     frames: int = 0
     granted: float = math.inf
     lighter: bool = False
@@ -76,6 +80,11 @@ class _Demand:
     def load(self) -> float:
         """Processor seconds per second of frames of which nothing is left out."""
         return self.rate * self.whole
+
+    @property
+    def is_new(self) -> bool:
+        """Its tracker has just begun: what its frames take says little about later ones."""
+        return self.tracked < _FIRST_FRAMES
 
     @property
     def is_short(self) -> bool:
@@ -126,7 +135,7 @@ class FairShares:
         self._choose_tracker(demand, now)
         if not demand.whole:
             return Grant(0.0, demand.lighter)
-        least = _LEAST if demand.frames % _WHOLE_EVERY else _WHOLE_BUDGET
+        least = _WHOLE_BUDGET if demand.is_new or demand.frames % _WHOLE_EVERY == 0 else _LEAST
         return Grant(max(demand.granted / rate, least * demand.whole), demand.lighter)
 
     def _choose_tracker(self, demand: _Demand, now: float) -> None:
@@ -137,7 +146,7 @@ class FairShares:
         settled = now - self._changed > _SETTLED
         if not demand.lighter:
             crowded = sum(other.load for other in self._demands.values()) > self._planned
-            demand.short = demand.short + 1 if crowded and demand.is_short else 0
+            demand.short = demand.short + 1 if crowded and demand.is_short and not demand.is_new else 0
             urgent = demand.short >= _URGENT_FRAMES and demand.granted < _URGENT * demand.whole * demand.rate
             if urgent or (demand.short >= _SHORT_FRAMES and settled and self._is_dearest(demand)):
                 demand.change(True, now)
@@ -184,14 +193,17 @@ class FairShares:
         demand.seconds = spent.processor if first else demand.seconds + _GAIN * (spent.processor - demand.seconds)
         usual = spent.processor - spent.prediction
         demand.own_whole = max(_FADES * demand.own_whole, demand.whole) if demand.is_lighter else 0.0
-        if spent.widening == 1.0:
+        demand.tracked += 1
+        if demand.is_new:
+            demand.whole = min(demand.whole, usual) if demand.whole else usual
+        elif spent.widening == 1.0:
             demand.whole += (_GAIN if demand.whole else 1.0) * (usual - demand.whole)
         elif demand.whole:
             demand.whole = max(demand.whole, usual)
 
     def _record_change(self, demand: _Demand, lighter: bool) -> None:
         """Another tracker has tracked the last frame: what the one before took says nothing about it."""
-        demand.is_lighter, demand.seconds = lighter, math.inf
+        demand.is_lighter, demand.seconds, demand.tracked = lighter, math.inf, 0
         demand.whole, demand.own_whole = 0.0, demand.whole if lighter else 0.0
 
 

@@ -32,12 +32,14 @@ def test_what_suffices_is_granted(wanted):
 class Load:
     """Sessions that send frames in turn, at 30 per second each; frames that need more than their budget are cut to it.
 
-    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none.
+    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first frames of a
+    tracker take ``cold`` times as long.
     """
 
-    def __init__(self, seconds: dict[str, float], speed: float = 1.0, lighter: float = 0.0):
-        self.shares, self.seconds, self.speed, self.lighter = FairShares(), dict(seconds), speed, lighter
+    def __init__(self, seconds: dict[str, float], speed: float = 1.0, lighter: float = 0.0, cold: float = 1.0):
+        self.shares, self.seconds, self.speed, self.lighter, self.cold = FairShares(), dict(seconds), speed, lighter, cold
         self.now, self.light, self.changes = 0.0, dict.fromkeys(seconds, False), 0
+        self.tracked = dict.fromkeys(seconds, 0)
 
     def budgets(self, frames: int = 200, rate: float = 30.0) -> dict[str, float]:
         """The last ones."""
@@ -47,9 +49,12 @@ class Load:
             for name, needed in self.seconds.items():
                 found[name], lighter = self.shares.grant(name, rate, self.now)
                 lighter = lighter and self.lighter > 0
-                self.changes += lighter != self.light[name]
+                changed = lighter != self.light[name]
+                self.changes += changed
                 self.light[name] = lighter
+                self.tracked[name] = 1 if changed else self.tracked[name] + 1
                 needed *= self.lighter if lighter else 1.0
+                needed *= self.cold if self.tracked[name] <= 5 else 1.0
                 used = min(needed, found[name] or math.inf)
                 self.shares.record(name, Spent(used, 0.0, used / self.speed, 1.5 if used < needed else 1.0, lighter))
         return found
@@ -95,8 +100,9 @@ def test_a_session_that_is_gone_has_no_share():
 def test_a_lossless_session_uses_its_share_and_has_no_budget():
     load = Load({"lossless": 0.02})
     assert load.budgets(rate=0.0)["lossless"] == 0.0
-    load.shares.grant("realtime", 30.0, load.now)
-    load.shares.record("realtime", Spent(0.05, 0.0, 0.05))
+    for _ in range(20):
+        load.shares.grant("realtime", 30.0, load.now)
+        load.shares.record("realtime", Spent(0.05, 0.0, 0.05))
     assert 0 < load.shares.grant("realtime", 30.0, load.now).budget < 0.05
 
 
@@ -111,6 +117,7 @@ def test_a_need_that_ends_is_forgotten():
 
 def test_one_frame_in_thirty_shows_what_a_whole_one_takes():
     load = Load({"one": 0.05})
+    load.budgets(frames=30)
     found = [load.budgets(frames=1)["one"] for _ in range(90)]
     assert [k + 1 for k, budget in enumerate(found) if budget >= 0.099] == [30, 60, 90]
     for seconds in (0.02, 0.05):
@@ -168,6 +175,23 @@ def test_one_own_tracker_stays_where_there_is_room_for_one():
     load.seconds = dict.fromkeys(load.seconds, 0.016)
     load.budgets(frames=1200)
     assert sorted(load.light.values()) == [False, True]
+
+
+def test_the_first_frames_of_a_tracker_do_not_change_it():
+    """They take longer: nothing is in the caches."""
+    load = Load({"one": 0.013, "two": 0.013}, lighter=0.5, cold=2.5)
+    load.budgets(frames=600)
+    assert load.changes == 0
+
+
+def test_an_own_tracker_comes_back_although_its_first_frames_take_longer():
+    load = Load({"one": 0.03, "two": 0.03}, lighter=0.5, cold=2.0)
+    load.budgets(frames=60)
+    assert all(load.light.values())
+    load.seconds = dict.fromkeys(load.seconds, 0.013)
+    load.budgets(frames=1800)
+    assert sum(load.light.values()) <= 1
+    assert load.changes <= 6
 
 
 @pytest.mark.parametrize("seconds", [0.016, 0.02, 0.03])
