@@ -116,7 +116,7 @@ REASONS = {
     "Colour.claimed_sd": "chosen: seen vertices stay in their ellipsoids",
     "Colour.memory": "chosen: 30 and 1,000 give the same",
     "Colour.learned_above": "chosen: a doubtful garment learns the colours of others",
-    "Tukey.cutoff": "95 % Gaussian efficiency (Holland and Welsch 1977); the paper leaves it open",
+    "Tukey.cutoff": "tuned; the paper leaves it open, and its preset has 95 % Gaussian efficiency (Holland and Welsch 1977)",
     "Tukey.gate_probability": "the paper's tau as a quantile, valid for any dimension",
     "InnovationNoise.alpha": "the paper leaves it open; a memory of ten frames",
     "InnovationNoise.epsilon": "the paper leaves it open; 1 mm²",

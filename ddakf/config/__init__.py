@@ -129,6 +129,7 @@ class Config:
             preprocess=KnnFilter(),
             coarse=Coarse(iterations=0),
             associate=NearestPoint(),
+            robust=Tukey(cutoff=4.685),
             adapt=InnovationNoise(),
             physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0),
             fuse=DecoupledUpdate(),
@@ -137,7 +138,10 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """About half of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
+        """About half of the default's time for a larger error: a coarser working mesh, fewer passes and planes.
+
+        Edges of such a mesh span folds, so that large strains count less.
+        """
         return cls(
             discretisation=Discretisation(
                 working_edge=0.045,
@@ -152,6 +156,7 @@ class Config:
             preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
             coarse=Coarse(iterations=1),
             associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.003),
+            physics=Physics(strain_scale=0.05),
             evidence=ErrorEvidence(points=300),
         )
 

@@ -31,7 +31,7 @@ class Physics(Checked):
     self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
     layer_reach: float = bounded(1.0, 0.01, 10)  # mean edge lengths within which a vertex of another layer is sought
     layer_separation: float = bounded(3.0, 0.01, 100)  # mean edge lengths: vertices closer at rest are of one layer
-    motion_rigidity: float = bounded(3.0e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
+    motion_rigidity: float = bounded(1.5e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     motion_time: float = bounded(1.0 / 30.0, 1e-3, 10)  # s: change over a longer time is less rigid in proportion
     rest_rigidity: float = bounded(3.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the start, or of the template
     uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened

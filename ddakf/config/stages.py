@@ -129,7 +129,7 @@ class NearestPoint(Checked):
 class Tukey(Checked):
     """Tukey bisquare weights and a Mahalanobis gate (section 2.5)."""
 
-    cutoff: float = bounded(4.685, 0.1, 100)  # in robust standard deviations: 95 % efficiency under Gaussian noise
+    cutoff: float = bounded(7.0, 0.1, 100)  # in robust standard deviations; 4.685 has 95 % efficiency under Gaussian noise
     gate_probability: float = bounded(0.999, 0.5, 1)  # of the chi-square distribution of the innovation's dimension
 
 

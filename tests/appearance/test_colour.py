@@ -51,7 +51,7 @@ def test_a_slide_that_only_colours_show_is_followed():
     moved, stayed = (results[-1].vertices - SHEET.vertices)[INNER], (blind[-1].vertices - SHEET.vertices)[INNER]
     assert np.abs(moved[:, 0] - slid).mean() < 0.15 * slid
     assert np.abs(moved[:, 1]).mean() < 0.15 * slid
-    assert np.abs(stayed[:, 0]).mean() < 0.5 * slid
+    assert np.abs(stayed[:, 0]).mean() < 0.7 * slid
 
 
 def test_stripes_tell_nothing_along_themselves():
