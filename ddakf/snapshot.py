@@ -25,7 +25,7 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 11
+VERSION = 12
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 

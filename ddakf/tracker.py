@@ -21,7 +21,7 @@ from ddakf.planning.clock import Clock
 from ddakf.plausibility import admission, units, warnings
 from ddakf.results import FrameResult, Usage
 from ddakf.search import relocalize
-from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
+from ddakf.stages import adapt, associate, frame_gate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
 from ddakf.transfer import Discretised, transferred
 from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior, Problem, Setup, State, Track, variances
 
@@ -122,6 +122,7 @@ class Tracker:
             posterior = uncertainty.posterior(problem, estimate)
         with clock("reliability"):  # G. Reliability (2.6), and warnings of wrong input
             verdict = warnings.warned(problem, estimate, reliability.judge(problem, estimate, posterior))
+            estimate, posterior, verdict = frame_gate.gate(problem, estimate, posterior, verdict)
         with clock("output"):  # H. Output
             track, result = self._output(problem, estimate, posterior, verdict)
         self._track = plan.learned(clock, track, problem, estimate)

@@ -256,6 +256,7 @@ class Health(NamedTuple):
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
     spacing: float = 0.0  # s between the last two frames
+    reliability: float = 0.0  # of the last frame
     # of the predicted error
     least_strain: float = 10.0  # RMS, so far
     offset: float = 0.0  # m^2

@@ -292,6 +292,8 @@ class Reliability(Checked):
     lost_coverage: float = bounded(0.05, 0, 1)  # coverage; a frame with points and less coverage counts towards a loss
     lost_after: float = bounded(0.5, 0, 100)  # s of such frames, or of rejected fits
     longest_frame: float = bounded(0.3, 1e-3, 100)  # s that one frame counts for, at most, towards a loss
+    gate_above: float = bounded(0.6, 0, 1)  # score from which a frame that follows is held against it; 1: none is
+    gate_ratio: float = bounded(0.4, 0, 1)  # of that score: with a lower one, the prediction is kept
     lost_after_empty: float = bounded(2.0, 0, 1000)  # s of empty clouds
 
 

@@ -217,7 +217,7 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     reliability = float(score(error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
-    moved = moved._replace(spacing=problem.dt)
+    moved = moved._replace(spacing=problem.dt, reliability=reliability)
     return Verdict(moved, reliability, s_k, coverage, score(errors, config), frame, vertices)
 
 

@@ -126,9 +126,9 @@ def test_planes_far_from_a_dense_cloud_are_near_those_of_brute_force(away, share
 @PRESETS
 @pytest.mark.parametrize("name", adversarial.CLOUDS)
 def test_a_hostile_frame_is_answered_and_the_next_good_one_tracked(name, config):
-    """In most places: once in ten, a search finds the shirt turned after a hollow cube, and takes ten frames to return."""
+    """A cloud of something else is not followed, wherever the garment is; by the paper's preset in half of the places."""
     tracker, errors = Tracker(SHIRT, config=config), {False: [], True: []}
-    for spoiled, start in itertools.product(errors, (31, 36, 38)):
+    for spoiled, start in itertools.product(errors, (20, 31, 36, 38)):
         tracker.reset(vertices=SAMPLE.garment_vertices[start])
         for frame in range(start + 1, start + 7):
             if spoiled and frame == start + 2:
@@ -139,4 +139,5 @@ def test_a_hostile_frame_is_answered_and_the_next_good_one_tracked(name, config)
             assert_finite(result)
         errors[spoiled].append(rmse_mm(result.vertices, SAMPLE.garment_vertices[frame]))
     # mm; a hollow cube within the gate has torn it by centimetres
-    assert np.median(errors[True]) < 3.0 * np.median(errors[False]) + 2.0
+    worst = np.max if config == Config() else np.median
+    assert worst(errors[True]) < 1.5 * worst(errors[False]) + 2.0, errors
