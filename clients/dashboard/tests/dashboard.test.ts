@@ -90,6 +90,23 @@ describe("a server without keys", () => {
     await expect.poll(() => label.innerText()).toBe("now");
   });
 
+  test("a vertex is picked, and the next ones, by the keyboard", async () => {
+    const canvas = page.locator(".canvas-place canvas");
+    const readout = page.locator(".readout");
+    const vertex = async () => /Vertex (\d+)/.exec(await readout.innerText())![1];
+    await canvas.press("Enter");
+    await expect.poll(() => readout.innerText()).toMatch(/Vertex \d+ .*σ .* mm/);
+    expect(await canvas.getAttribute("aria-describedby")).toBe(await readout.getAttribute("id"));
+    const visited = new Set([await vertex()]);
+    for (let k = 0; k < 4; k++) {
+      await canvas.press("Shift+ArrowRight");
+      visited.add(await vertex());
+    }
+    expect(visited.size).toBe(5);
+    await canvas.press("Escape");
+    await readout.waitFor({ state: "hidden" });
+  });
+
   test("the vertex under the pointer is described, in every colour", async () => {
     const box = (await page.locator(".canvas-place").boundingBox())!;
     await page.mouse.move(box.x + box.width / 2, box.y + 0.62 * box.height);

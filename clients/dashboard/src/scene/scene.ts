@@ -7,6 +7,7 @@ import { colour } from "../theme.js";
 import { SCALES, paint, paintNormals, paintPlain, type Mode } from "./colours.js";
 import { RADIUS_90, ellipsoid90 } from "./ellipsoid.js";
 import { objects, put } from "./objects.js";
+import { Picker } from "./picker.js";
 import { Resolution, isSoftware } from "./resolution.js";
 
 export type Up = "y" | "z";
@@ -22,6 +23,7 @@ export interface Layers {
 
 export class Scene {
   readonly canvas: HTMLCanvasElement;
+  readonly picker: Picker;
   mode: Mode = "reliability";
   layers: Layers = { body: true, cloud: true, wires: false };
   up: Up = "y";
@@ -47,6 +49,7 @@ export class Scene {
     this.renderer = new three.WebGLRenderer({ antialias: !isSoftware(), alpha: true, powerPreference: "high-performance" });
     this.canvas = this.renderer.domElement;
     container.append(this.canvas);
+    this.picker = new Picker(this.canvas, this.camera, this.objects.garment);
     this.resolution = new Resolution(this.renderer, this.render);
     this.scene.add(new three.HemisphereLight(0xffffff, 0x5b6270, 2.2));
     const sun = new three.DirectionalLight(0xffffff, 1.6);
@@ -154,18 +157,6 @@ export class Scene {
     this.camera.position.copy(this.controls.target).add(offset);
     this.controls.update();
     this.invalidate();
-  }
-
-  /** The vertex nearest to a place of the canvas in pixels; undefined: none is there. */
-  vertexAt(x: number, y: number): number | undefined {
-    const { width, height } = this.canvas.getBoundingClientRect();
-    const ray = new three.Raycaster();
-    ray.setFromCamera(new three.Vector2((2 * x) / width - 1, 1 - (2 * y) / height), this.camera);
-    const hit = ray.intersectObject(this.objects.garment, false)[0];
-    if (!hit?.face) return undefined;
-    const position = this.objects.garment.geometry.getAttribute("position") as three.BufferAttribute;
-    const distance = (v: number) => new three.Vector3().fromBufferAttribute(position, v).distanceToSquared(hit.point);
-    return [hit.face.a, hit.face.b, hit.face.c].sort((a, b) => distance(a) - distance(b))[0];
   }
 
   /** Shows the 90 % ellipsoid of a vertex; undefined: none. */

@@ -1,4 +1,4 @@
-/** Inspector: the vertex under the pointer with its 90 % ellipsoid, and the trail of a picked one. */
+/** Inspector: the vertex under the pointer with its 90 % ellipsoid, and the trail of one picked by pointer or keyboard. */
 import { set, text } from "../dom.js";
 import { fixed, millimetres } from "../format.js";
 import type { Scene } from "../scene/scene.js";
@@ -8,6 +8,7 @@ import type { Stage } from "./stage.js";
 
 const TRAIL_SECONDS = 3;
 const CLICK_PIXELS = 4; // a pointer that moves further turns the view
+const STEPS: Record<string, [number, number]> = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class Inspector {
   private scene: Scene | undefined;
@@ -32,6 +33,7 @@ export class Inspector {
       this.pressed = [event.clientX, event.clientY];
     });
     canvas.addEventListener("click", this.onClick);
+    canvas.addEventListener("keydown", this.onKey);
   }
 
   close(): void {
@@ -49,7 +51,7 @@ export class Inspector {
     this.requested = true;
     requestAnimationFrame(() => {
       this.requested = false;
-      this.hovered = this.pointer && this.scene?.vertexAt(...this.pointer);
+      this.hovered = this.pointer && this.scene?.picker.at(...this.pointer);
       this.update();
     });
   };
@@ -63,7 +65,18 @@ export class Inspector {
   private readonly onClick = (event: MouseEvent) => {
     const moved = Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]);
     if (moved > CLICK_PIXELS) return;
-    this.picked = this.scene?.vertexAt(event.offsetX, event.offsetY);
+    this.picked = this.scene?.picker.at(event.offsetX, event.offsetY);
+    this.update();
+  };
+
+  /** Enter picks the vertex in the middle, Shift and an arrow the next one that way, Escape none. */
+  private readonly onKey = (event: KeyboardEvent) => {
+    const step = event.shiftKey ? STEPS[event.key] : undefined;
+    if (event.key === "Enter" || (step && this.picked === undefined)) this.picked = this.scene?.picker.middle();
+    else if (step) this.picked = this.scene?.picker.neighbour(this.picked!, ...step) ?? this.picked;
+    else if (event.key === "Escape") this.picked = undefined;
+    else return;
+    event.preventDefault();
     this.update();
   };
 

@@ -15,13 +15,14 @@ const LABELS: Record<(typeof MODES)[number], string> = {
 const LAYERS: Record<keyof Layers, string> = { body: "Body", cloud: "Points", wires: "Edges" };
 const TURN = 0.12; // radians per key
 const ZOOM = 1.12;
+const KEYS = "Arrow keys turn it, plus and minus zoom. Enter picks a vertex, shift and an arrow the next one, escape none.";
 
 export class Stage {
   readonly element: HTMLElement;
   readonly canvasPlace = h("div.canvas-place");
   /** Place of a passing notice. */
   readonly notice = h("div.stage-notice", { role: "status" });
-  readonly readout = h("p.readout", { hidden: true });
+  readonly readout = h("p.readout", { hidden: true, id: "readout" });
   private readonly words = h("p.stage-words", { role: "status" });
   private readonly legend = h("div.legend");
   private readonly modes = h(
@@ -68,7 +69,7 @@ export class Stage {
 
   attach(scene: Scene): void {
     this.scene = scene;
-    set(scene.canvas, { tabindex: 0, role: "img", "aria-label": "Garment in 3D. Arrow keys turn it, plus and minus zoom." });
+    set(scene.canvas, { tabindex: 0, role: "img", "aria-label": `Garment in 3D. ${KEYS}`, "aria-describedby": "readout" });
     scene.canvas.addEventListener("keydown", this.onKey);
     this.setMode(scene.mode);
     this.showUp();
@@ -82,7 +83,7 @@ export class Stage {
 
   /** What the canvas shows, for those who do not see it. */
   describe({ state, reliability, coverage }: Moment): void {
-    const words = `Garment in 3D: ${state}, reliability ${percent(reliability)}, ${percent(coverage)} measured. Arrow keys turn it, plus and minus zoom.`;
+    const words = `Garment in 3D: ${state}, reliability ${percent(reliability)}, ${percent(coverage)} measured. ${KEYS}`;
     if (this.scene && document.activeElement !== this.scene.canvas) set(this.scene.canvas, { "aria-label": words });
   }
 
@@ -135,7 +136,7 @@ export class Stage {
       "-": [0, 0, ZOOM],
     };
     const turn = turns[event.key];
-    if (!turn) return;
+    if (!turn || (event.shiftKey && event.key.startsWith("Arrow"))) return; // with shift the picked vertex moves
     event.preventDefault();
     this.scene?.orbit(...turn);
   };
