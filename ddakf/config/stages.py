@@ -231,48 +231,48 @@ class EvidenceScales(Checked):
 class NormalError(EvidenceScales):
     """Size of a vertex's error along its normal: a base times the product of (1 + evidence / scale)^power."""
 
-    seen: float = bounded(0.00059, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00063, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00084, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.332, 0, 2)  # of the claimed error over 5 mm
+    seen: float = bounded(0.00063, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00075, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00104, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.353, 0, 2)  # of the claimed error over 5 mm
     unmatched_power: float = bounded(0.0, 0, 10)
-    hem_power: float = bounded(0.158, 0, 10)
-    unseen_power: float = bounded(0.088, 0, 10)
-    clearance_power: float = bounded(0.719, 0, 10)
-    slack_power: float = bounded(0.159, 0, 10)
-    strain_power: float = bounded(0.089, 0, 10)
-    slip_power: float = bounded(0.139, 0, 10)
-    offset_power: float = bounded(0.299, 0, 10)
-    distance_power: float = bounded(1.326, 0, 10)
-    reached_power: float = bounded(0.644, 0, 10)
-    turned_power: float = bounded(0.38, 0, 10)
-    moved_power: float = bounded(0.243, 0, 10)
-    soft_power: float = bounded(0.068, 0, 10)
-    blind_power: float = bounded(0.154, 0, 10)
+    hem_power: float = bounded(0.163, 0, 10)
+    unseen_power: float = bounded(0.056, 0, 10)
+    clearance_power: float = bounded(0.647, 0, 10)
+    slack_power: float = bounded(0.207, 0, 10)
+    strain_power: float = bounded(0.145, 0, 10)
+    slip_power: float = bounded(0.11, 0, 10)
+    offset_power: float = bounded(0.245, 0, 10)
+    distance_power: float = bounded(1.017, 0, 10)
+    reached_power: float = bounded(0.621, 0, 10)
+    turned_power: float = bounded(0.337, 0, 10)
+    moved_power: float = bounded(0.223, 0, 10)
+    soft_power: float = bounded(0.0, 0, 10)
+    blind_power: float = bounded(0.181, 0, 10)
 
 
 @dataclass(frozen=True)
 class TangentialError(EvidenceScales):
     """The same across its normal."""
 
-    seen: float = bounded(0.00083, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00069, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00083, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.349, 0, 2)  # of the claimed error over 5 mm
-    unmatched_power: float = bounded(0.062, 0, 10)
-    hem_power: float = bounded(0.23, 0, 10)
-    unseen_power: float = bounded(0.038, 0, 10)
-    clearance_power: float = bounded(0.18, 0, 10)
-    slack_power: float = bounded(0.473, 0, 10)
-    strain_power: float = bounded(0.0, 0, 10)
-    slip_power: float = bounded(0.399, 0, 10)
-    offset_power: float = bounded(0.329, 0, 10)
-    distance_power: float = bounded(0.409, 0, 10)
-    reached_power: float = bounded(0.339, 0, 10)
-    turned_power: float = bounded(0.168, 0, 10)
-    moved_power: float = bounded(0.311, 0, 10)
-    soft_power: float = bounded(0.233, 0, 10)
-    blind_power: float = bounded(0.183, 0, 10)
+    seen: float = bounded(0.00084, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00075, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00088, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.361, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.056, 0, 10)
+    hem_power: float = bounded(0.267, 0, 10)
+    unseen_power: float = bounded(0.041, 0, 10)
+    clearance_power: float = bounded(0.164, 0, 10)
+    slack_power: float = bounded(0.511, 0, 10)
+    strain_power: float = bounded(0.046, 0, 10)
+    slip_power: float = bounded(0.288, 0, 10)
+    offset_power: float = bounded(0.264, 0, 10)
+    distance_power: float = bounded(0.546, 0, 10)
+    reached_power: float = bounded(0.431, 0, 10)
+    turned_power: float = bounded(0.13, 0, 10)
+    moved_power: float = bounded(0.352, 0, 10)
+    soft_power: float = bounded(0.197, 0, 10)
+    blind_power: float = bounded(0.153, 0, 10)
 
 
 # G. Reliability -----------------------------------------------------------------------------------------------------
