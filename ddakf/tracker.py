@@ -18,10 +18,10 @@ from ddakf.multiresolution import cluster_alignment
 from ddakf.physics import adaptive_stiffness, energies, rigidity
 from ddakf.planning import omission, plan
 from ddakf.planning.clock import Clock
-from ddakf.plausibility import admission, units, warnings
+from ddakf.plausibility import admission, frame_gate, units, warnings
 from ddakf.results import FrameResult, Usage
 from ddakf.search import relocalize
-from ddakf.stages import adapt, associate, frame_gate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
+from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
 from ddakf.transfer import Discretised, transferred
 from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior, Problem, Setup, State, Track, variances
 
@@ -122,7 +122,6 @@ class Tracker:
             posterior = uncertainty.posterior(problem, estimate)
         with clock("reliability"):  # G. Reliability (2.6), and warnings of wrong input
             verdict = warnings.warned(problem, estimate, reliability.judge(problem, estimate, posterior))
-            estimate, posterior, verdict = frame_gate.gate(problem, estimate, posterior, verdict)
         with clock("output"):  # H. Output
             track, result = self._output(problem, estimate, posterior, verdict)
         self._track = plan.learned(clock, track, problem, estimate)
@@ -131,7 +130,10 @@ class Tracker:
     def _output(
         self, problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict
     ) -> tuple[Track, FrameResult]:
-        """The track after a frame, and the frame's result at the template's vertices."""
+        """The track after a frame, and its result at the template's vertices; of the prediction where the fit has collapsed."""
+        if frame_gate.collapsed(problem, estimate, verdict):
+            estimate, verdict = frame_gate.held(problem, estimate, verdict)
+            posterior = uncertainty.posterior(problem, estimate)
         track = _learned(problem, estimate, posterior, verdict)
         return track, self._working.result(_result(problem, estimate, posterior, verdict), track.rotation)
 

@@ -1,0 +1,32 @@
+"""Gate of whole frames: a cloud with which a good fit collapses is of something else, and the prediction is kept."""
+
+from __future__ import annotations
+
+from ddakf.config import PaperReliability
+from ddakf.stages.reliability import Verdict
+from ddakf.types import Estimate, Problem
+
+
+def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
+    """Whether the reliability has fallen since the last frame as it does with no motion of a garment.
+
+    A single frame of nonsense, of another camera or damaged on its way, lies in part within the gates of single vertices and
+    tears the garment, which takes a second to come back. The second such frame in a row is believed, as the reliability before it
+    was low.
+
+    Args:
+        problem: the frame.
+        estimate: finished.
+        verdict: on it.
+    """
+    config, before = problem.config.reliability, problem.health.reliability
+    if isinstance(config, PaperReliability) or estimate.rejected or before < config.gate_above:
+        return False
+    return verdict.reliability < config.gate_ratio * before
+
+
+def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:
+    """The estimate at its prediction, and the verdict without what the cloud said of the fit."""
+    after = verdict.health
+    health = problem.health._replace(state=after.state, spacing=after.spacing, reliability=after.reliability)
+    return estimate._replace(position=problem.prior.position, rejected=True), verdict._replace(health=health)
