@@ -24,7 +24,6 @@ _WHOLE_EVERY, _WHOLE_BUDGET = 30, 2.0  # frames, of which one has so many times 
 _SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
 _URGENT, _URGENT_FRAMES = 0.6, 5  # of what it needs: a share with which a session waits neither so long nor for others
 _FIRST_FRAMES = 10  # of a tracker, which nothing is left out of; later ones take less, when all is in the caches
-_OWN = 2.0  # times the time of the lighter tracker's frames, which those of the own one take where none was tracked yet
 _FADES = 0.998  # per frame, what the own tracker took
 _SETTLED = 0.5  # seconds between two changes of trackers in a worker, so that each one shows
 _ROOMY = 1.1  # of what its own tracker takes has room beside the others' when a session goes back to it
@@ -44,8 +43,8 @@ class _Demand:
         whole: running mean of the processor seconds of frames of which nothing was left out, after the prediction; 0 before the
             first, the least of a tracker's first ones. A lost garment is searched in each frame where there is time, which would
             crowd out the other work.
-        own_whole: the same of its own tracker, while the lighter one is in use; 0: not known. It fades, since it is often of a
-            motion that is over: the own tracker is tried again in the end.
+        own_whole: the same of its own tracker, while the lighter one is in use. It fades, since it is often of a motion that is
+            over: the own tracker is tried again in the end.
         tracked: number of frames of the tracker that is in use.
         frames: number of frames in realtime flow.
         granted: processor seconds per second; infinite before the first frame with a budget.
@@ -118,8 +117,9 @@ class FairShares:
             now: monotonic clock, seconds.
         """
         demand = self._demands.get(session_id)
-        if demand is None:  # one that joins others takes their time only where there is room
-            demand = self._demands[session_id] = _Demand(now, rate, lighter=self._is_in_use(now))
+        if demand is None:
+            crowded = any(other.lighter for other in self._demands.values())
+            demand = self._demands[session_id] = _Demand(now, rate, lighter=crowded)
         elif rate > 0:
             demand.rate = rate
         elif (pause := now - demand.last) < _PAUSE:
@@ -153,26 +153,16 @@ class FairShares:
                 self._changed = now
         elif demand.is_lighter:
             others = sum(other.rate * other.seconds for other in self._demands.values() if other is not demand)
-            own = demand.own_whole or _OWN * demand.whole
-            roomy = others + _ROOMY * own * demand.rate < self._planned
+            roomy = others + _ROOMY * demand.own_whole * demand.rate < self._planned
             demand.roomy_since = min(demand.roomy_since, now) if roomy else math.inf
-            if settled and now - demand.roomy_since > demand.wait and self._is_cheapest(demand):
+            if settled and now - demand.roomy_since > demand.wait:
                 demand.change(False, now)
                 self._changed = now
-
-    def _is_in_use(self, now: float) -> bool:
-        """A session has sent frames lately."""
-        return any(now - other.last < _ABSENT_AFTER for other in self._demands.values())
 
     def _is_dearest(self, demand: _Demand) -> bool:
         """No session without a lighter tracker in use takes more."""
         others = (other for other in self._demands.values() if not other.lighter)
-        return all(demand.load >= other.load for other in others)
-
-    def _is_cheapest(self, demand: _Demand) -> bool:
-        """No other session for whose own tracker there is room takes less."""
-        others = (other for other in self._demands.values() if other.lighter and math.isfinite(other.roomy_since))
-        return all(demand.load <= other.load for other in others)
+        return all(demand.whole * demand.rate >= other.whole * other.rate for other in others)
 
     def affordable_rate(self, session_id: str) -> float:
         """Frames per second with the smallest budget that the session's share allows; 0: more than arrive."""
@@ -202,8 +192,7 @@ class FairShares:
         first = math.isinf(demand.seconds)
         demand.seconds = spent.processor if first else demand.seconds + _GAIN * (spent.processor - demand.seconds)
         usual = spent.processor - spent.prediction
-        if demand.own_whole:
-            demand.own_whole = max(_FADES * demand.own_whole, demand.whole)
+        demand.own_whole = max(_FADES * demand.own_whole, demand.whole) if demand.is_lighter else 0.0
         demand.tracked += 1
         if demand.is_new:
             demand.whole = min(demand.whole, usual) if demand.whole else usual
