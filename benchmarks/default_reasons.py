@@ -168,7 +168,7 @@ REASONS = {
     "Reliability.lost_after": "chosen: 15 frames at 30 per second",
     "Reliability.lost_after_empty": "chosen: without points the fit is unknown, not bad",
     "Reliability.gate_above": "chosen: what ends recovery, and a margin",
-    "Reliability.gate_ratio": "chosen: one of 9,000 frames of training recordings falls so far; nonsense falls to a third",
+    "Reliability.gate_ratio": "chosen: nonsense lowers it to a third, fast motion by less",
     "Reliability.longest_frame": "chosen: nine frames at 30 per second",
     "PaperReliability.threshold": "below exp(-1), see stage G; the paper leaves tau open",
     "PaperReliability.recovery_lambda": "the paper leaves it open",

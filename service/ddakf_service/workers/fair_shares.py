@@ -194,12 +194,12 @@ class FairShares:
         usual = spent.processor - spent.prediction
         demand.own_whole = max(_FADES * demand.own_whole, demand.whole) if demand.is_lighter else 0.0
         demand.tracked += 1
-        if demand.is_new:
-            demand.whole = min(demand.whole, usual) if demand.whole else usual
-        elif spent.widening == 1.0:
-            demand.whole += (_GAIN if demand.whole else 1.0) * (usual - demand.whole)
-        elif demand.whole:
-            demand.whole = max(demand.whole, usual)
+        if spent.widening > 1.0:  # cut: a whole one takes at least as much
+            demand.whole = max(demand.whole, usual) if demand.whole else 0.0
+        elif demand.whole == 0.0 or demand.is_new:
+            demand.whole = min(demand.whole or math.inf, usual)
+        else:
+            demand.whole += _GAIN * (usual - demand.whole)
 
     def _record_change(self, demand: _Demand, lighter: bool) -> None:
         """Another tracker has tracked the last frame: what the one before took says nothing about it."""

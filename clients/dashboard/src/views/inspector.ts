@@ -77,6 +77,7 @@ export class Inspector {
     else if (event.key === "Escape") this.picked = undefined;
     else return;
     event.preventDefault();
+    this.hovered = undefined; // until the pointer moves
     this.update();
   };
 
