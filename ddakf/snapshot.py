@@ -26,6 +26,7 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 12
+READ = (11, VERSION)  # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
@@ -255,8 +256,8 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
     if len(data) < 16 or data[:8] != MAGIC:
         raise InvalidSnapshot("snapshot", "bytes of a ddakf tracker", f"{len(data)} other bytes")
     version = int.from_bytes(data[8:12], "little")
-    if version != VERSION:
-        raise InvalidSnapshot("snapshot.version", str(VERSION), str(version))
+    if version not in READ:
+        raise InvalidSnapshot("snapshot.version", " or ".join(map(str, READ)), str(version))
     if zlib.crc32(data[16:]) != int.from_bytes(data[12:16], "little"):
         raise InvalidSnapshot("snapshot", "intact bytes", "a wrong checksum")
     try:

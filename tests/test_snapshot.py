@@ -93,6 +93,18 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
+def test_a_snapshot_of_version_11_goes_on_without_the_last_frames_reliability():
+    tracker = tracked(5, BODY)
+    numbers, arrays = snapshot.parts(tracker)
+    del numbers["health"]["reliability"]
+    older = bytearray(snapshot.pack(numbers, arrays))
+    older[8:12] = (11).to_bytes(4, "little")
+    twin = Tracker.restore(older)
+    assert twin._track.health == tracker._track.health._replace(reliability=0.0)
+    points, how = next(frames(5, 1, BODY))
+    assert_same(twin.step(points, **how), tracker.step(points, **how))
+
+
 def test_a_snapshot_that_is_not_compressed_is_the_same_state():
     tracker = tracked(3, BODY)
     plain = tracker.snapshot(compressed=False)
