@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
+import json
 import re
 import subprocess
 import tomllib
@@ -92,8 +93,19 @@ class Rendered:
 
 
 @functools.cache
+def kubectl() -> str:
+    """The path of kubectl; the test skips where it is missing, or older than the clusters that the manifests are for."""
+    found = program("kubectl", "kubernetes-client")
+    about = subprocess.run([found, "version", "--client", "--output=json"], capture_output=True, timeout=60, check=True)
+    version = json.loads(about.stdout)["clientVersion"]["gitVersion"]
+    if tuple(map(int, re.match(r"v(\d+)\.(\d+)", version).groups())) < tuple(map(int, OLDEST.split("."))):
+        pytest.skip(f"kubectl {version} does not read the manifests: {OLDEST} or newer does")
+    return found
+
+
+@functools.cache
 def rendered(overlay: str) -> Rendered:
-    command = [program("kubectl", "kubernetes-client"), "kustomize", FOLDER / "overlays" / overlay]
+    command = [kubectl(), "kustomize", FOLDER / "overlays" / overlay]
     ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 0, ended.stderr
     assert not ended.stderr  # deprecated fields
