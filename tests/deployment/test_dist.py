@@ -90,20 +90,28 @@ def test_a_wheel_has_its_files_and_no_others(distributions, name):
 
 def interpreters() -> list[str]:
     """Interpreters of this machine that ddakf supports, one of each version."""
-    names = [name for minor in (11, 12, 13) if shutil.which(name := f"python3.{minor}")]
-    # a name may be that of a version manager, which lacks the version
-    works = [name for name in names if subprocess.run([name, "--version"], capture_output=True, check=False).returncode == 0]
-    return works or [sys.executable]
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"))
+    found = []
+    for name in ("python3.11", "python3.12", "python3.13"):
+        # the name may be that of a shim of pyenv, which fails unless its version is chosen
+        names = [path for path in (shutil.which(name), *map(str, pyenv.glob(f"versions/*/bin/{name}"))) if path]
+        works = [path for path in names if subprocess.run([path, "--version"], capture_output=True, check=False).returncode == 0]
+        found += works[:1]
+    return found or [sys.executable]
 
 
-@pytest.mark.parametrize("python", interpreters())
+EACH_INTERPRETER = pytest.mark.parametrize("python", interpreters(), ids=lambda path: Path(path).name)
+
+
+@EACH_INTERPRETER
 def test_the_client_works_in_an_empty_environment(environment, python):
     programs = environment(f"ddakf-client=={VERSION}", python=python)
     assert int(run(programs / "python", "-c", CLIENT)) > 10
 
 
-def test_the_service_works_in_an_empty_environment(environment, tmp_path):
-    programs = environment(f"ddakf[service]=={VERSION}")
+@EACH_INTERPRETER
+def test_the_service_works_in_an_empty_environment(environment, tmp_path, python):
+    programs = environment(f"ddakf[service]=={VERSION}", python=python)
     assert run(programs / "ddakf", "--version").strip() == f"ddakf {VERSION}"
     settings = json.loads(run(programs / "ddakf", "serve", "--print-config", "--json"))
     assert settings["grpc_port"]["value"] == 7701
