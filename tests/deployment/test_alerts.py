@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import resource
 import signal
+import sqlite3
 import subprocess
 import threading
 import time
@@ -158,6 +161,35 @@ def test_a_full_disk(deployment):
     deployment.awaits("DdakfDiskFilling")
     (deployment.disk / "ballast").unlink()
     eventually(lambda: not {"DdakfDiskFilling", "DdakfStorageFailing"} & deployment.prometheus.alerts(), PATIENCE)
+
+
+def test_failed_frames(deployment):
+    """Those of a worker that gets no more memory; it outlives them."""
+    eventually(lambda: deployment.prometheus.values("ddakf_workers_spare") == [1.0])
+    pids = workers(deployment.service.pid)
+    limits = [resource.prlimit(pid, resource.RLIMIT_DATA) for pid in pids]
+
+    def starve() -> None:
+        for pid, (_, most) in zip(pids, limits, strict=True):
+            resource.prlimit(pid, resource.RLIMIT_DATA, (1, most))
+        time.sleep(0.2)
+
+    large = np.resize(SHEET.vertices, (100_000, 3))
+    try:
+        fires(deployment, "DdakfFramesFailed", large, starve, flow="lossless")
+    finally:
+        for pid, limit in zip(pids, limits, strict=True):
+            resource.prlimit(pid, resource.RLIMIT_DATA, limit)
+    assert workers(deployment.service.pid) == pids
+
+
+def test_rows_that_the_database_refuses(deployment):
+    with contextlib.closing(sqlite3.connect(deployment.disk / "state/ddakf.sqlite", timeout=TIMEOUT)) as database:
+        database.execute("CREATE TRIGGER refuse BEFORE INSERT ON history BEGIN SELECT RAISE(ABORT, 'refused'); END")
+        try:
+            fires(deployment, "DdakfHistoryLost", SHEET.vertices, lambda: time.sleep(0.2))
+        finally:
+            database.execute("DROP TRIGGER refuse")
 
 
 def test_leases_that_cannot_be_renewed(postgres, tmp_path):  # noqa: F811
