@@ -182,6 +182,7 @@ class Session:
     def record_recovery(self, checkpoint: pb.SessionStatistics) -> int:
         """Records that the tracker was restored from a checkpoint. Returns the number of applied frames that were lost."""
         s = self.statistics
+        s.frames_applied = max(s.frames_applied, checkpoint.frames_applied)  # its row may be older than its checkpoint
         lost = max(s.frames_applied - max(checkpoint.frames_applied, self.resumed_frames), 0)
         self.resumed_frames = s.frames_applied
         s.recoveries += 1

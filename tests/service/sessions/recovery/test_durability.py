@@ -170,6 +170,13 @@ def test_a_frame_is_forgotten_once_however_often_its_session_goes_back_to_a_chec
     assert session.statistics.frames_lost == 11
 
 
+def test_a_checkpoint_counts_frames_that_were_not_registered_yet():
+    session = Session("registered-early", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
+    session.statistics.frames_applied = 2
+    assert session.record_recovery(pb.SessionStatistics(frames_applied=10)) == 0
+    assert session.statistics.frames_applied == 10
+
+
 def test_a_session_that_takes_worker_after_worker_down_ends():
     given_up = []
     durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)), Tenure())
