@@ -53,6 +53,11 @@ class Postgres:
         subprocess.run([*self._as_user, self._bin / "initdb", *arguments], cwd=self._folder, check=True, capture_output=True)
 
     @property
+    def programs(self) -> Path:
+        """The folder of its programs: pg_dump and others."""
+        return self._bin
+
+    @property
     def url(self) -> str:
         """URL of the database that every cluster has."""
         return self._url("postgres")

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import stat
+import subprocess
 import tarfile
+import uuid
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +58,41 @@ def test_a_session_goes_on_from_the_backup_of_a_running_service(tmp_path, capsys
         assert [result.state for result in results] == ["tracking"] * 4
         assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
         assert session.info().recoveries == 1
+        assert [found.name for found in client.meshes()] == [mesh]
+
+
+@pytest.mark.slow
+def test_a_session_goes_on_from_copies_of_postgresql_and_of_the_checkpoints(postgres, tmp_path):
+    """The commands of docs/operations-backup.md, while the service runs."""
+    first, second = (postgres.new_database(f"backup-{uuid.uuid4()}") for _ in range(2))
+    dump, data, again = tmp_path / "dump", tmp_path / "data", tmp_path / "again"
+    again.mkdir(mode=0o700)
+
+    def arguments(url: str, folder: Path) -> list[str]:
+        stored = ["--database-url", url, "--checkpoint-url", (folder / "checkpoints").as_uri(), "--data-dir", str(folder)]
+        shared = ["--share-sessions", "--server-id", "one", "--lease-seconds", "1"]
+        return ["--workers", "1", "--checkpoint-every", "1", *shared, *stored]
+
+    def program(name: str, url: str, *options: str | Path) -> None:
+        subprocess.run([postgres.programs / name, "--dbname", url.replace("+psycopg", ""), *options], check=True)
+
+    with running(arguments(first, data), tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
+        mesh = client.upload_mesh(*SHEET)
+        session = client.create_session(mesh, flow="lossless", labels={"take": "7"})
+        session_id = session.session_id
+        list(session.track(cloud(k) for k in range(1, 11)))
+        eventually(lambda: stored_frames(data) == 10)
+        program("pg_dump", first, "--format=custom", "--file", dump)
+        shutil.copytree(data / "checkpoints", again / "checkpoints")
+        list(session.track(cloud(k) for k in range(11, 15)))
+    program("pg_restore", second, "--exit-on-error", dump)
+    with running(arguments(second, again), tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
+        session = client.open_session(session_id, flow="lossless")
+        assert session.info().labels == {"take": "7"}
+        results = list(session.track(cloud(k) for k in range(11, 15)))
+        assert [result.state for result in results] == ["tracking"] * 4
+        assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
+        assert session.info().applied == 14
         assert [found.name for found in client.meshes()] == [mesh]
 
 
