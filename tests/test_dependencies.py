@@ -16,6 +16,7 @@ from ddakf.data.rotation import SMALL_ANGLE, rotation_matrices
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+OWN = ("protos", "clients/python")  # folders of the other distributions
 OPTIONAL = ("scipy", "PIL", "matplotlib", "open3d", "torch", "newton", "warp", "grpc", "google", "fastapi", "pydantic")
 WITHOUT = f"""
 import sys
@@ -72,19 +73,27 @@ def test_no_kernel_calls_linear_algebra_that_numba_takes_from_scipy():
             assert not called or node.attr not in ("dot", "vdot", "linalg"), path.name
 
 
-def test_every_dependency_has_its_reason_in_the_document():
-    text, web = re.split(r"^## Web$", (ROOT / "docs/dependencies.md").read_text(), flags=re.M)
-    web, _, rest = web.partition("\n## ")
-    documented = set(re.findall(r"^\| `([^`]+)` \|", text + rest, re.M))
-    client = tomllib.loads((ROOT / "clients/python/pyproject.toml").read_text())["project"]["optional-dependencies"]
-    extras = [*PROJECT["optional-dependencies"].items(), *client.items()]
-    named = [*PROJECT["dependencies"], *(name for extra, names in extras if extra != "dev" for name in names)]
-    assert {re.match(r"[A-Za-z0-9-]+", name).group() for name in named} == documented
+def test_every_dependency_has_its_reason_and_its_replacement_in_the_document():
+    sections = dict(re.findall(r"^## (.+)\n((?:(?!## ).*\n)*)", (ROOT / "docs/dependencies.md").read_text(), re.M))
+    documented = re.findall(r"^\| `([^`]+)` \|", sections["Library"] + sections["Extras"], re.M)
+    projects = [PROJECT, *(tomllib.loads((ROOT / name / "pyproject.toml").read_text())["project"] for name in OWN)]
+    groups = [{"": project["dependencies"], **project["optional-dependencies"]} for project in projects]
+    texts = [text for group in groups for extra, needed in group.items() if extra != "dev" for text in needed]
+    named = {re.match(r"[A-Za-z0-9-]+", text).group() for text in texts}
+    assert sorted(documented) == sorted(named)
+    assert sorted(in_first_cells(sections["Replacements"])) == sorted(name for name in named if not name.startswith("ddakf-"))
+
+
+def test_every_package_of_npm_has_its_reason_in_the_document():
     packages = [json.loads((ROOT / f"clients/{name}/package.json").read_text()) for name in ("typescript", "dashboard")]
     of_npm = {name for package in packages for kind in ("dependencies", "devDependencies") for name in package[kind]}
-    cells = [line.split("|")[1] for line in web.splitlines() if line.startswith("|")]
-    in_tables = {name for cell in cells for name in re.findall("`([^`]+)`", cell)}
-    assert {name for name in of_npm if not name.startswith("@types/")} - {"ddakf-client"} == in_tables
+    web = (ROOT / "docs/dependencies.md").read_text().partition("\n## Web\n")[2].partition("\n## ")[0]
+    assert {name for name in of_npm if not name.startswith("@types/")} - {"ddakf-client"} == set(in_first_cells(web))
+
+
+def in_first_cells(section: str) -> list[str]:
+    """The names in the first column of the tables of a section."""
+    return [name for line in section.splitlines() if line.startswith("|") for name in re.findall("`([^`]+)`", line.split("|")[1])]
 
 
 def test_rotation_matrices_are_those_of_scipy():
