@@ -36,8 +36,8 @@ help:
 	@echo "make dist    wheels, source archives and the npm package, into dist (needs Node 20)"
 	@echo "make lock    renews uv.lock from the ranges of the pyproject.toml files"
 	@echo "make version V=0.2.0  the version everywhere it is written"
-	@echo "make sbom    bill of materials of the image's packages (CycloneDX), into dist"
-	@echo "make audit   known vulnerabilities of the locked packages, and their licences"
+	@echo "make sbom    bills of materials of the images' packages (CycloneDX), into dist"
+	@echo "make audit   known vulnerabilities and licences of the images' packages"
 	@echo "make install the development environment in $(VENV) (LOCKED=1: the versions of uv.lock)"
 
 # what runs the product, and on top of it what tests it
@@ -220,16 +220,22 @@ dist: $(UV) $(WEB)/node_modules/.package-lock.json
 version: $(DEV)
 	@$(BIN)/python release/version.py $(V)
 
-# of what the image installs
+# what the images install, as docker/build names them; of ddakf:slim it is the same without Pillow
+IMAGE := --frozen --extra service --extra postgres --extra tracing
+IMAGE_S3 := $(IMAGE) --extra s3
+IMAGE_RAY := $(IMAGE_S3) --extra ray
+
 sbom: $(UV)
 	@mkdir -p dist
-	@$(UV) export --quiet --frozen --extra service --extra postgres --extra tracing --format cyclonedx1.5 -o dist/ddakf.cdx.json >/dev/null
-	@echo dist/ddakf.cdx.json
+	@$(UV) export --quiet $(IMAGE) --format cyclonedx1.5 -o dist/ddakf.cdx.json >/dev/null
+	@$(UV) export --quiet $(IMAGE_S3) --format cyclonedx1.5 -o dist/ddakf-s3.cdx.json >/dev/null
+	@$(UV) export --quiet $(IMAGE_RAY) --format cyclonedx1.5 -o dist/ddakf-ray.cdx.json >/dev/null
+	@ls dist/*.cdx.json
 
-audit: $(UV) $(DEV)
+audit: $(UV) $(DEV) $(LOCK)
+	@$(PIP) install --quiet -c $(LOCK) s3fs
 	@$(BIN)/python release/licences.py
-	@mkdir -p build
-	@$(UV) export --quiet --frozen --extra service --extra postgres --extra tracing --no-emit-workspace --no-header -o build/audited.txt
+	@$(UV) export --quiet $(IMAGE_RAY) --no-emit-workspace --no-header -o build/audited.txt
 	@$(UV) tool run --quiet pip-audit --strict --disable-pip --require-hashes -r build/audited.txt
 
 clean:

@@ -158,6 +158,7 @@ def test_a_version_is_set_everywhere(tmp_path):
 def test_every_licence_is_allowed():
     listed = run(sys.executable, ROOT / "release/licences.py")
     assert "grpcio" in listed
+    assert "ray" in listed
     assert "unknown" not in listed
 
 
@@ -167,14 +168,18 @@ def test_the_lock_file_fits_the_ranges():
     run(UV, "lock", "--check", "--offline", folder=ROOT)
 
 
-def test_the_bill_of_materials_has_every_package_of_the_image(tmp_path):
+@pytest.mark.parametrize(
+    ("image", "added"), [("", {}), ("-s3", {"s3": "s3fs"}), ("-ray", {"s3": "s3fs", "ray": "ray"})], ids=["full", "s3", "ray"]
+)
+def test_the_bill_of_materials_has_every_package_of_the_image(tmp_path, image, added):
     if not UV.exists():
         pytest.skip("uv is not installed: pip install uv")
-    (line,) = [line for line in (ROOT / "Makefile").read_text().splitlines() if "cyclonedx" in line]
-    arguments = line.partition(" export ")[2].partition(" -o ")[0].split()
-    run(UV, "export", *arguments, "--output-file", tmp_path / "sbom.json", folder=ROOT)
+    commands = [line.split() for line in run("make", "--dry-run", "sbom", folder=ROOT).splitlines()]
+    (arguments,) = (words[1 : words.index("-o")] for words in commands if f"dist/ddakf{image}.cdx.json" in words)
+    run(UV, *arguments, "--output-file", tmp_path / "sbom.json", folder=ROOT)
     bill = json.loads((tmp_path / "sbom.json").read_text())
     assert bill["bomFormat"] == "CycloneDX"
     found = {component["name"]: component for component in bill["components"]}
-    assert closure(["service", "postgres", "tracing"]) <= set(found)
+    assert closure(["service", "postgres", "tracing", *added]) <= set(found)
+    assert {"s3fs", "ray"} & set(found) == set(added.values())
     assert found["numba"]["purl"].startswith("pkg:pypi/numba@")
