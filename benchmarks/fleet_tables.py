@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks/results"
 RATES = (30, 15)  # frames per second
+FLEET = (10_000, 30.0)  # sessions, frames per second
+GATEWAYS_OF_NODE = 16
 EVENTS = {"actor killed": "an actor is killed", "node lost": "a node is lost", "node drained": "a node is drained, then stopped",
           "gateway killed": "a gateway is killed", "gateway drained": "a gateway is stopped in order"}  # fmt: skip
 
@@ -38,6 +41,57 @@ def rate_table(report: dict) -> list[str]:
     return head
 
 
+def need_table(report: dict) -> list[str]:
+    """What the fleet needs."""
+    from scaling import NODE_CORES, Figures, plan
+
+    n = plan(Figures(**report["figures"]), *FLEET)
+    nodes, places = math.ceil(n["worker_cores"] / NODE_CORES), math.ceil(n["gateways"] / GATEWAYS_OF_NODE)
+    rows = [
+        ("worker cores", f"{n['worker_cores']:,}", f"{nodes} nodes of {NODE_CORES} cores"),
+        ("worker memory", f"{n['worker_gigabytes']} GB", "and 0.25 GB per template or actor process"),
+        ("gateways", f"{n['gateways']:,}", f"processes of one core each, {GATEWAYS_OF_NODE} to a node: {places} nodes"),
+        ("gateway memory", f"{n['gateway_gigabytes']} GB", "and about 0.2 GB per process"),
+        ("network in; out", f"{n['gigabits_per_second_in']:.0f} Gbit/s; {n['gigabits_per_second_out']:.0f} Gbit/s",
+         "twice, as frames also go from gateway to worker"),
+        ("checkpoints", f"{n['checkpoints_per_second']:,} per second, {n['checkpoint_megabytes_per_second'] / 1e3:.0f} GB/s",
+         "at the default `checkpoint_every` of 30"),
+        ("database", f"{n['database_rows_per_second']:,} rows per second",
+         f"history and registry, in batches; heartbeats: {n['heartbeats_per_second']:,} per second"),
+    ]  # fmt: skip
+    return ["| | needed | remarks |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in rows)]
+
+
+def loss_table(report: dict) -> list[str]:
+    """What a loss does to the simulated fleet."""
+    from scaling import LEASE, NODE_CORES, RESERVE, Figures, plan, simulated
+
+    figures = Figures(**report["figures"])
+    f = simulated(figures, *FLEET, reserve=RESERVE, node_cores=NODE_CORES, seed=1)
+    fit = plan(figures, *FLEET)["sessions_per_core"]
+    after = f"{f['median_seconds_after_node']:.2f} s (median) to {f['longest_seconds_after_node']:.2f} s after it is noticed"
+    rows = {
+        "clients choose gateways at random": f"the fullest of {f['workers']:,} workers has {f['sessions_of_fullest_worker']} "
+        f"sessions where {fit:.1f} fit",
+        f"a node of {NODE_CORES} cores is lost": f"{f['sessions_of_lost_node']} sessions stand still for {after}; "
+        f"spares that each gateway needs for it: {f['spares_of_gateway_for_node']}",
+        "a gateway is lost": f"{f['sessions_of_lost_gateway']} sessions stand still for up to "
+        f"{f['longest_seconds_after_gateway']:.1f} s, {LEASE:g} s of them until its leases expire",
+    }
+    return ["| event | consequence |", "|---|---|", *(f"| {event} | {consequence} |" for event, consequence in rows.items())]
+
+
+def restore_table(report: dict) -> list[str]:
+    """Killed workers of the real service beside the simulation."""
+    from scaling import Figures, back_after
+
+    lines = ["| sessions of a killed worker | all back, measured | simulated |", "|---|---|---|"]
+    for row in report["restores"]:
+        simulated = max(back_after([row["sessions"]], Figures(**report["figures"])))
+        lines.append(f"| {row['sessions']} | {row['longest_s']:.2f} s | {simulated:.2f} s |")
+    return lines
+
+
 def overhead_table(report: dict) -> list[str]:
     """Milliseconds of a frame beyond its tracker's, with both kinds of workers."""
     found = report["overhead"]
@@ -61,9 +115,13 @@ def event_table(report: dict) -> list[str]:
 
 # By document: the file of results, and by name the functions of its tables.
 DOCUMENTS = {
-    "docs/scaling.md": ("scaling.json", {"session": session_table, "rates": rate_table, "overhead": overhead_table}),
+    "docs/scaling.md": (
+        "scaling.json",
+        {"session": session_table, "rates": rate_table, "needs": need_table, "losses": loss_table, "restores": restore_table,
+         "overhead": overhead_table},
+    ),
     "docs/operations.md": ("cluster.json", {"events": event_table}),
-}
+}  # fmt: skip
 
 
 def fresh(document: str) -> str:

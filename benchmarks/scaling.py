@@ -37,6 +37,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_service.commands.service_process import ServiceProcess
 from ddakf_service.sessions.recovery.durability import _MAX_RESTORES as RESTORES_AT_A_TIME
+from ddakf_service.store.tables.heartbeat import _BEATS as BEATS_PER_LEASE
 from ddakf_service.workers.fair_shares import _PLANNED as PLANNED_SHARE
 
 from ddakf.evaluation import machine
@@ -45,6 +46,7 @@ RESULT = Path(__file__).parent / "results" / "scaling.json"
 VERTICES, POINTS = 2500, 10_000
 BUSY = 0.7  # share of a core that a gateway's event loop may be busy, so that answers do not queue
 LEASE = 5.0  # seconds
+RESERVE, NODE_CORES = 1.1, 64  # of the simulated fleet: workers as a multiple of those that are needed; workers of a node
 SIZES = (1, 8, 32)  # sessions, where kinds of workers are compared
 PAIRED_FRAMES = 800  # of each kind of workers
 WARM_FRAMES = 4  # of each session, before those
@@ -91,11 +93,9 @@ def main(argv: list[str] | None = None) -> int:
         fleet_tables.write(a.out)
     figures = Figures(**report["figures"])
     _print("plan", plan(figures, a.sessions, a.rate))
-    for sentence in simulated(figures, a):
-        print(sentence)
-    for row in report["restores"]:
-        predicted = max(back_after([row["sessions"]], figures))
-        print(f"worker of {row['sessions']} sessions killed: measured {row['longest_s']:.2f} s, simulated {predicted:.2f} s")
+    losses = simulated(figures, a.sessions, a.rate, reserve=a.reserve, node_cores=a.node_cores, seed=a.seed)
+    _print("simulation", losses)
+    print("\n".join(fleet_tables.restore_table(report)))
     if "overhead" in report:
         print("\n".join(fleet_tables.overhead_table(report)))
     return 0
@@ -107,6 +107,7 @@ def main(argv: list[str] | None = None) -> int:
 def plan(f: Figures, sessions: int, rate: float) -> dict[str, float]:
     """What so many sessions of ``rate`` frames per second need."""
     frames = sessions * rate
+    gateways = math.ceil(frames * f.network_cpu / BUSY)
     return {
         "sessions": sessions,
         "frames_per_second": frames,
@@ -114,13 +115,14 @@ def plan(f: Figures, sessions: int, rate: float) -> dict[str, float]:
         "sessions_per_gigabyte": 2**30 / f.worker_bytes,
         "worker_cores": math.ceil(frames * f.frame_cpu / PLANNED_SHARE),
         "worker_gigabytes": math.ceil(sessions * f.worker_bytes / 2**30),
-        "gateways": math.ceil(frames * f.network_cpu / BUSY),
+        "gateways": gateways,
         "gateway_gigabytes": math.ceil(sessions * f.network_bytes / 2**30),
         "gigabits_per_second_in": round(8e-9 * frames * f.frame_bytes, 1),
         "gigabits_per_second_out": round(8e-9 * frames * f.result_bytes, 1),
         "checkpoint_megabytes_per_second": round(1e-6 * frames / 30 * f.checkpoint_bytes),
         "checkpoints_per_second": round(frames / 30),
         "database_rows_per_second": ROWS * sessions,
+        "heartbeats_per_second": round(gateways * BEATS_PER_LEASE / LEASE),
     }
 
 
@@ -159,40 +161,39 @@ def back_after(groups: list[int], f: Figures) -> list[float]:
     return times
 
 
-def simulated(f: Figures, a: argparse.Namespace) -> list[str]:
-    """The loss of a node, and of a gateway, of the planned fleet."""
-    needs, rng = plan(f, a.sessions, a.rate), np.random.default_rng(a.seed)
+def simulated(f: Figures, sessions: int, rate: float, *, reserve: float, node_cores: int, seed: int) -> dict[str, float]:
+    """The placement of so many sessions on the planned fleet, and the loss of a node and of a gateway.
+
+    Args:
+        reserve: workers, as a multiple of those that are needed.
+        node_cores: workers of a node.
+    """
+    needs, rng = plan(f, sessions, rate), np.random.default_rng(seed)
     gateways = needs["gateways"] + 1
-    workers = math.ceil(needs["worker_cores"] * a.reserve / gateways)  # of each gateway
-    fleet = placed(a.sessions, gateways, workers, rng)
-    per_core = needs["sessions_per_core"]
-    most = max(max(load.values()) for load in fleet)
-    found = [
-        f"placement: {gateways} gateways of {workers} workers; {most} sessions on the fullest worker, "
-        f"{per_core:.2f} are within its share"
-    ]
+    workers = math.ceil(needs["worker_cores"] * reserve / gateways)  # of each gateway
+    fleet = placed(sessions, gateways, workers, rng)
     # A node has the workers of several gateways, spread by Ray; each gateway's spares take their places.
     cores = list(itertools.product(range(gateways), range(workers)))
     rng.shuffle(cores)
-    lost = [fleet[gateway][worker] for gateway, worker in cores[: a.node_cores]]
-    times = back_after(lost, f)
-    spares = math.ceil(a.node_cores / gateways)
-    found.append(
-        f"node of {a.node_cores} cores lost: {sum(lost)} sessions stand still for {np.median(times):.2f} s (median) "
-        f"to {max(times):.2f} s; "
-        f"each gateway needs {spares} spares for it"
-    )
+    on_node = [fleet[gateway][worker] for gateway, worker in cores[:node_cores]]
+    node_back = back_after(on_node, f)
     # The sessions of a lost gateway come to the others when its leases have expired, and join the workers there.
-    count = sum(fleet[0].values())
-    arrivals = rng.multinomial(count, [1 / (gateways - 1)] * (gateways - 1))
+    on_gateway = sum(fleet[0].values())
+    arrivals = rng.multinomial(on_gateway, [1 / (gateways - 1)] * (gateways - 1))
     groups = [math.ceil(n / workers) for n in arrivals for _ in range(workers)]
-    times = [LEASE + seconds for seconds in back_after(groups, f)]
-    fullest = max((sum(load.values()) + n) / workers for load, n in zip(fleet[1:], arrivals, strict=True))
-    found.append(
-        f"gateway lost: {count} sessions stand still for up to {max(times):.2f} s, {LEASE:g} s of them for its leases; "
-        f"then {fullest:.2f} sessions per worker, {per_core:.2f} are within its share"
-    )
-    return found
+    return {
+        "workers": gateways * workers,
+        "sessions_of_fullest_worker": max(max(load.values()) for load in fleet),
+        "sessions_of_lost_node": sum(on_node),
+        "median_seconds_after_node": float(np.median(node_back)),
+        "longest_seconds_after_node": max(node_back),
+        "spares_of_gateway_for_node": math.ceil(node_cores / gateways),
+        "sessions_of_lost_gateway": on_gateway,
+        "longest_seconds_after_gateway": LEASE + max(back_after(groups, f)),
+        "sessions_per_worker_after_gateway": max(
+            (sum(load.values()) + n) / workers for load, n in zip(fleet[1:], arrivals, strict=True)
+        ),
+    }
 
 
 # Measurement --------------------------------------------------------------------------------------------------------
@@ -355,8 +356,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--overhead", action="store_true")
     parser.add_argument("--sessions", type=int, default=10_000)
     parser.add_argument("--rate", type=float, default=30.0, help="frames per second of a session")
-    parser.add_argument("--reserve", type=float, default=1.1, help="workers, as a multiple of those that are needed")
-    parser.add_argument("--node-cores", type=int, default=64)
+    parser.add_argument("--reserve", type=float, default=RESERVE, help="workers, as a multiple of those that are needed")
+    parser.add_argument("--node-cores", type=int, default=NODE_CORES)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULT)
     return parser
