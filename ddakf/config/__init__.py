@@ -144,36 +144,28 @@ class Config:
         """
         return cls(
             discretisation=Discretisation(
-                working_edge=0.045,
-                working_vertices_least=600,
-                working_vertices_most=2000,
+                working_edge=0.025,
+                working_vertices_least=900,
+                working_vertices_most=3000,
                 working_finest=1.0,
-                clusters=32,
-                cluster_samples=400,
                 patches=24,
                 aggregates=20,
             ),
             preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
-            coarse=Coarse(iterations=1),
             associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.003),
             physics=Physics(strain_scale=0.05),
             evidence=ErrorEvidence(points=300),
         )
 
     def lighter(self) -> Config:
-        """The same configuration with a coarser working mesh, and the passes of :meth:`fast` where it has the default's.
+        """The same configuration with the working mesh of :meth:`fast`, and its other stages where it has the default's.
 
-        A tracker that has too little time goes on with it, see :meth:`ddakf.Tracker.continue_from`. Its mesh is finer than that
-        of :meth:`fast`, and all its clusters are aligned: frames are left out where time is short, and motion is fast then. A
-        configuration with another discretisation than the default's has no lighter one, and is returned as it is.
+        A tracker that has too little time goes on with it, see :meth:`ddakf.Tracker.continue_from`. A configuration with another
+        discretisation than the default's has no lighter one, and is returned as it is.
         """
         default, fast = Config(), Config.fast()
         if self.discretisation != default.discretisation:
             return self
-        mesh = {"working_edge": 0.025, "working_vertices_least": 900, "working_vertices_most": 3000, "working_finest": 1.0}
-        less = {"patches": fast.discretisation.patches, "aggregates": fast.discretisation.aggregates}
-        discretisation = dataclasses.replace(default.discretisation, **mesh, **less)
-        fast = dataclasses.replace(fast, coarse=default.coarse, discretisation=discretisation)
         stages = [stage.name for stage in dataclasses.fields(self)]
         usual = [name for name in stages if getattr(self, name) == getattr(default, name)]
         return dataclasses.replace(self, **{name: getattr(fast, name) for name in usual})
