@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from math import inf
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -50,12 +52,17 @@ class Tracker:
             units.require_like_sizes(garment, body)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
-        reaches = self.config.predict.carry_reach, self.config.physics.collision_reach
-        under = None if body is None else contact.build(body, *reaches)
-        self._working = working_mesh.build(garment, self.config.discretisation)
-        cloth = model.build(self._working.mesh, self.config)
-        self._setup = Setup(cloth, under, self.config, warnings.reference(cloth, body, self.config.sidedness))
+        self._discretised = _discretised(garment, body, self.config)
+        self._shared = WeakValueDictionary({self.config: self._discretised})  # of all trackers that have come from this one
         self.reset()
+
+    @property
+    def _working(self) -> working_mesh.WorkingMesh:
+        return self._discretised.working
+
+    @property
+    def _setup(self) -> Setup:
+        return self._discretised.setup
 
     @property
     def working_vertices(self) -> int:
@@ -173,12 +180,23 @@ class Tracker:
         Raises:
             InvalidConfig: no configuration.
         """
+        other = self.another(config)
+        other.continue_from(self)
+        return other
+
+    def another(self, config: Config) -> Tracker:
+        """A tracker of the same garment and body at the start; both have once in memory what is constant.
+
+        Raises:
+            InvalidConfig: no configuration.
+        """
         if not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
-        other = Tracker(self.garment, body=self.body, config=config)
-        if self.body is not None and other._setup.body.reach == self._setup.body.reach:
-            other._setup = other._setup._replace(body=self._setup.body)  # its tree once in memory
-        other.continue_from(self)
+        other, constants = copy.copy(self), self._shared.get(config)
+        if constants is None:
+            constants = self._shared[config] = _discretised(self.garment, self.body, config, self._setup)
+        other.config, other._discretised = config, constants
+        other.reset()
         return other
 
     def continue_from(self, other: Tracker) -> None:
@@ -194,8 +212,7 @@ class Tracker:
             raise InvalidArgument("other", "a tracker of the same garment and body", "one of others")
         track, config = other._track, self.config
         if config.discretisation != other.config.discretisation:
-            source, target = Discretised(other._working, other._setup), Discretised(self._working, self._setup)
-            track = transferred(track, source, target, self._track.resting)
+            track = transferred(track, other._discretised, self._discretised, self._track.resting)
         if track.body is not None:
             body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
             track = track._replace(body=body)
@@ -217,6 +234,15 @@ class Tracker:
             InvalidSnapshot: not a snapshot, of another version, or damaged.
         """
         return snapshots.load(data, Tracker)
+
+
+def _discretised(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
+    """What is constant for a tracker; ``known`` is that of the same body, whose search tree is used again."""
+    working = working_mesh.build(garment, config.discretisation)
+    cloth, under = model.build(working.mesh, config), None
+    if body is not None:
+        under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, known and known.body)
+    return Discretised(working, Setup(cloth, under, config, warnings.reference(cloth, body, config.sidedness)))
 
 
 def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:

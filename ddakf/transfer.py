@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,8 @@ from ddakf.physics import rigidity
 from ddakf.types import Appearance, BodyAnchor, BodyTrack, Drift, Resting, Setup, State, Track
 
 
-class Discretised(NamedTuple):
+@dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
+class Discretised:
     """A garment on a working mesh, and what is constant while it is tracked. W working vertices, L patches."""
 
     working: WorkingMesh

@@ -101,6 +101,26 @@ def test_the_same_configuration_goes_on_exactly():
         assert_same(twin.step(points, **how), tracker.step(points, **how))
 
 
+@VIEWS
+def test_another_tracker_shares_what_is_constant_and_no_track(view, body):
+    tracker, first = tracked(body, view), started(body)
+    other, coarse = tracker.another(tracker.config), tracker.configured(COARSE)
+    assert other._discretised is tracker._discretised
+    assert other.another(COARSE)._discretised is coarse._discretised
+    assert not body or coarse._setup.body.tree is tracker._setup.body.tree
+    other.reset(SAMPLE.garment_vertices[FIRST])
+    for points, how, _ in frames(3, view, body):
+        assert_same(other.step(points, **how), first.step(points, **how))
+
+
+def test_constants_that_no_tracker_has_are_given_up():
+    tracker = started(False)
+    coarse = tracker.another(COARSE)
+    assert set(tracker._shared) == {Config(), COARSE}
+    del coarse
+    assert set(tracker._shared) == {Config()}
+
+
 def test_a_tracker_of_another_garment_is_refused():
     with pytest.raises(InvalidArgument, match="same garment and body"):
         started(False).continue_from(Tracker(TUBE))

@@ -10,15 +10,19 @@ from ddakf.mesh import Mesh
 from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Problem, State
 
 
-def build(mesh: Mesh, reach: float, collision_reach: float = Physics.collision_reach) -> BodyModel:
+def build(
+    mesh: Mesh, reach: float, collision_reach: float = Physics.collision_reach, known: BodyModel | None = None
+) -> BodyModel:
     """The constants of a body.
 
     Args:
         mesh: in the pose of the start.
         reach: body surface within it carries the garment, metres; 0: it carries nothing.
         collision_reach: depth from which a body that carries nothing pushes vertices out, metres.
+        known: constants of the same body, whose search tree is used again.
     """
-    return BodyModel(mesh, proximity.build(mesh), reach if reach > 0.0 else collision_reach, reach > 0.0)
+    tree = proximity.build(mesh) if known is None else known.tree
+    return BodyModel(mesh, tree, reach if reach > 0.0 else collision_reach, reach > 0.0)
 
 
 def start(body: BodyModel, position: np.ndarray, config: Physics) -> BodyTrack:

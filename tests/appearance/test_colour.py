@@ -8,7 +8,7 @@ from ddakf.appearance import colour
 from ddakf.errors import InvalidFrame
 from ddakf.evaluation.sensors.texture import Texture
 from ddakf.kernels import colour as kernels
-from ddakf.transfer import Discretised, transferred
+from ddakf.transfer import transferred
 
 N, SPACING = 30, 0.02
 X, Y = np.meshgrid(np.arange(N), np.arange(N), indexing="ij")
@@ -101,7 +101,7 @@ def test_an_appearance_goes_to_another_mesh():
     apart = b.mean[known, middle, middle] - a.mean[nearest[known], middle, middle]
     assert known.sum() > 50
     assert np.sqrt(np.square(apart).mean()) < 0.3 * a.mean[:, middle, middle].std()
-    same = Discretised(tracker._working, tracker._setup)
+    same = tracker._discretised
     again = transferred(tracker._track, same, same).appearance
     assert np.allclose(again.mean, a.mean * (again.weight > 0)[..., None], atol=1e-5)
 

@@ -6,6 +6,7 @@ import logging
 from concurrent.futures import Executor, Future
 
 import ddakf
+from ddakf.mesh import same_mesh
 
 log = logging.getLogger(__name__)
 
@@ -26,6 +27,11 @@ class SessionTracker:
     def prepare(self) -> None:
         """Builds the lighter tracker before it is needed."""
         self._built()
+
+    def another(self, garment: ddakf.Mesh, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker | None:
+        """A tracker at the start that shares constants with this one; None if its garment or its body is another."""
+        alike = same_mesh(self._own.garment, garment) and same_mesh(self._own.body, body)
+        return self._own.another(config) if alike else None
 
     def of_frame(self, lighter: bool) -> ddakf.Tracker:
         """The tracker of the next frame: the session's own, or if wanted the lighter one as soon as it is built."""

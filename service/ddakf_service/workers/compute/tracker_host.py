@@ -64,14 +64,14 @@ class TrackerHost:
         session = creation.session
         garment, vertex_map = decode.garment(creation, limits.max_vertices, limits.max_faces)
         body = decode.body(session, limits.max_body_vertices, limits.max_faces)
-        tracker = ddakf.Tracker(garment, body=body, config=decode.config(session))
+        tracker = self._tracker_of(garment, body=body, config=decode.config(session))
         self._add(session_id, tracker)
         return encode.session_message(tracker, session.fabric, vertex_map).SerializeToString()
 
     def restore(self, session_id: str, request: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
         data = pb.RestoreSessionRequest.FromString(request).data
-        tracker = decode.tracker_from_snapshot(data, self._limits)
+        tracker = decode.tracker_from_snapshot(data, self._limits, self._tracker_of)
         self._add(session_id, tracker)
         return encode.session_message(tracker).SerializeToString()
 
@@ -133,6 +133,13 @@ class TrackerHost:
         numbers.usage.lighter = session.is_lighter
         spent = Spent(spent, result.usage.prediction, self._busy.taken(), result.usage.widening, session.is_lighter)
         return pack_result(numbers.SerializeToString(), arrays.SerializeToString(), spent)
+
+    def _tracker_of(self, garment: ddakf.Mesh, *, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker:
+        """A new tracker; of a garment that another session has, with its constants, which are large and take long to build."""
+        for session in list(self._trackers.values()):  # another lane may change them meanwhile
+            if (tracker := session.another(garment, body, config)) is not None:
+                return tracker
+        return ddakf.Tracker(garment, body=body, config=config)
 
     def _add(self, session_id: str, tracker: ddakf.Tracker) -> None:
         """Adds a session. Beside others its lighter tracker is built at once: it is needed when time is short already."""

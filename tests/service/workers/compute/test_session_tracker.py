@@ -71,10 +71,27 @@ def test_some_configurations_have_no_lighter_one(config, builder):
     assert own.step(cloud(0), timestamp=0.0, sensor_origin=EYE).state
 
 
-def test_a_frame_is_tracked_as_its_grant_says():
+def host_of(**garments) -> TrackerHost:
+    """A worker with sessions by name, each of a garment."""
     host = TrackerHost(Limits(max_points=5_000, max_vertices=5_000, max_faces=10_000, max_body_vertices=0, max_image_pixels=1))
-    session = pb.Session(garment=pack_mesh(SHIRT.vertices, SHIRT.faces))
-    host.open("one", pb.CreateSessionRequest(api_version=API_VERSION, session=session).SerializeToString())
+    for name, garment in garments.items():
+        session = pb.Session(garment=pack_mesh(garment.vertices, garment.faces))
+        host.open(name, pb.CreateSessionRequest(api_version=API_VERSION, session=session).SerializeToString())
+    return host
+
+
+def test_sessions_of_one_garment_share_its_constants_and_no_track():
+    host = host_of(one=SHIRT, two=SHIRT, three=TUBE)
+    host.frame("two", wire.frame_request_head(b"", 5_000, wire.WHOLE) + frame_of(SHIRT, 1).SerializeToString())
+    host.restore("four", pb.RestoreSessionRequest(data=host.snapshot("two", b"")).SerializeToString())
+    one, two, three, four = (host._trackers[name].own() for name in ("one", "two", "three", "four"))
+    assert one._discretised is two._discretised is four._discretised is not three._discretised
+    assert (one._track.time, four._track.time) == (None, two._track.time)
+    assert np.array_equal(four._track.state.position, two._track.state.position)
+
+
+def test_a_frame_is_tracked_as_its_grant_says():
+    host = host_of(one=SHIRT)
     waiting(host._trackers["one"])
 
     def answer(number, grant):
