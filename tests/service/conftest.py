@@ -8,6 +8,9 @@ import itertools
 import os
 import queue
 import signal
+import socket
+import subprocess
+import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from pathlib import Path
@@ -26,6 +29,7 @@ from ddakf_client import connect
 from ddakf_service.commands.service_process import ServiceProcess
 from ddakf_service.server import Addresses, Server
 from ddakf_service.settings import Settings
+from ports import lasting_port
 from postgres import NoPostgres, Postgres
 
 TIMEOUT = 60.0  # seconds, of every call
@@ -245,6 +249,30 @@ def postgres():
         yield cluster
     finally:
         cluster.remove()
+
+
+@pytest.fixture(scope="session")
+def moto():
+    """Port of a server with the S3 interface."""
+    pytest.importorskip("s3fs", reason="s3fs is not installed: pip install 'ddakf[s3]'")
+    pytest.importorskip("moto.server", reason="moto is not installed: pip install 'ddakf[s3-tests]'")
+    port = lasting_port()
+    process = subprocess.Popen(
+        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        eventually(lambda: _answers(port))
+        yield port
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def _answers(port: int) -> bool:
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""Gateways that share sessions: two services on one PostgreSQL and one folder of checkpoints, streamed to, killed and stopped."""
+"""Gateways that share sessions: two services on one PostgreSQL and one store of checkpoints, streamed to, killed and stopped."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ LOSSLESS = pb.FLOW_MODE_LOSSLESS
 class Gateway:
     """A service that shares its sessions, on a port that it has again after a restart."""
 
-    def __init__(self, name: str, folder, url: str):
+    def __init__(self, name: str, folder, url: str, checkpoints: str = ""):
         self._folder, self.name, self.address = folder, name, f"127.0.0.1:{lasting_port()}"
         self._arguments = ["--workers", "1", "--spare-workers", "0", "--server-id", name, "--data-dir", str(folder / name)]
-        self._arguments += ["--database-url", url, "--checkpoint-url", f"file://{folder}/checkpoints"]
+        self._arguments += ["--database-url", url, "--checkpoint-url", checkpoints or f"file://{folder}/checkpoints"]
         self._arguments += ["--share-sessions", "--lease-seconds", str(SPAN), "--gateway-address", self.address]
         self._arguments += ["--checkpoint-every", str(EVERY), "--drain-grace", "0.5", "--departure-timeout", "20"]
         self._arguments += ["--grpc-port", self.address.rpartition(":")[2]]
@@ -65,10 +65,29 @@ class Gateway:
 
 @pytest.fixture(scope="module")
 def gateways(postgres, tmp_path_factory) -> Iterator[tuple[Gateway, Gateway]]:
-    folder = tmp_path_factory.mktemp("gateways")
+    with pair(postgres, tmp_path_factory.mktemp("gateways")) as gateways:
+        yield gateways
+
+
+@pytest.fixture
+def gateways_on_s3(postgres, moto, tmp_path, monkeypatch) -> Iterator[tuple[Gateway, Gateway]]:
+    """Their checkpoints are in a bucket."""
+    import s3fs
+
+    access = {"endpoint_url": f"http://127.0.0.1:{moto}", "key": "a", "secret": "b"}
+    for name, value in access.items():
+        monkeypatch.setenv(f"FSSPEC_S3_{name.upper()}", value)
+    bucket = f"gateways-{uuid.uuid4()}"
+    s3fs.S3FileSystem(skip_instance_cache=True, **access).mkdir(bucket)
+    with pair(postgres, tmp_path, f"s3://{bucket}/checkpoints") as gateways:
+        yield gateways
+
+
+@contextlib.contextmanager
+def pair(postgres, folder, checkpoints: str = "") -> Iterator[tuple[Gateway, Gateway]]:
+    """Two gateways, which must end in order."""
     url = postgres.new_database(f"gateways-{uuid.uuid4()}")
-    one = Gateway("one", folder, url)
-    two = Gateway("two", folder, url)
+    one, two = (Gateway(name, folder, url, checkpoints) for name in ("one", "two"))
     yield one, two
     assert {gateway.stop() for gateway in (one, two)} == {0}
 
@@ -244,8 +263,9 @@ def test_an_orderly_stop_moves_the_sessions_without_a_lost_frame(gateways):
     assert stream.answered == list(range(1, stream.sent + 1))
 
 
-def test_a_killed_gateway_costs_the_frames_since_its_checkpoint_and_no_answer(gateways):
-    one, two = gateways
+@pytest.mark.parametrize("store", ["gateways", "gateways_on_s3"], ids=["file", "s3"])
+def test_a_killed_gateway_costs_the_frames_since_its_checkpoint_and_no_answer(request, store):
+    one, two = request.getfixturevalue(store)
     with streaming(one.address, two.address) as stream:
         one.stop(signal.SIGKILL)
         goes_on(stream)

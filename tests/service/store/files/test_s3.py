@@ -6,8 +6,6 @@ import asyncio
 import contextlib
 import select
 import socket
-import subprocess
-import sys
 import threading
 import time
 import uuid
@@ -22,7 +20,6 @@ from ddakf_service.settings import Settings
 from ddakf_service.store.files.checkpoints import Checkpoints
 from ddakf_service.store.meshes import MeshRecord
 from ddakf_service.store.store import Store
-from ports import lasting_port
 
 from ...conftest import eventually
 from ..conftest import PATIENCE
@@ -32,7 +29,6 @@ pytestmark = pytest.mark.slow
 
 fsspec_config = pytest.importorskip("fsspec.config")
 pytest.importorskip("s3fs", reason="s3fs is not installed: pip install 'ddakf[s3]'")
-pytest.importorskip("moto.server", reason="moto is not installed: pip install 'ddakf[s3-tests]'")
 
 
 class Relay:
@@ -68,26 +64,6 @@ class Relay:
                     if not (part := end.recv(1 << 16)):
                         return
                     other[end].sendall(part)
-
-
-@pytest.fixture(scope="module")
-def moto():
-    """Port of a moto server."""
-    port = lasting_port()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "moto.server", "-H", "127.0.0.1", "-p", str(port)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    eventually(lambda: _answers(port), PATIENCE)
-    yield port
-    process.terminate()
-    process.wait()
-
-
-def _answers(port: int) -> bool:
-    with socket.socket() as probe:
-        return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 @pytest.fixture
