@@ -1,18 +1,21 @@
-"""Checkpoints and meshes on a real S3 interface: moto's server, behind a relay that cuts and holds connections."""
+"""Checkpoints and meshes on a real S3 interface: moto's server, behind a relay that cuts, holds and delays."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import select
 import socket
 import threading
 import time
 import uuid
 
+import httpx
 import pytest
 from ddakf_api.errors import Unavailable
 from ddakf_service.observability.metrics import Metrics
+from ddakf_service.server import Addresses
 from ddakf_service.sessions.recovery.persistence import Persistence
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.sessions.session import Session
@@ -21,7 +24,7 @@ from ddakf_service.store.files.checkpoints import Checkpoints
 from ddakf_service.store.meshes import MeshRecord
 from ddakf_service.store.store import Store
 
-from ...conftest import eventually
+from ...conftest import Api, Sheet, Talk, eventually, frame_of, serving
 from ..conftest import PATIENCE
 from .test_checkpoints import pb, snapshot
 
@@ -35,7 +38,7 @@ class Relay:
     """A TCP relay to a port of this machine.
 
     Attributes:
-        cuts: connections are closed at once, open ones too. holds: nothing passes.
+        cuts: connections are closed at once, open ones too. holds: nothing passes. delay: seconds, of each part of an answer.
     """
 
     def __init__(self, port: int):
@@ -43,6 +46,7 @@ class Relay:
         self._listener = socket.create_server(("127.0.0.1", 0))
         self.url = f"http://127.0.0.1:{self._listener.getsockname()[1]}"
         self.cuts = self.holds = False
+        self.delay = 0.0
         threading.Thread(target=self._accept, daemon=True).start()
 
     def close(self) -> None:
@@ -63,6 +67,7 @@ class Relay:
                 for end in readable:
                     if not (part := end.recv(1 << 16)):
                         return
+                    time.sleep(self.delay if end is server else 0.0)
                     other[end].sendall(part)
 
 
@@ -148,6 +153,27 @@ async def test_an_outage_is_a_problem_and_loses_no_checkpoint(opened, relay, out
     assert checkpoints.condition.problem == ""
     again = opened()
     assert [await again.newest(uid) for uid in (7, 8)] == [snapshot(2), snapshot(3)]
+
+
+async def test_frames_go_on_while_a_slow_store_takes_a_checkpoint(url, relay, sheet):
+    """It works, and each of its answers takes much longer than a frame."""
+    async with serving(checkpoint_url=url, checkpoint_every=1) as addresses:
+        relay.delay = 0.3
+        meanwhile = await asyncio.to_thread(_frames_until_a_checkpoint, addresses, sheet)
+        assert meanwhile > 3
+        readiness = await asyncio.to_thread(httpx.get, f"{addresses.http}/readyz")
+        assert readiness.json()["status"] == "ready"
+
+
+def _frames_until_a_checkpoint(addresses: Addresses, sheet: Sheet) -> int:
+    """Answered frames of a session until its first checkpoint is written."""
+    api = Api(addresses.grpc)
+    name = api.create(sheet).name
+    with api.channel, Talk(api, name) as talk:
+        for number in itertools.count(1):
+            talk.ask(frame_of(sheet, number))
+            if "ddakf_checkpoint_seconds_count 0.0" not in httpx.get(f"{addresses.http}/metrics").text:
+                return number
 
 
 @pytest.fixture
