@@ -134,6 +134,19 @@ async def test_an_id_is_free_once_the_worker_has_forgotten_it(server, pool):
     assert pool.calls == [("open", "some"), ("close", "some"), ("open", "some")]
 
 
+async def test_sessions_that_are_created_at_a_time_keep_the_limit_of_the_server(pool, store):
+    server = service.Sessions(pool, Settings(data_dir="none", max_sessions=3), Metrics(), store)
+    await server.load()
+    request = pb.CreateSessionRequest(api_version=API_VERSION)
+    done = await asyncio.gather(*(server.create(request) for _ in range(8)), return_exceptions=True)
+    created = [session.name for session in done if isinstance(session, pb.Session)]
+    refused = [str(error) for error in done if isinstance(error, ResourceExhausted)]
+    assert (len(created), len(refused), len(pool.calls)) == (3, 5, 3)
+    assert {reason.partition(";")[0] for reason in refused} == {"sessions: the server has its 3 already"}
+    await server.delete(created[0])
+    await server.create(request)
+
+
 async def test_a_session_that_ended_while_it_was_updated_stays_ended(server, pool, store):
     session = server._catalog.readable("sessions/some")
     change = pb.Session(name="sessions/some", fabric="denim")

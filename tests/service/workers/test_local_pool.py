@@ -9,8 +9,10 @@ import subprocess
 from dataclasses import replace
 
 import pytest
-from ddakf_api.errors import SessionNotFound, Unavailable
+from ddakf_api.errors import ResourceExhausted, SessionNotFound, Unavailable
+from ddakf_service.workers import worker
 from ddakf_service.workers.compute.tracker_host import TrackerHost
+from ddakf_service.workers.local_pool import LocalPool
 from ddakf_service.workers.messages import wire
 from ddakf_service.workers.placement import Placement
 from ddakf_service.workers.pool import Limits, Memory
@@ -28,32 +30,62 @@ async def test_without_a_ready_worker_sessions_are_refused(sheet):
     assert caught.value.retry_after > 0
 
 
-class Worker:
-    """Records its sessions and messages."""
+class Worker(worker.Worker):
+    """Records the messages without an answer."""
 
     def __init__(self):
-        self.sessions, self.told = {}, []
-        self.placement_lock = asyncio.Lock()
-
-    def release(self, session_id):
-        return self.sessions.pop(session_id, None)
+        super().__init__(None, None, None)
+        self.told = []
 
     def send_without_answer(self, kind, session_id):
         self.told.append((kind, session_id))
 
-    def memory_with(self, more):
-        return 0
 
-
-async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(monkeypatch):
-    pool, old, new = local(), Worker(), Worker()
-    pool._roster.accepting.append(new)
-    pool._placements["one"], old.sessions["one"] = Placement(old), Memory(1, 1)
+@pytest.fixture
+def staffed(monkeypatch):
+    """Makes a pool whose workers answer every call with nothing."""
 
     async def call(worker, kind, session_id, request=b""):
         return b""
 
-    monkeypatch.setattr(pool, "_call", call)
+    def make(size: int, **options) -> tuple[LocalPool, list[worker.Worker]]:
+        pool = local(size, **options)
+        monkeypatch.setattr(pool, "_call", call)
+        pool._roster.accepting += [Worker() for _ in range(size)]
+        return pool, pool._roster.accepting
+
+    return make
+
+
+@pytest.mark.parametrize("size", [1, 3, 8])
+async def test_sessions_are_spread_evenly_over_the_workers(staffed, size):
+    pool, workers = staffed(size)
+    for number in range(5 * size):
+        await pool.open(str(number), b"")
+        assert max(len(worker.sessions) for worker in workers) == number // size + 1
+    for session_id in list(workers[0].sessions):
+        await pool.close(session_id)
+    for number in range(5):
+        await pool.open(f"again-{number}", b"")
+    assert {len(worker.sessions) for worker in workers} == {5}
+
+
+async def test_a_session_goes_to_a_worker_that_has_the_memory_for_it(staffed):
+    """Also where another one has fewer sessions; no worker goes beyond its limit."""
+    pool, workers = staffed(2, max_memory=100.0)
+    await pool.open("large", b"", Memory(90, 0))
+    for number in range(4):
+        await pool.open(str(number), b"", Memory(20, 0))
+    with pytest.raises(ResourceExhausted, match="memory"):
+        await pool.open("more", b"", Memory(21, 0))
+    await pool.open("last", b"", Memory(20, 0))
+    assert [list(worker.sessions) for worker in workers] == [["large"], ["0", "1", "2", "3", "last"]]
+    assert [worker.memory_with() for worker in workers] == [90, 100]
+
+
+async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(staffed):
+    (pool, (new,)), old = staffed(1), Worker()
+    pool._placements["one"], old.sessions["one"] = Placement(old), Memory(1, 1)
     await pool.open("one", b"", Memory(2, 2))
     assert (old.sessions, old.told) == ({}, [(wire.Kind.CLOSE, "one")])
     assert (new.sessions, new.told) == ({"one": Memory(2, 2)}, [])

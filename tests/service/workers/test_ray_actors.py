@@ -70,6 +70,29 @@ async def test_a_killed_actor_is_not_waited_for(cluster):
     server.close()
 
 
+async def test_a_node_has_no_more_actors_than_processors(cluster):
+    """One more waits until another has ended."""
+    connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
+    server = await asyncio.start_server(lambda *ends: connections.put_nowait(ends), "127.0.0.1", 0)
+    host, port = server.sockets[0].getsockname()
+    tokens = [bytes([number]) * 32 for number in range(PROCESSORS + 1)]
+    actors = {token: await asyncio.to_thread(ActorProcess, host, port, token, LIMITS.to_json()) for token in tokens}
+    try:
+        async with asyncio.timeout(PATIENCE):
+            arrived = [await connections.get() for _ in range(PROCESSORS)]
+            assert ray.available_resources().get("CPU", 0) == 0
+            assert connections.empty()
+            actors[await arrived[0][0].readexactly(32)].kill()
+            arrived.append(await connections.get())
+    finally:
+        for actor in actors.values():
+            actor.kill()
+    for _, writer in arrived:
+        writer.close()
+    server.close()
+    await all_free()
+
+
 async def test_an_actor_whose_work_failed_is_gone(cluster):
     """Its server has closed the connection before the answers were read."""
     server = await asyncio.start_server(lambda _, writer: writer.transport.abort(), "127.0.0.1", 0)

@@ -132,6 +132,11 @@ def is_warm(service) -> bool:
     return "ddakf_workers_spare 1.0" in httpx.get(f"{service.http}/metrics", timeout=TIMEOUT).text
 
 
+def test_the_actors_of_a_service_are_on_different_nodes(service, cluster):
+    eventually(lambda: is_warm(service), PATIENCE)
+    assert sorted(actors(cluster).values()) == sorted(map(raylet_of, cluster.worker_nodes))
+
+
 def test_a_node_that_drains_gives_its_sessions_away(service, stream, cluster):
     """They move between two frames: nothing is forgotten, no actor is left there, and the stream has nothing to be told."""
     eventually(lambda: is_warm(service), PATIENCE)
