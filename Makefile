@@ -7,7 +7,7 @@ export DDAKF_DATA
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .PHONY: help install demo test test-all test-without-recordings coverage dashboard test-web mutants warm lint serve bench load soak chaos kill cluster-test fuzz evaluate headline report report-quick clean \
-  docs image image-test image-slim image-slim-test image-s3 image-ray compose-test lock dist version sbom audit
+  docs image image-test image-slim image-s3 image-ray image-slim-test image-s3-test image-ray-test compose-test lock dist version sbom audit
 
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
@@ -31,7 +31,7 @@ help:
 	@echo "make report    the paper's tables and figures from results/, into out/report"
 	@echo "make report-quick  both, small: 2 sequences, 3 conditions, 2 seeds, 30 frames, into out/quick"
 	@echo "make image   the container image, with Docker or Buildah (make image-slim: without Pillow; image-s3, image-ray: with those extras)"
-	@echo "make image-test  builds it and tries it: user, read-only root, drain, resume, size, first frame (also image-slim-test)"
+	@echo "make image-test  builds it and tries it: user, read-only root, drain, resume, size, first frame (also image-slim-test, image-s3-test, image-ray-test)"
 	@echo "make compose-test  runs compose.yaml with every profile; as root with Debian's docker.io and docker-compose where no engine is"
 	@echo "make dist    wheels, source archives and the npm package, into dist (needs Node 20)"
 	@echo "make lock    renews uv.lock from the ranges of the pyproject.toml files"
@@ -200,8 +200,8 @@ image-ray:
 image-test: image $(DEV)
 	@DDAKF_IMAGE=ddakf:latest $(BIN)/python -m pytest tests/deployment/test_image.py -s $(ARGS)
 
-image-slim-test: image-slim $(DEV)
-	@DDAKF_IMAGE=ddakf:slim $(BIN)/python -m pytest tests/deployment/test_image.py -s $(ARGS)
+image-slim-test image-s3-test image-ray-test: image-%-test: image-% $(DEV)
+	@DDAKF_IMAGE=ddakf:$* $(BIN)/python -m pytest tests/deployment/test_image.py -s $(ARGS)
 
 # with an engine of its own in namespaces where none answers
 compose-test: image image-ray $(DEV)

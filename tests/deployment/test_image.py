@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import platform
 import re
 import signal
 import subprocess
@@ -24,6 +25,7 @@ from traffic import Usage
 
 from ddakf import data
 from ddakf.evaluation.sensors import Sensor
+from ddakf.kernels import cache
 
 from .containers import Container, Runtime, await_ready, runtime
 
@@ -35,8 +37,10 @@ pytestmark = [
 
 ROOT = Path(__file__).resolve().parents[2]
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
-MOST_BYTES = {"full": 600e6, "slim": 400e6, "s3": 600e6}
-FIRST_FRAME = 5.0  # seconds from the start of the container to the first result
+MOST_BYTES = {"full": 600e6, "slim": 400e6, "s3": 500e6, "ray": 900e6}
+FIRST_FRAME = 5.0  # processor seconds from the start of the container to the first result
+BUSY = 6  # times as many seconds where other programs take the processors
+BASELINE = "x86-64-v2" if platform.machine() == "x86_64" else "generic"
 TOOLS = {"sh", "bash", "dash", "gcc", "cc", "g++", "clang", "ld", "make", "apt", "dpkg", "node", "npm", "pip", "pip3", "uv"}
 FRAMES = 40
 SHIRT = data.sample()
@@ -58,6 +62,12 @@ def image(tmp_path_factory) -> Iterator[Runtime]:
 
 
 @pytest.fixture(scope="module")
+def variant(image) -> str:
+    """full, slim, s3 or ray."""
+    return image.inspect().config["Labels"]["org.opencontainers.image.ref.name"].rpartition("-")[2]
+
+
+@pytest.fixture(scope="module")
 def clouds() -> list[Frame]:
     camera, rng = Sensor("front"), np.random.default_rng(1)
     captured = [camera.capture(SHIRT, k, rng) for k in range(1, FRAMES + 1)]
@@ -71,9 +81,9 @@ def volume(tmp_path) -> Path:
     return folder
 
 
-def start(image: Runtime, volume: Path, grpc: int, http: int) -> Service:
-    """Runs the image's own command."""
-    environment = {"DDAKF_GRPC_PORT": str(grpc), "DDAKF_HTTP_PORT": str(http), "DDAKF_ALLOW_ANONYMOUS": "true",
+def start(image: Runtime, volume: Path, grpc: int, http: int, **more: str) -> Service:
+    """Runs the image's own command, with more variables."""
+    environment = more | {"DDAKF_GRPC_PORT": str(grpc), "DDAKF_HTTP_PORT": str(http), "DDAKF_ALLOW_ANONYMOUS": "true",
                    "DDAKF_SERVER_ID": "image-test", "DDAKF_LOG_FORMAT": "json", "DDAKF_WORKERS": "1"}  # fmt: skip
     return Service(image.run(volume, environment, (grpc, http)), f"127.0.0.1:{grpc}", f"http://127.0.0.1:{http}")
 
@@ -96,7 +106,7 @@ def service(image, volume) -> Iterator[Service]:
             service.container.wait()
 
 
-def test_what_the_image_says(image):
+def test_what_the_image_says(image, variant):
     config = image.inspect().config
     labels = {name.removeprefix("org.opencontainers.image."): value for name, value in config["Labels"].items()}
     assert labels["version"] == VERSION
@@ -105,18 +115,20 @@ def test_what_the_image_says(image):
     assert re.fullmatch(r"20\d\d-\d\d-\d\dT\d\d:\d\d:\d\dZ", labels["created"])
     assert config["Cmd"] == ["ddakf", "serve"]
     assert config["User"] == "10001:10001"
-    assert set(config["Volumes"]) == {"/var/lib/ddakf"}
-    assert config["Healthcheck"]["Test"][0] == "CMD"
+    if variant != "ray":  # whose containers Ray and KubeRay start and watch
+        assert set(config["Volumes"]) == {"/var/lib/ddakf"}
+        assert config["Healthcheck"]["Test"][0] == "CMD"
 
 
-def test_its_size(image):
-    found = image.inspect()
-    variant = found.config["Labels"]["org.opencontainers.image.ref.name"].rpartition("-")[2]
-    print(f"{IMAGE}: {found.size / 1e6:.0f} MB")
-    assert found.size < MOST_BYTES[variant]
+def test_its_size(image, variant):
+    size = image.inspect().size
+    print(f"{IMAGE}: {size / 1e6:.0f} MB")
+    assert size < MOST_BYTES[variant]
 
 
-def test_it_has_no_tools(image):
+def test_it_has_no_tools(image, variant):
+    if variant == "ray":
+        pytest.skip("Ray and KubeRay start processes with a shell")
     look = "import os; print(*{n for p in os.get_exec_path() if os.path.isdir(p) for n in os.listdir(p)})"
     done = image.execute("/opt/ddakf/bin/python", "-c", look)
     assert done.returncode == 0, done.stderr
@@ -129,23 +141,32 @@ def test_its_root_cannot_be_written(image):
     assert "Read-only file system" in done.stderr
 
 
-def test_its_packages_can_be_imported(image):
+def test_its_packages_can_be_imported(image, variant):
     names = "numpy numba grpc uvloop zstandard DracoPy sqlalchemy alembic fastapi uvicorn psycopg opentelemetry.sdk ssl sqlite3"
-    done = image.execute("/opt/ddakf/bin/python", "-c", f"import {', '.join(names.split())}")
+    added = {"s3": ["s3fs"], "ray": ["s3fs", "ray"]}.get(variant, [])
+    done = image.execute("/opt/ddakf/bin/python", "-c", f"import {', '.join(names.split() + added)}")
     assert done.returncode == 0, done.stderr
 
 
 def test_the_first_frame_comes_soon_after_the_start(image, volume, clouds):
-    """Where other programs take the processors, it is the processor time that counts: one of its own gives as much a second."""
+    """Where other programs take the processors, it is the processor time that counts: one of its own gives as much a second. The
+    seconds have a wide bound, since a start that waits for something uses no processor."""
     seconds, used = first_frame(image, volume, clouds[0])
-    assert min(seconds, used) < FIRST_FRAME
+    assert used < FIRST_FRAME
+    assert seconds < BUSY * FIRST_FRAME
 
 
-def first_frame(image: Runtime, volume: Path, cloud: Frame) -> tuple[float, float]:
+def test_the_kernels_of_the_baseline_are_complete(image, volume, clouds):
+    """A processor of that level tracks a frame without compiling."""
+    own = {"NUMBA_CPU_NAME": BASELINE, "NUMBA_CPU_FEATURES": "", "DDAKF_KERNEL_CACHE": f"/opt/ddakf/kernels/{BASELINE}"}
+    first_frame(image, volume, clouds[0], **own)
+
+
+def first_frame(image: Runtime, volume: Path, cloud: Frame, **environment: str) -> tuple[float, float]:
     """Seconds from the start of a container to its first result, and its processor seconds until then."""
     grpc, http = lasting_port(), lasting_port()
     started = time.monotonic()
-    service = start(image, volume, grpc, http)
+    service = start(image, volume, grpc, http, **environment)
     try:
         ready = await_ready(lambda: is_ready(service), service.container, 60)
         with connect(service.grpc) as client, client.create_session(SHIRT.template, SHIRT.garment_faces) as session:
@@ -160,12 +181,20 @@ def first_frame(image: Runtime, volume: Path, cloud: Frame) -> tuple[float, floa
     return first, used
 
 
-def test_its_user_and_its_kernels(service):
+def test_its_user(service):
     status = Path(f"/proc/{service.container.pid}/status").read_text()
     assert set(re.search(r"^Uid:\s+(.*)$", status, re.M)[1].split()) == {"10001"}
-    children = Path(f"/proc/{service.container.pid}/task/{service.container.pid}/children").read_text().split()
-    mapped = "".join(Path(f"/proc/{child}/environ").read_bytes().decode() for child in children)
-    assert "DDAKF_COMPILED_KERNELS=/opt/ddakf/kernels" in mapped
+
+
+def test_the_kernels_of_this_processor_s_level_are_taken(image):
+    """The best one that the image has; the baseline is always there."""
+    look = "import os; from ddakf.kernels import cache; print(cache.directory().parent, *os.listdir(os.environ[cache.COMPILED]))"
+    done = image.execute("/opt/ddakf/bin/python", "-c", look)
+    assert done.returncode == 0, done.stderr
+    taken, *levels = done.stdout.split()
+    assert BASELINE in levels
+    best = next(level for level in cache.supported() if level in levels)
+    assert taken == f"/opt/ddakf/kernels/{best}"
 
 
 def test_the_sample_from_outside(service):
@@ -177,7 +206,9 @@ def test_the_sample_from_outside(service):
     assert figures["frames"] == 29
 
 
-def test_the_health_check(image, service):
+def test_the_health_check(image, variant, service):
+    if variant == "ray":
+        pytest.skip("it has none: KubeRay's probes take its place")
     port = service.http.rpartition(":")[2]
     healthy = ["/opt/ddakf/bin/python", "-c", f"import os; os.environ['DDAKF_HTTP_PORT'] = '{port}'; "
                "exec(compile(open('/usr/bin/healthy').read(), 'healthy', 'exec'))"]  # fmt: skip
