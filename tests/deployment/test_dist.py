@@ -28,6 +28,11 @@ CONTENT = {
     "ddakf_api": ["ddakf_api/v1/tracking.proto", "ddakf_api/v1/tracking_pb2.pyi", "ddakf_api/py.typed"],
     "ddakf_client": ["ddakf_client/py.typed", "ddakf_client/recordings/__init__.py"],
 }  # fmt: skip
+ALL = """
+import ddakf, ddakf_api.v1.tracking_pb2, ddakf_client, ddakf_service.server, sys
+for module in (ddakf, ddakf_api, ddakf_client, ddakf_service):
+    assert module.__file__.startswith(sys.prefix)
+"""
 CLIENT = """
 import ddakf_client, sys
 assert ddakf_client.__file__.startswith(sys.prefix)
@@ -117,6 +122,13 @@ def test_the_service_works_in_an_empty_environment(environment, tmp_path, python
     assert settings["grpc_port"]["value"] == 7701
     run(programs / "ddakf", "keys", "create", "x", "--scope", "read", "--data-dir", str(tmp_path / "data"))
     assert run(programs / "python", "-c", "from ddakf_service.build import build; print(build())").strip() == "0123456789ab"
+
+
+def test_the_source_archives_work_in_an_empty_environment(environment, distributions, tmp_path):
+    api, client, service = (distributions / f"{name}-{VERSION}.tar.gz" for name in ("ddakf_api", "ddakf_client", "ddakf"))
+    programs = environment(str(api), str(client), f"ddakf[service] @ {service.as_uri()}")
+    run(programs / "python", "-c", ALL, folder=tmp_path)
+    assert run(programs / "ddakf", "--version").strip() == f"ddakf {VERSION}"
 
 
 def test_the_package_of_npm_works_in_an_empty_folder(tmp_path):
