@@ -134,9 +134,11 @@ def test_a_file_has_the_form_of_its_schema(path):
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
-def test_workflows_call_targets_of_the_makefile():
+def test_workflows_and_hooks_call_what_exists():
     targets = set(re.findall(r"^([a-z\d-]+(?: [a-z\d-]+)*):", (ROOT / "Makefile").read_text(), re.M))
     targets = {name for names in targets for name in names.split()}
-    for path in (ROOT / ".github/workflows").glob("*.yaml"):
-        called = set(re.findall(r"\bmake ([a-z\d-]+)", path.read_text()))
-        assert called <= targets, path.name
+    for path in (*(ROOT / ".github/workflows").glob("*.yaml"), ROOT / ".pre-commit-config.yaml"):
+        text = path.read_text()
+        assert set(re.findall(r"\bmake ([a-z\d-]+)", text)) <= targets, path.name
+        for script in re.findall(r"\.venv/bin/python ([\w/.]+)", text):
+            assert (ROOT / script).is_file(), path.name
