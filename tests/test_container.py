@@ -134,6 +134,14 @@ def test_a_file_has_the_form_of_its_schema(path):
     assert ended.returncode == 0, ended.stdout + ended.stderr
 
 
+def test_a_release_tries_and_pushes_every_variant_of_the_image():
+    variants = re.search(r"build \[(.*)\]", (ROOT / "docker/build").read_text())[1].split("|")
+    release = (ROOT / ".github/workflows/release.yaml").read_text()
+    for suffix in ("" if variant == "full" else f"-{variant}" for variant in variants):
+        assert f"make image{suffix}-test\n" in release
+        assert f'"$version{suffix}"' in release
+
+
 def test_workflows_and_hooks_call_what_exists():
     targets = set(re.findall(r"^([a-z\d-]+(?: [a-z\d-]+)*):", (ROOT / "Makefile").read_text(), re.M))
     targets = {name for names in targets for name in names.split()}
