@@ -99,7 +99,7 @@ def overhead_table(report: dict) -> list[str]:
     for row in found["rows"]:
         times = " | ".join(f"{row[kind]['p50_ms']:.1f} ({row[kind]['p99_ms']:.1f})" for kind in ("local", "ray"))
         lines.append(f"| {row['sessions']} | {times} | {row['more_ms']:+.1f} |")
-    return [*lines, "", f"{found['rows'][0]['local']['frames']} pairs of frames each. " + _place(found)]
+    return [*lines, "", f"At least {found['rows'][0]['local']['frames']} pairs of frames each. " + _place(found)]
 
 
 def event_table(report: dict) -> list[str]:

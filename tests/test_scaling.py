@@ -1,11 +1,12 @@
 """Simulation of scaling: sessions are conserved, placed evenly, and come back one after the other."""
 
+import json
 from dataclasses import replace
 
 import fleet_tables
 import numpy as np
 import pytest
-from scaling import Figures, back_after, placed, plan, simulated
+from scaling import RESULT, Figures, back_after, disagreements, main, placed, plan, simulated
 
 FIGURES = Figures(0.02, 0.002, 20_000, 50_000, 2e6, 5e6, 2e6, restore_first=0.3, restore_next=0.05)
 
@@ -40,6 +41,16 @@ def test_a_dearer_restore_makes_every_loss_longer():
     assert longer == {name for name in cheap if "_seconds_" in name}
     assert all(dear[name] == cheap[name] for name in cheap.keys() - longer)
     assert simulated(FIGURES, **fleet) == cheap, "the same seed, the same fleet"
+
+
+def test_a_simulation_that_disagrees_with_the_measurement_fails(tmp_path):
+    report = json.loads(RESULT.read_text())
+    assert disagreements(report) == []
+    (row,) = [row for row in report["restores"] if row["sessions"] == 4]
+    row["longest_s"] *= 1.5
+    assert disagreements(report) == [row]
+    (tmp_path / "scaling.json").write_text(json.dumps(report))
+    assert main(["--out", str(tmp_path / "scaling.json")]) == 1
 
 
 @pytest.mark.parametrize("document", fleet_tables.DOCUMENTS)
