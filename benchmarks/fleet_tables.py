@@ -6,6 +6,8 @@ import json
 import math
 from pathlib import Path
 
+from fleet import LEASE, NODE_CORES, RESERVE, Figures, back_after, plan, simulated
+
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "benchmarks/results"
 RATES = (30, 15)  # frames per second
@@ -31,8 +33,6 @@ def session_table(report: dict) -> list[str]:
 
 def rate_table(report: dict) -> list[str]:
     """How many sessions a core, a gigabyte and a gateway serve."""
-    from scaling import Figures, plan
-
     head = ["| rate | sessions per core | sessions per gigabyte of worker memory | sessions per gateway |", "|---|---|---|---|"]
     for rate in RATES:
         needs = plan(Figures(**report["figures"]), 10_000, rate)
@@ -43,8 +43,6 @@ def rate_table(report: dict) -> list[str]:
 
 def need_table(report: dict) -> list[str]:
     """What the fleet needs."""
-    from scaling import NODE_CORES, Figures, plan
-
     n = plan(Figures(**report["figures"]), *FLEET)
     nodes, places = math.ceil(n["worker_cores"] / NODE_CORES), math.ceil(n["gateways"] / GATEWAYS_OF_NODE)
     rows = [
@@ -64,8 +62,6 @@ def need_table(report: dict) -> list[str]:
 
 def loss_table(report: dict) -> list[str]:
     """What a loss does to the simulated fleet."""
-    from scaling import LEASE, NODE_CORES, RESERVE, Figures, plan, simulated
-
     figures = Figures(**report["figures"])
     f = simulated(figures, *FLEET, reserve=RESERVE, node_cores=NODE_CORES, seed=1)
     fit = plan(figures, *FLEET)["sessions_per_core"]
@@ -83,8 +79,6 @@ def loss_table(report: dict) -> list[str]:
 
 def restore_table(report: dict) -> list[str]:
     """Killed workers of the real service beside the simulation."""
-    from scaling import Figures, back_after
-
     lines = ["| sessions of a killed worker | all back, measured | simulated |", "|---|---|---|"]
     for row in report["restores"]:
         simulated = max(back_after([row["sessions"]], Figures(**report["figures"])))

@@ -60,7 +60,8 @@ async def _load(a: argparse.Namespace, script: traffic.Script, clients: int, add
     records = [traffic.StreamLog() for _ in range(clients)]
     async with contextlib.AsyncExitStack() as stack:
         stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
-        names = await asyncio.gather(*(traffic.created(stub, script) for stub in stubs))
+        garments = [0 if a.one_garment else k for k in range(clients)]
+        names = await asyncio.gather(*(traffic.created(stub, script, number=k) for stub, k in zip(stubs, garments, strict=True)))
         before, own, begun = usage.cpu_seconds() if usage else 0.0, time.process_time(), time.monotonic()
         delays = traffic.spread(clients, a.rate)
         plays = [
@@ -96,6 +97,7 @@ def _row(a: argparse.Namespace, script: traffic.Script, records: list[traffic.St
         "vertices": script.vertices,
         "points": a.points,
         "view": a.view + (" + body" if a.body else ""),
+        "garments": 1 if a.one_garment else len(records),
         "codec": a.codec,
         "flow": a.flow,
         "workers": None if a.server else a.workers,
@@ -141,6 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--points", type=int, default=10_000)
     parser.add_argument("--view", default="full", help="full, ring4 or front")
     parser.add_argument("--body", action="store_true", help="the body's vertices travel with every frame")
+    parser.add_argument("--one-garment", action="store_true", help="of all clients, so that their sessions share constants")
     parser.add_argument("--codec", choices=CODECS, default=DEFAULT_CODEC)
     parser.add_argument("--flow", choices=FLOWS, default="realtime")
     parser.add_argument("--seconds", type=float, default=20.0)

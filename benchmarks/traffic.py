@@ -78,6 +78,11 @@ class Script:
         request.frame.sequence_number, request.frame.capture_time = number, number / rate
         return request
 
+    def garment(self, number: int) -> pb.Mesh:
+        """The garment; equal ones share constants in a worker."""
+        vertices, faces = self.mesh
+        return pack_mesh(vertices + [1e-6 * number, 0.0, 0.0], faces)
+
     def reset(self, name: str) -> pb.ResetSessionRequest:
         """Starts a session at the truth."""
         return pb.ResetSessionRequest(name=name, vertices=pack(self._sequence.garment_vertices[0], pb.ARRAY_ENCODING_FLOAT32))
@@ -140,9 +145,12 @@ async def channel_to(address: str) -> AsyncIterator[grpc.aio.Channel]:
         yield channel
 
 
-async def created(stub: TrackingServiceStub, script: Script, limits: pb.SessionLimits | None = None) -> str:
-    """The name of a new session at the truth."""
+async def created(
+    stub: TrackingServiceStub, script: Script, limits: pb.SessionLimits | None = None, *, number: int = 0
+) -> str:
+    """The name of a new session at the truth. Sessions of another ``number`` have another garment, a micrometre aside."""
     request = pb.CreateSessionRequest(api_version=API_VERSION, session=script.session)
+    request.session.garment.CopyFrom(script.garment(number))
     if limits is not None:
         request.session.limits.CopyFrom(limits)
     session = await stub.CreateSession(request)

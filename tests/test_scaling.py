@@ -6,7 +6,8 @@ from dataclasses import replace
 import fleet_tables
 import numpy as np
 import pytest
-from scaling import RESULT, Figures, back_after, disagreements, main, placed, plan, simulated
+from fleet import Figures, back_after, disagreements, placed, plan, simulated
+from scaling import RESULT, main
 
 FIGURES = Figures(0.02, 0.002, 20_000, 50_000, 2e6, 5e6, 2e6, restore_first=0.3, restore_next=0.05)
 
