@@ -255,7 +255,7 @@ class Health(NamedTuple):
     doubtful: bool = False  # there is a fit, but hardly of this garment
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
-    spacing: float = 0.0  # s between the last two frames
+    spacing: float = 0.0  # s between the last two frames; 0 before there were two
     reliability: float = 0.0  # of the last frame
     # of the predicted error
     least_strain: float = 10.0  # RMS, so far

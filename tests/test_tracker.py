@@ -8,6 +8,8 @@ import pytest
 from ddakf import Config, FrameResult, Mesh, Tracker
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors import Sensor
+from ddakf.stages import predict
+from ddakf.types import FrameInput
 from tests.stages.scenes import FPS, about, rms, scan, turn
 from tests.tracker_runs import ARRAYS, BODY, EYE, PRESETS, SAMPLE, SHIRT, TUBE, WEARER, assert_finite, assert_same, cloud, swaying
 
@@ -295,6 +297,18 @@ def test_a_result_has_the_documented_shapes_and_types():
         result.timings
     )
     assert all(seconds >= 0 for seconds in result.timings.values())
+
+
+@pytest.mark.parametrize("rate", [5, 10, 30])
+def test_the_step_before_the_first_frame_is_as_long_as_the_next(rate):
+    """At any rate the second frame of a garment in even motion is predicted where it is, not several steps ahead."""
+    tracker, velocity = Tracker(TUBE), np.array([0.0, 0.0, 0.02 * rate])
+    for k in (1, 2):
+        where = TUBE.vertices + velocity * k / rate
+        prior = predict.begin(tracker._setup, tracker._track, FrameInput(np.empty((0, 3)), k / rate, EYE, None)).prior
+        missed = np.linalg.norm((prior.position - where).mean(axis=0))
+        tracker.step(scan(where, TUBE, 3000, 0.002, seed=k), timestamp=k / rate, sensor_origin=EYE)
+    assert missed < 0.01
 
 
 def test_the_seconds_of_the_stages_add_up_to_the_frames():

@@ -30,6 +30,8 @@ def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
     dt = setup.config.start.first_step if last.time is None else frame.timestamp - last.time
     config = adaptive_stiffness.adapted(last.strain2, setup.config)
     state, body, carried = last.state, None, None
+    if last.time is not None and last.health.spacing == 0.0:
+        state = _of_second_frame(state, dt, setup.config.start.first_step)
     if setup.body is not None:
         if frame.body_vertices is not None:
             body = contact.posed(setup.body, last.body, frame.body_vertices)
@@ -83,6 +85,11 @@ def predict(
     last = CovarianceBlocks(state.P_pp, state.P_pu, state.P_uu)
     kernels.propagate(last, travel, g, noise, CovarianceBlocks(P_pp, P_pu, P_uu))
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
+
+
+def _of_second_frame(state: State, dt: float, assumed: float) -> State:
+    """The state after the first frame, before which as much time had passed as passes now; ``assumed`` were fewer seconds."""
+    return state._replace(velocity=min(1.0, assumed / dt) * state.velocity)
 
 
 def _travel(damping: float, step: float) -> float:
@@ -142,7 +149,7 @@ def ahead(track: Track, seconds: float, config: ConstantVelocity | ConstantAccel
         seconds: since that frame.
         config: of stage A.
     """
-    state, speed2, dt = track.state, track.drift.speed2, track.health.spacing
+    state, speed2, dt = track.state, track.drift.speed2, track.health.spacing or seconds
     carrying = None if track.body is None else track.body.velocity
     prior = predict(state, seconds, None if carrying is None else seconds * carrying, config, seen=False)
     if speed2 > 0.0:
