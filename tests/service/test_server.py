@@ -13,6 +13,7 @@ import httpx
 import pytest
 from ddakf_api.errors import Draining
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.commands.serve import JsonAnnouncer
 from ddakf_service.commands.service_process import ServiceFailed, ServiceProcess
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.server import Server
@@ -212,3 +213,15 @@ async def test_what_ends_badly_keeps_nothing_else_from_its_end(tmp_path, monkeyp
     with pytest.raises(RuntimeError, match="does not close"):
         await server.run(lambda *_: None, lambda _: None)
     Store(settings, Metrics()).close()
+
+
+def test_what_a_library_prints_is_not_among_the_events(capsys):
+    announcer = JsonAnnouncer()
+    try:
+        print("a node is lost")
+        announcer.progress("compiling", 1, 2, "fuse")
+    finally:
+        announcer.close()
+    events, log = capsys.readouterr()
+    assert [json.loads(line)["done"] for line in events.splitlines()] == [1]
+    assert log == "a node is lost\n"

@@ -114,7 +114,10 @@ class ConsoleAnnouncer:
 
 
 class JsonAnnouncer:
-    """Progress and addresses as one JSON object per line, for a program."""
+    """Progress and addresses as one JSON object per line, for a program; what libraries print goes to stderr."""
+
+    def __init__(self):
+        self._lines, sys.stdout = sys.stdout, sys.stderr  # Ray prints there that a node is lost
 
     def progress(self, activity: str, done: int, total: int, name: str) -> None:
         self._write(event=activity, done=done, total=total, name=name)
@@ -123,11 +126,12 @@ class JsonAnnouncer:
         self._write(event="ready", grpc=addresses.grpc, http=addresses.http, pid=os.getpid())
 
     def close(self) -> None:
-        """Nothing stays open."""
+        """Gives stdout back."""
+        sys.stdout = self._lines
 
     def _write(self, **event) -> None:
-        sys.stdout.write(json.dumps(event) + "\n")
-        sys.stdout.flush()
+        self._lines.write(json.dumps(event) + "\n")
+        self._lines.flush()
 
 
 class LogAnnouncer:

@@ -231,7 +231,7 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
         await pool.open(name, creation(sheet))
     (first,) = pool.process_ids()
     results, number = [], 0
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(180):
         while pool.health().recycled == 0 or number < 5:
             number += 1
             frame = frame_of(sheet, number, shift=(0.001 * number, 0, 0))
