@@ -58,9 +58,7 @@ class Script:
         s = self._sequence = run.sequence
         self.fps, self.vertices = s.fps, len(s.template)
         self.mesh, self.begin = (s.template, s.garment_faces), s.garment_vertices[0]
-        self.session = pb.Session(garment=pack_mesh(*self.mesh))
-        if body:
-            self.session.body.CopyFrom(pack_mesh(s.body_vertices[0], s.body_faces))
+        self._body = pack_mesh(s.body_vertices[0], s.body_faces) if body else None
         self._frames = []
         for _, cloud, how in run.frames():
             encoded = codec.encode(cloud.points, codec_name).cloud
@@ -78,10 +76,10 @@ class Script:
         request.frame.sequence_number, request.frame.capture_time = number, number / rate
         return request
 
-    def garment(self, number: int) -> pb.Mesh:
-        """The garment; equal ones share constants in a worker."""
+    def session(self, number: int) -> pb.Session:
+        """A session with a garment of its own, ``number`` micrometres aside: equal ones share constants in a worker."""
         vertices, faces = self.mesh
-        return pack_mesh(vertices + [1e-6 * number, 0.0, 0.0], faces)
+        return pb.Session(garment=pack_mesh(vertices + [1e-6 * number, 0.0, 0.0], faces), body=self._body)
 
     def reset(self, name: str) -> pb.ResetSessionRequest:
         """Starts a session at the truth."""
@@ -148,9 +146,8 @@ async def channel_to(address: str) -> AsyncIterator[grpc.aio.Channel]:
 async def created(
     stub: TrackingServiceStub, script: Script, limits: pb.SessionLimits | None = None, *, number: int = 0
 ) -> str:
-    """The name of a new session at the truth. Sessions of another ``number`` have another garment, a micrometre aside."""
-    request = pb.CreateSessionRequest(api_version=API_VERSION, session=script.session)
-    request.session.garment.CopyFrom(script.garment(number))
+    """The name of a new session at the truth; sessions of the same ``number`` have the same garment."""
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=script.session(number))
     if limits is not None:
         request.session.limits.CopyFrom(limits)
     session = await stub.CreateSession(request)

@@ -52,7 +52,7 @@ class Tracker:
             units.require_like_sizes(garment, body)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
-        self._discretised = _discretised(garment, body, self.config)
+        self._discretised = _constants(garment, body, self.config)
         self._shared = WeakValueDictionary({self.config: self._discretised})  # of all trackers that have come from this one
         self.reset()
 
@@ -194,7 +194,7 @@ class Tracker:
             raise InvalidConfig("config", "a ddakf.Config", type(config).__name__)
         other, constants = copy.copy(self), self._shared.get(config)
         if constants is None:
-            constants = self._shared[config] = _discretised(self.garment, self.body, config, self._setup)
+            constants = self._shared[config] = _constants(self.garment, self.body, config, self._setup)
         other.config, other._discretised = config, constants
         other.reset()
         return other
@@ -236,7 +236,7 @@ class Tracker:
         return snapshots.load(data, Tracker)
 
 
-def _discretised(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
+def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | None = None) -> Discretised:
     """What is constant for a tracker; ``known`` is that of the same body, whose search tree is used again."""
     working = working_mesh.build(garment, config.discretisation)
     cloth, under = model.build(working.mesh, config), None

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ddakf_client import connect
+from ddakf_client import Client, Session, connect
 from ddakf_service.store.files.checkpoints import unpack
 
 from ddakf.commands import cli
@@ -35,16 +35,31 @@ def stored_frames(data: Path) -> int:
     return 0
 
 
+def begun(client: Client, data: Path) -> tuple[str, Session]:
+    """An uploaded mesh, and a labelled session with ten frames in its checkpoint."""
+    mesh = client.upload_mesh(*SHEET)
+    session = client.create_session(mesh, flow="lossless", labels={"take": "7"})
+    list(session.track(cloud(k) for k in range(1, 11)))
+    eventually(lambda: stored_frames(data) == 10)
+    return mesh, session
+
+
+def gone_on(client: Client, session_id: str) -> Session:
+    """The same session after a restore, which has tracked four frames more."""
+    session = client.open_session(session_id, flow="lossless")
+    assert session.info().labels == {"take": "7"}
+    results = list(session.track(cloud(k) for k in range(11, 15)))
+    assert [result.state for result in results] == ["tracking"] * 4
+    assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
+    return session
+
+
 @pytest.mark.slow
 def test_a_session_goes_on_from_the_backup_of_a_running_service(tmp_path, capsys):
     data, archive, again = tmp_path / "data", tmp_path / "backup.tar", tmp_path / "again"
     arguments = ["--workers", "1", "--server-id", "one", "--checkpoint-every", "1"]
     with running([*arguments, "--data-dir", str(data)], tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
-        mesh = client.upload_mesh(*SHEET)
-        session = client.create_session(mesh, flow="lossless", labels={"take": "7"})
-        session_id = session.session_id
-        list(session.track(cloud(k) for k in range(1, 11)))
-        eventually(lambda: stored_frames(data) == 10)
+        mesh, session = begun(client, data)
         assert cli.main(["backup", str(archive), "--data-dir", str(data)]) == 0
         list(session.track(cloud(k) for k in range(11, 15)))
     assert stat.S_IMODE(archive.stat().st_mode) == 0o600
@@ -52,11 +67,7 @@ def test_a_session_goes_on_from_the_backup_of_a_running_service(tmp_path, capsys
     assert {stat.S_IMODE(path.stat().st_mode) for path in again.rglob("*") if path.is_file()} == {0o600}
     capsys.readouterr()
     with running([*arguments, "--data-dir", str(again)], tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
-        session = client.open_session(session_id, flow="lossless")
-        assert session.info().labels == {"take": "7"}
-        results = list(session.track(cloud(k) for k in range(11, 15)))
-        assert [result.state for result in results] == ["tracking"] * 4
-        assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
+        session = gone_on(client, session.session_id)
         assert session.info().recoveries == 1
         assert [found.name for found in client.meshes()] == [mesh]
 
@@ -77,21 +88,13 @@ def test_a_session_goes_on_from_copies_of_postgresql_and_of_the_checkpoints(post
         subprocess.run([postgres.programs / name, "--dbname", url.replace("+psycopg", ""), *options], check=True)
 
     with running(arguments(first, data), tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
-        mesh = client.upload_mesh(*SHEET)
-        session = client.create_session(mesh, flow="lossless", labels={"take": "7"})
-        session_id = session.session_id
-        list(session.track(cloud(k) for k in range(1, 11)))
-        eventually(lambda: stored_frames(data) == 10)
+        mesh, session = begun(client, data)
         program("pg_dump", first, "--format=custom", "--file", dump)
         shutil.copytree(data / "checkpoints", again / "checkpoints")
         list(session.track(cloud(k) for k in range(11, 15)))
     program("pg_restore", second, "--exit-on-error", dump)
     with running(arguments(second, again), tmp_path) as service, connect(service.grpc, timeout=TIMEOUT) as client:
-        session = client.open_session(session_id, flow="lossless")
-        assert session.info().labels == {"take": "7"}
-        results = list(session.track(cloud(k) for k in range(11, 15)))
-        assert [result.state for result in results] == ["tracking"] * 4
-        assert np.abs(results[-1].vertices - cloud(14)[0]).max() < 0.01
+        session = gone_on(client, session.session_id)
         assert session.info().applied == 14
         assert [found.name for found in client.meshes()] == [mesh]
 

@@ -162,7 +162,7 @@ class FairShares:
     def _is_dearest(self, demand: _Demand) -> bool:
         """No session without a lighter tracker in use takes more."""
         others = (other for other in self._demands.values() if not other.lighter)
-        return all(demand.whole * demand.rate >= other.whole * other.rate for other in others)
+        return all(demand.load >= other.load for other in others)
 
     def affordable_rate(self, session_id: str) -> float:
         """Frames per second with the smallest budget that the session's share allows; 0: more than arrive."""
