@@ -1,9 +1,11 @@
 """The tracker as its users see it: recordings, invariances, repeatability."""
 
+import contextlib
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from ddakf import Config, FrameResult, Mesh, Tracker
 from ddakf.evaluation.datasets import collection
@@ -254,14 +256,25 @@ def test_results_own_their_arrays(config, worn):
                 given_in += 3.0
 
 
+@contextlib.contextmanager
+def blas_threads(count):
+    """BLAS with so many threads, set by a thread that has ended: while a thread lives that has set them, others cannot."""
+    with ThreadPoolExecutor(1) as setter:
+        limits = setter.submit(threadpool_limits, count, "blas").result()
+    try:
+        yield
+    finally:
+        limits.restore_original_limits()
+
+
 @PRESETS
 def test_trackers_in_threads_are_identical_to_the_bit_to_those_of_one_thread(config):
     def run(_=None):
         tracker = Tracker(TUBE, body=BODY, config=config)
         return [tracker.step(cloud(k), timestamp=k / FPS, sensor_origin=EYE, body_vertices=BODY.vertices) for k in range(6)]
 
-    alone = run()
-    with ThreadPoolExecutor(3) as threads:
+    with blas_threads(2), ThreadPoolExecutor(3) as threads:
+        alone = run()
         for beside_others in threads.map(run, range(6)):
             for a, b in zip(alone, beside_others, strict=True):
                 assert_same(a, b)

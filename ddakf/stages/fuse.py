@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import colour as colour_kernels
@@ -20,8 +19,6 @@ from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
-
-BLAS = ThreadpoolController()  # a matrix of a few hundred rows is slower on many threads, and on busy cores very much so
 
 
 def begin(problem: Problem) -> Estimate:

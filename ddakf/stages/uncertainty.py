@@ -9,9 +9,11 @@ each covariance its shape; :mod:`ddakf.stages.error_size` its sizes.
 
 from __future__ import annotations
 
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
@@ -21,8 +23,12 @@ from ddakf.kernels.uncertainty import MeasuredPlanes, PatchSums
 from ddakf.planning import omission
 from ddakf.stages import error_size, predict
 from ddakf.stages.error_size import PatchEvidence
-from ddakf.stages.fuse import BLAS, condition, inverse_blocks, invert
+from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
+
+# A matrix of a few hundred rows is slower on many threads, and on busy cores very much so. Their number is the process's: of
+# trackers in several threads, the first that is done would set it back for the others.
+_BLAS, _LIMITING = ThreadpoolController(), Lock()
 
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
@@ -139,7 +145,7 @@ def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.nda
         return P
     F = np.empty_like(G)
     kernels.error_transition(G, evidence.information.astype(np.float32), F)
-    with BLAS.limit(limits=1, user_api="blas"):
+    with _LIMITING, _BLAS.limit(limits=1, user_api="blas"):
         updated = F @ (P @ F.T - G) + G
     return 0.5 * (updated + updated.T)
 
