@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import tempfile
 import threading
 import time
@@ -19,6 +18,7 @@ import traffic
 from ddakf_api.codec import decode
 from ddakf_client import Frame, connect
 from ddakf_service.commands.service_process import ServiceProcess
+from ports import lasting_port
 
 _BETWEEN = 3.0  # seconds of streaming before each kill
 _PATIENCE = 120.0  # seconds in which a client looks for its server
@@ -28,8 +28,7 @@ class Server:
     """A server on one port and one folder, with the time of each of its starts."""
 
     def __init__(self, folder: Path):
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self._port = str(free.getsockname()[1])
+        self._port = str(lasting_port())
         self._folder = folder
         self.ready: list[float] = []
         self.cpu: list[float] = []

@@ -1,10 +1,10 @@
 """Fixtures of the client tests: fake services, outages, meshes, valid and invalid frames."""
 
-import socket
 import time
 
 import numpy as np
 import pytest
+from ports import lasting_port
 
 from . import fake_server
 
@@ -14,8 +14,7 @@ class Outage:
 
     def __init__(self, service):
         self.service = service
-        with socket.create_server(("127.0.0.1", 0)) as free:
-            self.port = free.getsockname()[1]
+        self.port = lasting_port()
         self.start()
 
     def start(self):

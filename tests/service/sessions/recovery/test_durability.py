@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import sqlite3
 import threading
 
@@ -21,6 +20,7 @@ from ddakf_service.sessions.recovery.durability import Durability, Irrecoverable
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.sessions.session import Session
 from ddakf_service.store.files.checkpoints import unpack
+from ports import lasting_port
 
 from ...conftest import TIMEOUT, Api, Talk, eventually, frame_of, request_of, running, template, workers
 
@@ -38,8 +38,7 @@ class Restartable:
     """A service that restarts with its data and its ports."""
 
     def __init__(self, folder):
-        with socket.create_server(("127.0.0.1", 0)) as one, socket.create_server(("127.0.0.1", 0)) as other:
-            ports = [str(taken.getsockname()[1]) for taken in (one, other)]
+        ports = [str(lasting_port()) for _ in range(2)]
         self._data = folder / "data"
         self._arguments = ["--workers", "1", "--spare-workers", "0", "--checkpoint-every", "4", "--drain-grace", "1"]
         self._arguments += ["--grpc-port", ports[0], "--http-port", ports[1], "--data-dir", str(self._data)]
