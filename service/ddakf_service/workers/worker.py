@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
 _FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
-_LOW_PRIORITY = 10  # nice
+_GIVING_WAY = 10  # added to the nice value, which Ray may have raised already
 
 
 class _Call(NamedTuple):
@@ -112,7 +112,8 @@ class Worker:
             return
         with contextlib.suppress(OSError):  # it has ended, or the system has no /proc
             for thread in os.listdir(f"/proc/{self.process.pid}/task"):
-                os.setpriority(os.PRIO_PROCESS, int(thread), _LOW_PRIORITY)
+                nice = os.getpriority(os.PRIO_PROCESS, int(thread))
+                os.setpriority(os.PRIO_PROCESS, int(thread), nice + _GIVING_WAY)  # the system knows the highest value
 
     def send(
         self,

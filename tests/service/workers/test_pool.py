@@ -61,8 +61,10 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 @pytest.fixture(scope="module", autouse=True)
 def no_cluster_afterwards():
-    """Ends the cluster after the pools of this file."""
-    yield
+    """Ends the cluster after the pools of this file; its actors have the priority of other processes, as documented."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.setenv("RAY_worker_niceness", "0")
+        yield
     if "ray" in sys.modules:
         sys.modules["ray"].shutdown()
 

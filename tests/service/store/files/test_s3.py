@@ -79,11 +79,12 @@ def relay(moto):
 
 
 @pytest.fixture
-def url(relay, monkeypatch):
-    """A new bucket, reached through the relay; timeouts are short."""
+def url(request, relay, monkeypatch):
+    """A new bucket, reached through the relay; timeouts are short where a test has an outage."""
     import s3fs
 
-    timeouts = {"connect_timeout": 1, "read_timeout": 1, "retries": {"max_attempts": 1}}
+    seconds = 1 if "outage" in request.fixturenames else 30
+    timeouts = {"connect_timeout": seconds, "read_timeout": seconds, "retries": {"max_attempts": 1}}
     options = {"endpoint_url": relay.url, "key": "a", "secret": "b", "config_kwargs": timeouts}
     monkeypatch.setitem(fsspec_config.conf, "s3", options)
     monkeypatch.setattr(s3fs.S3FileSystem, "retries", 1)
