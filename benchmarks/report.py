@@ -15,8 +15,13 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
+from ddakf.evaluation.paper_scope import CONDITIONS, TITLES
+from ddakf.evaluation.reporting import headline, result_files
+from ddakf.evaluation.studies.study_summary import OURS
+
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks/results/bench.json"
+UNTOUCHED = ROOT / "results/untouched.json"
 BUSY = 0.5  # load average when the run begins, above which the report says so
 WIDTH = 120  # columns that the widest table takes
 
@@ -174,9 +179,8 @@ def _time(times: dict | None, tail: bool = False) -> str:
 
 
 def readme_table(report: dict) -> str:
-    """The README's five numbers."""
+    """What the README says in numbers: errors on untouched recordings first, then times."""
     machine = report["machine"]
-    sample = next(row for row in report["frame"] if row["name"].startswith("sample, front"))
     around = next(row for row in report["frame"] if row["name"].startswith("sample, full"))
     added = next(row for row in report["service"]["overhead"] if row["codec"] == "morton-zstd")
     bare = report["open3d"].get("rows")
@@ -188,24 +192,37 @@ def readme_table(report: dict) -> str:
     largest = bare[0] if bare else {"vertices": around["vertices"], "points": around["points"]}
     frame_ms = bare[0]["ddakf_frame_ms"]["p50"] if bare else around["ms"]["total"]["p50"]
     rows = [
-        (f"one frame, {largest['vertices']:,} vertices and {largest['points']:,} points", f"{frame_ms:.0f} ms, {compared}"),
+        *_untouched_rows(result_files.read_one(UNTOUCHED)),
         (
-            "error of the sample, on which constants were chosen; points all around",
+            "the bundled sample, on which constants were chosen, points all around",
             f"{around['rmse_mm']:.1f} mm RMSE, {around['normal_rmse_mm']:.1f} mm along the normal",
         ),
-        (
-            "the same, one depth camera and the body",
-            f"{sample['rmse_mm']:.1f} mm RMSE, {sample['normal_rmse_mm']:.1f} mm along the normal",
-        ),
-        ("truth inside the 90 % ellipsoids, the same run", f"{sample['coverage90']:.0%}"),
+        (f"one frame, {largest['vertices']:,} vertices and {largest['points']:,} points", f"{frame_ms:.0f} ms, {compared}"),
         ("what the service adds to a frame", f"{added['overhead_ms']['p50']:.1f} ms (p50)"),
     ]
     lines = ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows)]
     place = f"{machine['cpu']}, {machine['cores']} cores, one thread used, Python {machine['python']}"
     if machine["load_average"] > BUSY:
         place += f" (other work ran beside it: load average {machine['load_average']})"
-    source = textwrap.fill(f"Measured by `make bench` on {place}; `benchmarks/results/bench.json` has the rest.", 100)
-    return "\n".join([*lines, "", source])
+    source = (
+        f"The first four rows are of `make headline` ([results](docs/results.md)), the rest by `make bench` on {place}; "
+        "`benchmarks/results/bench.json` has more."
+    )
+    return "\n".join([*lines, "", textwrap.fill(source, 100, break_long_words=False, break_on_hyphens=False)])
+
+
+def _untouched_rows(result: result_files.Result) -> list[tuple[str, str]]:
+    """Error in each condition beside that of the best baseline, and the calibration."""
+    rows, inside = [], []
+    for view, title in CONDITIONS.items():
+        ours, (name, _) = headline.geometric_mean(result, OURS, view, "rmse_mm"), headline.best_baseline(result, view, "rmse_mm")
+        theirs = headline.geometric_mean(result, name, view, "rmse_mm")
+        where = (
+            f"{len(result.sequences)} recordings on which no constant was chosen, {title}" if not rows else f"the same, {title}"
+        )
+        rows.append((where, f"{ours:.1f} mm RMSE; the best baseline, {TITLES[name]}, {theirs:.1f} mm"))
+        inside.append(f"{headline.arithmetic_mean(result, OURS, view, 'coverage90'):.0%}")
+    return [*rows, ("truth inside the 90 % ellipsoids, in these conditions", ", ".join(inside))]
 
 
 def payload_table(report: dict) -> str:

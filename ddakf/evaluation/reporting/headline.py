@@ -50,6 +50,11 @@ def geometric_mean(result: Result, system: str, view: str, value: str) -> float 
     return float(np.exp(np.mean(np.log(list(found.values()))))) if found else None
 
 
+def arithmetic_mean(result: Result, system: str, view: str, value: str) -> float:
+    """Mean over the sequences (FAUST: subjects) of a system's value in a view."""
+    return float(np.mean(list(_by_unit(result, system, view, value).values())))
+
+
 def best_baseline(result: Result, view: str, value: str = "rmse_mm") -> tuple[str, statistics.Ratio] | None:
     """The baseline with the least geometric mean of those that ran on all sequences, and the ratio of its error to DD-AKF's."""
     ours = _by_unit(result, OURS, view, value)
