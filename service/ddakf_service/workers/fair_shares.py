@@ -1,9 +1,9 @@
 """Fair shares: the processor time of a worker, divided among its sessions, and the budgets of frames that follow.
 
 Max-min fairness: a session that needs less than an equal share gets what it needs, and the others divide the rest. None starves,
-and the most expensive ones pay: first with work that is left out, then with the resolution of their mesh, which a lighter tracker
-goes on with, then with frames. On fast motion half of the frames tracked whole are closer to the garment than all of them with
-most of the work left out.
+and the most expensive ones pay: first with the resolution of their mesh, which a lighter tracker goes on with, then with frames.
+Budgets leave work out of none but unusual frames: on fast motion half of the frames tracked whole are closer to the garment than
+all of them with a part of the work left out, in the same time.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ _ROOM = 1.3  # of the time that a session's frames took lately, which it may hav
 _GAIN = 0.1  # of the running means
 _ABSENT_AFTER = 2.0  # seconds without a frame after which a session has no share
 _PAUSE = 1.0  # seconds, at most, between two frames that tell a rate
-_LEAST = 0.9  # of the time that a whole frame takes: the smallest budget
-_WHOLE_EVERY, _WHOLE_BUDGET = 30, 2.0  # frames, of which one has so many times the budget and shows what a whole one takes
+_LEAST = 2.0  # times what a whole frame takes: the smallest budget
+_SHORT = 0.9  # of its load: a share that is too small
 _SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
-_URGENT, _URGENT_FRAMES = 0.6, 5  # of what it needs: a share with which a session waits neither so long nor for others
-_FIRST_FRAMES = 10  # of a tracker, which nothing is left out of; later ones take less, when all is in the caches
+_URGENT, _URGENT_FRAMES = 1.0, 3  # processor seconds per second, which no worker has: it is not watched for so long
+_FIRST_FRAMES = 10  # of a tracker; later ones take less, when all is in the caches
+_TELLING = 4  # frames of a tracker, whose least time tells the load
+_LIGHTER = 0.5  # of the time of its own tracker, which a session's lighter one is expected to take
 _FADES = 0.998  # per frame, what the own tracker took
 _SETTLED = 0.5  # seconds between two changes of trackers in a worker, so that each one shows
 _ROOMY = 1.1  # of what its own tracker takes has room beside the others' when a session goes back to it
@@ -46,7 +48,6 @@ class _Demand:
         own_whole: the same of its own tracker, while the lighter one is in use. It fades, since it is often of a motion that is
             over: the own tracker is tried again in the end.
         tracked: number of frames of the tracker that is in use.
-        frames: number of frames in realtime flow.
         granted: processor seconds per second; infinite before the first frame with a budget.
         lighter: its lighter tracker is wanted.
         is_lighter: its lighter tracker has tracked its last frame.
@@ -62,7 +63,6 @@ class _Demand:
     whole: float = 0.0
     own_whole: float = 0.0
     tracked: int = 0
-    frames: int = 0
     granted: float = math.inf
     lighter: bool = False
     is_lighter: bool = False
@@ -88,8 +88,15 @@ class _Demand:
 
     @property
     def is_short(self) -> bool:
-        """Its share does not suffice for the smallest budget of its frames."""
-        return self.granted < _LEAST * self.whole * self.rate
+        """Its share does not suffice, by more than chance, for whole frames."""
+        return self.granted < _SHORT * self.load
+
+    @property
+    def expected(self) -> float:
+        """Its load after the change of its tracker that is due or has just been made."""
+        if self.lighter and not self.is_lighter:
+            return _LIGHTER * self.load
+        return min(self.load, _LIGHTER * self.rate * self.own_whole) if self.is_lighter and self.is_new else self.load
 
     def change(self, lighter: bool, now: float) -> None:
         """Wants the other tracker from now on."""
@@ -131,24 +138,23 @@ class FairShares:
         self._demands = {name: other for name, other in self._demands.items() if now - other.last < _ABSENT_AFTER}
         wanted = {name: other.share for name, other in self._demands.items()}
         demand.granted = divided(self._planned, wanted)[session_id]
-        demand.frames += 1
         self._choose_tracker(demand, now)
         if not demand.whole:
             return Grant(0.0, demand.lighter)
-        least = _WHOLE_BUDGET if demand.is_new or demand.frames % _WHOLE_EVERY == 0 else _LEAST
-        return Grant(max(demand.granted / rate, least * demand.whole), demand.lighter)
+        return Grant(max(demand.granted / rate, _LEAST * demand.whole), demand.lighter)
 
     def _choose_tracker(self, demand: _Demand, now: float) -> None:
         """Changes the tracker of a session whose share has not sufficed for a while, or for whose own one there is room again.
 
-        Both are decided by what usual frames take: a share is short for a second after each frame that a budget has cut.
+        Both are decided by what usual frames take: a share is short for a second after each frame that takes long.
         """
         settled = now - self._changed > _SETTLED
         if not demand.lighter:
-            crowded = sum(other.load for other in self._demands.values()) > self._planned
-            demand.short = demand.short + 1 if crowded and demand.is_short and not demand.is_new else 0
-            urgent = demand.short >= _URGENT_FRAMES and demand.granted < _URGENT * demand.whole * demand.rate
-            if urgent or (demand.short >= _SHORT_FRAMES and settled and self._is_dearest(demand)):
+            load = sum(other.expected for other in self._demands.values())
+            gives_way = demand.is_short and demand.tracked >= _TELLING and self._gives_way(demand, load - self._planned)
+            demand.short = demand.short + 1 if gives_way else 0
+            urgent = demand.short >= _URGENT_FRAMES and load > _URGENT
+            if urgent or (demand.short >= _SHORT_FRAMES and settled and not demand.is_new):
                 demand.change(True, now)
                 self._changed = now
         elif demand.is_lighter:
@@ -159,17 +165,18 @@ class FairShares:
                 demand.change(False, now)
                 self._changed = now
 
-    def _is_dearest(self, demand: _Demand) -> bool:
-        """No session without a lighter tracker in use takes more."""
-        others = (other for other in self._demands.values() if not other.lighter)
-        return all(demand.load >= other.load for other in others)
+    def _gives_way(self, demand: _Demand, excess: float) -> bool:
+        """Time is short, and still is when the sessions that take more have changed to their lighter trackers."""
+        own = sorted((other for other in self._demands.values() if not other.lighter), key=lambda other: -other.load)
+        dearer = own[: next(place for place, other in enumerate(own) if other is demand)]
+        return excess > (1.0 - _LIGHTER) * sum(other.load for other in dearer)
 
     def affordable_rate(self, session_id: str) -> float:
-        """Frames per second with the smallest budget that the session's share allows; 0: more than arrive."""
+        """Whole frames per second that the session's share allows; 0: more than arrive."""
         demand = self._demands.get(session_id)
         if demand is None or not demand.is_short:
             return 0.0
-        return demand.granted / (_LEAST * demand.whole)
+        return demand.granted / demand.whole
 
     @property
     def _planned(self) -> float:

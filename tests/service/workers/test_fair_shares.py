@@ -32,8 +32,8 @@ def test_what_suffices_is_granted(wanted):
 class Load:
     """Sessions that send frames in turn, at 30 per second each; frames that need more than their budget are cut to it.
 
-    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first frames of a
-    tracker take ``cold`` times as long.
+    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first two frames
+    of a tracker take ``cold`` times as long.
     """
 
     def __init__(self, seconds: dict[str, float], speed: float = 1.0, lighter: float = 0.0, cold: float = 1.0):
@@ -54,7 +54,7 @@ class Load:
                 self.light[name] = lighter
                 self.tracked[name] = 1 if changed else self.tracked[name] + 1
                 needed *= self.lighter if lighter else 1.0
-                needed *= self.cold if self.tracked[name] <= 5 else 1.0
+                needed *= self.cold if self.tracked[name] <= 2 else 1.0
                 used = min(needed, found[name] or math.inf)
                 self.shares.record(name, Spent(used, 0.0, used / self.speed, 1.5 if used < needed else 1.0, lighter))
         return found
@@ -65,15 +65,15 @@ def test_one_session_has_the_worker_for_itself():
 
 
 def test_the_largest_pays():
-    """With the work of its frames, and where that does not suffice with frames."""
+    """With frames, where it has no lighter tracker."""
     load = Load({"small": 0.005, "medium": 0.006, "large": 0.05})
     budgets, rate = load.budgets(), load.shares.affordable_rate("large")
     assert budgets["small"] >= 0.005
     assert budgets["medium"] >= 0.006
     assert load.shares.affordable_rate("small") == load.shares.affordable_rate("medium") == 0.0
-    assert 0.04 < budgets["large"] < 0.05
+    assert budgets["large"] >= 0.05
     assert 0 < rate < 20
-    assert 30 * (0.005 + 0.006) + rate * budgets["large"] < 0.9
+    assert 30 * (0.005 + 0.006) + rate * 0.05 < 0.9
 
 
 def test_no_session_starves():
@@ -81,7 +81,7 @@ def test_no_session_starves():
     budgets = load.budgets()
     assert len({round(budget, 6) for budget in budgets.values()}) == 1
     rates = [load.shares.affordable_rate(name) for name in budgets]
-    assert rates == pytest.approx([0.85 / 4 / 0.045] * 4, rel=0.05)
+    assert rates == pytest.approx([0.85 / 4 / 0.05] * 4, rel=0.05)
 
 
 def test_a_crowded_machine_grants_less():
@@ -93,8 +93,8 @@ def test_a_crowded_machine_grants_less():
 def test_a_session_that_is_gone_has_no_share():
     load = Load({"here": 0.05, "gone": 0.05})
     load.budgets()
-    alone = load.shares.grant("here", 30.0, load.now + 5.0).budget
-    assert load.shares.affordable_rate("here") * alone == pytest.approx(0.85, abs=0.01)
+    load.shares.grant("here", 30.0, load.now + 5.0)
+    assert load.shares.affordable_rate("here") * 0.05 == pytest.approx(0.85, abs=0.01)
 
 
 def test_a_lossless_session_uses_its_share_and_has_no_budget():
@@ -103,27 +103,30 @@ def test_a_lossless_session_uses_its_share_and_has_no_budget():
     for _ in range(20):
         load.shares.grant("realtime", 30.0, load.now)
         load.shares.record("realtime", Spent(0.05, 0.0, 0.05))
-    assert 0 < load.shares.grant("realtime", 30.0, load.now).budget < 0.05
+    assert 0 < load.shares.affordable_rate("realtime") < 10
 
 
 def test_a_need_that_ends_is_forgotten():
     load = Load({"one": 0.05, "two": 0.05})
     load.budgets()
     load.seconds["one"] = 0.005
-    budgets = load.budgets()
-    assert load.shares.affordable_rate("two") * budgets["two"] > 0.6
+    load.budgets()
+    assert load.shares.affordable_rate("two") * 0.05 > 0.6
     assert load.shares.affordable_rate("one") == 0.0
 
 
-def test_one_frame_in_thirty_shows_what_a_whole_one_takes():
+def test_no_usual_frame_is_cut_under_any_load():
+    """Sessions without a lighter tracker pay with frames alone."""
+    load = Load({f"session {k}": 0.03 for k in range(6)})
+    assert all(budget >= 0.06 for budget in load.budgets().values())
+
+
+def test_what_a_frame_takes_is_followed():
     load = Load({"one": 0.05})
-    load.budgets(frames=30)
-    found = [load.budgets(frames=1)["one"] for _ in range(90)]
-    assert [k + 1 for k, budget in enumerate(found) if budget >= 0.099] == [30, 60, 90]
     for seconds in (0.02, 0.05):
         load.seconds["one"] = seconds
         load.budgets(frames=2000)
-        assert load.shares.affordable_rate("one") == pytest.approx(0.85 / (0.9 * seconds) if seconds > 0.03 else 0.0, rel=0.05)
+        assert load.shares.affordable_rate("one") == pytest.approx(0.85 / seconds if seconds > 0.03 else 0.0, rel=0.05)
 
 
 def test_a_search_does_not_count_as_usual():
@@ -149,6 +152,21 @@ def test_where_time_is_short_lighter_trackers_go_on_and_no_frame_is_left_out():
     assert any(load.light.values())
     assert used(load) < 0.85
     assert all(load.shares.affordable_rate(name) == 0.0 for name in load.seconds)
+
+
+def test_a_load_that_no_core_carries_changes_several_trackers_at_once():
+    load = Load({"small": 0.004, **{f"large {k}": 0.012 for k in range(4)}}, lighter=0.4)
+    load.budgets(frames=12)
+    assert sum(load.light.values()) >= 3
+    assert not load.light["small"]
+
+
+def test_a_load_a_little_too_large_is_watched_first_and_one_tracker_changes():
+    load = Load({"one": 0.0162, "two": 0.0164}, lighter=0.5)
+    load.budgets(frames=14)
+    assert not any(load.light.values())
+    load.budgets(frames=30)
+    assert load.light == {"one": False, "two": True}
 
 
 def test_the_dearest_session_pays_first():
