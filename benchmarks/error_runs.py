@@ -165,7 +165,7 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
             seen.clear()
             result, truth = tracker.step(cloud.points, **step), sequence.garment_vertices[k]
             verdict, off = verdicts.pop(), result.vertices - truth
-            claim = np.sqrt(verdict.vertex_evidence.variance.mean())
+            claim = np.sqrt(verdict.variance.mean())
             of_frames.append((k, np.sqrt(np.square(off).sum(axis=1).mean()), result.reliability, claim, *verdict.evidence))
             if k % STRIDE < sensor.every and len(seen) == 2:
                 found = SizeEvidence(*(spread(np.broadcast_to(value, len(seen[1]))) for value in seen[0]))

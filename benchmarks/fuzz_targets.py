@@ -246,7 +246,7 @@ def _snapshot_inside() -> Target:
 
     def run(data: bytes) -> None:
         body = zlib.compress(data, 1)
-        _restored(snapshot.MAGIC + snapshot.VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body)
+        _restored(snapshot.sealed(body))
 
     return Target(run, [zlib.decompress(_tracker().snapshot()[16:])])
 

@@ -56,7 +56,6 @@ STAGE_OF = {
     "uncertainty": "F",
     "evidence": "G",
     "frame_error": "G",
-    "vertex_error": "G",
     "normal_error": "F",
     "tangential_error": "F",
     "omission": "budget",

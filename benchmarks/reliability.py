@@ -2,9 +2,9 @@
 (ddakf.evaluation.sensors.degradations).
 
     python benchmarks/reliability.py [--procs 2] [--json benchmarks/results/reliability.json]
-    python benchmarks/reliability.py --fit        # the two laws of ddakf/stages/reliability.py, fitted on all recordings
+    python benchmarks/reliability.py --fit        # the law of ddakf/stages/reliability.py, fitted on all recordings
 
-"left out" scores every recording by laws fitted on the others, as an estimate for a new one. Without DDAKF_DATA only the bundled
+"left out" scores every recording by a law fitted on the others, as an estimate for a new one. Without DDAKF_DATA only the bundled
 sample is used.
 """
 
@@ -29,16 +29,15 @@ from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.sensors.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.tracking.sources import SequenceSource
 from ddakf.stages import reliability
-from ddakf.stages.reliability import FrameEvidence, Law, VertexEvidence
+from ddakf.stages.reliability import FrameEvidence, Law
 
 WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
 WORST = 0.3  # m: larger errors are clipped: the track is lost
-LEAST = 1e-4  # m: smaller errors of a vertex are chance
 LEVEL = 1 / 3  # weight of a run's mean error in the fit; deviations within the run count fully
 RIDGE = 0.01
 VERTICES = 100  # saved of a frame
 SETTINGS = ddakf.Config().reliability
-ERROR, VERTEX_ERROR = reliability.law(ddakf.Config().frame_error), reliability.law(ddakf.Config().vertex_error)
+ERROR = reliability.law(ddakf.Config().frame_error)
 
 
 # Runs ---------------------------------------------------------------------------------------------------------------
@@ -81,7 +80,7 @@ def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, 
                 "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
                 "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
                 "score": result.reliability, "paper": result.paper_score,
-                "evidence": verdict.evidence, "vertex_evidence": np.stack([e[saved] for e in verdict.vertex_evidence], axis=1),
+                "evidence": verdict.evidence, "variance": np.trace(result.covariance[saved], axis1=1, axis2=2),
                 "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[saved],
             })  # fmt: skip
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
@@ -274,27 +273,12 @@ def fitted(runs: list[dict]) -> Law:
     return Law(float(np.exp(level - centre @ power)), ERROR.scale, FrameEvidence(*map(float, power)))
 
 
-def fitted_vertices(runs: list[dict]) -> Law:
-    """The law of the vertices: least squares on log errors, each frame's mean taken out."""
-    A, b = [], []
-    for run in runs:
-        x, y = logs(run["vertex_evidence"], VERTEX_ERROR), np.log(np.maximum(run["vertex_error"], LEAST))
-        scale = 1.0 / np.sqrt(y.size * len(runs))
-        A.append(scale * (x - x.mean(axis=1, keepdims=True)).reshape(-1, x.shape[2]))
-        b.append(scale * (y - y.mean(axis=1, keepdims=True)).ravel())
-    power = regressed(np.concatenate(A), np.concatenate(b))
-    return Law(1.0, VERTEX_ERROR.scale, VertexEvidence(*map(float, power)))
-
-
-def rescored(runs: list[dict], frame_law: Law, vertex_law: Law) -> list[dict]:
-    """The runs as these laws score them. The vertices' spread is that of the saved ones."""
+def rescored(runs: list[dict], law: Law) -> list[dict]:
+    """The runs as a law scores them. The vertices' spread is that of the saved ones."""
     out = []
     for run in runs:
-        error = frame_law(run["evidence"].T)
-        vertices = [
-            reliability.vertex_error(e, VertexEvidence(*found.T), vertex_law)
-            for e, found in zip(error, run["vertex_evidence"], strict=True)
-        ]
+        error = law(run["evidence"].T)
+        vertices = [reliability.vertex_error(e, variance) for e, variance in zip(error, run["variance"], strict=True)]
         out.append(run | {
             "score": reliability.score(error, SETTINGS), "vertex_score": reliability.score(np.array(vertices), SETTINGS),
         })  # fmt: skip
@@ -302,11 +286,11 @@ def rescored(runs: list[dict], frame_law: Law, vertex_law: Law) -> list[dict]:
 
 
 def left_out(runs: list[dict]) -> list[dict]:
-    """Scores of every recording by laws fitted on the others."""
+    """Scores of every recording by a law fitted on the others."""
     out = []
     for name in dict.fromkeys(run["sequence"] for run in runs):
         others = [run for run in runs if run["sequence"] != name]
-        out += rescored([run for run in runs if run["sequence"] == name], fitted(others), fitted_vertices(others))
+        out += rescored([run for run in runs if run["sequence"] == name], fitted(others))
     return out
 
 
@@ -337,7 +321,7 @@ def source_of(law: Law) -> str:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", action="store_true", help="fit the laws, print them and what they bring")
+    parser.add_argument("--fit", action="store_true", help="fit the law, print it and what it brings")
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--procs", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
@@ -352,16 +336,14 @@ def main() -> int:
     runs = all_runs(arguments.sequences, arguments.views, arguments.procs, arguments.frames)
     names = sorted({run["sequence"] for run in runs})
     report |= {"recordings": names, "views": sorted({view_of(run) for run in runs})}
-    present = rescored(runs, ERROR, VERTEX_ERROR)
+    present = rescored(runs, ERROR)
     report |= {"product": figures(present), "vertices": vertex_figures(present), "paper": figures(runs, "paper")}
     if len(names) > 1:
-        others = left_out(runs)
-        report |= {"left out": figures(others), "vertices, left out": vertex_figures(others)}
+        report |= {"left out": figures(left_out(runs))}
     if arguments.fit:
-        laws = fitted(runs), fitted_vertices(runs)
-        again = rescored(runs, *laws)
-        report |= {"fitted": figures(again), "vertices, fitted": vertex_figures(again)}
-        print("FrameError:", source_of(laws[0]), "VertexError:", source_of(laws[1]), sep="\n")
+        law = fitted(runs)
+        report |= {"fitted": figures(rescored(runs, law))}
+        print("FrameError:", source_of(law), sep="\n")
     for name, value in report.items():
         if isinstance(value, dict) and name != "machine":
             show(name, value)

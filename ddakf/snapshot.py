@@ -25,8 +25,10 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 12
-READ = (11, VERSION)  # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none
+VERSION = 13
+# 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
+# vertices' errors, which is not read.
+READ = (11, 12, VERSION)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
@@ -238,12 +240,16 @@ def _time(value) -> float | None:
 
 
 def pack(numbers: dict, arrays: dict[str, np.ndarray], level: int = 1) -> bytes:
-    """Bytes: magic, version, CRC-32 of what follows, then a compressed archive of the arrays and the JSON of the numbers."""
+    """Sealed bytes of a compressed archive of the arrays and the JSON of the numbers."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(numbers).encode(), np.uint8)
     np.savez(stream, numbers=text, **arrays)
-    body = zlib.compress(stream.getvalue(), level)
-    return MAGIC + VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body
+    return sealed(zlib.compress(stream.getvalue(), level))
+
+
+def sealed(body: bytes, version: int = VERSION) -> bytes:
+    """Magic, version, CRC-32 of the version and of what follows, then that."""
+    return MAGIC + version.to_bytes(4, "little") + _checksum(version, body).to_bytes(4, "little") + body
 
 
 def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
@@ -259,8 +265,8 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         raise InvalidSnapshot("snapshot", "bytes of a ddakf tracker", f"{len(data)} other bytes")
     version = int.from_bytes(data[8:12], "little")
     if version not in READ:
-        raise InvalidSnapshot("snapshot.version", " or ".join(map(str, READ)), str(version))
-    if zlib.crc32(data[16:]) != int.from_bytes(data[12:16], "little"):
+        raise InvalidSnapshot("snapshot.version", f"{READ[0]} to {VERSION}", str(version))
+    if _checksum(version, data[16:]) != int.from_bytes(data[12:16], "little"):
         raise InvalidSnapshot("snapshot", "intact bytes", "a wrong checksum")
     try:
         reader = zlib.decompressobj()
@@ -268,11 +274,25 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         if reader.unconsumed_tail:
             raise InvalidSnapshot("snapshot", f"at most {MAX_BYTES} bytes when unpacked", "more")
         arrays = _members(body)
-        return json.loads(arrays.pop("numbers").tobytes()), arrays
+        return _present(json.loads(arrays.pop("numbers").tobytes()), version), arrays
     except InvalidSnapshot:
         raise
     except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, RuntimeError, struct.error) as error:
         raise InvalidSnapshot("snapshot", "an archive of arrays", str(error) or type(error).__name__) from None
+
+
+def _checksum(version: int, body: bytes) -> int:
+    """Of the version too, so that none is taken for another; before 13 of the body alone."""
+    return zlib.crc32(body, zlib.crc32(version.to_bytes(4, "little")) if version >= 13 else 0)
+
+
+def _present(numbers: dict, version: int) -> dict:
+    """The numbers without what only earlier versions have."""
+    if version < 13 and isinstance(numbers, dict) and isinstance(config := numbers.get("config"), dict):
+        config.pop("vertex_error", None)
+        if isinstance(evidence := config.get("evidence"), dict):
+            evidence.pop("free_clearance", None)
+    return numbers
 
 
 def _members(body: bytes) -> dict[str, np.ndarray]:

@@ -93,14 +93,18 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
-def test_a_snapshot_of_version_11_goes_on_without_the_last_frames_reliability():
+@pytest.mark.parametrize("version", [11, 12])
+def test_a_snapshot_of_an_earlier_version_goes_on_without_what_it_lacks(version):
     tracker = tracked(5, BODY)
     numbers, arrays = snapshot.parts(tracker)
-    del numbers["health"]["reliability"]
-    older = bytearray(snapshot.pack(numbers, arrays))
-    older[8:12] = (11).to_bytes(4, "little")
-    twin = Tracker.restore(older)
-    assert twin._track.health == tracker._track.health._replace(reliability=0.0)
+    numbers["config"]["vertex_error"] = {"type": "VertexError", "base": 1.0}
+    numbers["config"]["evidence"]["free_clearance"] = 0.05
+    reliability = numbers["health"]["reliability"]
+    if version < 12:
+        del numbers["health"]["reliability"]
+        reliability = 0.0
+    twin = Tracker.restore(snapshot.sealed(snapshot.pack(numbers, arrays)[16:], version))
+    assert twin._track.health == tracker._track.health._replace(reliability=reliability)
     points, how = next(frames(5, 1, BODY))
     assert_same(twin.step(points, **how), tracker.step(points, **how))
 
@@ -203,7 +207,7 @@ def test_what_is_no_bytes_is_refused(data):
 
 def sealed(body: bytes) -> bytes:
     """A whole head, with the right checksum, before other content."""
-    return DATA[:12] + zlib.crc32(body).to_bytes(4, "little") + body
+    return snapshot.sealed(body)
 
 
 NOT_OURS = {
@@ -297,7 +301,7 @@ def archived(kind: int, **members: bytes) -> bytes:
         for name, data in members.items():
             archive.writestr(f"{name}.npy", data)
     body = zlib.compress(stream.getvalue(), 1)
-    return snapshot.MAGIC + snapshot.VERSION.to_bytes(4, "little") + zlib.crc32(body).to_bytes(4, "little") + body
+    return snapshot.sealed(body)
 
 
 def declared(shape: tuple[int, ...], data: bytes) -> bytes:

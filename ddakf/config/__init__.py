@@ -38,7 +38,6 @@ from ddakf.config.stages import (
     TangentialError,
     Tukey,
     Uncertainty,
-    VertexError,
 )
 from ddakf.errors import InvalidConfig, nearest
 from ddakf.physics.fabric import Fabric
@@ -75,7 +74,6 @@ __all__ = [
     "TangentialError",
     "Tukey",
     "Uncertainty",
-    "VertexError",
     "bounded",
     "derived",
 ]
@@ -109,7 +107,6 @@ class Config:
     tangential_error: TangentialError = field(default_factory=TangentialError)
     evidence: ErrorEvidence = field(default_factory=ErrorEvidence)
     frame_error: FrameError = field(default_factory=FrameError)
-    vertex_error: VertexError = field(default_factory=VertexError)
     omission: Omission = field(default_factory=Omission)
 
     def __post_init__(self) -> None:

@@ -319,7 +319,6 @@ class ErrorEvidence(Checked):
     clump_points: int = bounded(3, 1, 1000)  # unexplained points in a cell, from which on they are no stray points
     clump_size: float = bounded(0.10, 1e-3, 10)  # m, edge of such a cell
     memory: float = bounded(0.5, 1e-3, 1e3)  # s, time constant of the evidence
-    free_clearance: float = bounded(0.05, 0, 10)  # m from the body; nothing supports a vertex farther away
 
 
 @dataclass(frozen=True)
@@ -339,18 +338,3 @@ class FrameError(Checked):
     strain_power: float = bounded(0.079, 0, 10)
     hem_scale: float = bounded(1e-6, 1e-12, 1e6)  # m^2
     hem_power: float = bounded(0.039, 0, 10)
-
-
-@dataclass(frozen=True)
-class VertexError(Checked):
-    """Predicted error of a vertex relative to the others of its frame, as in FrameError."""
-
-    base: float = bounded(1.0, 1e-6, 1e6)  # dimensionless
-    variance_scale: float = bounded(7e-5, 1e-12, 1e6)  # m^2
-    variance_power: float = bounded(0.29, 0, 10)
-    unmeasured_scale: float = bounded(0.05, 1e-12, 1e6)  # 1 - mean weight of the measurements of a cluster
-    unmeasured_power: float = bounded(0.12, 0, 10)
-    strain_scale: float = bounded(1e-5, 1e-12, 1e6)  # squared strain
-    strain_power: float = bounded(0.047, 0, 10)
-    clearance_scale: float = bounded(0.005, 1e-12, 1e6)  # m
-    clearance_power: float = bounded(0.28, 0, 10)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability, VertexError
+from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability
 from ddakf.kernels import reliability as kernels
 from ddakf.kernels.associate import vertex_normals
 from ddakf.planning import omission
@@ -48,15 +48,6 @@ class FrameEvidence(NamedTuple):
     hem: float  # m^2, mean squared distance of hems from where the cloud ends
 
 
-class VertexEvidence(NamedTuple):
-    """Evidence about the error of each vertex, (V,) each."""
-
-    variance: np.ndarray  # m^2, trace of the calibrated covariance
-    unmeasured: np.ndarray  # in [0, 1]: 1 - mean weight of the measurements of the vertex's cluster
-    strain: np.ndarray  # mean squared strain of the edges at the vertex
-    clearance: np.ndarray  # m, from the body, at most free_clearance; that where there is none
-
-
 class Law(NamedTuple):
     """A predicted error: ``base`` times prod (1 + evidence / scale)^power, no power negative."""
 
@@ -64,31 +55,29 @@ class Law(NamedTuple):
     scale: tuple  # in the units of the evidence: below it, it says nothing
     power: tuple
 
-    def __call__(self, found: FrameEvidence | VertexEvidence):
+    def __call__(self, found: FrameEvidence):
         """Metres; an array where the evidence consists of arrays."""
         terms = zip(found, self.scale, self.power, strict=True)
         return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
 
 
-def law(config: FrameError | VertexError) -> Law:
+def law(config: FrameError) -> Law:
     """The law with the scales and powers of a configuration."""
-    kind = FrameEvidence if isinstance(config, FrameError) else VertexEvidence
-    scale, power = (kind(*(getattr(config, f"{name}_{part}") for name in kind._fields)) for part in ("scale", "power"))
+    names = FrameEvidence._fields
+    scale, power = (FrameEvidence(*(getattr(config, f"{name}_{part}") for name in names)) for part in ("scale", "power"))
     return Law(config.base, scale, power)
 
 
 def evidence(
     problem: Problem, estimate: Estimate, posterior: Posterior, points: np.ndarray
-) -> tuple[FrameEvidence, VertexEvidence, Health]:
-    """The evidence for and against a frame and its vertices, and the memory of it.
+) -> tuple[FrameEvidence, Health]:
+    """The evidence for and against a frame, and the memory of it.
 
     ``points`` (N, 3) are those of the cloud that are compared with the surface, metres.
     """
-    model, health, covariance, clearance = problem.model, problem.health, posterior.covariance, estimate.clearance
-    free = problem.config.evidence.free_clearance
-    position, n, weight = posterior.state.position, len(posterior.state.position), estimate.evidence.weight
-    squared = np.empty(n)
-    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, squared))
+    model, health, position = problem.model, problem.health, posterior.state.position
+    each = np.empty(len(position))
+    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, each))
     health = health._replace(least_strain=min(health.least_strain, strain))
     if len(points):
         health = misfit(problem, health, points, position)
@@ -98,18 +87,11 @@ def evidence(
         offset=health.offset,
         unmatched=estimate.unmatched,
         unexplained=health.unexplained,
-        uncertainty=kernels.variance_along(normal, covariance) / n,
+        uncertainty=kernels.variance_along(normal, posterior.covariance) / len(position),
         strain=(strain - health.least_strain) ** 2,
         hem=estimate.evidence.measurement.squared_hem or 0.0,
     )
-    measured = np.bincount(model.cluster, weight, model.n_clusters) / np.bincount(model.cluster)
-    vertices = VertexEvidence(
-        variance=3.0 * variances(covariance),
-        unmeasured=np.clip(1.0 - measured, 0.0, 1.0)[model.cluster],
-        strain=squared,
-        clearance=np.full(n, free) if clearance is None else np.clip(clearance, 0.0, free),
-    )
-    return frame, vertices, health
+    return frame, health
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
@@ -180,10 +162,14 @@ def score(error, config: Reliability | PaperReliability):
     return 1.0 / (1.0 + np.square(error / config.half_error))
 
 
-def vertex_error(error: float, found: VertexEvidence, law: Law) -> np.ndarray:
-    """(V,) metres: predicted errors, of the RMS ``error`` of the frame and as different from each other as the law says."""
-    relative = law(found)
-    return error * relative / math.sqrt(float(relative @ relative) / len(relative))
+def vertex_error(error: float, variance: np.ndarray) -> np.ndarray:
+    """(V,) metres: predicted errors, of the RMS ``error`` of the frame and in proportion to the vertices' standard deviations.
+
+    Args:
+        error: of the frame, metres.
+        variance: (V,) square metres, above 0.
+    """
+    return error * np.sqrt(variance / variance.mean())
 
 
 class Verdict(NamedTuple):
@@ -195,7 +181,7 @@ class Verdict(NamedTuple):
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
     evidence: FrameEvidence
-    vertex_evidence: VertexEvidence
+    variance: np.ndarray  # (V,) m^2, trace of the calibrated covariance
     warnings: tuple[InputWarning, ...] = ()  # of wrong input
     signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
 
@@ -207,19 +193,20 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
     cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
-    frame, vertices, health = evidence(problem, estimate, posterior, points)
+    frame, health = evidence(problem, estimate, posterior, points)
+    variance = 3.0 * variances(posterior.covariance)
     # what the cloud shows of a wrong fit, and what the covariance knows of an error that no cloud shows
     shown = omission.widening(problem, estimate) * law(problem.config.frame_error)(frame)
-    error = math.hypot(shown, config.sigma_share * math.sqrt(vertices.variance.mean()))
+    error = math.hypot(shown, config.sigma_share * math.sqrt(variance.mean()))
     if problem.blind:
         error = max(error, problem.config.sidedness.blind_error)
-    errors = vertex_error(error, vertices, law(problem.config.vertex_error))
+    errors = vertex_error(error, variance)
     reliability = float(score(error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
     spacing = 0.0 if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=reliability)
-    return Verdict(moved, reliability, s_k, coverage, score(errors, config), frame, vertices)
+    return Verdict(moved, reliability, s_k, coverage, score(errors, config), frame, variance)
 
 
 class Outcome(NamedTuple):
