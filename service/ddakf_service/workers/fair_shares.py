@@ -48,7 +48,7 @@ class _Demand:
         own_whole: the same of its own tracker, while the lighter one is in use. It fades, since it is often of a motion that is
             over: the own tracker is tried again in the end.
         tracked: number of frames of the tracker that is in use.
-        granted: processor seconds per second; infinite before the first frame with a budget.
+        granted: processor seconds per second; infinite before the first frame with a budget, and in lossless flow.
         lighter: its lighter tracker is wanted.
         is_lighter: its lighter tracker has tracked its last frame.
         short: number of frames in a row for which its share did not suffice.
@@ -80,6 +80,11 @@ class _Demand:
     def load(self) -> float:
         """Processor seconds per second of frames of which nothing is left out."""
         return self.rate * self.whole
+
+    @property
+    def has_budget(self) -> bool:
+        """Its last frames came in realtime flow: in lossless flow it keeps its own tracker."""
+        return math.isfinite(self.granted)
 
     @property
     def is_new(self) -> bool:
@@ -133,7 +138,7 @@ class FairShares:
             demand.rate += _GAIN * (1.0 / max(pause, 1e-3) - demand.rate)
         demand.last = now
         if rate <= 0:
-            demand.lighter = False
+            demand.lighter, demand.granted = False, math.inf
             return WHOLE
         self._demands = {name: other for name, other in self._demands.items() if now - other.last < _ABSENT_AFTER}
         wanted = {name: other.share for name, other in self._demands.items()}
@@ -167,7 +172,8 @@ class FairShares:
 
     def _gives_way(self, demand: _Demand, excess: float) -> bool:
         """Time is short, and still is when the sessions that take more have changed to their lighter trackers."""
-        own = sorted((other for other in self._demands.values() if not other.lighter), key=lambda other: -other.load)
+        own = [other for other in self._demands.values() if not other.lighter and other.has_budget]
+        own.sort(key=lambda other: -other.load)
         dearer = own[: next(place for place, other in enumerate(own) if other is demand)]
         return excess > (1.0 - _LIGHTER) * sum(other.load for other in dearer)
 

@@ -169,6 +169,15 @@ def test_a_load_a_little_too_large_is_watched_first_and_one_tracker_changes():
     assert load.light == {"one": False, "two": True}
 
 
+def test_others_change_where_the_dearest_session_is_lossless():
+    load = Load({"one": 0.014, "two": 0.013}, lighter=0.4)
+    for _ in range(100):
+        load.shares.grant("lossless", 0.0, load.now)
+        load.shares.record("lossless", Spent(0.015, 0.0, 0.015))
+        load.budgets(frames=1)
+    assert load.light == {"one": True, "two": True}
+
+
 def test_the_dearest_session_pays_first():
     load = Load({"small": 0.005, "large": 0.02, "medium": 0.01}, lighter=0.4)
     load.budgets(frames=300)
