@@ -22,9 +22,9 @@ _PAUSE = 1.0  # seconds, at most, between two frames that tell a rate
 _LEAST = 2.0  # times what a whole frame takes: the smallest budget
 _SHORT = 0.9  # of its load: a share that is too small
 _SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
-_URGENT, _URGENT_FRAMES = 1.0, 3  # processor seconds per second, which no worker has: it is not watched for so long
+_URGENT, _URGENT_FRAMES = 1.0, 3  # processor seconds per second of several sessions, which no worker has: watched for less long
 _FIRST_FRAMES = 10  # of a tracker; later ones take less, when all is in the caches
-_TELLING = 4  # frames of a tracker, whose least time tells the load
+_TELLING = 6  # frames of a tracker, whose least time tells the load
 _LIGHTER = 0.5  # of the time of its own tracker, which a session's lighter one is expected to take
 _FADES = 0.998  # per frame, what the own tracker took
 _SETTLED = 0.5  # seconds between two changes of trackers in a worker, so that each one shows
@@ -158,7 +158,7 @@ class FairShares:
             load = sum(other.expected for other in self._demands.values())
             gives_way = demand.is_short and demand.tracked >= _TELLING and self._gives_way(demand, load - self._planned)
             demand.short = demand.short + 1 if gives_way else 0
-            urgent = demand.short >= _URGENT_FRAMES and load > _URGENT
+            urgent = demand.short >= _URGENT_FRAMES and load > _URGENT and len(self._demands) > 1
             if urgent or (demand.short >= _SHORT_FRAMES and settled and not demand.is_new):
                 demand.change(True, now)
                 self._changed = now

@@ -156,9 +156,17 @@ def test_where_time_is_short_lighter_trackers_go_on_and_no_frame_is_left_out():
 
 def test_a_load_that_no_core_carries_changes_several_trackers_at_once():
     load = Load({"small": 0.004, **{f"large {k}": 0.012 for k in range(4)}}, lighter=0.4)
-    load.budgets(frames=12)
+    load.budgets(frames=14)
     assert sum(load.light.values()) >= 3
     assert not load.light["small"]
+
+
+def test_slow_first_frames_of_a_session_alone_do_not_change_it():
+    load = Load({"one": 0.04}, lighter=0.5)
+    load.budgets(frames=12)
+    load.seconds["one"] = 0.02
+    load.budgets(frames=100)
+    assert load.changes == 0
 
 
 def test_a_load_a_little_too_large_is_watched_first_and_one_tracker_changes():
