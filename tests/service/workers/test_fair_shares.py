@@ -32,7 +32,7 @@ def test_what_suffices_is_granted(wanted):
 class Load:
     """Sessions that send frames in turn, at 30 per second each; frames that need more than their budget are cut to it.
 
-    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first two frames
+    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first five frames
     of a tracker take ``cold`` times as long.
     """
 
@@ -54,7 +54,7 @@ class Load:
                 self.light[name] = lighter
                 self.tracked[name] = 1 if changed else self.tracked[name] + 1
                 needed *= self.lighter if lighter else 1.0
-                needed *= self.cold if self.tracked[name] <= 2 else 1.0
+                needed *= self.cold if self.tracked[name] <= 5 else 1.0
                 used = min(needed, found[name] or math.inf)
                 self.shares.record(name, Spent(used, 0.0, used / self.speed, 1.5 if used < needed else 1.0, lighter))
         return found
