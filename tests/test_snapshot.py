@@ -205,11 +205,6 @@ def test_what_is_no_bytes_is_refused(data):
         Tracker.restore(data)
 
 
-def sealed(body: bytes) -> bytes:
-    """A whole head, with the right checksum, before other content."""
-    return snapshot.sealed(body)
-
-
 NOT_OURS = {
     "no compressed data": b"nothing of the kind",
     "compressed nothing": zlib.compress(b""),
@@ -222,7 +217,7 @@ NOT_OURS = {
 @pytest.mark.parametrize("what", list(NOT_OURS))
 def test_a_right_checksum_over_other_content_is_refused(what):
     with pytest.raises(InvalidSnapshot):
-        Tracker.restore(sealed(NOT_OURS[what]))
+        Tracker.restore(snapshot.sealed(NOT_OURS[what]))
 
 
 def rewritten(change) -> bytes:

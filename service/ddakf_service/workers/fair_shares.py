@@ -2,8 +2,7 @@
 
 Max-min fairness: a session that needs less than an equal share gets what it needs, and the others divide the rest. None starves,
 and the most expensive ones pay: first with the resolution of their mesh, which a lighter tracker goes on with, then with frames.
-Budgets leave work out of none but unusual frames: on fast motion half of the frames tracked whole are closer to the garment than
-all of them with a part of the work left out, in the same time.
+Budgets leave work out of none but unusual frames: a cut frame loses more than it saves (``benchmarks/omission.py``).
 """
 
 from __future__ import annotations
@@ -73,7 +72,7 @@ class _Demand:
 
     @property
     def share(self) -> float:
-        """Processor seconds per second that it wants: those of whole frames, also while its budgets cut them."""
+        """Processor seconds per second that it wants: those of whole frames."""
         return _ROOM * self.rate * max(self.seconds, self.whole) if self.whole else math.inf
 
     @property
@@ -159,7 +158,7 @@ class FairShares:
             gives_way = demand.is_short and demand.tracked >= _TELLING and self._gives_way(demand, load - self._planned)
             demand.short = demand.short + 1 if gives_way else 0
             urgent = demand.short >= _URGENT_FRAMES and load > _URGENT and len(self._demands) > 1
-            if urgent or (demand.short >= _SHORT_FRAMES and settled and not demand.is_new):
+            if urgent or (demand.short >= _SHORT_FRAMES and settled):
                 demand.change(True, now)
                 self._changed = now
         elif demand.is_lighter:
@@ -172,10 +171,8 @@ class FairShares:
 
     def _gives_way(self, demand: _Demand, excess: float) -> bool:
         """Time is short, and still is when the sessions that take more have changed to their lighter trackers."""
-        own = [other for other in self._demands.values() if not other.lighter and other.has_budget]
-        own.sort(key=lambda other: -other.load)
-        dearer = own[: next(place for place, other in enumerate(own) if other is demand)]
-        return excess > (1.0 - _LIGHTER) * sum(other.load for other in dearer)
+        own = (other.load for other in self._demands.values() if not other.lighter and other.has_budget)
+        return excess > (1.0 - _LIGHTER) * sum(load for load in own if load > demand.load)
 
     def affordable_rate(self, session_id: str) -> float:
         """Whole frames per second that the session's share allows; 0: more than arrive."""
