@@ -80,7 +80,8 @@ def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, 
                 "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
                 "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
                 "score": result.reliability, "paper": result.paper_score,
-                "evidence": verdict.evidence, "variance": np.trace(result.covariance[saved], axis1=1, axis2=2),
+                "evidence": verdict.evidence, "sigma": np.sqrt(verdict.variance.mean()),
+                "variance": np.trace(result.covariance[saved], axis1=1, axis2=2),
                 "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[saved],
             })  # fmt: skip
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
@@ -274,14 +275,13 @@ def fitted(runs: list[dict]) -> Law:
 
 
 def rescored(runs: list[dict], law: Law) -> list[dict]:
-    """The runs as a law scores them. The vertices' spread is that of the saved ones."""
+    """The runs as the tracker would score them with a law of what the cloud shows."""
     out = []
     for run in runs:
-        error = law(run["evidence"].T)
-        vertices = [reliability.vertex_error(e, variance) for e, variance in zip(error, run["variance"], strict=True)]
-        out.append(run | {
-            "score": reliability.score(error, SETTINGS), "vertex_score": reliability.score(np.array(vertices), SETTINGS),
-        })  # fmt: skip
+        error = np.hypot(law(run["evidence"].T), SETTINGS.sigma_share * run["sigma"])
+        vertex_error = (error / run["sigma"])[:, None] * np.sqrt(run["variance"])
+        scores = {"score": error, "vertex_score": vertex_error}
+        out.append(run | {name: reliability.score(value, SETTINGS) for name, value in scores.items()})
     return out
 
 
