@@ -142,10 +142,11 @@ class TrackerHost:
         return ddakf.Tracker(garment, body=body, config=config)
 
     def _add(self, session_id: str, tracker: ddakf.Tracker) -> None:
-        """Adds a session. Beside others its lighter tracker is built at once: it is needed when time is short already."""
-        self._trackers[session_id] = added = SessionTracker(tracker, self._builder)
+        """Adds a session. Where there are several, lighter trackers are built at once: they are needed when time is short."""
+        self._trackers[session_id] = SessionTracker(tracker, self._builder)
         if len(self._trackers) > 1:
-            added.prepare()
+            for session in list(self._trackers.values()):  # another lane may change them meanwhile
+                session.prepare()
 
     def _tracker(self, session_id: str) -> SessionTracker:
         try:

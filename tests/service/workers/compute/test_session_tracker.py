@@ -90,6 +90,13 @@ def test_sessions_of_one_garment_share_its_constants_and_no_track():
     assert np.array_equal(four._track.state.position, two._track.state.position)
 
 
+def test_lighter_trackers_are_built_as_soon_as_there_are_several_sessions():
+    alone, beside = host_of(one=SHIRT), host_of(one=SHIRT, two=TUBE)
+    assert alone._trackers["one"]._lighter is None
+    for session in beside._trackers.values():
+        assert session._lighter.result(timeout=60).config == Config().lighter()
+
+
 def test_a_frame_is_tracked_as_its_grant_says():
     host = host_of(one=SHIRT)
     waiting(host._trackers["one"])
