@@ -1,10 +1,10 @@
 """Laws of the error's size along and across the normal: ``python benchmarks/error_size.py [--fit] [--procs 2] [--frames 60]``.
 
 Tracks the recordings of the collection, and the captures of DDAKF_DATA, in five views, and in three of them with a slow, a
-sparse and a noisy sensor. Prints by
-garment and by sensor, for each group of vertices, the share of the vertices in their 90 % ellipsoids, NEES/3, and the NEES along
-the normal and across it, each over its directions. Then, by view, the rank correlation of sigma and error within a frame, and
-that of reliability and error. Training recordings, captures and held-out recordings, on which nothing is chosen, stand apart.
+sparse and a noisy sensor. Prints by garment and by sensor, for each group of vertices, the share of the vertices in their 90 %
+ellipsoids, NEES/3, and the NEES along the normal and across it, each over its directions. Then, by view, the rank correlation of
+sigma and error within a frame, and that of reliability and error; and the RMSE of the frames by what their reliability says.
+Training recordings, captures and held-out recordings, on which nothing is chosen, stand apart.
 Draws the shares in the ellipsoids of all levels.
 
 ``--fit`` fits the powers and bases of ``NormalError`` and ``TangentialError`` to training recordings and captures (maximum
@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +40,7 @@ DEGREES = 5.0  # of freedom: errors have heavier tails than a normal distributio
 WITHIN = 0.92  # share that the 90 % ellipsoids hold in the mean of the fitted runs
 RIDGE = 1e-3  # on the powers: one that says nothing is zero
 FAILED = 0.05  # m, RMSE of a frame that has failed
+BANDS = (0.0, 0.31, 0.5, 0.64, 0.8, 0.94, 1.0)  # of the reliability
 LEAST_VERTICES = 10  # of a group in a frame, for a rank correlation
 DIAGRAM = Path(__file__).resolve().parents[1] / "out/error_size.png"
 
@@ -168,6 +170,21 @@ def rankings(title: str, rows: Rows, frames: Frames, runs: list[Run]) -> list[di
     return found
 
 
+def said(title: str, frames: Frames, half_error: float) -> list[dict]:
+    """Prints and returns by band of the reliability: RMSE of the frames, and the share that is below what each says."""
+    print(f"\n{title}: RMSE of frames by reliability")
+    expected, found = half_error * np.sqrt(1.0 / frames.reliability - 1.0), []
+    for low, high in pairwise(BANDS):
+        chosen = (frames.reliability >= low) & (frames.reliability < high)
+        if chosen.any():
+            rmse, bound = frames.rmse[chosen], expected[chosen]
+            row = {"from": low, "to": high, "frames": int(chosen.sum()), "said_mm": 1e3 * np.median(bound)}
+            row |= {"median_mm": 1e3 * np.median(rmse), "p90_mm": 1e3 * np.quantile(rmse, 0.9), "below": (rmse < bound).mean()}
+            found.append({key: value if key in ("from", "to", "frames") else _rounded(value) for key, value in row.items()})
+            print("  ".join(f"{key} {value}" for key, value in found[-1].items()))
+    return found
+
+
 def _rounded(value: float) -> float | None:
     return round(float(value), 3) if np.isfinite(value) else None
 
@@ -204,7 +221,7 @@ def present(preset: str) -> Fit:
 def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str = "default") -> dict:
     """Prints the tables of all splits; with ``fit``, those of fitted laws and the laws."""
     found = {"machine": machine.describe(), "commit": machine.commit(), "preset": preset}
-    found |= {"tables": {}, "levels": {}, "rankings": {}}
+    found |= {"tables": {}, "levels": {}, "rankings": {}, "said": {}}
     split = np.array([run.listed.split for run in runs])
     splits = [name for name in (collection.TRAINING, CAPTURED, collection.HELD_OUT) if name in split]
     of = {name: Rows(*(column[split[rows.run] == name] for column in rows)) for name in splits}
@@ -213,6 +230,7 @@ def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str =
         found["tables"][name] = table(f"{name}, as reported", part.reported, part, runs)
         found["levels"][name] = curves(part.reported, part)
         found["rankings"][name] = rankings(name, part, of_frames, runs)
+        found["said"][name] = said(name, of_frames, PRESETS[preset]().reliability.half_error)
         today = present(preset).distances(part)  # other numbers than those reported where --rows are older than the laws
         found["tables"][f"{name}, present laws"] = table(f"{name}, by the present laws", today, part, runs)
         found["levels"][f"{name}, present laws"] = curves(today, part)
