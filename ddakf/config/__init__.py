@@ -145,6 +145,8 @@ class Config:
                 working_vertices_least=900,
                 working_vertices_most=3000,
                 working_finest=1.0,
+                clusters=32,
+                cluster_samples=500,
                 patches=24,
                 aggregates=20,
             ),
