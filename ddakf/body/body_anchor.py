@@ -6,7 +6,8 @@ that fits tightly is held, a skirt that swings is not.
 
 A seen vertex is known along its normal, but planes do not tell where it is along the cloth: a skirt turns about the hips
 unnoticed. So the body also holds what is seen, across the normal alone, and the less the better the garment's shape tells where
-it is: sleeves keep a shirt from turning.
+it is: sleeves keep a shirt from turning. Cloth that is held along itself seems to stay where it is held. What the cloud shows
+of its deviation is along the normal: so cloth that swings away from the body is held less along itself as well.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def measure(problem: Problem) -> Problem:
     size = len(target) / len(model.likeness)
     along, across = size * _variance(anchor, model, config)[model.patch].T
     hold = min(1.0, (config.anchor_slippage / max(anchor.slippage, 1e-6)) ** config.anchor_slippage_power)
-    seen_across = (across + size * config.anchor_seen_sd**2) / (config.anchor_seen_samples * hold)
+    seen_across = (along + across + size * config.anchor_seen_sd**2) / (config.anchor_seen_samples * hold)
     planes = Planes(
         target=target,
         normal=normal,
