@@ -59,7 +59,8 @@ class Frames(NamedTuple):
     frame: np.ndarray  # (N,) number in the recording
     rmse: np.ndarray  # (N,) m
     reliability: np.ndarray  # (N,)
-    evidence: np.ndarray  # (N, 1 + fields) m, RMS sigma; then the evidence of the frame
+    sigma: np.ndarray  # (N,) m, RMS
+    unexplained: np.ndarray  # (N,) share of the points
 
 
 def planned(names: Sequence[str] | None) -> list[Run]:
@@ -166,7 +167,8 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
             result, truth = tracker.step(cloud.points, **step), sequence.garment_vertices[k]
             verdict, off = verdicts.pop(), result.vertices - truth
             claim = np.sqrt(verdict.variance.mean())
-            of_frames.append((k, np.sqrt(np.square(off).sum(axis=1).mean()), result.reliability, claim, *verdict.evidence))
+            rmse = np.sqrt(np.square(off).sum(axis=1).mean())
+            of_frames.append((k, rmse, result.reliability, claim, verdict.health.unexplained))
             if k % STRIDE < sensor.every and len(seen) == 2:
                 found = SizeEvidence(*(spread(np.broadcast_to(value, len(seen[1]))) for value in seen[0]))
                 columns = _rows(result, (found, spread(seen[1])), truth, sequence.garment_faces, chosen)
@@ -174,7 +176,7 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
     frame, observed, *parts = (np.concatenate(part) for part in zip(*kept, strict=True))
     group = np.where(observed, 0, 1 if body else 2)
     table = np.array(of_frames)
-    scores = Frames(np.full(len(table), number), *table[:, :3].T, table[:, 3:])
+    scores = Frames(np.full(len(table), number), *table.T)
     return Rows(np.full(len(group), number), frame, group, *parts), scores
 
 

@@ -2,10 +2,9 @@
 (ddakf.evaluation.sensors.degradations).
 
     python benchmarks/reliability.py [--procs 2] [--json benchmarks/results/reliability.json]
-    python benchmarks/reliability.py --fit        # the law of ddakf/stages/reliability.py, fitted on all recordings
 
-"left out" scores every recording by a law fitted on the others, as an estimate for a new one. Without DDAKF_DATA only the bundled
-sample is used.
+The law of the predicted error is fitted to other recordings: ``python benchmarks/error_size.py --fit``. Without DDAKF_DATA only
+the bundled sample is used.
 """
 
 from __future__ import annotations
@@ -15,12 +14,11 @@ import json
 import multiprocessing
 import os
 import sys
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 from inputs import sequences
-from scipy.optimize import nnls
 from scipy.stats import rankdata
 
 import ddakf
@@ -28,62 +26,37 @@ from ddakf.evaluation import machine, metrics
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.sensors.degradations import CLEAN, FRAMES, DegradedRun, degraded_runs
 from ddakf.evaluation.tracking.sources import SequenceSource
-from ddakf.stages import reliability
-from ddakf.stages.reliability import FrameEvidence, Law
 
 WORSE = 2.0  # times the clean run's error of the same frame: above it a frame counts as bad
-WORST = 0.3  # m: larger errors are clipped: the track is lost
-LEVEL = 1 / 3  # weight of a run's mean error in the fit; deviations within the run count fully
-RIDGE = 0.01
 VERTICES = 100  # saved of a frame
 SETTINGS = ddakf.Config().reliability
-ERROR = reliability.law(ddakf.Config().frame_error)
 
 
 # Runs ---------------------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def watched(verdicts: list):
-    """Records every verdict of stage G in the list."""
-    judge = reliability.judge
-
-    def keeping(*arguments):
-        verdicts.append(judge(*arguments))
-        return verdicts[-1]
-
-    reliability.judge = keeping
-    try:
-        yield
-    finally:
-        reliability.judge = judge
 
 
 def played(run: DegradedRun, source: SequenceSource, frames: list) -> dict[str, np.ndarray]:
     """Errors and the tracker's scores of every frame that arrived; T frames."""
     tracker = ddakf.Tracker(source.garment, body=source.body)
     tracker.reset(source.start)
-    sequence, rows, verdicts = source.sequence, [], []
+    sequence, rows = source.sequence, []
     inside = metrics.Penetration(ddakf.Mesh(sequence.body_vertices[0], sequence.body_faces)) if sequence.has_body else None
     saved = np.random.default_rng(0).permutation(source.garment.n_vertices)[:VERTICES]
-    with watched(verdicts):
-        for frame, degraded in run.script.apply(frames, run.seed):
-            result = tracker.step(
-                frame.points,
-                timestamp=frame.timestamp,
-                sensor_origin=frame.sensor_origin,
-                body_vertices=frame.body_vertices,
-            )
-            verdict = verdicts.pop()
-            rows.append({
-                "number": frame.number, "degraded": degraded, "lost": result.state == "lost",
-                "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
-                "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
-                "score": result.reliability, "paper": result.paper_score,
-                "evidence": verdict.evidence, "sigma": np.sqrt(verdict.variance.mean()),
-                "variance": np.trace(result.covariance[saved], axis1=1, axis2=2),
-                "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[saved],
-            })  # fmt: skip
+    for frame, degraded in run.script.apply(frames, run.seed):
+        result = tracker.step(
+            frame.points,
+            timestamp=frame.timestamp,
+            sensor_origin=frame.sensor_origin,
+            body_vertices=frame.body_vertices,
+        )
+        rows.append({
+            "number": frame.number, "degraded": degraded, "lost": result.state == "lost",
+            "rmse": metrics.rmse_mm(result.vertices, frame.truth) / 1e3,
+            "penetration": np.nan if inside is None else inside(result.vertices, frame.body)[0],
+            "score": result.reliability, "paper": result.paper_score,
+            "vertex_score": result.vertex_reliability[saved],
+            "vertex_error": np.linalg.norm(result.vertices - frame.truth, axis=1)[saved],
+        })  # fmt: skip
     return {name: np.array([row[name] for row in rows], np.float64) for name in rows[0]}
 
 
@@ -242,58 +215,6 @@ def vertex_figures(runs: list[dict]) -> dict:
     }
 
 
-# Fit ----------------------------------------------------------------------------------------------------------------
-
-
-def logs(values: np.ndarray, law: Law) -> np.ndarray:
-    return np.log1p(values / np.array(law.scale))
-
-
-def regressed(A: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Powers, none negative; a ridge on what each contributes, so that evidence that says the same shares the weight.
-
-    Args:
-        A, b: rows, weighted so that the sum of their squares is a variance.
-    """
-    spread = np.sqrt(np.square(A).sum(axis=0)) + 1e-9
-    ridge = np.sqrt(RIDGE) * np.eye(len(spread))
-    return nnls(np.concatenate([A / spread, ridge]), np.concatenate([b, np.zeros(len(spread))]))[0] / spread
-
-
-def fitted(runs: list[dict]) -> Law:
-    """The law of the frames: least squares on log errors, every run counting alike."""
-    parts, targets, k = [], [], np.sqrt(1.0 / len(runs))
-    X = [logs(run["evidence"], ERROR) for run in runs]
-    Y = [np.log(np.minimum(run["rmse"], WORST)) for run in runs]
-    centre, level = np.mean([x.mean(axis=0) for x in X], axis=0), np.mean([y.mean() for y in Y])
-    for x, y in zip(X, Y, strict=True):
-        scale = k / np.sqrt(len(y))
-        parts += [scale * (x - x.mean(axis=0)), scale * np.sqrt(LEVEL) * (x - centre)]
-        targets += [scale * (y - y.mean()), scale * np.sqrt(LEVEL) * (y - level)]
-    power = regressed(np.concatenate(parts), np.concatenate(targets))
-    return Law(float(np.exp(level - centre @ power)), ERROR.scale, FrameEvidence(*map(float, power)))
-
-
-def rescored(runs: list[dict], law: Law) -> list[dict]:
-    """The runs as the tracker would score them with a law of what the cloud shows."""
-    out = []
-    for run in runs:
-        error = np.hypot(law(run["evidence"].T), SETTINGS.sigma_share * run["sigma"])
-        vertex_error = (error / run["sigma"])[:, None] * np.sqrt(run["variance"])
-        scores = {"score": error, "vertex_score": vertex_error}
-        out.append(run | {name: reliability.score(value, SETTINGS) for name, value in scores.items()})
-    return out
-
-
-def left_out(runs: list[dict]) -> list[dict]:
-    """Scores of every recording by a law fitted on the others."""
-    out = []
-    for name in dict.fromkeys(run["sequence"] for run in runs):
-        others = [run for run in runs if run["sequence"] != name]
-        out += rescored([run for run in runs if run["sequence"] == name], fitted(others))
-    return out
-
-
 # Output -------------------------------------------------------------------------------------------------------------
 
 
@@ -313,15 +234,8 @@ def show(title: str, report: dict) -> None:
             print(f"  {name:32s} {text(value)}")
 
 
-def source_of(law: Law) -> str:
-    """The fitted fields of the configuration."""
-    values = ", ".join(f"{name}_power={value:.2g}" for name, value in law.power._asdict().items())
-    return f"    base={law.base:.3g}, {values}"
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--fit", action="store_true", help="fit the law, print it and what it brings")
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--procs", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
@@ -336,14 +250,7 @@ def main() -> int:
     runs = all_runs(arguments.sequences, arguments.views, arguments.procs, arguments.frames)
     names = sorted({run["sequence"] for run in runs})
     report |= {"recordings": names, "views": sorted({view_of(run) for run in runs})}
-    present = rescored(runs, ERROR)
-    report |= {"product": figures(present), "vertices": vertex_figures(present), "paper": figures(runs, "paper")}
-    if len(names) > 1:
-        report |= {"left out": figures(left_out(runs))}
-    if arguments.fit:
-        law = fitted(runs)
-        report |= {"fitted": figures(rescored(runs, law))}
-        print("FrameError:", source_of(law), sep="\n")
+    report |= {"product": figures(runs), "vertices": vertex_figures(runs), "paper": figures(runs, "paper")}
     for name, value in report.items():
         if isinstance(value, dict) and name != "machine":
             show(name, value)

@@ -25,10 +25,10 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 13
+VERSION = 14
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, which is not read.
-READ = (11, 12, VERSION)
+READ = (11, 12, 13, VERSION)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
@@ -288,10 +288,16 @@ def _checksum(version: int, body: bytes) -> int:
 
 def _present(numbers: dict, version: int) -> dict:
     """The numbers without what only earlier versions have."""
-    if version < 13 and isinstance(numbers, dict) and isinstance(config := numbers.get("config"), dict):
+    if version >= VERSION or not isinstance(numbers, dict):
+        return numbers
+    if isinstance(config := numbers.get("config"), dict):
         config.pop("vertex_error", None)
-        if isinstance(evidence := config.get("evidence"), dict):
-            evidence.pop("free_clearance", None)
+        config.pop("frame_error", None)  # of other fields
+        for part, field in (("evidence", "free_clearance"), ("reliability", "sigma_share")):
+            if isinstance(config.get(part), dict):
+                config[part].pop(field, None)
+    if isinstance(health := numbers.get("health"), dict):
+        health.pop("least_strain", None)
     return numbers
 
 

@@ -258,7 +258,6 @@ class Health(NamedTuple):
     spacing: float = 0.0  # s between the last two frames; 0 before there were two
     reliability: float = 0.0  # of the last frame
     # of the predicted error
-    least_strain: float = 10.0  # RMS, so far
     offset: float = 0.0  # m^2
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far

@@ -93,12 +93,16 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
-@pytest.mark.parametrize("version", [11, 12])
+@pytest.mark.parametrize("version", [11, 12, 13])
 def test_a_snapshot_of_an_earlier_version_goes_on_without_what_it_lacks(version):
     tracker = tracked(5, BODY)
     numbers, arrays = snapshot.parts(tracker)
-    numbers["config"]["vertex_error"] = {"type": "VertexError", "base": 1.0}
-    numbers["config"]["evidence"]["free_clearance"] = 0.05
+    if version < 13:
+        numbers["config"]["vertex_error"] = {"type": "VertexError", "base": 1.0}
+        numbers["config"]["evidence"]["free_clearance"] = 0.05
+    numbers["config"]["frame_error"] = {"type": "FrameError", "base": 1.0}
+    numbers["config"]["reliability"]["sigma_share"] = 0.8
+    numbers["health"]["least_strain"] = 0.1
     reliability = numbers["health"]["reliability"]
     if version < 12:
         del numbers["health"]["reliability"]

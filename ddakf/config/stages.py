@@ -283,8 +283,6 @@ class Reliability(Checked):
     """Score, recovery with hysteresis, and loss."""
 
     half_error: float = bounded(0.04, 1e-4, 10)  # m, predicted error at which the score is 1/2
-    sigma_share: float = bounded(0.8, 0, 10)  # of the RMS sigma in the predicted error: ellipsoids hold the tails as well
-
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends
     recovery_lambda: float = bounded(1.0, 1, 1e6)  # factor on the physics during recovery
@@ -302,7 +300,6 @@ class PaperReliability(Checked):
     """Section 2.6 as printed: a score s_k below a threshold raises lambda, without hysteresis and without loss."""
 
     half_error: float = bounded(0.04, 1e-4, 10)  # m, as above
-    sigma_share: float = bounded(0.0, 0, 10)  # as above
     threshold: float = bounded(0.3, 0, 1)  # tau; s_k tends to exp(-1) = 0.37 in the steady state
     recovery_lambda: float = bounded(5.0, 1, 1e6)
 
@@ -323,18 +320,8 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: base times the product of (1 + evidence / scale)^power."""
+    """Predicted error of a frame: sigma_share times the RMS sigma times (1 + unexplained / scale)^power."""
 
-    base: float = bounded(0.00284, 1e-6, 1)  # m
-    offset_scale: float = bounded(1e-7, 1e-12, 1e6)  # m^2
-    offset_power: float = bounded(0.032, 0, 10)
-    unmatched_scale: float = bounded(1.5e-3, 1e-12, 1e6)  # share of the vertices
-    unmatched_power: float = bounded(0.17, 0, 10)
+    sigma_share: float = bounded(0.869, 0, 10)  # three of four frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
-    unexplained_power: float = bounded(0.2, 0, 10)
-    uncertainty_scale: float = bounded(1.5e-5, 1e-12, 1e6)  # m^2
-    uncertainty_power: float = bounded(0.22, 0, 10)
-    strain_scale: float = bounded(1e-5, 1e-12, 1e6)  # squared strain
-    strain_power: float = bounded(0.079, 0, 10)
-    hem_scale: float = bounded(1e-6, 1e-12, 1e6)  # m^2
-    hem_power: float = bounded(0.039, 0, 10)
+    unexplained_power: float = bounded(0.251, 0, 10)

@@ -6,7 +6,6 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels.skin_removal import cell_along
-from ddakf.kernels.symmetric import along
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -109,15 +108,6 @@ def strains(position, start, neighbour, rest_length, squared):
     for i in range(position.shape[0]):
         squared[i] /= max(start[i + 1] - start[i], 1)
     return total / max(len(neighbour), 1)
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def variance_along(normal, covariance):
-    """Sum of n' P n over (V, 3) normals and (V, 3, 3) symmetric covariances."""
-    total = 0.0
-    for i in range(normal.shape[0]):
-        total += along(covariance[i], normal[i, 0], normal[i, 1], normal[i, 2])
-    return total
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -10,8 +10,6 @@ import numpy as np
 
 from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability
 from ddakf.kernels import reliability as kernels
-from ddakf.kernels.associate import vertex_normals
-from ddakf.planning import omission
 from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import vertex_grid
@@ -37,61 +35,15 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
 
 
-class FrameEvidence(NamedTuple):
-    """Evidence about the error of a frame; 0 where nothing speaks of any."""
+def predicted_error(sigma, unexplained, config: FrameError):
+    """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses a part of the cloud.
 
-    offset: float  # m^2, of the cloud from the surface, patch by patch, over the last half second
-    unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
-    unexplained: float  # share of the points, in clumps, that no vertex is near; over the last half second
-    uncertainty: float  # m^2, mean calibrated variance along the normals
-    strain: float  # squared: RMS strain beyond the least so far; a wrong fit is crumpled
-    hem: float  # m^2, mean squared distance of hems from where the cloud ends
-
-
-class Law(NamedTuple):
-    """A predicted error: ``base`` times prod (1 + evidence / scale)^power, no power negative."""
-
-    base: float  # m
-    scale: tuple  # in the units of the evidence: below it, it says nothing
-    power: tuple
-
-    def __call__(self, found: FrameEvidence):
-        """Metres; an array where the evidence consists of arrays."""
-        terms = zip(found, self.scale, self.power, strict=True)
-        return self.base * np.exp(sum(power * np.log1p(value / scale) for value, scale, power in terms))
-
-
-def law(config: FrameError) -> Law:
-    """The law with the scales and powers of a configuration."""
-    names = FrameEvidence._fields
-    scale, power = (FrameEvidence(*(getattr(config, f"{name}_{part}") for name in names)) for part in ("scale", "power"))
-    return Law(config.base, scale, power)
-
-
-def evidence(
-    problem: Problem, estimate: Estimate, posterior: Posterior, points: np.ndarray
-) -> tuple[FrameEvidence, Health]:
-    """The evidence for and against a frame, and the memory of it.
-
-    ``points`` (N, 3) are those of the cloud that are compared with the surface, metres.
+    Args:
+        sigma: root mean trace of the calibrated covariances, metres; or an array of them.
+        unexplained: share of the points, in clumps, that no vertex is near; over the last half second. Likewise.
+        config: the law.
     """
-    model, health, position = problem.model, problem.health, posterior.state.position
-    each = np.empty(len(position))
-    strain = math.sqrt(kernels.strains(position, model.start, model.neighbour, model.rest_length, each))
-    health = health._replace(least_strain=min(health.least_strain, strain))
-    if len(points):
-        health = misfit(problem, health, points, position)
-    normal = np.empty_like(position)
-    vertex_normals(position, model.faces, normal)
-    frame = FrameEvidence(
-        offset=health.offset,
-        unmatched=estimate.unmatched,
-        unexplained=health.unexplained,
-        uncertainty=kernels.variance_along(normal, posterior.covariance) / len(position),
-        strain=(strain - health.least_strain) ** 2,
-        hem=estimate.evidence.measurement.squared_hem or 0.0,
-    )
-    return frame, health
+    return config.sigma_share * sigma * (1.0 + unexplained / config.unexplained_scale) ** config.unexplained_power
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
@@ -180,7 +132,6 @@ class Verdict(NamedTuple):
     paper_score: float
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
-    evidence: FrameEvidence
     variance: np.ndarray  # (V,) m^2, trace of the calibrated covariance
     warnings: tuple[InputWarning, ...] = ()  # of wrong input
     signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
@@ -193,11 +144,9 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
     cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
-    frame, health = evidence(problem, estimate, posterior, points)
+    health = misfit(problem, problem.health, points, posterior.state.position) if len(points) else problem.health
     variance = 3.0 * variances(posterior.covariance)
-    # what the cloud shows of a wrong fit, and what the covariance knows of an error that no cloud shows
-    shown = omission.widening(problem, estimate) * law(problem.config.frame_error)(frame)
-    error = math.hypot(shown, config.sigma_share * math.sqrt(variance.mean()))
+    error = predicted_error(math.sqrt(variance.mean()), health.unexplained, problem.config.frame_error)
     if problem.blind:
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)
@@ -206,7 +155,7 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     moved = advance(health, outcome, problem.dt, config)
     spacing = 0.0 if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=reliability)
-    return Verdict(moved, reliability, s_k, coverage, score(errors, config), frame, variance)
+    return Verdict(moved, reliability, s_k, coverage, score(errors, config), variance)
 
 
 class Outcome(NamedTuple):

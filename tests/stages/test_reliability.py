@@ -8,18 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ddakf import Config, Mesh, Tracker
-from ddakf.config import KnnFilter, PaperReliability, Reliability, Start
+from ddakf.config import KnnFilter, PaperReliability, Start
 from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
 from ddakf.stages.reliability import (
-    FrameEvidence,
     Outcome,
     advance,
     clumped,
-    law,
     misfit,
     nearest_vertices,
     paper_score,
+    predicted_error,
     score,
     vertex_error,
 )
@@ -27,7 +26,7 @@ from ddakf.types import Health
 from tests.stages.scenes import FPS, blocks, problem_of, rms, scan, tube
 
 CONFIG, EVIDENCE_CONFIG = Config().reliability, Config().evidence
-ERROR = law(Config().frame_error)
+LAW = Config().frame_error
 PAPER = PaperReliability()
 GOOD, DT = 0.9, 1 / FPS
 
@@ -74,16 +73,15 @@ def test_s_k_tends_to_the_same_value_at_every_noise():
     assert late == pytest.approx([np.exp(-1)] * 2, abs=0.06)
 
 
-EVIDENCE = st.tuples(*[st.floats(0, 1.0) for _ in FrameEvidence._fields])
-
-
-@given(values=EVIDENCE, which=st.integers(0, len(FrameEvidence._fields) - 1), more=st.floats(0, 1.0))
+@given(sigma=st.floats(1e-6, 1.0), unexplained=st.floats(0, 1.0), factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0))
 @settings(max_examples=100, deadline=None, derandomize=True)
-def test_score_is_a_share_that_no_evidence_of_error_raises(values, which, more):
-    worse = list(values)
-    worse[which] += more
-    here, there = (score(ERROR(FrameEvidence(*v)), CONFIG) for v in (values, worse))
-    assert 0.0 <= there <= here <= 1.0
+def test_score_is_a_share_that_no_sign_of_error_raises(sigma, unexplained, factor, more):
+    here, wider, missed = (
+        score(predicted_error(*signs, LAW), CONFIG)
+        for signs in ((sigma, unexplained), (factor * sigma, unexplained), (sigma, unexplained + more))
+    )
+    assert 0.0 <= wider <= here <= 1.0
+    assert 0.0 <= missed <= here
 
 
 def test_score_is_a_half_at_the_configured_error():
@@ -91,14 +89,10 @@ def test_score_is_a_half_at_the_configured_error():
     assert score(0.0, CONFIG) == 1.0
 
 
-def test_without_evidence_the_error_is_that_of_an_untroubled_track():
-    assert ERROR(FrameEvidence(*[0.0] * len(FrameEvidence._fields))) == ERROR.base > 0
-
-
-def test_powers_are_no_negative_numbers_and_some_count():
-    assert min(ERROR.power) >= 0.0
-    assert max(ERROR.power) > 0.0
-    assert min(ERROR.scale) > 0.0
+def test_the_error_of_a_frame_is_in_proportion_to_its_sigma():
+    sigma = np.array([0.001, 0.01, 0.1])
+    assert predicted_error(sigma, 0.0, LAW) == pytest.approx(LAW.sigma_share * sigma)
+    assert predicted_error(2 * sigma, 0.1, LAW) == pytest.approx(2 * predicted_error(sigma, 0.1, LAW))
 
 
 # Evidence -----------------------------------------------------------------------------------------------------------
@@ -368,9 +362,8 @@ def test_points_that_the_garment_cannot_reach_lower_the_score():
     """A template that lacks a sleeve: what it covers fits, and the points of the sleeve are explained by nothing."""
     mesh, scores = tube(), {}
     top = mesh.vertices[:, 1].max()
-    of_the_cloud = dataclasses.replace(Config(), start=Start(search=False), reliability=Reliability(sigma_share=0.0))
     for sleeve in (False, True):
-        tracker = Tracker(mesh, config=of_the_cloud)
+        tracker = Tracker(mesh, config=dataclasses.replace(Config(), start=Start(search=False)))
         rng = np.random.default_rng(1)
         for k in range(15):
             points = scan(mesh.vertices, mesh, seed=k)
