@@ -85,7 +85,8 @@ class Roster:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         workers = [*self.accepting, *self._spares, *self._retiring, *([self._isolated] if self._isolated else [])]
-        await asyncio.gather(self._source.end(EXIT_PATIENCE), *(worker.end() for worker in workers))
+        await asyncio.gather(*(worker.end() for worker in workers))
+        await self._source.end(EXIT_PATIENCE)
         for workers in (self.accepting, self._spares, self._retiring):
             workers.clear()
 

@@ -110,10 +110,14 @@ class Worker:
         """Gives way to all other processes of this machine where they need the cores."""
         if not self._here:
             return
+        lowered: set[str] = set()
         with contextlib.suppress(OSError):  # it has ended, or the system has no /proc
-            for thread in os.listdir(f"/proc/{self.process.pid}/task"):
-                nice = os.getpriority(os.PRIO_PROCESS, int(thread))
-                os.setpriority(os.PRIO_PROCESS, int(thread), nice + _GIVING_WAY)  # the system knows the highest value
+            nice = os.getpriority(os.PRIO_PROCESS, self.process.pid) + _GIVING_WAY  # the system knows the highest value
+            while started := set(os.listdir(f"/proc/{self.process.pid}/task")) - lowered:  # threads start others meanwhile
+                for thread in started:
+                    with contextlib.suppress(ProcessLookupError):  # the thread has ended
+                        os.setpriority(os.PRIO_PROCESS, int(thread), nice)
+                lowered |= started
 
     def send(
         self,

@@ -52,8 +52,9 @@ async def test_a_caller_who_leaves_leaves_no_actor(cluster, seconds):
         connected = await starting
     except asyncio.CancelledError:
         pass
-    else:  # it was ready already
+    else:  # it was ready already, and the caller ends it
         connected.writer.close()
+        await asyncio.to_thread(connected.process.wait, PATIENCE)
     assert source._expected == {}
     await all_free()
     await source.end()
