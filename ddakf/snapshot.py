@@ -27,7 +27,7 @@ MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 14
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
-# vertices' errors, which is not read.
+# vertices' errors, and 13 another law of the frame's, which are not read.
 READ = (11, 12, 13, VERSION)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance

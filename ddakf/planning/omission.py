@@ -1,4 +1,4 @@
-"""Widening of sigma and of the predicted error for the work that a budget left out of a frame."""
+"""Widening of sigma, which the predicted error follows, for the work that a budget left out of a frame."""
 
 from __future__ import annotations
 
