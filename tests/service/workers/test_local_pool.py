@@ -30,6 +30,25 @@ async def test_without_a_ready_worker_sessions_are_refused(sheet):
     assert caught.value.retry_after > 0
 
 
+async def test_workers_end_before_the_connection_to_their_cluster():
+    """Whoever waits for an actor on a closed connection fails, and the server with him."""
+    ended = []
+
+    class Source:
+        async def end(self, patience):
+            ended.append("source")
+
+    class Leaving(worker.Worker):
+        async def end(self, patience=0.0):
+            await asyncio.sleep(0.01)
+            ended.append("worker")
+
+    pool = local(2, source=Source())
+    pool._roster.accepting += [Leaving(None, None, None) for _ in range(2)]
+    await pool.stop()
+    assert ended == ["worker", "worker", "source"]
+
+
 class Worker(worker.Worker):
     """Records the messages without an answer."""
 

@@ -5,6 +5,10 @@ from __future__ import annotations
 import asyncio
 import errno
 import logging
+import os
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 from ddakf_api.errors import WorkerLost
@@ -42,6 +46,35 @@ class Source:
         self.reader, (_, self.far) = reader, await accepted
         server.close()
         return Connected(self._process, reader, writer, here=False)
+
+
+# A chain of threads, each of which starts the next one; says when it has begun and when it has its last one.
+STARTING = """
+import threading, time
+def link(number):
+    if number in (200, 0):
+        print(flush=True)
+    if number:
+        time.sleep(0.0002)
+        threading.Thread(target=link, args=(number - 1,), daemon=True).start()
+    time.sleep(60)
+link(400)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="the system has no /proc")
+def test_all_threads_of_a_process_give_way_also_those_that_start_meanwhile():
+    with subprocess.Popen([sys.executable, "-c", STARTING], stdout=subprocess.PIPE) as process:
+        try:
+            process.stdout.readline()
+            Worker(process, None, None).lower_priority()
+            process.stdout.readline()
+            threads = [int(name) for name in os.listdir(f"/proc/{process.pid}/task")]
+            assert len(threads) > 400
+            own = os.getpriority(os.PRIO_PROCESS, 0)
+            assert own < min(os.getpriority(os.PRIO_PROCESS, thread) for thread in threads)
+        finally:
+            process.kill()
 
 
 @pytest.mark.parametrize("number", [errno.ETIMEDOUT, errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ECONNRESET])
