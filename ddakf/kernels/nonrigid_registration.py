@@ -91,7 +91,7 @@ def settle(goals, graph, rounds, center, rotation):
 def rotate(spread, rotation):
     """Turns rotations (K, 3, 3), in and out, towards the polar factors of ``spread`` (K, 3, 3)."""
     K = len(rotation)
-    lanes = np.ones((18, LANES), np.float32)
+    lanes = np.ones(18 * LANES, np.float32)
     for first in range(0, K, LANES):
         size = min(LANES, K - first)
         for k in range(size):
@@ -101,14 +101,14 @@ def rotate(spread, rotation):
                     scale += abs(spread[first + k, a, b])
             for a in range(3):
                 for b in range(3):
-                    lanes[3 * b + a, k] = spread[first + k, a, b] / scale
-                    lanes[9 + 3 * b + a, k] = rotation[first + k, a, b]
+                    lanes[(3 * b + a) * LANES + k] = spread[first + k, a, b] / scale
+                    lanes[(9 + 3 * b + a) * LANES + k] = rotation[first + k, a, b]
         for _ in range(ROTATION_STEPS):
             turn(lanes)
         for k in range(size):
             for a in range(3):
                 for b in range(3):
-                    rotation[first + k, a, b] = lanes[9 + 3 * b + a, k]
+                    rotation[first + k, a, b] = lanes[(9 + 3 * b + a) * LANES + k]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

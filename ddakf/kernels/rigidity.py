@@ -43,7 +43,7 @@ def fit_rotations(position, start, neighbour, term, iterations):
     half_weight = np.float32(0.5 * term.weight)
     n = position.shape[0]
     covariance = np.empty((LANES, 12), np.float32)
-    lanes = np.ones((18, LANES), np.float32)
+    lanes = np.ones(18 * LANES, np.float32)
     for first in range(0, n, LANES):
         size = min(LANES, n - first)
         for k in range(size):
@@ -51,16 +51,16 @@ def fit_rotations(position, start, neighbour, term, iterations):
         for k in range(size):
             for b in range(3):
                 for a in range(3):
-                    lanes[3 * b + a, k] = covariance[k, 4 * b + a]
-                    lanes[9 + 3 * b + a, k] = rotation[first + k, a, b]
+                    lanes[(3 * b + a) * LANES + k] = covariance[k, 4 * b + a]
+                    lanes[(9 + 3 * b + a) * LANES + k] = rotation[first + k, a, b]
         for _ in range(iterations):
             turn(lanes)
         for k in range(size):
             i = first + k
             for b in range(3):
                 for a in range(3):
-                    rotation[i, a, b] = lanes[9 + 3 * b + a, k]
-                    shared[i, 4 * b + a] = half_weight * lanes[9 + 3 * b + a, k]
+                    rotation[i, a, b] = lanes[(9 + 3 * b + a) * LANES + k]
+                    shared[i, 4 * b + a] = half_weight * lanes[(9 + 3 * b + a) * LANES + k]
                 shared[i, 4 * b + 3] = 0.0
             if follow.shape[0] > 0:
                 stretch_rotation(covariance[k], follow[i], half_weight, shared[i])
@@ -163,15 +163,19 @@ def add_covariance(position, start, neighbour, source, i, out):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def turn(lanes):
-    """One step of the iteration on LANES rings; ``lanes`` (18, LANES) in and out: covariance and rotation, each by columns."""
+    """One step of the iteration on LANES rings.
+
+    ``lanes`` (18 * LANES,) in and out: covariance and rotation, each by columns. It is flat, so that the distance of its rows is
+    a constant: the compiler then knows that they do not overlap, and computes eight rings or more at once.
+    """
     one, two, half, tiny = np.float32(1.0), np.float32(2.0), np.float32(0.5), np.float32(1e-20)
     for k in range(LANES):
-        c00, c10, c20 = lanes[0, k], lanes[1, k], lanes[2, k]
-        c01, c11, c21 = lanes[3, k], lanes[4, k], lanes[5, k]
-        c02, c12, c22 = lanes[6, k], lanes[7, k], lanes[8, k]
-        r00, r10, r20 = lanes[9, k], lanes[10, k], lanes[11, k]
-        r01, r11, r21 = lanes[12, k], lanes[13, k], lanes[14, k]
-        r02, r12, r22 = lanes[15, k], lanes[16, k], lanes[17, k]
+        c00, c10, c20 = lanes[k], lanes[LANES + k], lanes[2 * LANES + k]
+        c01, c11, c21 = lanes[3 * LANES + k], lanes[4 * LANES + k], lanes[5 * LANES + k]
+        c02, c12, c22 = lanes[6 * LANES + k], lanes[7 * LANES + k], lanes[8 * LANES + k]
+        r00, r10, r20 = lanes[9 * LANES + k], lanes[10 * LANES + k], lanes[11 * LANES + k]
+        r01, r11, r21 = lanes[12 * LANES + k], lanes[13 * LANES + k], lanes[14 * LANES + k]
+        r02, r12, r22 = lanes[15 * LANES + k], lanes[16 * LANES + k], lanes[17 * LANES + k]
         # omega = sum of columns r_k x c_k over |sum of r_k . c_k|
         wx = r10 * c20 - r20 * c10 + r11 * c21 - r21 * c11 + r12 * c22 - r22 * c12
         wy = r20 * c00 - r00 * c20 + r21 * c01 - r01 * c21 + r22 * c02 - r02 * c22
@@ -200,9 +204,10 @@ def turn(lanes):
         bx, by, bz = bx - d * ax, by - d * ay, bz - d * az
         s = one / sqrt(bx * bx + by * by + bz * bz)
         bx, by, bz = bx * s, by * s, bz * s
-        lanes[9, k], lanes[10, k], lanes[11, k] = ax, ay, az
-        lanes[12, k], lanes[13, k], lanes[14, k] = bx, by, bz
-        lanes[15, k], lanes[16, k], lanes[17, k] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        lanes[9 * LANES + k], lanes[10 * LANES + k], lanes[11 * LANES + k] = ax, ay, az
+        lanes[12 * LANES + k], lanes[13 * LANES + k], lanes[14 * LANES + k] = bx, by, bz
+        lanes[15 * LANES + k], lanes[16 * LANES + k] = ay * bz - az * by, az * bx - ax * bz
+        lanes[17 * LANES + k] = ax * by - ay * bx
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

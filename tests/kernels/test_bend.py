@@ -1,6 +1,7 @@
 """The bending kernel against NumPy, and its Jacobian against finite differences of the slow angle."""
 
 import numpy as np
+import pytest
 
 from ddakf.kernels import bend
 
@@ -64,14 +65,54 @@ def test_coinciding_vertices_stay_finite():
     assert np.isfinite(jacobian).all()
 
 
-def test_sums_over_the_hinges_are_those_of_the_jacobian():
-    x, stencil, rest = hinges(4)
-    least, weight = np.full((60, 2), 1e-6), np.random.default_rng(5).uniform(1, 2, 60)
-    residual, jacobian = run(x, stencil, rest, least)
-    force, blocks = np.zeros((30, 4)), np.zeros((30, 3, 3))
-    bend.add_hinges(x, stencil, rest, least, weight, 0.7, blocks, force)
-    k, expected_force, expected_blocks = 0.7 * weight[:, None, None], np.zeros((30, 3)), np.zeros((30, 3, 3))
-    np.add.at(expected_force, stencil, -k * residual[:, None, None] * jacobian)
-    np.add.at(expected_blocks, stencil, 4 * k[..., None] * jacobian[..., :, None] * jacobian[..., None, :])
-    np.testing.assert_allclose(force[:, :3], expected_force, rtol=0, atol=1e-9 * np.abs(expected_force).max())
-    np.testing.assert_allclose(blocks, expected_blocks, rtol=0, atol=1e-9 * np.abs(expected_blocks).max())
+@pytest.mark.parametrize("count", [1, 60, bend.LANES, bend.LANES + 1])
+def test_sums_over_the_hinges_are_those_of_the_jacobian(count):
+    x, stencil, rest = hinges(4, count)
+    expected_force, expected_blocks = slow_sums(x, stencil, rest)
+    force, blocks = sums(x, stencil, rest)
+    np.testing.assert_allclose(force, expected_force, rtol=0, atol=1e-6 * np.abs(expected_force).max())
+    np.testing.assert_allclose(blocks, expected_blocks, rtol=0, atol=1e-6 * np.abs(expected_blocks).max())
+
+
+def test_sums_far_from_the_origin_lose_no_digits():
+    x, stencil, rest = hinges(6)
+    expected = sums(x, stencil, rest)
+    for found, known in zip(sums(x + 1e4, stencil, rest), expected, strict=True):
+        np.testing.assert_allclose(found, known, rtol=0, atol=1e-5 * np.abs(known).max())
+
+
+def test_sums_of_folded_and_of_flat_hinges_are_those_of_the_jacobian():
+    """Angles in every octant, among them 0, a right angle and a full fold."""
+    angle = np.linspace(-np.pi, np.pi, 33)[1:]
+    corner = np.stack([np.zeros(32), np.cos(angle), np.sin(angle)], axis=1)
+    x = np.concatenate([[[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0]], corner])
+    stencil = np.array([[0, 1, 2, 3 + k] for k in range(32)], np.int32)
+    for found, known in zip(sums(x, stencil, np.zeros(32)), slow_sums(x, stencil, np.zeros(32)), strict=True):
+        np.testing.assert_allclose(found, known, rtol=0, atol=1e-6 * np.abs(known).max())
+
+
+def test_sums_of_coinciding_vertices_stay_finite():
+    x, stencil, rest = hinges(3)
+    x[:10] = x[0]
+    assert all(np.isfinite(found).all() for found in sums(x, stencil, rest))
+
+
+LEAST, STIFFNESS = 1e-6, 0.7
+
+
+def weights(count):
+    return np.random.default_rng(5).uniform(1, 2, count)
+
+
+def sums(x, stencil, rest):
+    force, blocks, count = np.zeros((len(x), 4)), np.zeros((len(x), 3, 3)), len(stencil)
+    bend.add_hinges(x, stencil, rest, np.full((count, 2), LEAST), weights(count), STIFFNESS, blocks, force)
+    return force[:, :3], blocks
+
+
+def slow_sums(x, stencil, rest):
+    residual, jacobian = run(x, stencil, rest, np.full((len(stencil), 2), LEAST))
+    k, force, blocks = STIFFNESS * weights(len(stencil))[:, None, None], np.zeros(x.shape), np.zeros((len(x), 3, 3))
+    np.add.at(force, stencil, -k * residual[:, None, None] * jacobian)
+    np.add.at(blocks, stencil, 4 * k[..., None] * jacobian[..., :, None] * jacobian[..., None, :])
+    return force, blocks
