@@ -34,6 +34,7 @@ def build(mesh: Mesh, distance: np.ndarray, ends: np.ndarray, config: Discretisa
     share[:, 0] += 1e-6
     cluster = nearest[:, 0]
     across = np.flatnonzero((cluster[ends[:, 0]] != cluster[ends[:, 1]]) & (ends[:, 0] < ends[:, 1]))
+    across = across[np.lexsort(cluster[ends[across]].T)]  # those of the same two clusters together
     seam = np.column_stack([ends[across], across]).astype(np.int32)
     sample = np.lexsort((near[:, 0], cluster))[:: max(1, n // config.cluster_samples)].astype(np.int32)
     neighbours = np.unique(np.concatenate([cluster[seam[:, :2]], cluster[seam[:, 1::-1]]]), axis=0).astype(np.int32)

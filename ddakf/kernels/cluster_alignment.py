@@ -147,7 +147,8 @@ def add_seams(position, clusters, seam, rest, motion, stiffness, A, b):
     Args:
         position: (V, 3) metres.
         clusters: :class:`ClusterFrames`.
-        seam: (C, 3) edges between two clusters: vertices i and j, and the entry of the edge i to j among the one-rings.
+        seam: (C, 3) edges between two clusters: vertices i and j, and the entry of the edge i to j among the one-rings. Those of
+            the same two clusters follow each other: their sum is formed apart.
         rest, motion: ``LocalRigidity`` to the rest shape and since the last frame.
         stiffness: :class:`SeamStiffness`.
         A, b: as for :func:`add_planes`.
@@ -156,7 +157,8 @@ def add_seams(position, clusters, seam, rest, motion, stiffness, A, b):
     weakening, stretch, strain_scale = stiffness
     rest_source, rest_rotation, rest_weight = rest.source, rest.rotation, weakening * rest.weight
     motion_source, motion_rotation, motion_weight = motion.source, motion.rotation, weakening * motion.weight
-    J = np.empty((3, 12))
+    rows = np.zeros((19, 12))
+    sums, J, weight, residual = rows[:13], rows[13:17], rows[17], rows[18]
     total = rest_weight + motion_weight
     for s in range(seam.shape[0]):
         i, j, e = seam[s, 0], seam[s, 1], seam[s, 2]
@@ -185,54 +187,67 @@ def add_seams(position, clusters, seam, rest, motion, stiffness, A, b):
         # change of the residual: d = dx_j - dx_i - (omega_p + omega_q)/2 x m; J = [[r_i + m]x, -I, [m - r_j]x, I]
         ux, uy, uz = ix + mx, iy + my, iz + mz
         vx, vy, vz = mx - jx, my - jy, mz - jz
-        J[:] = 0.0
         J[0, 1], J[0, 2], J[1, 0], J[1, 2], J[2, 0], J[2, 1] = -uz, uy, uz, -ux, -uy, ux
         J[0, 7], J[0, 8], J[1, 6], J[1, 8], J[2, 6], J[2, 7] = -vz, vy, vz, -vx, -vy, vx
         for a in range(3):
             J[a, 3 + a] = -1.0
             J[a, 9 + a] = 1.0
-        if total > 0.0:
-            add_block(J, total, (fx, fy, fz), 6 * p, 6 * q, A, b)
+            weight[a] = total
+        residual[0], residual[1], residual[2] = fx, fy, fz
         # length: derivative along the edge of dx_j - dx_i alone
         length = sqrt(ex * ex + ey * ey + ez * ez)
         rest = sqrt(rest_source[e, 0] ** 2 + rest_source[e, 1] ** 2 + rest_source[e, 2] ** 2)
-        if length < 1e-9 or rest < 1e-9 or stretch == 0.0:
-            continue
-        strain = length / rest - 1.0
-        k = stretch / (1.0 + (strain / strain_scale) ** 2)
-        nx, ny, nz = ex / length, ey / length, ez / length
-        row = J[0]
-        row[0], row[1], row[2] = -(iy * nz - iz * ny), -(iz * nx - ix * nz), -(ix * ny - iy * nx)
-        row[3], row[4], row[5] = -nx, -ny, -nz
-        row[6], row[7], row[8] = jy * nz - jz * ny, jz * nx - jx * nz, jx * ny - jy * nx
-        row[9], row[10], row[11] = nx, ny, nz
-        f = k * (length - rest)
-        for a in range(12):
-            ra = (6 * p + a) if a < 6 else (6 * q + a - 6)
-            b[ra] -= f * row[a]
-            for c in range(a + 1):
-                rc = (6 * p + c) if c < 6 else (6 * q + c - 6)
-                x = k * row[a] * row[c]
-                if ra >= rc:
-                    A[ra, rc] += x
-                else:
-                    A[rc, ra] += x
+        weight[3] = residual[3] = 0.0
+        if length >= 1e-9 and rest >= 1e-9:
+            strain = length / rest - 1.0
+            weight[3] = stretch / (1.0 + (strain / strain_scale) ** 2)
+            residual[3] = weight[3] * (length - rest)
+            nx, ny, nz = ex / length, ey / length, ez / length
+            row = J[3]
+            row[0], row[1], row[2] = -(iy * nz - iz * ny), -(iz * nx - ix * nz), -(ix * ny - iy * nx)
+            row[3], row[4], row[5] = -nx, -ny, -nz
+            row[6], row[7], row[8] = jy * nz - jz * ny, jz * nx - jx * nz, jx * ny - jy * nx
+            row[9], row[10], row[11] = nx, ny, nz
+        add_squares(rows.reshape(-1))
+        last = s + 1 == seam.shape[0]
+        if last or cluster[seam[s + 1, 0]] != p or cluster[seam[s + 1, 1]] != q:
+            add_pair(sums, 6 * p, 6 * q, A, b)
+            sums[:] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def add_squares(rows):
+    """Adds J' diag(w) J to the first twelve rows of ``rows`` (19 * 12,), and J' r to the next; J are the four after these.
+
+    The weights w are the first four numbers of row 17, r those of row 18. One flat array, so that the compiler knows how far
+    everything is apart, and that nothing overlaps.
+    """
+    for a in range(12):
+        x0, x1 = rows[17 * 12] * rows[13 * 12 + a], rows[17 * 12 + 1] * rows[14 * 12 + a]
+        x2, x3 = rows[17 * 12 + 2] * rows[15 * 12 + a], rows[17 * 12 + 3] * rows[16 * 12 + a]
+        for c in range(12):
+            square = x0 * rows[13 * 12 + c] + x1 * rows[14 * 12 + c] + x2 * rows[15 * 12 + c] + x3 * rows[16 * 12 + c]
+            rows[12 * a + c] += square
+    x0, x1, x2, x3 = rows[18 * 12], rows[18 * 12 + 1], rows[18 * 12 + 2], rows[18 * 12 + 3]
+    for c in range(12):
+        product = x0 * rows[13 * 12 + c] + x1 * rows[14 * 12 + c] + x2 * rows[15 * 12 + c] + x3 * rows[16 * 12 + c]
+        rows[12 * 12 + c] += product
 
 
 @njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def add_block(J, weight, residual, p, q, A, b):
-    """Adds weight J' J to A and -J' residual to b, J (3, 12) of the unknowns from p and from q on, residual weighted."""
-    fx, fy, fz = residual
-    for a in range(12):
-        ra = (p + a) if a < 6 else (q + a - 6)
-        b[ra] -= J[0, a] * fx + J[1, a] * fy + J[2, a] * fz
+def add_pair(sums, p, q, A, b):
+    """Adds ``sums`` (13, 12) of the unknowns from p and from q on to the lower triangle of A, and minus the last row to b."""
+    for a in range(6):
+        b[p + a] -= sums[12, a]
+        b[q + a] -= sums[12, 6 + a]
         for c in range(a + 1):
-            x = weight * (J[0, a] * J[0, c] + J[1, a] * J[1, c] + J[2, a] * J[2, c])
-            rc = (p + c) if c < 6 else (q + c - 6)
-            if ra >= rc:
-                A[ra, rc] += x
+            A[p + a, p + c] += sums[a, c]
+            A[q + a, q + c] += sums[6 + a, 6 + c]
+        for c in range(6):
+            if p > q:
+                A[p + a, q + c] += sums[a, 6 + c]
             else:
-                A[rc, ra] += x
+                A[q + c, p + a] += sums[a, 6 + c]
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
