@@ -9,6 +9,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from ddakf import first_frame
 from ddakf import snapshot as snapshots
 from ddakf.appearance import colour
 from ddakf.body import body_anchor, contact
@@ -30,6 +31,8 @@ from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior
 
 class Tracker:
     """Tracks a garment through point clouds.
+
+    The first tracker of a process loads the kernels: half a second, or a minute where the cache lacks them.
 
     Args:
         garment: its vertices are the rest shape, and where tracking starts unless :meth:`reset` says otherwise.
@@ -55,6 +58,7 @@ class Tracker:
         self._discretised = _constants(garment, body, self.config)
         self._shared = WeakValueDictionary({self.config: self._discretised})  # of all trackers that have come from this one
         self.reset()
+        first_frame.load_kernels(Tracker, self.config, body is not None)
 
     @property
     def _working(self) -> working_mesh.WorkingMesh:

@@ -11,8 +11,8 @@ from numba.core import event
 
 from ddakf.config import Config
 from ddakf.files.cache import drop_unused, used
+from ddakf.first_frame import tube
 from ddakf.kernels import cache
-from ddakf.mesh import Mesh
 from ddakf.tracker import Tracker
 
 Progress = Callable[[str, int, int, str], None]
@@ -25,7 +25,7 @@ def warm(progress: Progress = lambda activity, done, total, name: None) -> None:
     Args:
         progress: called before each step, when the first kernel is compiled, and at the end with ``done == total``.
     """
-    garment, body = _tube(0.22, 36, 32), _tube(0.2, 10, 8)
+    garment, body = tube(0.22, 36, 32), tube(0.2, 10, 8)
     cloud = garment.vertices[garment.faces].mean(axis=1)
     cloud = np.concatenate([cloud, garment.vertices])
     astray = np.array([[0.0, 0.1, 0.5], [0.3, 0.2, 0.3], [-0.4, 0.3, 0.1]])  # what a filter removes
@@ -83,15 +83,3 @@ class _Announcer(event.Listener):
 
     def on_end(self, event: event.Event) -> None:
         """Nothing to announce."""
-
-
-def _tube(radius: float, around: int, along: int):
-    angle = np.arange(around) * 2 * np.pi / around
-    ring = np.stack([radius * np.cos(angle), np.zeros(around), radius * np.sin(angle)], axis=1)
-    vertices = np.concatenate([ring + [0.0, 0.05 * k, 0.0] for k in range(along)])
-    faces = []
-    for k in range(along - 1):
-        for a in range(around):
-            i, j = k * around + a, k * around + (a + 1) % around
-            faces += [[i, i + around, j], [j, i + around, j + around]]
-    return Mesh(vertices, np.array(faces))

@@ -21,7 +21,7 @@ def least_normal_share(vertices: np.ndarray, faces: np.ndarray) -> float:
         faces: (F, 3).
     """
     along, moved = np.empty((6, 6)), np.empty((6, 6))
-    if kernels.rigid_motions(vertices, faces, along, moved) == 0.0:
+    if kernels.rigid_motions(vertices, np.ascontiguousarray(faces), along, moved) == 0.0:
         return 0.0
     moved[3:, 3:] += TINY * np.eye(3)
     inverse_root = np.linalg.inv(np.linalg.cholesky(moved))

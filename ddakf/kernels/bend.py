@@ -12,7 +12,6 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
-from ddakf.kernels.strain import add_row
 
 LANES = 32  # hinges that are computed side by side
 
@@ -171,7 +170,9 @@ def bend_lanes(lanes):
 def add_corner(i, gradient, f, m, rows, force):
     """Adds one vertex of a hinge: -f g to its force, and m g g' on and above the diagonal to its block in ``rows``."""
     x, y, z = gradient
-    add_row(force, i, -f * x, -f * y, -f * z, 0.0)
+    row = force[i]
+    a, b, c, d = row[0] - f * x, row[1] - f * y, row[2] - f * z, row[3]
+    row[0], row[1], row[2], row[3] = a, b, c, d
     row = rows[i]
     a, b, c, d = row[0] + m * x * x, row[1] + m * y * y, row[2] + m * z * z, row[3]
     row[0], row[1], row[2], row[3] = a, b, c, d
