@@ -23,7 +23,7 @@ RUNS = {
     "full": Sensor("full", 5000),
     "front": Sensor("front", 5000),
     "front, body": Sensor("front", 5000),
-    "ring, few points, body": Sensor("ring4", 1500),
+    "ring, few points, body": Sensor("ring4", 1600),
     "person, body": Sensor("front", 8000, segmented=False),
     "paper": Sensor("full", 5000),
     "accelerated": Sensor("full", 3000),

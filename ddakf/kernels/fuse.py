@@ -14,22 +14,24 @@ from ddakf.kernels.symmetric import invert3
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def add_prior(position, prior, information, D, force):
-    """Adds the prior of each vertex: D += I_i and force += I_i (prior - x).
+def begin(position, prior, information, bending, bend_force, D, force):
+    """Bending and the prior of each vertex: D = H_i + I_i and force = f_i + I_i (prior - x), out.
 
     Args:
         position: x, (V, 3) or wider, metres.
         prior: (V, 3) metres.
         information: I, (V, 3, 3) 1/m^2.
-        D: (V, 3, 3) diagonal blocks of A, 1/m^2, added to.
-        force: (V, 3) or wider, 1/m, added to.
+        bending, bend_force: H, (V, 3, 3) 1/m^2, and f, (V, 4) padded, 1/m.
+        D: (V, 3, 3) out, diagonal blocks of A, 1/m^2.
+        force: (V, 4) out, padded, 1/m.
     """
     for i in range(position.shape[0]):
         dx, dy, dz = prior[i, 0] - position[i, 0], prior[i, 1] - position[i, 1], prior[i, 2] - position[i, 2]
         for a in range(3):
-            force[i, a] += information[i, a, 0] * dx + information[i, a, 1] * dy + information[i, a, 2] * dz
+            force[i, a] = bend_force[i, a] + (information[i, a, 0] * dx + information[i, a, 1] * dy + information[i, a, 2] * dz)
             for b in range(3):
-                D[i, a, b] += information[i, a, b]
+                D[i, a, b] = bending[i, a, b] + information[i, a, b]
+        force[i, 3] = 0.0
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -41,7 +43,7 @@ def add_planes(position, target, normal, tangential, weight, variance, D, force)
         target, normal: (V, 3) metres, unit.
         tangential, variance: (V,) m^2, in the plane and along the normal.
         weight: (V,), 0 where there is no measurement.
-        D, force: as for :func:`add_prior`.
+        D, force: as for :func:`begin`, added to.
     """
     for i in range(position.shape[0]):
         w = weight[i]
@@ -75,7 +77,7 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
         vertex: (C, 1).
         residual, jacobian, weight: (C,), (C, 1, 3), (C,) of the constraints.
         stiffness: factor on the weights.
-        D, force: as for :func:`add_prior`.
+        D, force: as for :func:`begin`, added to.
     """
     for c in range(vertex.shape[0]):
         k = stiffness * weight[c]
@@ -90,7 +92,7 @@ def add_single(vertex, residual, jacobian, weight, stiffness, D, force):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
-    """Fills the rows of B with the blocks of the edges less w I, and adds to D the blocks of the vertices less the row's sum.
+    """Fills the rows of B with the blocks of the edges less w I, and D with the blocks of the vertices less the row's sum.
 
     No energy that couples vertices changes when all move alike, so that the rows of its matrix add up to zero.
 
@@ -99,7 +101,7 @@ def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
         blocks: (E, 12) float32, of each edge i < j by columns, padded.
         weight: w, of all edges alike.
         own: (V, 3, 3) symmetric, blocks of terms on single vertices.
-        D: (V, 3, 3) in and out, added to.
+        D: (V, 3, 3) out; it may be ``own``.
         B: (2E, 12) float32 out.
     """
     w, zero = np.float32(weight), np.float32(0.0)
@@ -124,16 +126,13 @@ def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
             xz += z0 + x2
             yz += z1 + y2
         xy, xz, yz = 0.5 * xy, 0.5 * xz, 0.5 * yz
-        D[i, 0, 0] += own[i, 0, 0] - xx
-        D[i, 1, 1] += own[i, 1, 1] - yy
-        D[i, 2, 2] += own[i, 2, 2] - zz
+        D[i, 0, 0] = own[i, 0, 0] - xx
+        D[i, 1, 1] = own[i, 1, 1] - yy
+        D[i, 2, 2] = own[i, 2, 2] - zz
         xy, xz, yz = own[i, 0, 1] - xy, own[i, 0, 2] - xz, own[i, 1, 2] - yz
-        D[i, 0, 1] += xy
-        D[i, 1, 0] += xy
-        D[i, 0, 2] += xz
-        D[i, 2, 0] += xz
-        D[i, 1, 2] += yz
-        D[i, 2, 1] += yz
+        D[i, 0, 1] = D[i, 1, 0] = xy
+        D[i, 0, 2] = D[i, 2, 0] = xz
+        D[i, 1, 2] = D[i, 2, 1] = yz
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

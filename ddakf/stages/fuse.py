@@ -129,32 +129,31 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
         planes: the measurements.
     """
     n, model, energies = len(position), problem.model, estimate.evidence.forces
-    unary, force = np.zeros((n, 3, 3)), energies.bending.force.copy()
-    kernels.add_prior(position, problem.prior.position, estimate.information, unary, force)
+    D, force, bending = np.empty((n, 3, 3)), np.empty((n, 4)), energies.bending
+    kernels.begin(position, problem.prior.position, estimate.information, bending.blocks, bending.force, D, force)
     for measured in (planes,) if problem.anchored is None else (planes, problem.anchored):
         kernels.add_planes(
-            position, measured.target, measured.normal, measured.tangential, measured.weight, measured.variance, unary, force
+            position, measured.target, measured.normal, measured.tangential, measured.weight, measured.variance, D, force
         )
         if measured.hem is not None:
             hem = measured.hem
             hem_kernels.add_ends_of_cloud(
-                model.boundary[:, 0], hem.direction, hem.offset, hem.weight, measured.hem_variance, unary, force
+                model.boundary[:, 0], hem.direction, hem.offset, hem.weight, measured.hem_variance, D, force
             )
     if planes.slide is not None:
         registered, information = planes.slide
-        colour_kernels.add_slides(position, registered.target, registered.direction, information, unary, force)
+        colour_kernels.add_slides(position, registered.target, registered.direction, information, D, force)
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
-        kernels.add_single(*energies.collision, collision, unary, force)
+        kernels.add_single(*energies.collision, collision, D, force)
     if energies.self_collision is not None:
-        self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, unary, force)
+        self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, D, force)
     rigid = (estimate.rest, estimate.motion)
     rigidity.add_force(rigid, position, model, force)
     blocks = np.zeros((len(model.mesh.edges), 12), np.float32)
     strain_kernels.add_strain(position, model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
-    D, B = energies.bending.blocks.copy(), np.empty((len(model.neighbour), 12), np.float32)
-    weight = sum(term.weight for term in rigid)
-    kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, unary, D, B)
+    B, weight = np.empty((len(model.neighbour), 12), np.float32), sum(term.weight for term in rigid)
+    kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, D, D, B)
     return System(D, B, force)
 
 
