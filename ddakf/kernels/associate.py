@@ -11,8 +11,10 @@ from ddakf.kernels import FAST
 BLEND = 4  # surfels that a measurement is averaged over
 CANDIDATES = 256  # surfels whose distances are compared at once, a power of two
 LANES = 8  # surfels whose distances are computed side by side
+AT_ONCE = 2 * LANES  # of a row of cells: most rows hold fewer, so that the loop over them ends after one step, as is predicted
+SCANNED = 32  # candidates that are compared side by side
 I, II, III, IV, V, VI, VII = (np.uint64(i) for i in range(1, LANES))  # unsigned: an index that needs no check of its sign
-NONE = np.int32(2**31 - 1)
+NONE, BELOW_ALL = np.int32(2**31 - 1), np.int32(-1)
 TOO_FAR = np.float32(1e30)  # m^2
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: place of the last search of a vertex that was never searched for
@@ -126,7 +128,7 @@ def append_candidates(surfels, k, vertex, metric, squared, index, n):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def append_last_candidates(surfels, k, end, vertex, metric, squared, index, n):
-    """As :func:`append_candidates`, for the surfels from k up to ``end``, where fewer than LANES are left in memory."""
+    """As :func:`append_candidates`, for the surfels from k up to ``end``, where fewer than AT_ONCE are left in memory."""
     X, Y, Z, NX, NY, NZ = surfels[0], surfels[1], surfels[2], surfels[3], surfels[4], surfels[5]
     for m in range(end - k):
         j = k + m
@@ -142,22 +144,22 @@ def select_nearest(squared, bits, index, n, gate2):
     least distance and its owner. Distances that agree to 2^-15 count as equal.
 
     Args:
-        squared: (CANDIDATES,) float32 square metres, in and out; the ordered ones are rounded down to 2^-15.
+        squared: (CANDIDATES + SCANNED,) float32 square metres, in and out; the ordered ones are rounded down to 2^-15.
         bits: the same memory as int32.
         index: (CANDIDATES,) in and out, numbers of the surfels.
         n: candidates.
         gate2: square metres.
     """
     number, distance = np.int32(CANDIDATES - 1), np.int32(~(CANDIDATES - 1))  # masks of the bits
-    padded = (n + np.uint64(LANES - 1)) & ~np.uint64(LANES - 1)
-    for m in range(n, padded):
-        squared[m] = TOO_FAR
+    padded = (n + np.uint64(SCANNED - 1)) & ~np.uint64(SCANNED - 1)
+    for m in range(SCANNED):
+        squared[n + np.uint64(m)] = TOO_FAR
     for m in range(padded):
         bits[m] = (bits[m] & distance) | np.int32(m)
-    a = take_least(bits, padded, number)
-    b = take_least(bits, padded, number)
-    c = take_least(bits, padded, number)
-    d = take_least(bits, padded, number)
+    a = least_above(bits, padded, BELOW_ALL)
+    b = least_above(bits, padded, a)
+    c = least_above(bits, padded, b)
+    d = least_above(bits, padded, c)
     e, f, g, h = index[a & number], index[b & number], index[c & number], index[d & number]
     index[0], index[1], index[2], index[3] = e, f, g, h
     bits[0], bits[1], bits[2], bits[3] = a & distance, b & distance, c & distance, d & distance
@@ -165,12 +167,14 @@ def select_nearest(squared, bits, index, n, gate2):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def take_least(bits, n, number):
-    """Removes the least of n integers and returns it; the bits of the mask ``number`` hold its place."""
+def least_above(bits, n, bound):
+    """The least of n integers that is greater than ``bound``.
+
+    Nothing is removed: a vector that is read after one of its numbers was written has to wait.
+    """
     least = NONE
     for m in range(n):
-        least = min(least, bits[m])
-    bits[least & number] = NONE
+        least = min(least, bits[m] if bits[m] > bound else NONE)
     return least
 
 
@@ -203,7 +207,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
     X, Y, Z = surfels[0], surfels[1], surfels[2]
     NX, NY, NZ = surfels[3], surfels[4], surfels[5]
     size = np.uint64(surfels.shape[1])
-    squared, index = np.zeros(CANDIDATES, np.float32), np.zeros(CANDIDATES, np.int32)
+    squared, index = np.zeros(CANDIDATES + SCANNED, np.float32), np.zeros(CANDIDATES, np.int32)
     bits = squared.view(np.int32)
     for v in range(position.shape[0]):
         if not eligible[v]:
@@ -243,13 +247,16 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
                         k, end = np.uint64(start[row + z0]), np.uint64(start[row + z1 + 1])
                         seen += end - k
                         while k < end:  # surfels read past the end are overwritten by the next ones
-                            if k + np.uint64(LANES) <= size:
+                            count = min(end - k, np.uint64(AT_ONCE))
+                            if k + np.uint64(AT_ONCE) <= size:
                                 append_candidates(surfels, k, vertex, metric, squared, index, n)
+                                half = np.uint64(LANES)
+                                append_candidates(surfels, k + half, vertex, metric, squared, index, n + half)
                             else:
-                                append_last_candidates(surfels, k, end, vertex, metric, squared, index, n)
-                            n += min(end - k, np.uint64(LANES))
-                            k += np.uint64(LANES)
-                            if n > np.uint64(CANDIDATES - LANES):
+                                append_last_candidates(surfels, k, k + count, vertex, metric, squared, index, n)
+                            n += count
+                            k += np.uint64(AT_ONCE)
+                            if n > np.uint64(CANDIDATES - AT_ONCE):
                                 n = np.uint64(select_nearest(squared, bits, index, n, gate2))
             found = select_nearest(squared, bits, index, n, gate2)
             n = np.uint64(found)
