@@ -16,6 +16,8 @@ SCANNED = 32  # candidates that are compared side by side
 I, II, III, IV, V, VI, VII = (np.uint64(i) for i in range(1, LANES))  # unsigned: an index that needs no check of its sign
 NONE, BELOW_ALL = np.int32(2**31 - 1), np.int32(-1)
 TOO_FAR = np.float32(1e30)  # m^2
+BLOCK = 256  # points whose directions are computed side by side
+NEAREST = 0.05  # m: what is nearer to a sensor, or behind it, is not seen
 DIRECTIONS = 160  # rows and columns of the grid of directions: 4 m of a garment with 17 mm edges
 FAR_AWAY = 1e30  # m: place of the last search of a vertex that was never searched for
 NO_SURFEL, PAST_THE_END = -1.0, -2.0  # distance of a vertex without a measurement, by reason
@@ -52,7 +54,7 @@ class VisibilityLimits(NamedTuple):
     min_cosine: float  # least turn of a vertex toward the sensor
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def vertex_normals(position, faces, normal):
     """Area-weighted unit normals of vertices.
 
@@ -63,19 +65,20 @@ def vertex_normals(position, faces, normal):
     """
     normal[:] = 0.0
     for f in range(faces.shape[0]):
-        i, j, k = faces[f, 0], faces[f, 1], faces[f, 2]
-        ax, ay, az = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
-        bx, by, bz = position[k, 0] - position[i, 0], position[k, 1] - position[i, 1], position[k, 2] - position[i, 2]
+        i, j, k = np.uint64(faces[f, 0]), np.uint64(faces[f, 1]), np.uint64(faces[f, 2])
+        x, y, z = position[i, 0], position[i, 1], position[i, 2]
+        ax, ay, az = position[j, 0] - x, position[j, 1] - y, position[j, 2] - z
+        bx, by, bz = position[k, 0] - x, position[k, 1] - y, position[k, 2] - z
         cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
         for v in (i, j, k):
-            normal[v, 0] += cx
-            normal[v, 1] += cy
-            normal[v, 2] += cz
+            # all three are read before any is written: the compiler makes vectors of them
+            x, y, z = normal[v, 0] + cx, normal[v, 1] + cy, normal[v, 2] + cz
+            normal[v, 0], normal[v, 1], normal[v, 2] = x, y, z
     for v in range(normal.shape[0]):
-        length = sqrt(normal[v, 0] ** 2 + normal[v, 1] ** 2 + normal[v, 2] ** 2)
+        x, y, z = normal[v, 0], normal[v, 1], normal[v, 2]
+        length = sqrt(x * x + y * y + z * z)
         scale = 1.0 / length if length > 1e-30 else 0.0
-        for a in range(3):
-            normal[v, a] *= scale
+        normal[v, 0], normal[v, 1], normal[v, 2] = x * scale, y * scale, z * scale
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
@@ -300,14 +303,14 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
         plane_normal[v, 2] = mz / length
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def mark_visible(position, normal, body, surfels, origin, sensor, limits, visible):
     """Marks the vertices that a sensor may see: they face it, and nothing hides them.
 
     From each sensor a grid of directions, as wide as ``cell`` at the garment's distance, holds the least depth of the vertices of
     garment and body. A vertex is hidden when something in its cell is nearer by more than ``depth_margin`` plus the depth that
     the vertex's own slope explains across the cell. The garment's other layers are estimates as well: they hide only where the
-    cloud shows something as near.
+    cloud shows something as near. Of the grid only the window that holds the garment is kept.
 
     Args:
         position, normal: (V, 3) metres, unit.
@@ -321,13 +324,14 @@ def mark_visible(position, normal, body, surfels, origin, sensor, limits, visibl
     cell, depth_margin, min_cosine = limits
     n = position.shape[0]
     visible[:] = False
-    nearest, cloud = np.empty((DIRECTIONS, DIRECTIONS)), np.empty((DIRECTIONS, DIRECTIONS))
-    center, point = np.zeros(3), np.empty(3)
+    place, depth = np.empty(n, np.int32), np.empty(n)
+    block, some_place, some_depth = np.empty((3, BLOCK)), np.empty(BLOCK, np.int32), np.empty(BLOCK)
+    center, axes = np.zeros(3), np.empty((3, 3))
     for v in range(n):
         for a in range(3):
             center[a] += position[v, a] / n
-    axes = np.empty((3, 3))
     for s in range(sensor.shape[0]):
+        eye = sensor[s, 0], sensor[s, 1], sensor[s, 2]
         distance = 0.0
         for a in range(3):
             axes[2, a] = center[a] - sensor[s, a]
@@ -335,31 +339,44 @@ def mark_visible(position, normal, body, surfels, origin, sensor, limits, visibl
         distance = sqrt(distance) + 1e-12
         axes[2] /= distance
         perpendicular_axes(axes[2], axes)
-        focal = distance / cell
-        nearest[:] = np.inf
-        cloud[:] = np.inf
-        for k in range(surfels.shape[1]):
-            for a in range(3):
-                point[a] = surfels[a, k] + origin[a]
-            lower_depth(point, sensor[s], axes, focal, cloud)
+        axes[:2] *= distance / cell  # cells per unit of slope
+        whole = 0.0, 0.0, float(DIRECTIONS), float(DIRECTIONS)
+        for first in range(0, n, BLOCK):
+            size = seen_from(position, first, eye, block)
+            directions(block, size, axes, whole, place[first : first + size], depth[first : first + size])
+        window = window_of(place)
+        columns, rows = int(window[2]), int(window[3])
         for v in range(n):
-            lower_depth(position[v], sensor[s], axes, focal, nearest)
+            inside = place[v] < DIRECTIONS * DIRECTIONS
+            row, column = place[v] // DIRECTIONS - int(window[1]), place[v] % DIRECTIONS - int(window[0])
+            place[v] = row * columns + column if inside else rows * columns
+        nearest, cloud = np.full(rows * columns + 1, np.inf), np.full(rows * columns + 1, np.inf)
+        for v in range(n):
+            nearest[place[v]] = min(nearest[place[v]], depth[v])
         if surfels.shape[1] > 0:
-            np.maximum(nearest, cloud, nearest)
-        for v in range(body.shape[0]):
-            lower_depth(body[v], sensor[s], axes, focal, nearest)
+            for first in range(0, surfels.shape[1], BLOCK):
+                size = min(BLOCK, surfels.shape[1] - first)
+                for a in range(3):
+                    for i in range(size):
+                        block[a, i] = surfels[a, first + i] + (origin[a] - eye[a])
+                directions(block, size, axes, window, some_place, some_depth)
+                for i in range(size):
+                    cloud[some_place[i]] = min(cloud[some_place[i]], some_depth[i])
+            for c in range(nearest.shape[0]):
+                nearest[c] = max(nearest[c], cloud[c])
+        for first in range(0, body.shape[0], BLOCK):
+            size = seen_from(body, first, eye, block)
+            directions(block, size, axes, window, some_place, some_depth)
+            for i in range(size):
+                nearest[some_place[i]] = min(nearest[some_place[i]], some_depth[i])
+        nearest[rows * columns] = np.inf  # nothing hides what is outside the grid
         for v in range(n):
-            if visible[v]:
-                continue
-            dx, dy, dz = sensor[s, 0] - position[v, 0], sensor[s, 1] - position[v, 1], sensor[s, 2] - position[v, 2]
+            dx, dy, dz = eye[0] - position[v, 0], eye[1] - position[v, 1], eye[2] - position[v, 2]
             length = sqrt(dx * dx + dy * dy + dz * dz)
             cosine = (normal[v, 0] * dx + normal[v, 1] * dy + normal[v, 2] * dz) / length
-            if not cosine > min_cosine:
-                continue
-            column, row, depth = cell_of_direction(position[v], sensor[s], axes, focal)
             slope = sqrt(max(1.0 - cosine * cosine, 0.0)) / max(cosine, 1e-3)
-            if column < 0 or nearest[row, column] >= depth - depth_margin - 1.5 * cell * slope:
-                visible[v] = True
+            free = nearest[place[v]] >= depth[v] - depth_margin - 1.5 * cell * slope
+            visible[v] |= (cosine > min_cosine) & free
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -380,32 +397,58 @@ def perpendicular_axes(view, axes):
     axes[1, 2] = view[0] * axes[0, 1] - view[1] * axes[0, 0]
 
 
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def lower_depth(p, eye, axes, focal, nearest):
-    """Lowers the least depth of a point's cell in the grid of directions ``nearest``, metres, in place."""
-    column, row, depth = cell_of_direction(p, eye, axes, focal)
-    if column >= 0 and depth < nearest[row, column]:
-        nearest[row, column] = depth
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def seen_from(points, first, eye, block):
+    """Copies the points (N, 3) from ``first`` on, relative to ``eye``, into ``block`` (3, BLOCK), metres. Returns how many."""
+    size = min(BLOCK, points.shape[0] - first)
+    for i in range(size):
+        block[0, i] = points[first + i, 0] - eye[0]
+        block[1, i] = points[first + i, 1] - eye[1]
+        block[2, i] = points[first + i, 2] - eye[2]
+    return size
 
 
-@njit(nogil=True, cache=True, error_model="numpy", inline="always")
-def cell_of_direction(p, eye, axes, focal):
-    """Column and row of a point in the grid of directions, and its depth; column -1 outside the grid or behind the eye.
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def directions(block, n, axes, window, place, depth):
+    """Places of points in a window of the grid of directions, row by row, the last one + 1 outside it or behind the eye.
 
     Args:
-        p, eye: (3,) metres.
-        axes: (3, 3), whose rows are the grid's column, row and depth axes.
-        focal: cells per unit of slope.
+        block: (3, BLOCK) metres, relative to the eye.
+        n: points.
+        axes: (3, 3), whose rows are the grid's column, row and depth axes, the first two in cells per unit of slope.
+        window: first column and row, columns and rows.
+        place: (n,) int32 out.
+        depth: (n,) metres out.
     """
-    x, y, z = p[0] - eye[0], p[1] - eye[1], p[2] - eye[2]
-    depth = axes[2, 0] * x + axes[2, 1] * y + axes[2, 2] * z
-    if depth < 0.05:
-        return -1, -1, depth
-    u = (axes[0, 0] * x + axes[0, 1] * y + axes[0, 2] * z) / depth * focal + DIRECTIONS / 2
-    v = (axes[1, 0] * x + axes[1, 1] * y + axes[1, 2] * z) / depth * focal + DIRECTIONS / 2
-    if not (0.0 <= u < DIRECTIONS and 0.0 <= v < DIRECTIONS):
-        return -1, -1, depth
-    return int(u), int(v), depth
+    left, top, columns, rows = window
+    ux, uy, uz = axes[0, 0], axes[0, 1], axes[0, 2]
+    vx, vy, vz = axes[1, 0], axes[1, 1], axes[1, 2]
+    wx, wy, wz = axes[2, 0], axes[2, 1], axes[2, 2]
+    middle, outside = DIRECTIONS / 2, columns * rows
+    for i in range(n):
+        x, y, z = block[0, i], block[1, i], block[2, i]
+        d = wx * x + wy * y + wz * z
+        s = 1.0 / d
+        u = (ux * x + uy * y + uz * z) * s + (middle - left)
+        v = (vx * x + vy * y + vz * z) * s + (middle - top)
+        inside = (d >= NEAREST) & (u >= 0.0) & (u < columns) & (v >= 0.0) & (v < rows)
+        place[i] = np.int32(np.floor(v) * columns + np.floor(u) if inside else outside)
+        depth[i] = d
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def window_of(place):
+    """First column and row, columns and rows of the least window that holds all the places in the grid of directions."""
+    left = top = DIRECTIONS
+    right = bottom = -1
+    for v in range(place.shape[0]):
+        row, column = place[v] // DIRECTIONS, place[v] % DIRECTIONS
+        if row < DIRECTIONS:
+            left, right = min(left, column), max(right, column)
+            top, bottom = min(top, row), max(bottom, row)
+    if right < 0:
+        return 0.0, 0.0, 0.0, 0.0
+    return float(left), float(top), float(right - left + 1), float(bottom - top + 1)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
