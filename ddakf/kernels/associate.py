@@ -7,13 +7,12 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
+from ddakf.kernels.lanes import II, III, IV, LANES, VI, VII, I, V, load_lanes, store_lanes
 
 BLEND = 4  # surfels that a measurement is averaged over
 CANDIDATES = 256  # surfels whose distances are compared at once, a power of two
-LANES = 8  # surfels whose distances are computed side by side
 AT_ONCE = 2 * LANES  # of a row of cells: most rows hold fewer, so that the loop over them ends after one step, as is predicted
 SCANNED = 32  # candidates that are compared side by side
-I, II, III, IV, V, VI, VII = (np.uint64(i) for i in range(1, LANES))  # unsigned: an index that needs no check of its sign
 NONE, BELOW_ALL = np.int32(2**31 - 1), np.int32(-1)
 TOO_FAR = np.float32(1e30)  # m^2
 BLOCK = 256  # points whose directions are computed side by side
@@ -82,12 +81,6 @@ def vertex_normals(position, faces, normal):
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
-def load_lanes(row, k):
-    """The LANES numbers of a row from k on."""
-    return row[k], row[k + I], row[k + II], row[k + III], row[k + IV], row[k + V], row[k + VI], row[k + VII]
-
-
-@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
 def surfel_distance(surfel, vertex, metric):
     """Squared distance of a surfel from a vertex, m^2, of point and normal; TOO_FAR where the normals disagree.
 
@@ -123,10 +116,8 @@ def append_candidates(surfels, k, vertex, metric, squared, index, n):
     f = surfel_distance((x[5], y[5], z[5], u[5], v[5], w[5]), vertex, metric)
     g = surfel_distance((x[6], y[6], z[6], u[6], v[6], w[6]), vertex, metric)
     h = surfel_distance((x[7], y[7], z[7], u[7], v[7], w[7]), vertex, metric)
-    squared[n], squared[n + I], squared[n + II], squared[n + III] = a, b, c, d
-    squared[n + IV], squared[n + V], squared[n + VI], squared[n + VII] = e, f, g, h
-    index[n], index[n + I], index[n + II], index[n + III] = k, k + I, k + II, k + III
-    index[n + IV], index[n + V], index[n + VI], index[n + VII] = k + IV, k + V, k + VI, k + VII
+    store_lanes(squared, n, (a, b, c, d, e, f, g, h))
+    store_lanes(index, n, (k, k + I, k + II, k + III, k + IV, k + V, k + VI, k + VII))
 
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
