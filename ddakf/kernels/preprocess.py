@@ -10,7 +10,7 @@ from ddakf.kernels import FAST
 from ddakf.kernels.lanes import LANES, load_lanes, store_lanes
 from ddakf.kernels.symmetric import smallest_eigenvector
 
-NEIGHBOURS = 16  # that are summed side by side
+STEP = 16  # points of a row of cells that are copied at once
 BLOCK = 256  # planes that are fitted side by side
 FAR = np.float32(1e9)  # m: outside any radius
 
@@ -204,6 +204,49 @@ def mark_surplus(start, most, surplus):
     return left
 
 
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def gather_around(points, start, dims, middle, most, near):
+    """Copies the points of the 27 cells around one. Returns how many.
+
+    Args:
+        points: (3, M) float32 sorted by cell, metres.
+        start, dims: of :class:`Grid`.
+        middle: the cell, along each axis.
+        most: points; of more, an even sample is copied.
+        near: (3, most + 2 STEP) float32 out, metres; what is behind the last point may be overwritten.
+    """
+    (ix, iy, iz), (nx, ny, nz) = middle, (dims[0], dims[1], dims[2])
+    z0, z1 = max(iz - 1, 0), min(iz + 1, nz - 1)
+    total = 0
+    for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+        for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+            row = (jx * ny + jy) * nz
+            total += start[row + z1 + 1] - start[row + z0]
+    every, skipped, n = max(1, (total + most - 1) // most), 0, np.uint64(0)
+    size, eight, step = np.uint64(points.shape[1]), np.uint64(LANES), np.uint64(STEP)
+    for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
+        for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
+            row = (jx * ny + jy) * nz
+            begin, end = start[row + z0] + skipped, start[row + z1 + 1]
+            if every > 1:
+                skipped = (begin - end) % every
+            k, last = np.uint64(begin), np.uint64(end)
+            if every == 1:
+                # most rows hold fewer points than a step, so that the loop ends after one, as the processor predicts
+                while k < last and k + step <= size:
+                    for a in range(3):
+                        store_lanes(near[a], n, load_lanes(points[a], k))
+                        store_lanes(near[a], n + eight, load_lanes(points[a], k + eight))
+                    n += min(last - k, step)
+                    k += step
+            while k < last:
+                for a in range(3):
+                    near[a, n] = points[a, k]
+                n += np.uint64(1)
+                k += np.uint64(every)
+    return int(n)
+
+
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=True)
 def fit_planes(points, grid, radius, stride, most, surfels):
     """Fits a plane to the neighbours of every ``stride``-th point: the point moved onto it, and its unit normal.
@@ -226,7 +269,7 @@ def fit_planes(points, grid, radius, stride, most, surfels):
     zero, one = np.float32(0.0), np.float32(1.0)
     nx, ny, nz = dims[0], dims[1], dims[2]
     X, Y, Z = points[0], points[1], points[2]
-    near, moments = np.empty((3, min(most, points.shape[1]) + NEIGHBOURS), np.float32), np.empty(10 * BLOCK, np.float32)
+    near, moments = np.empty((3, min(most, points.shape[1]) + 2 * STEP), np.float32), np.empty(10 * BLOCK, np.float32)
     AX, AY, AZ = near[0], near[1], near[2]
     here, padded = -1, 0
     for first in range(0, surfels.shape[1], BLOCK):
@@ -240,23 +283,8 @@ def fit_planes(points, grid, radius, stride, most, surfels):
             if (ix * ny + iy) * nz + iz != here:
                 # the points of the 27 cells around are gathered once for all points of a cell
                 here = (ix * ny + iy) * nz + iz
-                z0 = max(iz - 1, 0)
-                z1 = min(iz + 1, nz - 1)
-                total = 0
-                for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
-                    for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
-                        row = (jx * ny + jy) * nz
-                        total += start[row + z1 + 1] - start[row + z0]
-                every, skipped, n = max(1, (total + most - 1) // most), 0, 0
-                for jx in range(max(ix - 1, 0), min(ix + 2, nx)):
-                    for jy in range(max(iy - 1, 0), min(iy + 2, ny)):
-                        row = (jx * ny + jy) * nz
-                        begin, end = start[row + z0] + skipped, start[row + z1 + 1]
-                        skipped = (begin - end) % every
-                        for k in range(begin, end, every):
-                            AX[n], AY[n], AZ[n] = X[k], Y[k], Z[k]
-                            n += 1
-                padded = (n + NEIGHBOURS - 1) // NEIGHBOURS * NEIGHBOURS
+                n = gather_around(points, start, dims, (ix, iy, iz), most, near)
+                padded = (n + LANES - 1) // LANES * LANES
                 for k in range(n, padded):
                     AX[k], AY[k], AZ[k] = FAR, FAR, FAR
             sw = sx = sy = sz = zero
