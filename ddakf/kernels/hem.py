@@ -6,7 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-NOWHERE = -1e30  # m
+from ddakf.kernels import FAST
+from ddakf.kernels.lanes import LANES, load_lanes, store_lanes
+
+NOWHERE = np.float32(-1e30)  # m
 LEAST_POINTS = 4  # in the tube
 BEYOND = 1.0  # mean distances between the tube's points, by which the cloth extends past the second last of them
 GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
@@ -27,6 +30,60 @@ class CloudEnds(NamedTuple):
     direction: np.ndarray  # (H, 3) unit, in the surface, outward
     offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
     found: np.ndarray  # (H,) bool
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST, inline="always")
+def across_in_tube(x, y, z, frame):
+    """Distance of the point (x, y, z) across the boundary, metres, float32; NOWHERE outside the tube.
+
+    ``frame`` holds, in float32, the vertex, the unit vectors across, along and above, and the tube's radius, width and depth.
+    """
+    px, py, pz, cx, cy, cz, tx, ty, tz, ax, ay, az, radius, width, depth = frame
+    dx, dy, dz = x - px, y - py, z - pz
+    a = cx * dx + cy * dy + cz * dz
+    beside, above = abs(tx * dx + ty * dy + tz * dz), abs(ax * dx + ay * dy + az * dz)
+    return a if (abs(a) <= radius) & (beside <= width) & (above <= depth + np.float32(0.33) * abs(a)) else NOWHERE
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def append_across(points, first, last, every, frame, across, n):
+    """Writes :func:`across_in_tube` of every ``every``-th of the points first..last - 1 behind the first n. Returns how many.
+
+    Args:
+        points: (3, M) float32 metres.
+        across: float32 out, metres; a few numbers behind the last may be overwritten.
+    """
+    X, Y, Z = points[0], points[1], points[2]
+    k, end, size, eight, m = np.uint64(first), np.uint64(last), np.uint64(points.shape[1]), np.uint64(LANES), np.uint64(n)
+    while every == 1 and k < end and k + eight <= size:
+        x, y, z = load_lanes(X, k), load_lanes(Y, k), load_lanes(Z, k)
+        a, b = across_in_tube(x[0], y[0], z[0], frame), across_in_tube(x[1], y[1], z[1], frame)
+        c, d = across_in_tube(x[2], y[2], z[2], frame), across_in_tube(x[3], y[3], z[3], frame)
+        e, f = across_in_tube(x[4], y[4], z[4], frame), across_in_tube(x[5], y[5], z[5], frame)
+        g, h = across_in_tube(x[6], y[6], z[6], frame), across_in_tube(x[7], y[7], z[7], frame)
+        store_lanes(across, m, (a, b, c, d, e, f, g, h))
+        m += min(end - k, eight)
+        k += eight
+    while k < end:
+        across[m] = across_in_tube(X[k], Y[k], Z[k], frame)
+        m += np.uint64(1)
+        k += np.uint64(every)
+    return int(m)
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def farthest_two(across, n):
+    """How many of n numbers are not NOWHERE, and the second greatest of them; NOWHERE where there are fewer than two."""
+    first = NOWHERE
+    for m in range(n):
+        first = max(first, across[m])
+    inside, equal, second = 0, 0, NOWHERE
+    for m in range(n):
+        a = across[m]
+        inside += int(a > NOWHERE)
+        equal += int(a == first)
+        second = max(second, a if a < first else NOWHERE)
+    return inside, first if equal > 1 else second
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -51,6 +108,7 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
     direction, offset, found = ends
     inverse = 1.0 / cell
     nx, ny, nz = dims[0], dims[1], dims[2]
+    across = np.empty(min(MOST_SEEN, points.shape[1]) + LANES, np.float32)
     for h in range(boundary.shape[0]):
         found[h] = False
         v, before, after = boundary[h, 0], boundary[h, 1], boundary[h, 2]
@@ -70,34 +128,33 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
             continue
         cx, cy, cz = cx / length, cy / length, cz / length
         px, py, pz = position[v, 0] - origin[0], position[v, 1] - origin[1], position[v, 2] - origin[2]
-        first = second = NOWHERE
-        inside = 0
         x0, x1 = max(int((px - radius) * inverse), 0), min(int((px + radius) * inverse), nx - 1)
         y0, y1 = max(int((py - radius) * inverse), 0), min(int((py + radius) * inverse), ny - 1)
         z0, z1 = max(int((pz - radius) * inverse), 0), min(int((pz + radius) * inverse), nz - 1)
         if z0 > z1:
             continue
-        total = 0
-        for jx in range(x0, x1 + 1):
-            for jy in range(y0, y1 + 1):
-                row = (jx * ny + jy) * nz
-                total += start[row + z1 + 1] - start[row + z0]
-        every, skipped = max(1, (total + MOST_SEEN - 1) // MOST_SEEN), 0
+        every = 1
+        if points.shape[1] > MOST_SEEN:
+            total = 0
+            for jx in range(x0, x1 + 1):
+                for jy in range(y0, y1 + 1):
+                    row = (jx * ny + jy) * nz
+                    total += start[row + z1 + 1] - start[row + z0]
+            every = max(1, (total + MOST_SEEN - 1) // MOST_SEEN)
+        skipped = n = 0
+        frame = (
+            np.float32(px), np.float32(py), np.float32(pz), np.float32(cx), np.float32(cy), np.float32(cz),
+            np.float32(tx), np.float32(ty), np.float32(tz), np.float32(ax), np.float32(ay), np.float32(az),
+            np.float32(radius), np.float32(width), np.float32(depth),
+        )  # fmt: skip
         for jx in range(x0, x1 + 1):
             for jy in range(y0, y1 + 1):
                 row = (jx * ny + jy) * nz
                 begin, end = start[row + z0] + skipped, start[row + z1 + 1]
-                skipped = (begin - end) % every
-                for k in range(begin, end, every):
-                    dx, dy, dz = points[0, k] - px, points[1, k] - py, points[2, k] - pz
-                    a = cx * dx + cy * dy + cz * dz
-                    beside, above = abs(tx * dx + ty * dy + tz * dz), abs(ax * dx + ay * dy + az * dz)
-                    # no branch to mispredict
-                    fits = (abs(a) <= radius) & (beside <= width) & (above <= depth + 0.33 * abs(a))
-                    inside += int(fits)
-                    a = a if fits else NOWHERE
-                    second = max(second, min(first, a))
-                    first = max(first, a)
+                if every > 1:
+                    skipped = (begin - end) % every
+                n = append_across(points, begin, end, every, frame, across, n)
+        inside, second = farthest_two(across, n)
         if inside < LEAST_POINTS or second > GOES_ON * radius:
             continue
         found[h] = True

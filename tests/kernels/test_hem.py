@@ -1,0 +1,50 @@
+"""The end of the cloud beside a boundary against a slow twin."""
+
+import numpy as np
+import pytest
+
+from ddakf.kernels import hem
+from ddakf.kernels.hem import CloudEnds, Tube, ends_of_cloud
+from ddakf.kernels.preprocess import Grid, fill_grid
+
+TUBE = Tube(radius=0.04, width=0.012, depth=0.01)
+
+
+def slow_end(vertex, along, above, points):
+    """Outward direction and offset, metres; None where the cloud goes on, or has too few points in the tube."""
+    along = along / np.linalg.norm(along)
+    across = np.cross(along, above)
+    across /= np.linalg.norm(across)
+    step = points.astype(float) - vertex
+    a = step @ across
+    fits = (np.abs(a) <= TUBE.radius) & (np.abs(step @ along) <= TUBE.width)
+    a = np.sort(a[fits & (np.abs(step @ above) <= TUBE.depth + 0.33 * np.abs(a))])
+    if len(a) < hem.LEAST_POINTS or a[-2] > hem.GOES_ON * TUBE.radius:
+        return None
+    return across, a[-2] + hem.BEYOND * (a[-2] + TUBE.radius) / len(a)
+
+
+@pytest.mark.parametrize("pairs", [False, True])
+@pytest.mark.parametrize("n", [0, 3, 30, 700, 6000])
+def test_ends_are_those_of_the_twin(n, pairs):
+    rng = np.random.default_rng(n)
+    points = rng.uniform([0.0, 0.0, 0.1], [0.5, 0.3, 0.13], (n, 3)).astype(np.float32)
+    if pairs:
+        points[1::2] = points[: n // 2 * 2 : 2]
+    dims = np.array([12, 8, 6])
+    grid = Grid(np.empty(np.prod(dims) + 2, np.int32), np.zeros(3), 0.05, dims)
+    ordered, index = np.empty((3, n), np.float32), np.empty(n, np.int32)
+    fill_grid(points.astype(float), np.arange(n, dtype=np.int32), grid, ordered, index)
+    position = rng.uniform([-0.1, -0.1, 0.05], [0.6, 0.4, 0.2], (90, 3))
+    normal = rng.normal([0.0, 0.0, 3.0], 1.0, (90, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    boundary, visible = rng.permutation(90).reshape(30, 3), rng.random(90) > 0.1
+    ends = CloudEnds(np.zeros((30, 3)), np.zeros(30), np.zeros(30, bool))
+    ends_of_cloud(position, normal, visible, boundary, ordered, grid, TUBE, ends)
+    for h, (v, before, after) in enumerate(boundary):
+        known = slow_end(position[v], position[after] - position[before], normal[v], ordered.T) if visible[v] else None
+        assert ends.found[h] == (known is not None)
+        if known is not None:
+            np.testing.assert_allclose(ends.direction[h], known[0], atol=1e-12)
+            np.testing.assert_allclose(ends.offset[h], known[1], atol=1e-6)
+    assert ends.found.any() == (n > 600)
