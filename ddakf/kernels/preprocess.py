@@ -84,8 +84,10 @@ def fill_grid(points, chosen, grid, sorted_points, sorted_index):
         iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
         own[k] = (ix * dims[1] + iy) * dims[2] + iz + 1
         start[own[k] + 1] += 1
+    total = 0
     for c in range(2, start.shape[0]):
-        start[c] += start[c - 1]
+        total += start[c]
+        start[c] = total
     for k in range(n):
         i, c = chosen[k], own[k]
         slot = start[c]
@@ -171,18 +173,21 @@ def remove(start, removed, points, index, new_start, new_points, new_index):
         removed: (M,) bool.
         new_start, new_points, new_index: the same of the remaining points, out.
     """
-    n = 0
-    for c in range(start.shape[0] - 2):
-        new_start[c] = n
-        for k in range(start[c], start[c + 1]):
-            if not removed[k]:
-                new_points[0, n] = points[0, k]
-                new_points[1, n] = points[1, k]
-                new_points[2, n] = points[2, k]
-                new_index[n] = index[k]
-                n += 1
-    for c in range(start.shape[0] - 2, new_start.shape[0]):
-        new_start[c] = n
+    n, gone = 0, 0
+    before = np.empty(removed.shape[0] + 1, np.int32)  # removed points before each
+    for k in range(removed.shape[0]):
+        before[k] = gone
+        gone += int(removed[k])
+    before[removed.shape[0]] = gone
+    for c in range(start.shape[0]):
+        new_start[c] = start[c] - before[start[c]]
+    for k in range(removed.shape[0]):
+        if not removed[k]:
+            new_points[0, n] = points[0, k]
+            new_points[1, n] = points[1, k]
+            new_points[2, n] = points[2, k]
+            new_index[n] = index[k]
+            n += 1
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -194,13 +199,14 @@ def mark_surplus(start, most, surplus):
         most: points of a cell that stay.
         surplus: (M,) bool out, of the sorted points.
     """
-    left = 0
+    left = surplus.shape[0]
+    surplus[:] = False
     for c in range(start.shape[0] - 2):
         first, n = start[c], start[c + 1] - start[c]
-        stays = min(n, most)
-        for k in range(n):
-            surplus[first + k] = (k + 1) * stays // n == k * stays // n
-        left += stays
+        if n > most:  # divisions are slow, and few cells are too full
+            for k in range(n):
+                surplus[first + k] = (k + 1) * most // n == k * most // n
+            left -= n - most
     return left
 
 
