@@ -21,8 +21,8 @@ def smallest_eigenvector(a, b, c, d, e, f):
 
     The vector is the longest cross product of two rows, or the last axis where all eigenvalues are equal. With q the mean of the
     eigenvalues and p their spread they are q + p t, t^3 - 3 t = 2 r. The least root is -(1 + x) with x^3 + 3 x^2 = 2 (1 - r);
-    Newton's steps descend to it from sqrt((1 - r) / 2), six digits more with each. There is no branch and no function but the
-    square root, so that the compiler computes many matrices side by side.
+    a cubic in sqrt((1 - r) / 2) has four digits of it, and each of Newton's two steps doubles them. There is no branch and no
+    function but the square root, so that the compiler computes many matrices side by side.
     """
     q = (a + b + c) / 3.0
     p2 = (a - q) ** 2 + (b - q) ** 2 + (c - q) ** 2 + 2.0 * (d * d + e * e + f * f)
@@ -31,9 +31,8 @@ def smallest_eigenvector(a, b, c, d, e, f):
     A, B, C, D, E, F = (a - q) * i, (b - q) * i, (c - q) * i, d * i, e * i, f * i
     r = 0.5 * (A * (B * C - F * F) - D * (D * C - F * E) + E * (D * F - B * E))
     goal = 2.0 * (1.0 - min(max(r, -1.0), 1.0))
-    x = sqrt(0.25 * goal) + 1e-30
-    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
-    x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
+    half = sqrt(0.25 * goal) + 1e-30
+    x = half * (1.154606 - half * (0.218855 - half * (0.087144 - half * 0.022978)))
     x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
     x -= (x * x * (x + 3.0) - goal) / (3.0 * x * (x + 2.0))
     smallest = q - p * (1.0 + x)
