@@ -23,6 +23,4 @@ def least_normal_share(vertices: np.ndarray, faces: np.ndarray) -> float:
     along, moved = np.empty((6, 6)), np.empty((6, 6))
     if kernels.rigid_motions(vertices, np.ascontiguousarray(faces), along, moved) == 0.0:
         return 0.0
-    moved[3:, 3:] += TINY * np.eye(3)
-    inverse_root = np.linalg.inv(np.linalg.cholesky(moved))
-    return float(np.clip(np.linalg.eigvalsh(inverse_root @ along @ inverse_root.T)[0], 0.0, 1.0))
+    return min(max(kernels.smallest_share(along, moved, TINY), 0.0), 1.0)

@@ -5,6 +5,8 @@ from math import sqrt
 import numpy as np
 from numba import njit
 
+MOST_SWEEPS = 16  # of Jacobi's rotations; five to seven end at rounding
+
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def rigid_motions(vertices, faces, along, moved):
@@ -67,3 +69,61 @@ def rigid_motions(vertices, faces, along, moved):
         for j in range(3):
             moved[3 + i, 3 + j] -= spread[i, j]
     return 0.5 * total
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def smallest_share(along, moved, least):
+    """Smallest eigenvalue x of along m = x moved m, for the quadratic forms of :func:`rigid_motions`.
+
+    The rotations' part of ``moved`` is factorised (Cholesky), which leaves an ordinary eigenvalue problem; Jacobi's rotations
+    solve that.
+
+    Args:
+        along, moved: (6, 6); both are overwritten.
+        least: added to the rotations' part of the diagonal of ``moved``.
+    """
+    A, L = along, moved
+    for j in range(3, 6):
+        for k in range(3, j):
+            L[j, j] -= L[j, k] * L[j, k]
+        L[j, j] = sqrt(L[j, j] + least)
+        for i in range(j + 1, 6):
+            for k in range(3, j):
+                L[i, j] -= L[i, k] * L[j, k]
+            L[i, j] /= L[j, j]
+    for c in range(6):  # A <- L^-1 A L'^-1; of the translations ``moved`` is the identity
+        for i in range(3, 6):
+            for k in range(3, i):
+                A[i, c] -= L[i, k] * A[k, c]
+            A[i, c] /= L[i, i]
+    for r in range(6):
+        for i in range(3, 6):
+            for k in range(3, i):
+                A[r, i] -= L[i, k] * A[r, k]
+            A[r, i] /= L[i, i]
+    for _ in range(MOST_SWEEPS):
+        off = on = 0.0
+        for i in range(6):
+            on += A[i, i] * A[i, i]
+            for j in range(i):
+                off += A[i, j] * A[i, j]
+        if not off > 1e-32 * on:
+            break
+        for p in range(5):
+            for q in range(p + 1, 6):
+                if A[p, q] == 0.0:
+                    continue
+                theta = 0.5 * (A[q, q] - A[p, p]) / A[p, q]
+                t = (1.0 if theta >= 0.0 else -1.0) / (abs(theta) + sqrt(theta * theta + 1.0))
+                c = 1.0 / sqrt(t * t + 1.0)
+                s = t * c
+                for k in range(6):
+                    x, y = A[k, p], A[k, q]
+                    A[k, p], A[k, q] = c * x - s * y, s * x + c * y
+                for k in range(6):
+                    x, y = A[p, k], A[q, k]
+                    A[p, k], A[q, k] = c * x - s * y, s * x + c * y
+    smallest = A[0, 0]
+    for i in range(1, 6):
+        smallest = min(smallest, A[i, i])
+    return smallest

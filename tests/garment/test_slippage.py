@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from ddakf.evaluation.datasets import collection
-from ddakf.garment.slippage import least_normal_share
+from ddakf.garment.slippage import TINY, least_normal_share
+from ddakf.kernels import slippage as kernels
 from tests.stages.scenes import turn
 from tests.tracker_runs import SHIRT
 
@@ -62,3 +63,26 @@ def test_a_surface_that_is_folded_flat_has_a_share(scale):
 def test_a_few_triangles_slip(faces):
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.5]])
     assert 0.0 <= least_normal_share(vertices, np.array(faces)) <= 0.34
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (0, 0, 0), (0, 1, 0), (1, 1, 0)], ids=["tube", "point", "line", "flat"])
+def test_the_smallest_share_is_that_of_numpy(scale):
+    vertices, faces = tube((0.25, 0.15))
+    along, moved = np.empty((6, 6)), np.empty((6, 6))
+    if kernels.rigid_motions(vertices * scale, faces, along, moved) == 0.0:
+        assert least_normal_share(vertices * scale, faces) == 0.0
+        return
+    inverse_root = np.linalg.inv(np.linalg.cholesky(moved + TINY * np.diag([0, 0, 0, 1, 1, 1])))
+    expected = np.linalg.eigvalsh(inverse_root @ along @ inverse_root.T)
+    got = kernels.smallest_share(along, moved, TINY)
+    assert got == pytest.approx(expected[0], rel=1e-9, abs=1e-12 * expected[-1])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_smallest_share_of_random_forms_is_that_of_numpy(seed):
+    rng = np.random.default_rng(seed)
+    first, second = rng.normal(size=(6, 6)), rng.normal(size=(3, 3))
+    along, moved = first @ first.T, np.eye(6)
+    moved[3:, 3:] = second @ second.T + 0.1 * np.eye(3)
+    expected = np.linalg.eigvals(np.linalg.solve(moved, along)).real.min()
+    assert kernels.smallest_share(along, moved, 0.0) == pytest.approx(expected, rel=1e-8)
