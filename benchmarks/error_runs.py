@@ -130,9 +130,9 @@ def _watched(seen: list, verdicts: list) -> Iterator[None]:
         seen.append(evidence(*arguments))
         return seen[-1]
 
-    def keep_covariance(problem, position, covariance, size):
+    def keep_covariance(covariance, *arguments):
         seen.append(covariance)
-        return resized(problem, position, covariance, size)
+        return resized(covariance, *arguments)
 
     def keep_verdict(*arguments):
         verdicts.append(judge(*arguments))
@@ -170,7 +170,8 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
             rmse = np.sqrt(np.square(off).sum(axis=1).mean())
             of_frames.append((k, rmse, result.reliability, claim, verdict.health.unexplained))
             if k % STRIDE < sensor.every and len(seen) == 2:
-                found = SizeEvidence(*(spread(np.broadcast_to(value, len(seen[1]))) for value in seen[0]))
+                of_vertices = error_size.at_vertices(seen[0], tracker._setup.model.patch)
+                found = SizeEvidence(*(spread(value) for value in of_vertices))
                 columns = _rows(result, (found, spread(seen[1])), truth, sequence.garment_faces, chosen)
                 kept.append((np.full(len(chosen), k), *columns))
     frame, observed, *parts = (np.concatenate(part) for part in zip(*kept, strict=True))

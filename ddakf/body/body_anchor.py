@@ -75,11 +75,11 @@ def measure(problem: Problem) -> Problem:
 
 
 def slack(problem: Problem) -> np.ndarray | None:
-    """(V,) metres: standard deviation of the place on the body; None without pseudo-measurements."""
+    """(L,) metres: standard deviation of a patch's place on the body; None without pseudo-measurements."""
     if problem.anchored is None:
         return None
     along, across = _variance(problem.last.anchor, problem.model, problem.config.predict).T
-    return np.sqrt(along + 2.0 * across)[problem.model.patch]
+    return np.sqrt(along + 2.0 * across)
 
 
 def _variance(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.ndarray:

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ddakf.kernels.symmetric import invert3
+from ddakf.kernels import FAST
+from ddakf.kernels.symmetric import along, invert3
 
 LEAST = 1e-14  # m^2: variances are at least this
 
@@ -19,6 +20,14 @@ class MeasuredPlanes(NamedTuple):
     isotropic: bool  # the measurements are points, as well known across the normal as along it
 
 
+class LogLaw(NamedTuple):
+    """Laws of the size of the error along the normal and across it, of N terms power log(1 + evidence / scale)."""
+
+    scale: np.ndarray  # (N, 2)
+    power: np.ndarray  # (N, 2)
+    base: np.ndarray  # (2, 2) logarithms of metres, of vertices that were not measured and of those that were
+
+
 class PatchSums(NamedTuple):
     """Sums over the vertices of each of L patches."""
 
@@ -29,22 +38,35 @@ class PatchSums(NamedTuple):
     motion: np.ndarray  # (L, 4) m and m^2, the vectors and their squares
     innovation: np.ndarray  # (L, 4) m and m^2, the same of the measured vertices alone
     strain: np.ndarray  # (L,) mean squared strain of the edges at each vertex
+    turned: np.ndarray  # (L,) squared sines of the angles between the surface and the measurements
+
+
+class PatchMeans(NamedTuple):
+    """Means over the vertices of each of L patches."""
+
+    information: np.ndarray  # (L, 6) 1/m^2 of the measurements, counted as one: xx yy zz xy xz yz
+    bend: np.ndarray  # (L,) 1 - |mean normal|^2 of the measurements
+    motion2: np.ndarray  # (L,) m^2, mean squared motion, the garment's common one taken out
+    innovation2: np.ndarray  # (L,) m^2, mean squared innovation of the measured vertices, the common one taken out
+    strain2: np.ndarray  # (L,) mean squared strain
+    turned: np.ndarray  # (L,) mean squared sine of the angle between surface and measurements; where there are none, of all
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def sum_by_patch(position, last, prior, patch, ring_strain, planes, sums):
+def sum_by_patch(position, last, prior, surface, patch, ring_strain, planes, sums):
     """Sums a frame's evidence over the vertices of each patch.
 
     Args:
         position, last, prior: (V, 3) metres; ``last`` is the position of a vertex that has not moved.
+        surface: (V, 3) unit normals of the garment.
         patch: (V,) int32 in [0, L).
         ring_strain: (V,) mean squared strain of the edges at each vertex.
         planes: :class:`MeasuredPlanes`.
         sums: :class:`PatchSums` out.
     """
     weight, normal, variance, isotropic = planes
-    size, observed, information, facing, motion, innovation, strain = sums
-    size[:], observed[:], strain[:] = 0.0, 0.0, 0.0
+    size, observed, information, facing, motion, innovation, strain, turned = sums
+    size[:], observed[:], strain[:], turned[:] = 0.0, 0.0, 0.0, 0.0
     information[:], facing[:], motion[:], innovation[:] = 0.0, 0.0, 0.0, 0.0
     for i in range(position.shape[0]):
         c = patch[i]
@@ -68,11 +90,84 @@ def sum_by_patch(position, last, prior, patch, ring_strain, planes, sums):
         information[c, 3] += k * x * y
         information[c, 4] += k * x * z
         information[c, 5] += k * y * z
+        cosine = surface[i, 0] * x + surface[i, 1] * y + surface[i, 2] * z
+        turned[c] += min(max(1.0 - cosine * cosine, 0.0), 1.0)
         for a in range(3):
             d = position[i, a] - prior[i, a]
             facing[c, a] += normal[i, a]
             innovation[c, a] += d
             innovation[c, 3] += d * d
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mean_square_about_mean(sums, count, squared):
+    """Mean squared distance of each patch's vectors from the mean vector of all patches.
+
+    Args:
+        sums: (L, 4) of vectors and of their squares.
+        count: (L,) vectors.
+        squared: (L,) out.
+    """
+    x = y = z = total = 0.0
+    for k in range(count.shape[0]):
+        x, y, z, total = x + sums[k, 0], y + sums[k, 1], z + sums[k, 2], total + count[k]
+    total = max(total, 1.0)
+    x, y, z = x / total, y / total, z / total
+    for k in range(count.shape[0]):
+        along = sums[k, 0] * x + sums[k, 1] * y + sums[k, 2] * z
+        about = sums[k, 3] - 2.0 * along + count[k] * (x * x + y * y + z * z)
+        squared[k] = max(about, 0.0) / max(count[k], 1.0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def patch_means(sums, persistence, least_bend, means):
+    """Means over each patch, from a frame's sums.
+
+    Args:
+        sums: :class:`PatchSums`.
+        persistence: frames over which measurements repeat their error.
+        least_bend: of a patch.
+        means: :class:`PatchMeans` out.
+    """
+    size, observed, information, facing, motion, innovation, strain, turned = sums
+    mean_square_about_mean(motion, size, means.motion2)
+    mean_square_about_mean(innovation, observed, means.innovation2)
+    mean_turned = turned.sum() / max(observed.sum(), 1.0)
+    for k in range(size.shape[0]):
+        n = max(observed[k], 1.0)
+        for m in range(6):
+            means.information[k, m] = information[k, m] / (persistence * n)
+        x, y, z = facing[k, 0] / n, facing[k, 1] / n, facing[k, 2] / n
+        means.bend[k] = max(1.0 - (x * x + y * y + z * z), least_bend)
+        means.strain2[k] = strain[k] / size[k]
+        means.turned[k] = turned[k] / n if observed[k] > 0.0 else mean_turned
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def grow(covariance, likeness, growth2, ceiling_sd, grown):
+    """The errors of the patches after they have grown, alike in all directions and together as the patches are alike.
+
+    Args:
+        covariance: (3L, 3L) float32 m^2.
+        likeness: (L, L) float32 correlation of the patches.
+        growth2: (L,) m^2 in each direction.
+        ceiling_sd: metres, of the largest standard deviation; where it is larger all are scaled.
+        grown: (3L, 3L) float32 m^2, out.
+    """
+    root, largest = np.sqrt(growth2).astype(np.float32), np.float32(1e-12)
+    for k in range(likeness.shape[0]):
+        for a in range(3):
+            r = 3 * k + a
+            for c in range(grown.shape[1]):
+                grown[r, c] = covariance[r, c]
+            for m in range(likeness.shape[0]):
+                grown[r, 3 * m + a] += root[k] * likeness[k, m] * root[m]
+            largest = max(largest, grown[r, r])
+    scale = np.float32(ceiling_sd / np.sqrt(largest))
+    if scale < 1.0:
+        for r in range(grown.shape[0]):
+            for c in range(grown.shape[1]):
+                grown[r, c] *= scale * scale
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -104,37 +199,89 @@ def couple_patches(B, crossing, information, smallest, matrix):
             matrix[p + b, p + a] += information[k, m]
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def error_transition(inverse, information, F):
-    """F = I - inverse blockdiag(information): how an update changes the error of the patches.
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def subtract_product(left, right, total, p, q, width):
+    """total -= left right, of three rows of ``left`` and ``total`` from p on and three columns and rows from q on.
+
+    Of ``total`` the first ``width`` columns.
+    """
+    p0, p1, p2 = np.uint64(p), np.uint64(p + 1), np.uint64(p + 2)  # signed indices may be negative, which hinders vectorisation
+    q0, q1, q2 = np.uint64(q), np.uint64(q + 1), np.uint64(q + 2)
+    a, b, c = left[p0, q0], left[p0, q1], left[p0, q2]
+    d, e, f = left[p1, q0], left[p1, q1], left[p1, q2]
+    g, h, i = left[p2, q0], left[p2, q1], left[p2, q2]
+    for m in range(width):
+        x, y, z = right[q0, m], right[q1, m], right[q2, m]
+        total[p0, m] -= a * x + b * y + c * z
+        total[p1, m] -= d * x + e * y + f * z
+        total[p2, m] -= g * x + h * y + i * z
+
+
+@njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
+def update_errors(P, G, information, updated):
+    """F P F' + G M G with F = I - G M, of M the block diagonal information: how an update changes the errors of the patches.
+
+    With X = P F' - G it is F X + G. What was not measured takes part in no product.
 
     Args:
-        inverse: (3L, 3L) float32 m^2.
-        information: (L, 6) float32 1/m^2.
-        F: (3L, 3L) float32 out.
+        P: (3L, 3L) float32 m^2, symmetric.
+        G: (3L, 3L) float32 m^2, symmetric.
+        information: (L, 6) 1/m^2, xx yy zz xy xz yz.
+        updated: (3L, 3L) float32 m^2, out.
+
+    Returns:
+        Whether G is finite; if not, nothing is written.
     """
-    for k in range(information.shape[0]):
-        p = 3 * k
-        a, b, c = information[k, 0], information[k, 1], information[k, 2]
-        d, e, f = information[k, 3], information[k, 4], information[k, 5]
-        for r in range(F.shape[0]):
-            x, y, z = inverse[r, p], inverse[r, p + 1], inverse[r, p + 2]
-            F[r, p] = -(x * a + y * d + z * e)
-            F[r, p + 1] = -(x * d + y * b + z * f)
-            F[r, p + 2] = -(x * e + y * f + z * c)
-    for r in range(F.shape[0]):
-        F[r, r] += 1.0
+    total = np.float32(0.0)
+    for r in range(G.shape[0]):
+        for c in range(G.shape[0]):
+            total += abs(G[r, c])
+    if not total < np.inf:
+        return False
+    product, X, n = np.empty_like(P), np.empty_like(P), P.shape[0]
+    for q in range(0, n, 3):  # P M
+        a, b, c, d, e, f = information[q // 3].astype(np.float32)
+        for r in range(n):
+            x, y, z = P[r, q], P[r, q + 1], P[r, q + 2]
+            product[r, q], product[r, q + 1] = x * a + y * d + z * e, x * d + y * b + z * f
+            product[r, q + 2] = x * e + y * f + z * c
+    for p in range(0, n, 3):
+        for r in range(p, p + 3):
+            for c in range(n):
+                X[r, c] = P[r, c] - G[r, c]
+        for q in range(0, n, 3):
+            if information[q // 3, 0] + information[q // 3, 1] + information[q // 3, 2] > 0.0:
+                subtract_product(product, G, X, p, q, n)
+    for q in range(0, n, 3):  # M X
+        a, b, c, d, e, f = information[q // 3].astype(np.float32)
+        for m in range(n):
+            x, y, z = X[q, m], X[q + 1, m], X[q + 2, m]
+            product[q, m], product[q + 1, m] = x * a + y * d + z * e, x * d + y * b + z * f
+            product[q + 2, m] = x * e + y * f + z * c
+    for p in range(0, n, 3):
+        for r in range(p, p + 3):
+            for c in range(p + 3):
+                X[r, c] += G[r, c]
+        for q in range(0, n, 3):
+            if information[q // 3, 0] + information[q // 3, 1] + information[q // 3, 2] > 0.0:
+                subtract_product(G, product, X, p, q, p + 3)
+    for r in range(n):
+        for c in range(r + 1):  # the result is symmetric
+            updated[r, c] = updated[c, r] = X[r, c]
+    return True
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def vertex_covariances(shared, bend, patch, planes, covariance):
-    """Covariance of each vertex: that of its patch, conditioned on the vertex's own measurement.
+def vertex_covariances(drift, share, added, bend, patch, planes, covariance):
+    """Covariance of each vertex: that of its patch and more, conditioned on the vertex's own measurement.
 
     A plane is known along its normal to its variance and, where the patch may slide, to the turn of the normal within the patch:
     the plane that was found is then a neighbour's.
 
     Args:
-        shared: (L, 3, 3) covariance of the patches, m^2.
+        drift: (3L, 3L) float32 covariance of the patches, m^2.
+        share: factor on it, for the vertex about its patch.
+        added: (L,) m^2, in each direction.
         bend: (L,) mean squared difference of two normals of a patch.
         patch: (V,) int32 in [0, L).
         planes: :class:`MeasuredPlanes`.
@@ -142,20 +289,22 @@ def vertex_covariances(shared, bend, patch, planes, covariance):
     """
     weight, normal, variance, isotropic = planes
     for i in range(patch.shape[0]):
-        P = shared[patch[i]]
-        a, b, c, d, e, f = P[0, 0], P[1, 1], P[2, 2], P[0, 1], P[0, 2], P[1, 2]
+        k = patch[i]
+        p, q, r = 3 * k, 3 * k + 1, 3 * k + 2
+        a, b, c = share * drift[p, p] + added[k], share * drift[q, q] + added[k], share * drift[r, r] + added[k]
+        d, e, f = share * drift[p, q], share * drift[p, r], share * drift[q, r]
         w = weight[i]
         if w > 0.0 and not isotropic:
             x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
             gx, gy, gz = a * x + d * y + e * z, d * x + b * y + f * z, e * x + f * y + c * z
             along = gx * x + gy * y + gz * z
-            s = 1.0 / (along + variance[i] / w + bend[patch[i]] * (a + b + c - along))
+            s = 1.0 / (along + variance[i] / w + bend[k] * (a + b + c - along))
             a, b, c = a - s * gx * gx, b - s * gy * gy, c - s * gz * gz
             d, e, f = d - s * gx * gy, e - s * gx * gz, f - s * gy * gz
         elif w > 0.0:
-            added = w / variance[i]
+            precision = w / variance[i]
             a, b, c, d, e, f = invert3(a, b, c, d, e, f)
-            a, b, c, d, e, f = invert3(a + added, b + added, c + added, d, e, f)
+            a, b, c, d, e, f = invert3(a + precision, b + precision, c + precision, d, e, f)
         covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = a, b, c
         covariance[i, 0, 1] = covariance[i, 1, 0] = d
         covariance[i, 0, 2] = covariance[i, 2, 0] = e
@@ -163,34 +312,78 @@ def vertex_covariances(shared, bend, patch, planes, covariance):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def resize(covariance, normal, sizes, usual, resized):
-    """Covariances with other sizes along the normals and across them: M C M with M = a n n' + b (I - n n').
+def add_logs(values, scale, power, total):
+    """Adds power log(1 + value / scale) of both laws to (2, N) ``total``, of (N,) values; scale and power are (2,)."""
+    s, t, p, q = scale[0], scale[1], power[0], power[1]
+    for i in range(values.shape[0]):
+        if values[i] != 0.0:
+            term = np.log(1.0 + values[i] / s)
+            total[0, i] += p * term
+            total[1, i] += q * (term if s == t else np.log(1.0 + values[i] / t))
 
-    A size is a standard deviation, across the normal the root mean square of two directions. It becomes factor (size /
-    usual)^power.
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def log_factors(of_patches, of_vertices, patch, seen, law, log_factor):
+    """Logarithms of the sizes of errors by both laws: a base, and a term for each evidence.
+
+    Args:
+        of_patches: (P, L) evidence of patches.
+        of_vertices: (K, V) of vertices.
+        patch: (V,) int32 in [0, L).
+        seen: (V,) bool, vertices that were measured.
+        law: :class:`LogLaw`, its terms first of patches and then of vertices.
+        log_factor: (2, V) out.
+    """
+    scale, power, base = law
+    n, by_patch = of_patches.shape[0], np.zeros((2, of_patches.shape[1]))
+    for k in range(n):
+        add_logs(of_patches[k], scale[k], power[k], by_patch)
+    for d in range(2):
+        for i in range(patch.shape[0]):
+            log_factor[d, i] = base[d, 1 if seen[i] else 0] + by_patch[d, patch[i]]
+    for k in range(of_vertices.shape[0]):
+        add_logs(of_vertices[k], scale[n + k], power[n + k], log_factor)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def variances_by_normal(covariance, normal, variance):
+    """Variances along the normals, and across them the mean of two directions.
 
     Args:
         covariance: (V, 3, 3) m^2.
         normal: (V, 3) unit.
-        sizes: factors (V,) along and across, metres, and both powers.
-        usual: metres.
+        variance: (2, V) m^2, out.
+    """
+    for i in range(normal.shape[0]):
+        v = along(covariance[i], normal[i, 0], normal[i, 1], normal[i, 2])
+        variance[0, i] = max(v, LEAST)
+        variance[1, i] = max(0.5 * (covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2] - v), LEAST)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def resize(covariance, normal, scale, resized):
+    """Covariances scaled along the normals and across them: M C M with M = a n n' + b (I - n n').
+
+    Args:
+        covariance: (V, 3, 3) m^2.
+        normal: (V, 3) unit.
+        scale: (2, V) factors a and b.
         resized: (V, 3, 3) m^2, out.
     """
-    along, across, powers = sizes
     for i in range(normal.shape[0]):
-        C, n = covariance[i], normal[i]
-        g0 = C[0, 0] * n[0] + C[0, 1] * n[1] + C[0, 2] * n[2]
-        g1 = C[1, 0] * n[0] + C[1, 1] * n[1] + C[1, 2] * n[2]
-        g2 = C[2, 0] * n[0] + C[2, 1] * n[1] + C[2, 2] * n[2]
-        v = max(g0 * n[0] + g1 * n[1] + g2 * n[2], LEAST)
-        t = max(0.5 * (C[0, 0] + C[1, 1] + C[2, 2] - v), LEAST)
-        a = along[i] * (np.sqrt(v) / usual) ** powers[0] / np.sqrt(v)
-        b = across[i] * (np.sqrt(t) / usual) ** powers[1] / np.sqrt(t)
-        g = (g0, g1, g2)
-        for r in range(3):
-            for c in range(3):
-                mixed = b * (a - b) * (g[r] * n[c] + n[r] * g[c])
-                resized[i, r, c] = b * b * C[r, c] + mixed + (a - b) ** 2 * v * n[r] * n[c]
+        C, x, y, z = covariance[i], normal[i, 0], normal[i, 1], normal[i, 2]
+        gx = C[0, 0] * x + C[0, 1] * y + C[0, 2] * z
+        gy = C[0, 1] * x + C[1, 1] * y + C[1, 2] * z
+        gz = C[0, 2] * x + C[1, 2] * y + C[2, 2] * z
+        a, b = scale[0, i], scale[1, i]
+        bb, mixed, rest = b * b, b * (a - b), 0.5 * (a - b) ** 2 * (gx * x + gy * y + gz * z)
+        hx, hy, hz = mixed * gx + rest * x, mixed * gy + rest * y, mixed * gz + rest * z
+        resized[i, 0, 0] = bb * C[0, 0] + 2.0 * hx * x
+        resized[i, 1, 1] = bb * C[1, 1] + 2.0 * hy * y
+        resized[i, 2, 2] = bb * C[2, 2] + 2.0 * hz * z
+        resized[i, 0, 1] = resized[i, 1, 0] = bb * C[0, 1] + hx * y + hy * x
+        resized[i, 0, 2] = resized[i, 2, 0] = bb * C[0, 2] + hx * z + hz * x
+        resized[i, 1, 2] = resized[i, 2, 1] = bb * C[1, 2] + hy * z + hz * y
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -198,6 +391,17 @@ def traces(covariance, trace):
     """Traces of (V, 3, 3) blocks, (V,) out."""
     for i in range(covariance.shape[0]):
         trace[i] = covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mean_and_largest_trace(covariance):
+    """Mean and largest trace of (V, 3, 3) blocks; not finite where one is not."""
+    total, largest = 0.0, -np.inf
+    for i in range(covariance.shape[0]):
+        trace = covariance[i, 0, 0] + covariance[i, 1, 1] + covariance[i, 2, 2]
+        total += trace
+        largest = max(largest, trace)
+    return total / covariance.shape[0], largest if np.isfinite(total) else total
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -234,7 +438,8 @@ def distance_along_cloth(observed, start, neighbour, rest_length, most, distance
                 distance[j] = d
                 if not waiting[j]:
                     waiting[j] = True
-                    queue[(first + count) % n] = j
+                    last = first + count
+                    queue[last if last < n else last - n] = j
                     count += 1
 
 

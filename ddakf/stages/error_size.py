@@ -9,6 +9,8 @@ to the errors of many garments, ``benchmarks/error_size.py``.
 
 from __future__ import annotations
 
+from math import log, sqrt
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +19,7 @@ from ddakf.body import body_anchor
 from ddakf.config import NormalError, TangentialError
 from ddakf.garment.slippage import least_normal_share
 from ddakf.kernels import uncertainty as kernels
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.uncertainty import LogLaw, PatchMeans
 from ddakf.types import Estimate, Model, Problem
 
 FACES = 1000  # of a garment whose slippage is looked at
@@ -33,40 +35,39 @@ class PatchEvidence(NamedTuple):
 
     size: np.ndarray  # (L,) vertices
     observed: np.ndarray  # (L,) of them measured
-    information: np.ndarray  # (L, 6) 1/m^2 of the measurements, counted as one: xx yy zz xy xz yz
-    bend: np.ndarray  # (L,) 1 - |mean normal|^2 of the measurements
-    motion2: np.ndarray  # (L,) m^2, mean squared motion, the garment's common one taken out
-    innovation2: np.ndarray  # (L,) m^2, mean squared innovation of the measured vertices, the common one taken out
-    strain2: np.ndarray  # (L,) mean squared strain of the edges against rest
-    strain: np.ndarray  # (V,) of those at each vertex
+    means: PatchMeans
+    strain: np.ndarray  # (V,) mean squared strain of the edges at each vertex against rest
     isotropic: bool  # the measurements are points, as well known across as along
 
 
 class SizeEvidence(NamedTuple):
-    """Evidence about the size of the error; (V,) each, or one number for all vertices."""
+    """Evidence about the size of the error: of each of L patches, of each of V vertices, or one number for all."""
 
     unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
     hem: float  # m^2, mean squared distance of hems from where the cloud ends
-    unseen: np.ndarray  # share of the vertex's patch that was not measured
-    clearance: np.ndarray | float  # m from the body; 0 without one
-    slack: np.ndarray | float  # m, standard deviation of the place on the body; 0 without one
-    strain: np.ndarray  # mean squared strain of the edges at the vertex
+    unseen: np.ndarray  # (L,) share of the vertices that was not measured
+    clearance: np.ndarray | float  # (V,) m from the body; 0 without one
+    slack: np.ndarray | float  # (L,) m, standard deviation of the place on the body; 0 without one
+    strain: np.ndarray  # (V,) mean squared strain of the edges at the vertex
     slip: float  # inverse of the least share of a rigid motion that is along the normals, beyond BALL
     offset: float  # m, RMS distance of the cloud from the surface beyond noise, over the last half second
-    distance: np.ndarray | float  # m along the cloth to the nearest measured vertex; 0 beside a body
-    reached: np.ndarray | float  # the same beside a body; 0 without one
-    turned: np.ndarray  # squared sine of the angle between the surface and its planes, mean of the vertex's patch
-    moved: np.ndarray  # m, RMS motion of the patch in this frame, the garment's common one taken out
+    distance: np.ndarray | float  # (V,) m along the cloth to the nearest measured vertex; 0 beside a body
+    reached: np.ndarray | float  # (V,) the same beside a body; 0 without one
+    turned: np.ndarray  # (L,) mean squared sine of the angle between the surface and its planes
+    moved: np.ndarray  # (L,) m, RMS motion in this frame, the garment's common one taken out
     soft: float  # squared strain to which the stiffness has adapted
     blind: float  # share of the vertices that were not measured; 0 beside a body
 
 
-class Sizes(NamedTuple):
-    """Laws of both directions at the V vertices of a frame: size = factor (claimed / USUAL)^power."""
+OF_PATCHES = frozenset({"unseen", "slack", "turned", "moved"})
+_SCALES, _POWERS = (attrgetter(*(f"{name}_{kind}" for name in SizeEvidence._fields)) for kind in ("scale", "power"))
 
-    normal: np.ndarray  # (V,) m
-    tangential: np.ndarray  # (V,) m
-    powers: tuple[float, float]  # of the claimed sizes, along the normal and across it
+
+class Sizes(NamedTuple):
+    """Laws of both directions, along the normal and across it, at V vertices: size = factor (claimed / USUAL)^power."""
+
+    log_factors: np.ndarray  # (2, V) logarithms of metres
+    powers: tuple[float, float]  # of the claimed sizes
 
 
 def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches: PatchEvidence) -> SizeEvidence:
@@ -78,39 +79,29 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
         position: (V, 3) posterior, metres.
         patches: of the frame.
     """
-    model = problem.model
+    model, means = problem.model, patches.means
     measured = estimate.learnable
-    share = np.bincount(model.patch, measured, len(model.likeness)) / np.bincount(model.patch)
+    count = np.count_nonzero(measured)
     clearance, slack = estimate.clearance, body_anchor.slack(problem)
     beside, away = clearance is not None, _along_cloth(measured, model)
     seen_hem = estimate.evidence.measurement.squared_hem
     faces = model.faces[:: -(-len(model.faces) // FACES)]
     return SizeEvidence(
-        unmatched=estimate.unmatched if measured.any() else 1.0,
+        unmatched=estimate.unmatched if count else 1.0,
         hem=problem.last.drift.hem2 if seen_hem is None else seen_hem,
-        unseen=1.0 - share[model.patch],
+        unseen=1.0 - patches.observed / patches.size,
         clearance=np.clip(clearance, 0.0, FARTHEST) if beside else 0.0,
         slack=0.0 if slack is None else slack,
         strain=patches.strain,
         slip=max(1.0 / max(least_normal_share(position, faces), LEAST_SHARE) - BALL, 0.0),
-        offset=float(np.sqrt(problem.health.offset)),
+        offset=sqrt(problem.health.offset),
         distance=0.0 if beside else away,
         reached=away if beside else 0.0,
-        turned=_turned(estimate, position, measured, model),
-        moved=np.sqrt(patches.motion2)[model.patch],
+        turned=means.turned,
+        moved=np.sqrt(means.motion2),
         soft=problem.last.strain2,
-        blind=0.0 if beside else float(1.0 - measured.mean()),
+        blind=0.0 if beside else 1.0 - count / len(measured),
     )
-
-
-def _turned(estimate: Estimate, position: np.ndarray, measured: np.ndarray, model: Model) -> np.ndarray:
-    """(V,) mean squared sine of the angle between surface and planes over a patch, the garment's where none is measured."""
-    normal, n = np.empty_like(position), len(model.likeness)
-    vertex_normals(position, model.faces, normal)
-    sine2 = np.where(measured, np.clip(1.0 - np.einsum("va,va->v", normal, estimate.planes.normal) ** 2, 0.0, 1.0), 0.0)
-    count, total = np.bincount(model.patch, measured, n), np.bincount(model.patch, sine2, n)
-    mean = total.sum() / max(count.sum(), 1.0)
-    return np.where(count > 0, total / np.maximum(count, 1.0), mean)[model.patch]
 
 
 def _along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:
@@ -123,32 +114,64 @@ def _along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:
     return distance
 
 
+def at_vertices(found: SizeEvidence, patch: np.ndarray) -> SizeEvidence:
+    """The evidence with (V,) of each, at vertices of these patches (V,)."""
+    values = (value[patch] if name in OF_PATCHES and np.ndim(value) else value for name, value in found._asdict().items())
+    return SizeEvidence(*(np.broadcast_to(value, len(patch)) for value in values))
+
+
 def sizes(problem: Problem, estimate: Estimate, found: SizeEvidence) -> Sizes:
     """The laws at the vertices of a frame."""
-    config, seen, on_body = problem.config, estimate.learnable, estimate.clearance is not None
-    along, across = (
-        np.where(seen, law.seen, law.on_body if on_body else law.hidden) * _factor(found, law)
-        for law in (config.normal_error, config.tangential_error)
-    )
-    return Sizes(along, across, (config.normal_error.claimed_power, config.tangential_error.claimed_power))
+    config, on_body, seen = problem.config, estimate.clearance is not None, estimate.learnable
+    laws = config.normal_error, config.tangential_error
+    bases = [[log(law.on_body if on_body else law.hidden), log(law.seen)] for law in laws]
+    return Sizes(_log_factors(found, laws, problem.model.patch, (seen, bases)), tuple(law.claimed_power for law in laws))
 
 
-def _factor(found: SizeEvidence, law: NormalError | TangentialError) -> np.ndarray:
-    """(V,) prod (1 + evidence / scale)^power, or one number where all evidence is."""
-    terms = ((value, getattr(law, f"{name}_scale"), getattr(law, f"{name}_power")) for name, value in found._asdict().items())
-    return np.exp(sum(power * np.log(1.0 + value / scale) for value, scale, power in terms if power > 0.0))
-
-
-def resized(problem: Problem, position: np.ndarray, covariance: np.ndarray, size: Sizes) -> np.ndarray:
-    """(V, 3, 3) the covariance with other sizes along the normal and across it; its shape in the tangent plane stays.
+def _log_factors(
+    found: SizeEvidence, laws: tuple[NormalError, TangentialError], patch: np.ndarray, bases: tuple[np.ndarray, list]
+) -> np.ndarray:
+    """(2, V) by each law its base and the sum of power log(1 + evidence / scale).
 
     Args:
-        problem: the frame.
-        position: (V, 3) posterior, metres.
+        found: the evidence.
+        laws: of both directions.
+        patch: (V,) of each vertex.
+        bases: (V,) bool, which vertices were measured, and (2, 2), by each law the logarithm of the base of others and of these.
+    """
+    seen, base = bases
+    scales, powers = [_SCALES(law) for law in laws], [_POWERS(law) for law in laws]
+    kinds: tuple[list, list, list] = [], [], []
+    for k, (name, value) in enumerate(zip(SizeEvidence._fields, found, strict=True)):
+        kinds[0 if isinstance(value, float) else 1 if name in OF_PATCHES else 2].append(k)
+    of_all, of_patches, of_vertices = kinds
+    base = [
+        [number + sum(power[k] * log(1.0 + found[k] / scale[k]) for k in of_all) for number in numbers]
+        for numbers, scale, power in zip(base, scales, powers, strict=True)
+    ]
+    log_factors, chosen = np.empty((2, len(patch))), of_patches + of_vertices
+    law = LogLaw(np.array(scales).T[chosen], np.array(powers).T[chosen], np.array(base))
+    by_patch, by_vertex = (np.array([found[k] for k in each]).reshape(len(each), -1) for each in (of_patches, of_vertices))
+    kernels.log_factors(by_patch, by_vertex, patch, seen, law, log_factors)
+    return log_factors
+
+
+def resized(covariance: np.ndarray, normal: np.ndarray, size: Sizes) -> np.ndarray:
+    """(V, 3, 3) the covariance with other sizes along the normal and across it; its shape in the tangent plane stays.
+
+    A size is a standard deviation, across the normal the root mean square of two directions.
+
+    Args:
         covariance: (V, 3, 3) as claimed, m^2.
+        normal: (V, 3) unit, of the posterior.
         size: of the errors.
     """
-    normal, out = np.empty_like(position), np.empty_like(covariance)
-    vertex_normals(position, problem.model.faces, normal)
-    kernels.resize(covariance, normal, size, USUAL, out)
+    log_scale, out = np.empty((2, len(normal))), np.empty_like(covariance)
+    kernels.variances_by_normal(covariance, normal, log_scale)
+    np.log(log_scale, out=log_scale)
+    for log_factor, power, claimed in zip(size.log_factors, size.powers, log_scale, strict=True):
+        claimed *= 0.5 * (power - 1.0)  # factor (claimed / USUAL)^power / claimed
+        claimed += log_factor
+        claimed -= power * log(USUAL)
+    kernels.resize(covariance, normal, np.exp(log_scale, out=log_scale), out)
     return out

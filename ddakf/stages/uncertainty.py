@@ -9,26 +9,21 @@ each covariance its shape; :mod:`ddakf.stages.error_size` its sizes.
 
 from __future__ import annotations
 
-from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.kernels import uncertainty as kernels
+from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.reliability import strains
-from ddakf.kernels.uncertainty import MeasuredPlanes, PatchSums
+from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
 from ddakf.planning import omission
 from ddakf.stages import error_size, predict
 from ddakf.stages.error_size import PatchEvidence
 from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
-
-# A matrix of a few hundred rows is slower on many threads, and on busy cores very much so. Their number is the process's: of
-# trackers in several threads, the first that is done would set it back for the others.
-_BLAS, _LIMITING = ThreadpoolController(), Lock()
 
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
@@ -73,21 +68,20 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     if estimate.state is not None:
         return state.P_pp, problem.last.drift
     weight = np.zeros_like(planes.weight) if estimate.rejected else planes.weight
-    evidence = _evidence(problem, estimate, weight, state.position)
-    coupling = Coupling(estimate.system.B, float(variances(state.P_pp).mean()), estimate.clearance is not None)
+    normal = np.empty_like(state.position)
+    vertex_normals(state.position, model.faces, normal)
+    evidence = _evidence(problem, estimate, weight, Surface(state.position, normal))
+    stored2 = kernels.mean_and_largest_trace(state.P_pp)[0] / 3.0
+    coupling = Coupling(estimate.system.B, stored2, estimate.clearance is not None)
     drift = advance(problem, evidence, coupling)
-    n = len(model.likeness)
-    blocks = drift.covariance.reshape(n, 3, n, 3)
-    shared = (1.0 + limits.vertex_share) * blocks[np.arange(n), :, np.arange(n)].astype(np.float64)
-    slip2 = limits.strain_reach**2 * 0.5 * (evidence.strain2 + np.average(evidence.strain2, weights=evidence.size))
-    shared += (slip2 + limits.floor_sd**2)[:, None, None] * np.eye(3)
-    covariance = np.empty((len(weight), 3, 3))
+    strain2 = evidence.means.strain2
+    slip2 = limits.strain_reach**2 * 0.5 * (strain2 + _mean(strain2, evidence.size)) + limits.floor_sd**2
+    covariance, share = np.empty((len(weight), 3, 3)), 1.0 + limits.vertex_share
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, evidence.isotropic)
-    kernels.vertex_covariances(shared, 2.0 * evidence.bend, model.patch, measured, covariance)
+    kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * evidence.means.bend, model.patch, measured, covariance)
     found = error_size.evidence(problem, estimate, state.position, evidence)
-    drift = drift._replace(hem2=found.hem)
-    covariance = error_size.resized(problem, state.position, covariance, error_size.sizes(problem, estimate, found))
-    return _capped(covariance, limits), drift
+    covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
+    return _capped(covariance, limits), drift._replace(hem2=found.hem)
 
 
 def _capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
@@ -96,6 +90,11 @@ def _capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
     if scale is not None:
         covariance *= scale**2
     return covariance
+
+
+def _mean(values: np.ndarray, weights: np.ndarray) -> float:
+    """Mean of (L,) values, weighted."""
+    return float(values @ weights) / float(weights.sum())
 
 
 class Coupling(NamedTuple):
@@ -122,14 +121,8 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     """
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
     growth2, speed2 = _growth(problem, evidence, coupling)
-    root = np.sqrt(growth2).astype(np.float32)
-    covariance = drift.covariance.copy()
-    added = root[:, None] * model.likeness * root
-    for a in range(3):
-        covariance[a::3, a::3] += added
-    ceiling = np.float32(limits.ceiling_sd / np.sqrt(max(float(covariance.diagonal().max()), 1e-12)))
-    if ceiling < 1.0:
-        covariance *= ceiling**2
+    covariance = np.empty_like(drift.covariance)
+    kernels.grow(drift.covariance, model.likeness, growth2, limits.ceiling_sd, covariance)
     if evidence.observed.any():
         covariance = _updated(problem, covariance, evidence, coupling.B)
     return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2)
@@ -139,15 +132,9 @@ def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.nda
     """F P F' + G M G with G = (C + M)^-1 and F = I - G M, which is F (P F' - G) + G; P where G cannot be had."""
     coarse = np.empty(P.shape, np.float32)
     least = problem.config.uncertainty.least_information
-    kernels.couple_patches(B, problem.model.crossing, evidence.information, least, coarse)
-    G = invert(coarse)
-    if not np.isfinite(G).all():
-        return P
-    F = np.empty_like(G)
-    kernels.error_transition(G, evidence.information.astype(np.float32), F)
-    with _LIMITING, _BLAS.limit(limits=1, user_api="blas"):
-        updated = F @ (P @ F.T - G) + G
-    return 0.5 * (updated + updated.T)
+    kernels.couple_patches(B, problem.model.crossing, evidence.means.information, least, coarse)
+    updated = np.empty_like(P)
+    return updated if kernels.update_errors(P, invert(coarse), evidence.means.information, updated) else P
 
 
 def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float]:
@@ -158,52 +145,42 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
     predictions go on missing as much, and a garment without a body goes where the prediction's own variance says.
     """
     drift, dt, limits = problem.last.drift, problem.dt, problem.config.uncertainty
-    seen = evidence.observed / evidence.size
+    seen, innovation2, motion2 = evidence.observed / evidence.size, evidence.means.innovation2, evidence.means.motion2
     enough = evidence.observed.sum() > limits.least_coverage * evidence.size.sum()
     if not enough:
         lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
         return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2
-    common = float(np.average(evidence.innovation2, weights=evidence.observed))
+    common = _mean(innovation2, evidence.observed)
     old = limits.innovation_memory
     speed2 = common / dt**2 if drift.speed2 == 0.0 else old * drift.speed2 + (1.0 - old) * common / dt**2
-    missed = common + 0.5 * seen * (evidence.innovation2 - common)
-    moved = 0.5 * (evidence.motion2 + np.average(evidence.motion2, weights=evidence.size))
+    missed = common + 0.5 * seen * (innovation2 - common)
+    moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
     grown = limits.missed_share**2 * missed + limits.unseen_motion**2 * (1.0 - seen) * moved
     return grown / 3.0 + limits.growth_sd**2, speed2
 
 
-def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, position: np.ndarray) -> PatchEvidence:
-    """The evidence of a frame: ``weight`` (V,) of its measurements, posterior ``position`` (V, 3), metres."""
+class Surface(NamedTuple):
+    """The garment after the update."""
+
+    position: np.ndarray  # (V, 3) m
+    normal: np.ndarray  # (V, 3) unit
+
+
+def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface: Surface) -> PatchEvidence:
+    """The evidence of a frame: ``weight`` (V,) of its measurements, and the posterior ``surface``."""
     model, planes, limits = problem.model, estimate.planes, problem.config.uncertainty
     # an unseen part moved as is known: not at all, or, with a body to ride on, as it did
-    still = problem.motion_start if problem.carried is None else position
-    n, ring_strain = len(model.likeness), np.empty(len(position))
-    shapes = PatchSums((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,))
-    size, observed, information, facing, motion, innovation, strain2 = sums = PatchSums(*map(np.empty, shapes))
+    still = problem.motion_start if problem.carried is None else surface.position
+    n, ring_strain = len(model.likeness), np.empty(len(weight))
+    sums = PatchSums(*map(np.empty, ((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,), (n,))))
+    means = PatchMeans(*map(np.empty, ((n, 6), (n,), (n,), (n,), (n,), (n,))))
     isotropic = isinstance(problem.config.associate, NearestPoint)
-    strains(position, model.start, model.neighbour, model.rest_length, ring_strain)
-    measured_planes = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
-    kernels.sum_by_patch(position, still, problem.prior.position, model.patch, ring_strain, measured_planes, sums)
-    measured = np.maximum(observed, 1.0)
-    bend = 1.0 - np.square(facing / measured[:, None]).sum(axis=1)
-    return PatchEvidence(
-        size=size,
-        observed=observed,
-        information=information / (limits.plane_persistence * measured)[:, None],
-        bend=np.maximum(bend, limits.least_bend),
-        motion2=_about_mean(motion, size),
-        innovation2=_about_mean(innovation, observed),
-        strain2=strain2 / size,
-        strain=ring_strain,
-        isotropic=isotropic,
-    )
-
-
-def _about_mean(sums: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """(L,) mean squared distance from the mean vector of all patches, from sums (L, 4) of vectors and squares."""
-    mean = sums[:, :3].sum(axis=0) / max(count.sum(), 1.0)
-    about = sums[:, 3] - 2.0 * sums[:, :3] @ mean + count * (mean @ mean)
-    return np.maximum(about, 0.0) / np.maximum(count, 1.0)
+    strains(surface.position, model.start, model.neighbour, model.rest_length, ring_strain)
+    measured = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
+    prior = problem.prior.position
+    kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)
+    kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
+    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic)
 
 
 def bound(state: State, limits: Uncertainty) -> State:
@@ -220,7 +197,6 @@ def bound(state: State, limits: Uncertainty) -> State:
 
 def _scale(covariance: np.ndarray, ceiling_sd: float) -> np.ndarray | None:
     """(V, 1, 1) factor on the standard deviations that keeps the trace at 3 ceiling_sd^2 or less; None where it is."""
-    variance = variances(covariance)
-    if variance.max() <= ceiling_sd**2:
+    if kernels.mean_and_largest_trace(covariance)[1] <= 3.0 * ceiling_sd**2:
         return None
-    return np.minimum(1.0, ceiling_sd / np.sqrt(variance))[:, None, None]
+    return np.minimum(1.0, ceiling_sd / np.sqrt(variances(covariance)))[:, None, None]

@@ -7,6 +7,7 @@ import pytest
 
 from ddakf import Config, Tracker
 from ddakf.kernels import uncertainty as kernels
+from ddakf.kernels.uncertainty import LEAST, LogLaw
 from ddakf.stages import error_size
 from ddakf.stages.error_size import SizeEvidence, Sizes
 from tests.tracker_runs import FPS, SHIRT, TUBE, cloud, scan
@@ -27,9 +28,40 @@ def normals(n=N):
 
 
 def resized(covariance, normal, along, across, powers):
-    out = np.empty_like(covariance)
-    kernels.resize(covariance, normal, Sizes(along, across, powers), error_size.USUAL, out)
-    return out
+    return error_size.resized(covariance, normal, Sizes(np.log([along, across]), powers))
+
+
+def resized_by_matrices(covariance, normal, sizes, powers):
+    """M C M with M = a n n' + b (I - n n'): the same in NumPy."""
+    n = normal[:, :, None] * normal[:, None, :]
+    v = np.maximum(np.einsum("va,vab,vb->v", normal, covariance, normal), LEAST)
+    t = np.maximum(0.5 * (np.einsum("vaa->v", covariance) - v), LEAST)
+    a, b = (
+        size * (np.sqrt(u) / error_size.USUAL) ** power / np.sqrt(u)
+        for size, u, power in zip(sizes, (v, t), powers, strict=True)
+    )
+    M = a[:, None, None] * n + b[:, None, None] * (np.eye(3) - n)
+    return M @ covariance @ M
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.0], ids=["random", "nothing claimed"])
+def test_resizing_is_a_congruence_by_matrices(scale):
+    covariance, normal, sizes = scale * covariances(), normals(), RNG.uniform(0.001, 0.1, (2, N))
+    expected = resized_by_matrices(covariance, normal, sizes, (0.4, 0.3))
+    np.testing.assert_allclose(resized(covariance, normal, *sizes, (0.4, 0.3)), expected, rtol=1e-9, atol=1e-15)
+
+
+def test_logarithms_of_the_laws_are_those_of_numpy():
+    """Of no evidence and of much, of scales that both laws share and of others."""
+    patch, seen = RNG.integers(0, 7, N).astype(np.int32), RNG.random(N) < 0.5
+    by_patch, by_vertex = RNG.exponential(size=(3, 7)), RNG.exponential(size=(2, N)) * (RNG.random((2, N)) < 0.5)
+    scale, power, base = RNG.uniform(0.1, 1, (5, 2)), RNG.uniform(0, 1, (5, 2)), RNG.normal(size=(2, 2))
+    scale[::2, 1] = scale[::2, 0]
+    got = np.empty((2, N))
+    kernels.log_factors(by_patch, by_vertex, patch, seen, LogLaw(scale, power, base), got)
+    values = np.vstack([by_patch[:, patch], by_vertex])
+    terms = power.T[:, :, None] * np.log(1.0 + values / scale.T[:, :, None])
+    np.testing.assert_allclose(got, base[:, seen.astype(int)] + terms.sum(axis=1), rtol=1e-12, atol=1e-12)
 
 
 def test_with_powers_of_zero_the_sizes_are_those_of_the_laws():
@@ -60,7 +92,10 @@ def test_a_resized_covariance_is_one_and_keeps_its_shape_in_the_tangent_plane():
 @pytest.mark.parametrize("law", [Config().normal_error, Config().tangential_error], ids=["normal", "tangential"])
 def test_evidence_makes_errors_larger_and_never_smaller(name, law):
     worse = NOTHING._replace(**{name: 10 * getattr(law, f"{name}_scale") + 0 * getattr(NOTHING, name)})
-    factor, none = error_size._factor(worse, law), error_size._factor(NOTHING, law)
+    factor, none = (
+        np.exp(error_size._log_factors(found, (law, law), np.arange(N), (np.zeros(N, bool), [[0.0, 0.0]] * 2))[0])
+        for found in (worse, NOTHING)
+    )
     np.testing.assert_array_equal(none, 1.0)
     assert (factor > 1.0).all() == (getattr(law, f"{name}_power") > 0.0)
     np.testing.assert_allclose(factor, 11.0 ** getattr(law, f"{name}_power"))
