@@ -1,9 +1,14 @@
 """Stage A, prediction (paper, section 2.2): the covariance of position and velocity after a time step."""
 
+from math import cos, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from ddakf.kernels.symmetric import invert3
+
+SMALL_ANGLE = 1e-3  # rad, below which a series replaces sin(a / 2) / a
 
 
 class CovarianceBlocks(NamedTuple):
@@ -80,6 +85,38 @@ def moments(position, velocity, center, inertia, momentum):
     inertia[0, 2] = inertia[2, 0] = -xz
     inertia[1, 2] = inertia[2, 1] = -yz
     return square
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def angular_velocity(inertia, momentum, turning):
+    """Solves inertia turning = momentum, ``inertia`` made definite by a billionth; (3, 3), (3,) and (3,) out, rad/s.
+
+    Returns:
+        turning . inertia turning, m^2/s^2.
+    """
+    least = 1e-9 * (inertia[0, 0] + inertia[1, 1] + inertia[2, 2]) + 1e-30
+    a, b, c = inertia[0, 0] + least, inertia[1, 1] + least, inertia[2, 2] + least
+    a, b, c, d, e, f = invert3(a, b, c, inertia[0, 1], inertia[0, 2], inertia[1, 2])
+    x, y, z = momentum[0], momentum[1], momentum[2]
+    turning[0], turning[1], turning[2] = a * x + d * y + e * z, d * x + b * y + f * z, e * x + f * y + c * z
+    energy = 0.0
+    for i in range(3):
+        for j in range(3):
+            energy += turning[i] * inertia[i, j] * turning[j]
+    return energy
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def rotation_matrix(vector, factor, rotation):
+    """Matrix (3, 3), out, of the rotation vector factor (3,) ``vector``, in radians, through a quaternion."""
+    x, y, z = factor * vector[0], factor * vector[1], factor * vector[2]
+    angle = sqrt(x * x + y * y + z * z)
+    half_sine = 0.5 - angle**2 / 48 + angle**4 / 3840 if angle <= SMALL_ANGLE else sin(angle / 2) / angle
+    x, y, z, w = half_sine * x, half_sine * y, half_sine * z, cos(angle / 2)
+    xx, yy, zz, ww = x * x, y * y, z * z, w * w
+    rotation[0, 0], rotation[0, 1], rotation[0, 2] = xx - yy - zz + ww, 2 * (x * y - z * w), 2 * (x * z + y * w)
+    rotation[1, 0], rotation[1, 1], rotation[1, 2] = 2 * (x * y + z * w), -xx + yy - zz + ww, 2 * (y * z - x * w)
+    rotation[2, 0], rotation[2, 1], rotation[2, 2] = 2 * (x * z - y * w), 2 * (y * z + x * w), -xx - yy + zz + ww
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

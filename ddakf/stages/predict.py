@@ -12,7 +12,6 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import ConstantAcceleration, ConstantVelocity
-from ddakf.data.rotation import rotation_matrices
 from ddakf.kernels import predict as kernels
 from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import adaptive_stiffness
@@ -108,9 +107,10 @@ def _rigidly_moved(
     motion, share = _rigid_motion(position, velocity)
     lasting = damping * (1.0 - share)
     travel = _travel(lasting, step)
-    moved, kept = np.empty(position.shape), np.empty(position.shape)
+    moved, kept, rotation = np.empty(position.shape), np.empty(position.shape), np.empty((3, 3))
+    kernels.rotation_matrix(motion[2], travel, rotation)
     kernels.move_rigidly(
-        position, velocity, motion, rotation_matrices(travel * motion[2]), (travel, float(np.exp(-lasting * dt))),
+        position, velocity, motion, rotation, (travel, float(np.exp(-lasting * dt))),
         (_travel(damping, step), float(np.exp(-damping * dt))), moved, kept,
     )  # fmt: skip
     return moved, kept
@@ -121,11 +121,10 @@ def _rigid_motion(position: np.ndarray, velocity: np.ndarray) -> tuple[tuple[np.
 
     The motion is its centre (m), the centre's velocity (m/s), and the angular velocity (rad/s), (3,) each.
     """
-    center, mean, momentum, inertia = np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
+    center, mean, momentum, turning, inertia = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty((3, 3))
     kernels.means(position, velocity, center, mean)
     square = kernels.moments(position, velocity, center, inertia, momentum)
-    turning = np.linalg.solve(inertia + (1e-9 * np.trace(inertia) + 1e-30) * np.eye(3), momentum)
-    rigid = len(position) * float(mean @ mean) + float(turning @ inertia @ turning)
+    rigid = len(position) * float(mean @ mean) + kernels.angular_velocity(inertia, momentum, turning)
     return (center, mean, turning), min(1.0, rigid / max(square, 1e-30))
 
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from ddakf.config import Config, ConstantAcceleration, ConstantVelocity
 from ddakf.data.rotation import rotation_matrices
+from ddakf.kernels import predict as kernels
 from ddakf.stages.fuse import condition
 from ddakf.stages.predict import learned, predict
 from tests.stages.scenes import assert_positive_definite, full, problem_of, random_state
@@ -276,3 +277,23 @@ def test_without_measurements_the_acceleration_fades(config):
         state = learn(prior, prior, NONE, dt, config)
     assert np.abs(state.acceleration).max() < 1e-2 * a
     assert np.abs(state.velocity).max() < 1.2 * config.memory * a
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.1e-3, 0.5, 3.0, 40.0])
+def test_the_rotation_of_a_vector_is_that_of_numpy(angle):
+    vector, got = np.random.default_rng(2).normal(size=3), np.empty((3, 3))
+    vector *= angle / np.linalg.norm(vector)
+    kernels.rotation_matrix(vector / 0.3, 0.3, got)
+    np.testing.assert_allclose(got, rotation_matrices(vector), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("extent", [(1, 1, 1), (1, 1, 0), (1, 0, 0), (0, 0, 0)], ids=["body", "plane", "line", "point"])
+def test_the_angular_velocity_is_that_of_numpy(extent):
+    rng = np.random.default_rng(3)
+    position, velocity = 0.3 * rng.normal(size=(50, 3)) * extent, rng.normal(size=(50, 3))
+    inertia = np.square(position).sum() * np.eye(3) - position.T @ position
+    momentum, got = np.cross(position, velocity).sum(axis=0), np.empty(3)
+    energy = kernels.angular_velocity(inertia, momentum, got)
+    expected = np.linalg.solve(inertia + (1e-9 * np.trace(inertia) + 1e-30) * np.eye(3), momentum)
+    np.testing.assert_allclose(got, expected, rtol=1e-6, atol=1e-6 * np.abs(expected).max())
+    assert energy == pytest.approx(expected @ inertia @ expected, rel=1e-6, abs=1e-12)
