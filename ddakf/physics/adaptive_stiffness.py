@@ -14,7 +14,7 @@ import numpy as np
 
 from ddakf.config import Config, Physics, derived
 from ddakf.kernels import strain as kernels
-from ddakf.types import Problem
+from ddakf.types import Problem, median
 
 
 def initial(config: Physics) -> float:
@@ -64,4 +64,4 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> flo
     if n == 0 or n < config.strain_coverage * len(squared):
         return strain2
     old = exp(-min(problem.dt, config.longest_lesson) / config.strain_memory)
-    return old * strain2 + (1.0 - old) * float(np.median(squared[:n]))
+    return old * strain2 + (1.0 - old) * median(squared[:n])
