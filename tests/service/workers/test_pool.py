@@ -7,7 +7,7 @@ import contextlib
 import json
 import os
 import signal
-import sys
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -41,32 +41,28 @@ def local(size=2, limits=LIMITS, **options) -> LocalPool:
     return LocalPool(size, limits, **{"frame_timeout": 20.0, "warm_timeout": 300.0, **options})
 
 
-def on_ray(size=2, limits=LIMITS, **options) -> LocalPool:
-    """The same pool with actors of a Ray cluster of this machine."""
-    ray = pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
+@pytest.fixture(params=["local", "ray"], scope="module")
+def implementation(request) -> Callable[..., LocalPool]:
+    """Makes a pool with processes of this machine, or with actors of a Ray cluster."""
+    if request.param == "local":
+        return local
+    cluster = request.getfixturevalue("cluster")
+    import ray
     from ddakf_service.workers.ray_actors import RayActors
 
-    if not ray.is_initialized():  # for all pools of this file; with processors for all of their workers
-        store = {"object_store_memory": 100_000_000, "include_dashboard": False}
-        ray.init("local", num_cpus=16, log_to_driver=False, configure_logging=False, **store)
-    return local(size, limits, source=RayActors(limits, "auto"), **options)
+    ray.init(cluster.address, log_to_driver=False, configure_logging=False)  # for all pools, of which each would end it
+
+    def on_ray(size=2, limits=LIMITS, **options) -> LocalPool:
+        return local(size, limits, source=RayActors(limits, cluster.address), **options)
+
+    return on_ray
 
 
 NAMES = ("one", "two", "three", "copy", "bad", "greedy", "other", "modest")  # of the sessions in these tests
-IMPLEMENTATIONS = [pytest.param(local, id="local"), pytest.param(on_ray, id="ray")]
+PROCESSORS = 16  # of the Ray cluster: more than all workers of the pools
 
 
 pytestmark = pytest.mark.asyncio(loop_scope="module")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def no_cluster_afterwards():
-    """Ends the cluster after the pools of this file; its actors have the priority of other processes, as documented."""
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("RAY_worker_niceness", "0")
-        yield
-    if "ray" in sys.modules:
-        sys.modules["ray"].shutdown()
 
 
 @contextlib.asynccontextmanager
@@ -79,11 +75,11 @@ async def running(pool):
         await pool.stop()
 
 
-@pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
-async def shared_pool(request):
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def shared_pool(implementation):
     """Two workers, shared by the tests."""
     lost: list[str] = []
-    pool = request.param(on_lost=lost.extend)
+    pool = implementation(on_lost=lost.extend)
     pool.lost = lost
     async with running(pool):
         yield pool
@@ -206,7 +202,6 @@ async def test_a_call_in_progress_fails_when_its_worker_is_killed(pool, sheet):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_a_hung_worker_is_replaced(implementation, sheet):
     pool = implementation(frame_timeout=1.0)
     async with running(pool):
@@ -217,10 +212,10 @@ async def test_a_hung_worker_is_replaced(implementation, sheet):
         await until(lambda: pool.health().restarts == 1)
 
 
-@pytest_asyncio.fixture(params=IMPLEMENTATIONS, loop_scope="module")
-async def recycling_pool(request):
+@pytest_asyncio.fixture(loop_scope="module")
+async def recycling_pool(implementation):
     """One worker that is replaced after three frames, and a spare."""
-    pool = request.param(1, spares=1, recycle_frames=3)
+    pool = implementation(1, spares=1, recycle_frames=3)
     async with running(pool):
         yield pool
 
@@ -254,7 +249,6 @@ async def test_a_worker_is_recycled_without_losing_a_frame(recycling_pool, sheet
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_a_spare_takes_the_place_of_a_lost_worker_at_once(implementation, sheet):
     lost = []
     pool = implementation(1, spares=1, on_lost=lambda ids: lost.append((ids, pool.health().ready)))
@@ -281,7 +275,6 @@ async def test_a_checkpoint_is_of_the_moment_it_was_asked_for(pool, sheet):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_no_frame_waits_for_all_the_sessions_that_are_opened_meanwhile(implementation, sheet):
     """The first sessions of a lost worker continue while the last ones wait for their restore."""
     pool = implementation(1)
@@ -330,10 +323,10 @@ async def test_another_configuration_goes_on_from_the_same_state(pool, sheet):
     assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2
 
 
-@pytest_asyncio.fixture(params=IMPLEMENTATIONS, scope="module", loop_scope="module")
-async def single_pool(request):
+@pytest_asyncio.fixture(scope="module", loop_scope="module")
+async def single_pool(implementation):
     """One worker, which a session with a costly frame shares with another, and no spare."""
-    pool = request.param(1, Limits(200_000, 20_000, 40_000, 1_000, 1))
+    pool = implementation(1, Limits(200_000, 20_000, 40_000, 1_000, 1))
     async with running(pool):
         yield pool
 
@@ -383,7 +376,6 @@ async def test_an_isolated_session_continues_exactly_in_a_worker_of_low_priority
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_sessions_beyond_a_worker_s_memory_are_refused(implementation, sheet):
     pool = implementation(1, max_memory=100.0)
     async with running(pool):
@@ -397,7 +389,6 @@ async def test_sessions_beyond_a_worker_s_memory_are_refused(implementation, she
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("implementation", IMPLEMENTATIONS)
 async def test_stopping_leaves_no_process(implementation):
     pool = implementation()
     await pool.start(lambda *_: None)

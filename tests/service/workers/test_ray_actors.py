@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from collections.abc import Iterator
 
 import pytest
 from ddakf_service.workers.template import WorkerStartFailed
@@ -19,13 +20,11 @@ PROCESSORS = 4
 PATIENCE = 120.0  # seconds
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    if ray.is_initialized():
-        ray.shutdown()
-    store = {"object_store_memory": 100_000_000, "include_dashboard": False}
-    ray.init("local", num_cpus=PROCESSORS, log_to_driver=False, configure_logging=False, **store)
-    yield
+@pytest.fixture
+def connected(cluster) -> Iterator[str]:
+    """The address of a cluster that this process belongs to."""
+    ray.init(cluster.address, log_to_driver=False, configure_logging=False)
+    yield cluster.address
     ray.shutdown()
 
 
@@ -42,9 +41,9 @@ async def all_free() -> None:
 
 
 @pytest.mark.parametrize("seconds", [0.0, 0.001, 0.3, 2.0])
-async def test_a_caller_who_leaves_leaves_no_actor(cluster, seconds):
+async def test_a_caller_who_leaves_leaves_no_actor(connected, seconds):
     """Whether it is being created, starts, or has just connected."""
-    source = RayActors(LIMITS, "auto")
+    source = RayActors(LIMITS, connected)
     starting = asyncio.create_task(source.worker(nothing))
     await asyncio.sleep(seconds)
     starting.cancel()
@@ -60,7 +59,7 @@ async def test_a_caller_who_leaves_leaves_no_actor(cluster, seconds):
     await source.end()
 
 
-async def test_a_killed_actor_is_not_waited_for(cluster):
+async def test_a_killed_actor_is_not_waited_for(connected):
     server = await asyncio.start_server(lambda *_: None, "127.0.0.1", 0)
     host, port = server.sockets[0].getsockname()
     process = await asyncio.to_thread(ActorProcess, host, port, bytes(32), LIMITS.to_json())
@@ -71,7 +70,7 @@ async def test_a_killed_actor_is_not_waited_for(cluster):
     server.close()
 
 
-async def test_a_node_has_no_more_actors_than_processors(cluster):
+async def test_a_node_has_no_more_actors_than_processors(connected):
     """One more waits until another has ended."""
     connections: asyncio.Queue[tuple[asyncio.StreamReader, asyncio.StreamWriter]] = asyncio.Queue()
     server = await asyncio.start_server(lambda *ends: connections.put_nowait(ends), "127.0.0.1", 0)
@@ -94,7 +93,7 @@ async def test_a_node_has_no_more_actors_than_processors(cluster):
     await all_free()
 
 
-async def test_an_actor_whose_work_failed_is_gone(cluster):
+async def test_an_actor_whose_work_failed_is_gone(connected):
     """Its server has closed the connection before the answers were read."""
     server = await asyncio.start_server(lambda _, writer: writer.transport.abort(), "127.0.0.1", 0)
     host, port = server.sockets[0].getsockname()
@@ -104,8 +103,8 @@ async def test_an_actor_whose_work_failed_is_gone(cluster):
     server.close()
 
 
-async def test_without_its_cluster_no_worker_starts_and_the_pool_may_try_again(cluster):
-    source = RayActors(LIMITS, "auto")
+async def test_without_its_cluster_no_worker_starts_and_the_pool_may_try_again(connected):
+    source = RayActors(LIMITS, connected)
     async with source._lock:
         await source._connect()
     ray.shutdown()

@@ -19,28 +19,22 @@ from ddakf_api.errors import ServiceError
 from ddakf_client import Frame, connect
 
 from ..conftest import TIMEOUT, eventually, make_sheet, running
+from .ray_cluster import RayCluster
 
 pytestmark = pytest.mark.slow
 
 SHEET = make_sheet()
+PROCESSORS = 0  # of the head
 RATE = 20  # frames per second
 PATIENCE = 120.0  # seconds for the next answer
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def cluster(cluster) -> RayCluster:
     """A node without processors, where the service is, and two nodes for actors."""
-    pytest.importorskip("ray", reason="ray is not installed: pip install 'ddakf[ray]'")
-    from ray.cluster_utils import Cluster
-
-    store = {"object_store_memory": 100_000_000}
-    with pytest.MonkeyPatch.context() as environment:
-        environment.setenv("RAY_worker_niceness", "0")  # as the documents have it
-        cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False, **store})
-        for _ in range(2):
-            cluster.add_node(num_cpus=4, **store)
-        yield cluster
-        cluster.shutdown()
+    for _ in range(2):
+        cluster.add_node(4)
+    return cluster
 
 
 @pytest.fixture(scope="module")
@@ -91,14 +85,9 @@ def stream(service):
     assert stream.answered == list(range(1, stream.sent + 1))
 
 
-def raylet_of(node) -> int:
-    """Process id of a node."""
-    return node.all_processes["raylet"][0].process.pid
-
-
 def actors(cluster) -> dict[int, int]:
     """Of the actors of this cluster, which run on this machine: the process id, and that of the node."""
-    found, nodes = {}, {raylet_of(node) for node in cluster.worker_nodes}
+    found, nodes = {}, {node.raylet for node in cluster.joined}
     for entry in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):  # it has ended meanwhile
             if (entry / "cmdline").read_text().startswith("ray::Actor"):
@@ -134,22 +123,23 @@ def is_warm(service) -> bool:
 
 def test_the_actors_of_a_service_are_on_different_nodes(service, cluster):
     eventually(lambda: is_warm(service), PATIENCE)
-    assert sorted(actors(cluster).values()) == sorted(map(raylet_of, cluster.worker_nodes))
+    assert sorted(actors(cluster).values()) == sorted(node.raylet for node in cluster.joined)
 
 
 def test_a_node_that_drains_gives_its_sessions_away(service, stream, cluster):
     """They move between two frames: nothing is forgotten, no actor is left there, and the stream has nothing to be told."""
     eventually(lambda: is_warm(service), PATIENCE)
     before, (_, raylet) = len(stream.answered), busy_actor(cluster)
-    (node,) = [n for n in cluster.worker_nodes if raylet_of(n) == raylet]
+    (node,) = [n for n in cluster.joined if n.raylet == raylet]
     why = ["--reason", "DRAIN_NODE_REASON_PREEMPTION", "--reason-message", "test", "--deadline-remaining-seconds", "3600"]
     command = [sys.executable, "-m", "ray.scripts.scripts", "drain-node", "--address", cluster.address, "--node-id", node.node_id]
     subprocess.run([*command, *why], check=True, capture_output=True, timeout=TIMEOUT)
     eventually(lambda: raylet not in actors(cluster).values(), PATIENCE)
     eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
     assert stream.notices == []
-    cluster.remove_node(node)
-    cluster.add_node(num_cpus=4, object_store_memory=100_000_000)
+    cluster.joined.remove(node)
+    node.end()
+    cluster.add_node(4)
     print(f"node drained: {stream.longest:.2f} s without an answer")
 
 
@@ -165,8 +155,9 @@ def test_a_stream_outlives_its_actor(service, stream, cluster):
 def test_a_stream_outlives_the_node_of_its_actor(service, stream, cluster):
     eventually(lambda: is_warm(service), PATIENCE)
     before, (_, raylet) = len(stream.answered), busy_actor(cluster)
-    (node,) = [n for n in cluster.worker_nodes if raylet_of(n) == raylet]
-    cluster.remove_node(node, allow_graceful=False)
+    (node,) = [n for n in cluster.joined if n.raylet == raylet]
+    cluster.joined.remove(node)
+    node.lose()
     eventually(lambda: "resumed" in stream.notices, PATIENCE)
     eventually(lambda: len(stream.answered) >= before + 20, PATIENCE)
     print(f"node lost: {stream.longest:.2f} s without an answer")
