@@ -84,12 +84,12 @@ def test_there_is_a_wheel_and_a_source_archive_of_each(distributions):
 def test_a_wheel_has_its_files_and_no_others(distributions, name):
     with zipfile.ZipFile(distributions / f"{name}-{VERSION}-py3-none-any.whl") as wheel:
         files = set(wheel.namelist())
-    assert set(CONTENT[name]) <= files
+    assert {*CONTENT[name], f"{name}-{VERSION}.dist-info/licenses/LICENSE"} <= files
     tops = {file.partition("/")[0] for file in files if ".dist-info/" not in file}
     assert tops == ({"ddakf", "ddakf_service"} if name == "ddakf" else {name})
     with tarfile.open(distributions / f"{name}-{VERSION}.tar.gz") as source:
         inside = {member.name.partition("/")[2] for member in source.getmembers()}
-    assert "pyproject.toml" in inside
+    assert {"pyproject.toml", "LICENSE"} <= inside
     assert not {path for path in inside if path.startswith(("tests/", "docs/", ".git"))}
 
 
@@ -137,6 +137,8 @@ def test_the_package_of_npm_works_in_an_empty_folder(tmp_path):
     run("npm", "run", "--silent", "build", folder=WEB)
     run("npm", "pack", "--silent", "--pack-destination", tmp_path, folder=WEB)
     archive = tmp_path / f"ddakf-client-{VERSION}.tgz"
+    with tarfile.open(archive) as content:
+        assert {"package/LICENSE", "package/README.md", "package/dist/index.js"} <= set(content.getnames())
     project = tmp_path / "project"
     project.mkdir()
     (project / "package.json").write_text('{"type": "module", "private": true}')
