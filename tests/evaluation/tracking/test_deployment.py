@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 import time
+from datetime import timedelta
 from types import SimpleNamespace
 
 import pytest
@@ -94,6 +95,19 @@ def test_a_certificate_is_examined(tmp_path, capsys, monkeypatch):
         assert status == 1
         assert list(found) == ["certificate", "connection"]
         assert {finding["outcome"] for finding in found.values()} == {"failed"}
+
+
+def test_an_expired_certificate_is_a_failure(tmp_path, capsys):
+    authority = Authority("own")
+    certificate, key = authority.issue("server", valid=-timedelta(minutes=1))
+    for name, content in {"server.pem": certificate, "server.key": key, "own.pem": authority.pem}.items():
+        (tmp_path / name).write_bytes(content)
+    pair = [f"--tls-certificate={tmp_path}/server.pem", f"--tls-key={tmp_path}/server.key"]
+    with running(["--workers", "1", *pair], tmp_path) as service:
+        status, found = doctor(capsys, service, "--tls-ca", str(tmp_path / "own.pem"))
+    assert status == 1
+    assert found["certificate"]["outcome"] == "failed"
+    assert "expired" in found["certificate"]["message"]
 
 
 def test_a_full_disk_is_told(small_disk, tmp_path, capsys):  # noqa: F811
