@@ -15,6 +15,7 @@ import numpy as np
 from numba.core.dispatcher import Dispatcher
 from ddakf import Config, Mesh, Tracker, kernels
 from ddakf.commands import warmup
+from ddakf.first_frame import tube
 from ddakf.garment import remeshing
 
 modules = [importlib.import_module(f"ddakf.kernels.{m.name}") for m in pkgutil.iter_modules(kernels.__path__)]
@@ -28,7 +29,7 @@ def compiled():
 said = []
 warmup.warm(lambda *step: said.append(step))
 before = compiled()
-garment, body, eye = warmup._tube(0.22, 40, 36), warmup._tube(0.2, 20, 30), np.array([0.0, 0.0, 2.0])
+garment, body, eye = tube(0.22, 40, 36), tube(0.2, 20, 30), np.array([0.0, 0.0, 2.0])
 cloud = np.concatenate([garment.vertices[garment.faces].mean(axis=1), garment.vertices]) * [1.1, 1.0, 1.1]
 for skeleton, how in ((None, {}), (body, {"sensor_origin": eye, "body_vertices": body.vertices})):
     for config in (Config(), Config.paper()):
