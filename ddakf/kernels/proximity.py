@@ -20,7 +20,7 @@ SLACK = 1e-6  # relative, its cube in m^2: more than the rounding of any squared
 # Bounds of a search in a folded body, where all faces are equally near: it ends with the nearest so far. In a true body a search
 # visits up to 70 nodes.
 MOST_NODES = 256  # visited for a point
-MOST_SHARED = 1024  # leaves that the points of a hint share; with more, each point searches on its own
+MOST_SHARED = 1024  # leaves that the points of a node share; with more, each point searches on its own
 
 
 class BodyTree(NamedTuple):
@@ -259,28 +259,52 @@ def list_leaves(boxes, shift, box, reach, nodes, squared, leaf, leaf_box):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def sort_by_leaf(leaf_of, hint, n_leaves, first, order):
-    """Sorts N points by the leaf of their hint; those without a hint come last.
+def sort_by_node(leaf_of, hint, n_nodes, first, order):
+    """Sorts N points by the node above the leaf of their hint; those without a hint come last.
 
     Args:
         leaf_of: (F,) leaf of each face.
         hint: (N,) face of each point, or -1.
-        n_leaves: L.
-        first: (L + 2,) out: the points of leaf l are ``order[first[l]:first[l + 1]]``.
+        n_nodes: M, nodes with LANES leaves each.
+        first: (M + 2,) out: the points of node m are ``order[first[m]:first[m + 1]]``.
         order: (N,) out.
     """
     first[:] = 0
     for i in range(hint.shape[0]):
-        first[(leaf_of[hint[i]] if hint[i] >= 0 else n_leaves) + 1] += 1
-    for leaf in range(n_leaves + 1):
-        first[leaf + 1] += first[leaf]
+        first[(leaf_of[hint[i]] // LANES if hint[i] >= 0 else n_nodes) + 1] += 1
+    for node in range(n_nodes + 1):
+        first[node + 1] += first[node]
     for i in range(hint.shape[0]):
-        leaf = leaf_of[hint[i]] if hint[i] >= 0 else n_leaves
-        order[first[leaf]] = i
-        first[leaf] += 1
-    for leaf in range(n_leaves, 0, -1):
-        first[leaf] = first[leaf - 1]
+        node = leaf_of[hint[i]] // LANES if hint[i] >= 0 else n_nodes
+        order[first[node]] = i
+        first[node] += 1
+    for node in range(n_nodes, 0, -1):
+        first[node] = first[node - 1]
     first[0] = 0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def least_of(squared):
+    """The least of LANES numbers, in three rounds: a loop would wait for each comparison."""
+    a, b = min(squared[0], squared[1]), min(squared[2], squared[3])
+    c, d = min(squared[4], squared[5]), min(squared[6], squared[7])
+    return min(min(a, b), min(c, d))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def first_face(leaf_start, squared, nearest_leaf, best):
+    """The first of the lanes' faces whose squared distance is ``best``; of a leaf's last face not the repetitions.
+
+    Args:
+        leaf_start: of :class:`BodyTree`.
+        squared, nearest_leaf: (8,) of :func:`keep_nearer`, m^2.
+        best: m^2, least of ``squared``.
+    """
+    face = leaf_start[-1]
+    for s in range(LANES):
+        here = leaf_start[nearest_leaf[s]] + np.int32(s)
+        face = min(face, here if squared[s] == best else face)
+    return face
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -288,7 +312,8 @@ def nearest_faces(tree, points, radius, hint, face):
     """The nearest face of every point, of equally near ones the first; -1 where none is within the radius.
 
     A hint saves time and never changes the result: everything within rounding of the best is searched, up to MOST_NODES. Points
-    whose hints are in one leaf share one search of the tree for near leaves; each point then searches those leaves on its own.
+    whose hints are in the leaves of one node share one search of the tree for near leaves; each point then searches those leaves
+    on its own.
 
     Args:
         tree: :class:`BodyTree`.
@@ -299,28 +324,31 @@ def nearest_faces(tree, points, radius, hint, face):
     """
     triangles, boxes, leaf_start, leaf_of, shift = tree
     n, n_leaves = points.shape[0], leaf_start.shape[0] - 1
+    n_nodes = (n_leaves + LANES - 1) // LANES
     nodes, lower = np.empty(STACK, np.int64), np.empty(STACK)
     squared, candidate = np.empty(LANES), np.empty(LANES)
-    first, order = np.empty(n_leaves + 2, np.int64), np.empty(n, np.int64)
+    first, order = np.empty(n_nodes + 2, np.int64), np.empty(n, np.int64)
     best, least, most = np.empty(n), np.empty(3), np.empty(3)
     near_leaf, leaf_box = np.empty(n_leaves + 1, np.int64), np.empty((6, n_leaves + 1))
     box_squared, nearest_leaf = np.empty(n_leaves), np.empty(LANES, np.int64)
-    chosen = np.empty(n_leaves + 1, np.int64)
-    sort_by_leaf(leaf_of, hint, n_leaves, first, order)
-    for start in range(n_leaves):
-        if first[start + 1] == first[start]:
+    chosen, in_hint = np.empty(n_leaves + 1, np.int64), np.empty((n, LANES))
+    sort_by_node(leaf_of, hint, n_nodes, first, order)
+    for node in range(n_nodes):
+        if first[node + 1] == first[node]:
             continue
         least[:], most[:], reach = inf, -inf, 0.0
-        for o in range(first[start], first[start + 1]):
+        for o in range(first[node], first[node + 1]):
             i = order[o]
-            point = points[i, 0], points[i, 1], points[i, 2]
-            best[i], face[i] = search_leaf(triangles, leaf_start, start, point, radius * radius, -1, squared)
+            leaf_distances(triangles, leaf_of[hint[i]], points[i, 0], points[i, 1], points[i, 2], in_hint[o])
+            nearest = least_of(in_hint[o])
+            best[i] = nearest if nearest < radius * radius else radius * radius
             reach = max(reach, best[i])
             for a in range(3):
                 least[a], most[a] = min(least[a], points[i, a]), max(most[a], points[i, a])
         found = list_leaves(boxes, shift, (least, most), search_limit(reach), nodes, squared, near_leaf, leaf_box)
-        for o in range(first[start], first[start + 1]):
+        for o in range(first[node], first[node + 1]):
             i = order[o]
+            start = leaf_of[hint[i]]
             x, y, z = points[i, 0], points[i, 1], points[i, 2]
             if found > MOST_SHARED:
                 face[i] = search_tree(triangles, boxes, leaf_start, shift, (x, y, z), radius, start, (nodes, lower, squared))
@@ -329,16 +357,15 @@ def nearest_faces(tree, points, radius, hint, face):
             n_chosen, limit = 0, search_limit(best[i])
             for k in range(found):
                 chosen[n_chosen] = near_leaf[k]
-                n_chosen += 1 if box_squared[k] <= limit else 0
-            squared[:], nearest_leaf[:] = inf, n_leaves
+                n_chosen += 1 if (box_squared[k] <= limit) & (near_leaf[k] != start) else 0
+            nearest_leaf[:] = start
             for k in range(n_chosen):
                 leaf_distances(triangles, chosen[k], x, y, z, candidate)
-                keep_nearer(candidate, chosen[k], squared, nearest_leaf)
-            for s in range(LANES):
-                if squared[s] < best[i] or (squared[s] == best[i] and leaf_start[nearest_leaf[s]] + s < face[i]):
-                    best[i], face[i] = squared[s], leaf_start[nearest_leaf[s]] + s
+                keep_nearer(candidate, chosen[k], in_hint[o], nearest_leaf)
+            nearest = least_of(in_hint[o])
+            face[i] = first_face(leaf_start, in_hint[o], nearest_leaf, nearest) if nearest < radius * radius else -1
     previous = -1  # neighbours in the garment's numbering are mostly neighbours in space
-    for o in range(first[n_leaves], n):
+    for o in range(first[n_nodes], n):
         i = order[o]
         point = points[i, 0], points[i, 1], points[i, 2]
         face[i] = search_tree(triangles, boxes, leaf_start, shift, point, radius, previous, (nodes, lower, squared))

@@ -41,3 +41,16 @@ def test_boxes_hold_their_faces_and_empty_ones_are_far():
     nearest = np.clip(p, corners.min(axis=1), corners.max(axis=1))
     np.testing.assert_allclose(squared[6:], np.sum((p - nearest) ** 2, axis=1))
     assert squared[:6].min() > 1e50
+
+
+def test_the_first_of_equally_near_faces_in_the_lanes():
+    """Leaves of five, seven and eight faces, in any order; few different numbers make many ties."""
+    rng, start, lanes = np.random.default_rng(6), np.array([0, 5, 12, 20], np.int32), np.arange(8)
+    for _ in range(200):
+        distance = rng.integers(0, 20, 20).astype(float)
+        squared, leaf = np.full(8, np.inf), np.zeros(8, np.int64)
+        for number in rng.permutation(3):
+            faces = np.minimum(start[number] + lanes, start[number + 1] - 1)  # the spare lanes repeat the last face
+            proximity.keep_nearer(distance[faces], number, squared, leaf)
+        assert proximity.least_of(squared) == distance.min()
+        assert proximity.first_face(start, squared, leaf, distance.min()) == distance.argmin()
