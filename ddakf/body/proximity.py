@@ -66,7 +66,7 @@ def build(mesh: Mesh) -> Body:
 
 def refresh(body: Body, vertices: np.ndarray) -> BodySurface:
     """The body with its vertices (B, 3) at a new place, metres."""
-    triangles = np.zeros((len(body.leaf_start) - 1, 15, kernels.LANES))
+    triangles = np.empty((len(body.leaf_start) - 1, 15, kernels.LANES))
     surface = BodySurface(np.array(vertices, np.float64), triangles, np.empty((body.n_inner, 6, kernels.LANES)))
     kernels.refit(surface.vertices, body.faces, body.leaf_start, body.shift, surface.triangles, surface.boxes)
     return surface

@@ -11,8 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from ddakf.kernels.triangles import dot, edges
-
 LANES = 8
 STACK = 128  # nodes waiting in a depth-first search: at most eight per level, and 2^31 faces have eleven levels
 FAR = 1e30  # m: bound of an empty box, finite because the vectorised sums below assume that
@@ -34,6 +32,46 @@ class BodyTree(NamedTuple):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def least_of(squared):
+    """The least of LANES numbers, in three rounds: a loop would wait for each comparison."""
+    a, b = min(squared[0], squared[1]), min(squared[2], squared[3])
+    c, d = min(squared[4], squared[5]), min(squared[6], squared[7])
+    return min(min(a, b), min(c, d))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def most_of(squared):
+    """The greatest of LANES numbers."""
+    a, b = max(squared[0], squared[1]), max(squared[2], squared[3])
+    c, d = max(squared[4], squared[5]), max(squared[6], squared[7])
+    return max(max(a, b), max(c, d))
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def fit_leaf(lanes):
+    """What a search reads of the faces in LANES lanes, and their boxes.
+
+    Args:
+        lanes: (21 * LANES,) in and out, flat, so that the distance of its rows is known when this is compiled: corner 0 and both
+            edges from it, the inverses (see :func:`refit`), lower and upper corners of the faces' boxes.
+    """
+    for s in range(LANES):
+        px, py, pz = lanes[s], lanes[LANES + s], lanes[2 * LANES + s]
+        bx, by, bz = lanes[3 * LANES + s], lanes[4 * LANES + s], lanes[5 * LANES + s]
+        cx, cy, cz = lanes[6 * LANES + s], lanes[7 * LANES + s], lanes[8 * LANES + s]
+        bb, bc, cc = bx * bx + by * by + bz * bz, bx * cx + by * cy + bz * cz, cx * cx + cy * cy + cz * cz
+        opposite, det = bb + cc - 2.0 * bc, bb * cc - bc * bc
+        inverse = 1.0 / det if det > 0.0 else 0.0
+        lanes[9 * LANES + s] = 1.0 / bb if bb > 0.0 else 0.0
+        lanes[10 * LANES + s] = 1.0 / cc if cc > 0.0 else 0.0
+        lanes[11 * LANES + s] = 1.0 / opposite if opposite > 0.0 else 0.0
+        lanes[12 * LANES + s], lanes[13 * LANES + s], lanes[14 * LANES + s] = cc * inverse, -bc * inverse, bb * inverse
+        lanes[15 * LANES + s], lanes[18 * LANES + s] = px + min(min(bx, cx), 0.0), px + max(max(bx, cx), 0.0)
+        lanes[16 * LANES + s], lanes[19 * LANES + s] = py + min(min(by, cy), 0.0), py + max(max(by, cy), 0.0)
+        lanes[17 * LANES + s], lanes[20 * LANES + s] = pz + min(min(bz, cz), 0.0), pz + max(max(bz, cz), 0.0)
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def refit(vertices, faces, leaf_start, shift, triangles, boxes):
     """Fits the tree to a pose: the faces as the searches read them, and the boxes, leaves first.
 
@@ -46,37 +84,32 @@ def refit(vertices, faces, leaf_start, shift, triangles, boxes):
         leaf_start, shift: of :class:`BodyTree`.
         triangles, boxes: of :class:`BodyTree`, out.
     """
-    n_inner = boxes.shape[0]
+    n_inner, lanes = boxes.shape[0], np.empty(21 * LANES)
     for lane in range(LANES):
         for a in range(3):
             boxes[0, a, lane], boxes[0, 3 + a, lane] = FAR, -FAR
     for node in range(n_inner + leaf_start.shape[0] - 2, 0, -1):
         parent, lane = (node - shift) // LANES, (node - shift) % LANES
-        for a in range(3):
-            boxes[parent, a, lane], boxes[parent, 3 + a, lane] = FAR, -FAR
         if node < n_inner:
             for a in range(3):
-                for child in range(LANES):
-                    boxes[parent, a, lane] = min(boxes[parent, a, lane], boxes[node, a, child])
-                    boxes[parent, 3 + a, lane] = max(boxes[parent, 3 + a, lane], boxes[node, 3 + a, child])
+                boxes[parent, a, lane] = least_of(boxes[node, a])
+                boxes[parent, 3 + a, lane] = most_of(boxes[node, 3 + a])
             continue
         leaf = node - n_inner
         for spot in range(LANES):
-            p, b, c = edges(vertices, faces, min(leaf_start[leaf] + spot, leaf_start[leaf + 1] - 1))
-            bb, bc, cc = dot(b, b), dot(b, c), dot(c, c)
-            opposite, det = bb + cc - 2.0 * bc, bb * cc - bc * bc
+            f = np.uint32(max(min(leaf_start[leaf] + spot, leaf_start[leaf + 1] - 1), 0))  # of one face the first leaf is empty
+            i, j, k = np.uint32(faces[f, 0]), np.uint32(faces[f, 1]), np.uint32(faces[f, 2])
             for a in range(3):
-                lower, upper = p[a] + min(0.0, b[a], c[a]), p[a] + max(0.0, b[a], c[a])
-                boxes[parent, a, lane] = min(boxes[parent, a, lane], lower)
-                boxes[parent, 3 + a, lane] = max(boxes[parent, 3 + a, lane], upper)
-                triangles[leaf, a, spot], triangles[leaf, 3 + a, spot], triangles[leaf, 6 + a, spot] = p[a], b[a], c[a]
-            inverse = 1.0 / det if det > 0.0 else 0.0
-            triangles[leaf, 9, spot] = 1.0 / bb if bb > 0.0 else 0.0
-            triangles[leaf, 10, spot] = 1.0 / cc if cc > 0.0 else 0.0
-            triangles[leaf, 11, spot] = 1.0 / opposite if opposite > 0.0 else 0.0
-            triangles[leaf, 12, spot] = cc * inverse
-            triangles[leaf, 13, spot] = -bc * inverse
-            triangles[leaf, 14, spot] = bb * inverse
+                lanes[a * LANES + spot] = vertices[i, a]
+                lanes[(3 + a) * LANES + spot] = vertices[j, a] - vertices[i, a]
+                lanes[(6 + a) * LANES + spot] = vertices[k, a] - vertices[i, a]
+        fit_leaf(lanes)
+        for a in range(3):
+            boxes[parent, a, lane] = least_of(lanes[(15 + a) * LANES : (16 + a) * LANES])
+            boxes[parent, 3 + a, lane] = most_of(lanes[(18 + a) * LANES : (19 + a) * LANES])
+        for row in range(15):
+            for s in range(LANES):
+                triangles[leaf, row, s] = lanes[row * LANES + s]
 
 
 # The loops of the next two functions end at a number that is unknown when they are compiled. With the constant LANES the compiler
@@ -281,14 +314,6 @@ def sort_by_node(leaf_of, hint, n_nodes, first, order):
     for node in range(n_nodes, 0, -1):
         first[node] = first[node - 1]
     first[0] = 0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
-def least_of(squared):
-    """The least of LANES numbers, in three rounds: a loop would wait for each comparison."""
-    a, b = min(squared[0], squared[1]), min(squared[2], squared[3])
-    c, d = min(squared[4], squared[5]), min(squared[6], squared[7])
-    return min(min(a, b), min(c, d))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
