@@ -8,7 +8,7 @@ from ddakf.kernels.triangles import FEATURE, closest_on_triangle, edges, ring_st
 MOST_STEPS = 32  # faces that a walk crosses; from frame to frame it crosses one or two
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
 def distance_to_face(vertices, faces, f, x, y, z):
     """Squared distance of (x, y, z) to a face, m^2, and the coordinates (v, w) of its closest point there."""
     p, b, c = edges(vertices, faces, f)
