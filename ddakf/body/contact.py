@@ -6,6 +6,7 @@ import numpy as np
 
 from ddakf.body import proximity
 from ddakf.config import Physics
+from ddakf.kernels import collision as kernels
 from ddakf.mesh import Mesh
 from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Problem, State
 
@@ -123,17 +124,15 @@ def closest(pose: BodyPose, position: np.ndarray, contacts: Contacts, thickness:
 
     The others keep their closest points: a signed distance changes by no more than the vertex has moved since its search.
     """
-    step = position - contacts.asked_at
-    moved = np.sqrt(np.einsum("va,va->v", step, step))
-    near = np.flatnonzero(contacts.closest.distance - moved < thickness)
-    if len(near) == 0:
+    n = len(position)
+    near, points, face = np.empty(n, np.uint32), np.empty((n, 3)), np.empty(n, np.int32)
+    count = kernels.near_body(position, contacts.asked_at, contacts.closest, thickness, near, points, face)
+    if count == 0:
         return contacts
-    face = contacts.closest.face[near]
-    found = proximity.closest_points(pose.model.tree, pose.surface, position[near], pose.model.reach, face)
+    near, points, face = near[:count], points[:count], face[:count]
+    found = proximity.closest_points(pose.model.tree, pose.surface, points, pose.model.reach, face)
     updated = Contacts(proximity.Contact(*(array.copy() for array in contacts.closest)), contacts.asked_at.copy())
-    for array, new in zip(updated.closest, found, strict=True):
-        array[near] = new
-    updated.asked_at[near] = position[near]
+    kernels.replace_contacts(near, points, found, *updated)
     return updated
 
 
