@@ -32,7 +32,7 @@ from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior
 class Tracker:
     """Tracks a garment through point clouds.
 
-    The first tracker of a process loads the kernels: half a second, or a minute where the cache lacks them.
+    The first tracker of a process loads the kernels: half a second, or minutes where the cache lacks them.
 
     Args:
         garment: its vertices are the rest shape, and where tracking starts unless :meth:`reset` says otherwise.

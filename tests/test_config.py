@@ -158,3 +158,10 @@ def test_a_tracker_takes_the_configuration_it_is_given():
     assert Tracker(sheet()).config == Config()
     config = Config.paper()
     assert Tracker(sheet(), config=config).config is config
+
+
+def test_a_whole_number_where_a_float_is_meant_is_one():
+    given = Config.from_dict({"physics": {"strain_sd": 1}, "uncertainty": {"ceiling_sd": 1}})
+    assert given == Config.from_dict({"physics": {"strain_sd": 1.0}, "uncertainty": {"ceiling_sd": 1.0}})
+    assert type(given.physics.strain_sd) is float
+    assert type(given.associate.iterations) is int

@@ -17,7 +17,10 @@ def bounded(default: float, low: float, high: float) -> typing.Any:
 
 
 class Checked:
-    """Base of the configuration classes: checks every :func:`bounded` field when an object is made."""
+    """Base of the configuration classes: checks every :func:`bounded` field when an object is made.
+
+    A whole number where a float is meant becomes one: kernels are compiled for floats.
+    """
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
@@ -31,6 +34,8 @@ class Checked:
                 raise InvalidConfig(f"{type(self).__name__}.{f.name}", f"a number in [{low:g}, {high:g}]", repr(value))
             if isinstance(f.default, int) and not isinstance(value, int):
                 raise InvalidConfig(f"{type(self).__name__}.{f.name}", "an integer", repr(value))
+            if isinstance(f.default, float):
+                object.__setattr__(self, f.name, float(value))
 
 
 def derived(config: C, **values: typing.Any) -> C:

@@ -48,3 +48,21 @@ def test_ends_are_those_of_the_twin(n, pairs):
             np.testing.assert_allclose(ends.direction[h], known[0], atol=1e-12)
             np.testing.assert_allclose(ends.offset[h], known[1], atol=1e-6)
     assert ends.found.any() == (n > 600)
+
+
+def test_of_a_crowded_tube_an_even_sample_tells_the_end():
+    """More points around a vertex than are looked at."""
+    n = 4 * hem.MOST_SEEN
+    points = np.random.default_rng(0).uniform([0.02, 0.02, 0.02], [0.05, 0.08, 0.021], (n, 3)).astype(np.float32)
+    dims = np.array([2, 2, 2])
+    grid = Grid(np.empty(np.prod(dims) + 2, np.int32), np.zeros(3), 0.05, dims)
+    ordered, index = np.empty((3, n), np.float32), np.empty(n, np.int32)
+    fill_grid(points.astype(float), np.arange(n, dtype=np.int32), grid, ordered, index)
+    position = np.array([[0.048, 0.05, 0.02], [0.048, 0.04, 0.02], [0.048, 0.06, 0.02]])
+    normal, boundary = np.tile([0.0, 0.0, 1.0], (3, 1)), np.array([[0, 1, 2]])
+    ends = CloudEnds(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool))
+    ends_of_cloud(position, normal, np.ones(3, bool), boundary, ordered, grid, TUBE, ends)
+    across, offset = slow_end(position[0], position[2] - position[1], normal[0], ordered.T)
+    assert ends.found[0]
+    np.testing.assert_allclose(ends.direction[0], across, atol=1e-12)
+    np.testing.assert_allclose(ends.offset[0], offset, atol=2e-4)

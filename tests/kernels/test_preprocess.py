@@ -88,3 +88,4 @@ def test_mean_distances_are_those_of_sorted_ones(kind, n, k):
         np.testing.assert_allclose(mean, known, rtol=1e-5, atol=1e-9)
     else:  # fewer neighbours than are asked for: the searched distance counts
         assert (mean >= np.maximum(known * (1.0 - 1e-5), 6 * 0.21)).all()
+        assert np.isfinite(mean).all()
