@@ -22,6 +22,7 @@ _LEAST = 2.0  # times what a whole frame takes: the smallest budget
 _SHORT = 0.9  # of its load: a share that is too small
 _SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
 _URGENT, _URGENT_FRAMES = 1.0, 3  # processor seconds per second of several sessions, which no worker has: watched for less long
+_HOPELESS = 2.0  # processor seconds per second: even first frames tell that this is too much, though later ones take half
 _FIRST_FRAMES = 10  # of a tracker; later ones take less, when all is in the caches
 _TELLING = 6  # frames of a tracker, whose least time tells the load
 _LIGHTER = 0.5  # of the time of its own tracker, which a session's lighter one is expected to take
@@ -155,9 +156,12 @@ class FairShares:
         settled = now - self._changed > _SETTLED
         if not demand.lighter:
             load = sum(other.expected for other in self._demands.values())
-            gives_way = demand.is_short and demand.tracked >= _TELLING and self._gives_way(demand, load - self._planned)
+            several = len(self._demands) > 1
+            hopeless = several and load > _HOPELESS
+            told = hopeless or demand.tracked >= _TELLING
+            gives_way = told and demand.is_short and self._gives_way(demand, load - self._planned)
             demand.short = demand.short + 1 if gives_way else 0
-            urgent = demand.short >= _URGENT_FRAMES and load > _URGENT and len(self._demands) > 1
+            urgent = several and load > _URGENT and demand.short >= (1 if hopeless else _URGENT_FRAMES)
             if urgent or (demand.short >= _SHORT_FRAMES and settled):
                 demand.change(True, now)
                 self._changed = now

@@ -248,3 +248,18 @@ def test_without_budgets_a_session_has_its_own_tracker():
     load.budgets(frames=300)
     name = next(name for name, light in load.light.items() if light)
     assert not load.shares.grant(name, 0.0, load.now).lighter
+
+
+def test_sessions_of_which_first_frames_take_twice_the_worker_change_at_once():
+    load = Load(dict.fromkeys("abcd", 0.01), lighter=0.5, cold=2.5)
+    load.budgets(frames=3)
+    assert any(load.light.values())
+    load.budgets(frames=5)
+    assert sum(load.light.values()) >= 2
+
+
+def test_first_frames_of_what_fits_change_no_tracker():
+    """Each takes two and a half times as long as a later one; the later ones leave the worker room."""
+    load = Load(dict.fromkeys("ab", 0.01), lighter=0.5, cold=2.5)
+    load.budgets(frames=60)
+    assert load.changes == 0

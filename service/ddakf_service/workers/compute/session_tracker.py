@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, wait
 
 import ddakf
 from ddakf.mesh import same_mesh
@@ -27,6 +27,11 @@ class SessionTracker:
     def prepare(self) -> None:
         """Builds the lighter tracker before it is needed."""
         self._built()
+
+    def await_lighter(self, patience: float) -> None:
+        """Returns when the lighter tracker is built, or after as many seconds."""
+        if self._lighter is not None:
+            wait([self._lighter], patience)
 
     def another(self, garment: ddakf.Mesh, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker | None:
         """A tracker at the start that shares constants with this one; None if its garment or its body is another."""

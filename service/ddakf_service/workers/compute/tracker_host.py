@@ -22,6 +22,7 @@ from .busy_time import BusyTime
 from .session_tracker import SessionTracker
 from .warmup_session import warm_up_session
 
+_PATIENCE = 1.0  # seconds that an opened session waits for its lighter tracker
 _LEAST_BUDGET = 1e-4  # seconds, of a frame whose decoding has used all of it
 
 
@@ -66,6 +67,8 @@ class TrackerHost:
         body = decode.body(session, limits.max_body_vertices, limits.max_faces)
         tracker = self._tracker_of(garment, body=body, config=decode.config(session))
         self._add(session_id, tracker)
+        # built beside the first frames it would take time from those of all
+        self._trackers[session_id].await_lighter(_PATIENCE)
         return encode.session_message(tracker, session.fabric, vertex_map).SerializeToString()
 
     def restore(self, session_id: str, request: bytes) -> bytes:

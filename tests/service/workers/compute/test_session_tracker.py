@@ -97,6 +97,14 @@ def test_lighter_trackers_are_built_as_soon_as_there_are_several_sessions():
         assert session._lighter.result(timeout=60).config == Config().lighter()
 
 
+def test_who_waits_for_the_lighter_tracker_has_it(builder):
+    session = SessionTracker(Tracker(SHIRT), builder)
+    session.await_lighter(60.0)  # nothing is being built
+    session.prepare()
+    session.await_lighter(60.0)
+    assert session._lighter.done()
+
+
 def test_a_frame_is_tracked_as_its_grant_says():
     host = host_of(one=SHIRT)
     waiting(host._trackers["one"])
