@@ -23,7 +23,7 @@ from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.files.sequence import Sequence
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 
 VIEWS = ("full", "front+body")
 FRAMES = 60
@@ -157,9 +157,7 @@ def main(argv: list[str] | None = None) -> int:
             report(rows)
         return 0
     chosen = recordings(parser, arguments)
-    jobs = itertools.product(
-        chosen, arguments.views, [tuple(arguments.textures)], [arguments.frames], [arguments.config]
-    )
+    jobs = itertools.product(chosen, arguments.views, [tuple(arguments.textures)], [arguments.frames], [arguments.config])
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         rows = []
         for found in pool.imap(run, jobs):

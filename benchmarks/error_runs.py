@@ -15,7 +15,7 @@ import ddakf
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.trials.recordings import find_recording, recording_names
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.stages import error_size, reliability
 from ddakf.stages.error_size import USUAL, SizeEvidence
 
@@ -192,10 +192,7 @@ def _rows(result, seen: tuple, truth: np.ndarray, faces: np.ndarray, chosen: np.
     reported = basis @ result.covariance[chosen].astype(float) @ basis.transpose(0, 2, 1)
     rotated = np.einsum("vab,vb->va", basis, error)
     variance = 0.5 * (claimed[:, 1, 1] + claimed[:, 2, 2])
-    columns = [
-        np.log1p(value[chosen] / getattr(SCALES, f"{name}_scale"))
-        for name, value in found._asdict().items()
-    ]
+    columns = [np.log1p(value[chosen] / getattr(SCALES, f"{name}_scale")) for name, value in found._asdict().items()]
     distances = [_mahalanobis2(rotated, reported), rotated[:, 0] ** 2 / reported[:, 0, 0]]
     return (
         result.observed[chosen],

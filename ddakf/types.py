@@ -61,13 +61,6 @@ def variances(covariance: np.ndarray) -> np.ndarray:
     return trace
 
 
-def median(values: np.ndarray) -> float:
-    """Median of (N,) values, N > 0. Of one partition, which NumPy does with vector instructions; of two it does not."""
-    middle = len(values) // 2
-    parted = np.partition(values, middle)
-    return float(parted[middle] if len(values) % 2 else 0.5 * (parted[:middle].max() + parted[middle]))
-
-
 # The garment --------------------------------------------------------------------------------------------------------
 
 

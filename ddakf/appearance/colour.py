@@ -13,8 +13,9 @@ import numpy as np
 
 from ddakf.config import Colour
 from ddakf.kernels import colour as kernels
-from ddakf.kernels.associate import FAR_AWAY, vertex_normals
+from ddakf.kernels.associate import FAR_AWAY
 from ddakf.kernels.colour import CHANNELS, SIDE, ColouredPoints, Patches, SlideLimits, Slides, TangentPlanes
+from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.types import Appearance, Cloud, Estimate, Measurement, Model, Posterior, Problem, Setup, Slide
 

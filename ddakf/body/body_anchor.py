@@ -19,7 +19,7 @@ import numpy as np
 from ddakf.body import contact
 from ddakf.config import ConstantVelocity
 from ddakf.garment.slippage import least_normal_share
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
 UNKNOWN = 1e4  # m^2: variance of what is not measured

@@ -1,4 +1,4 @@
-"""Compiled kernels: numba, one module per stage, same stem. Importing this package sets how and where compiled code is cached.
+"""Compiled kernels: numba, a module per stage or step of one, same stem. Importing this package sets where code is cached.
 
 A change here compiles every kernel again. The named tuples that kernels take are declared beside them.
 """

@@ -7,8 +7,8 @@ import numpy as np
 from numba import njit
 
 from ddakf.kernels import FAST
-from ddakf.kernels.associate import perpendicular_axes
 from ddakf.kernels.symmetric import smallest_eigenvector
+from ddakf.kernels.visibility import perpendicular_axes
 
 TINY = np.float32(1e-3)  # added to the sum of a row or column of correspondences: one without any stays so
 LEAST_NEIGHBOURS = 5  # of a normal

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config.physics import Physics
-from ddakf.kernels import associate as normals
 from ddakf.kernels import self_collision as kernels
+from ddakf.kernels.normals import vertex_normals
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization, allocate
 
@@ -63,12 +63,10 @@ def find(last: np.ndarray, position: np.ndarray, constants: LayerConstants) -> L
     n, mesh, area = len(position), constants.mesh, constants.area
     faces = mesh.faces.astype(np.int32)
     before, now = np.empty((n, 3)), np.empty((n, 3))
-    normals.vertex_normals(last, faces, before)
-    normals.vertex_normals(position, faces, now)
+    vertex_normals(last, faces, before)
+    vertex_normals(position, faces, now)
     partner, side = np.empty(n, np.int32), np.empty(n)
-    kernels.find_opposite(
-        np.ascontiguousarray(last), before, mesh.vertices, constants.reach, constants.separation, partner, side
-    )
+    kernels.find_opposite(np.ascontiguousarray(last), before, mesh.vertices, constants.reach, constants.separation, partner, side)
     i = np.flatnonzero(partner >= 0)
     j = partner[i]
     height = np.einsum("ca,ca->c", before[j], last[i] - last[j])

@@ -13,8 +13,8 @@ import numpy as np
 
 from ddakf.config import PlaneAssociation, Sidedness
 from ddakf.kernels import sidedness as kernels
-from ddakf.kernels.associate import perpendicular_axes
 from ddakf.kernels.preprocess import bounds, crop
+from ddakf.kernels.visibility import perpendicular_axes
 from ddakf.types import FrameInput, Model, Setup, Track, View
 
 BESIDE = 0.5  # least cosine between directions of one plateau

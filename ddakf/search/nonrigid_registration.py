@@ -14,10 +14,11 @@ import numpy as np
 
 from ddakf.config import Registration
 from ddakf.kernels import nonrigid_registration as kernels
-from ddakf.kernels.associate import VisibilityLimits, mark_visible, vertex_normals
 from ddakf.kernels.cluster_alignment import centers
 from ddakf.kernels.nonrigid_registration import ClusterGraph, Goals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, normals, outward
+from ddakf.kernels.visibility import VisibilityLimits, mark_visible
 from ddakf.stages.grid import distinct
 from ddakf.types import Model
 

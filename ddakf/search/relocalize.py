@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config import Config, Relocalization
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.physics import rigidity

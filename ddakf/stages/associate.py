@@ -9,8 +9,10 @@ import numpy as np
 from ddakf.config import NearestPoint, PlaneAssociation
 from ddakf.kernels import associate as kernels
 from ddakf.kernels import hem as hem_kernels
-from ddakf.kernels.associate import FAR_AWAY, NO_SURFEL, FoundPlanes, PlaneSearch, VisibilityLimits
+from ddakf.kernels.associate import FAR_AWAY, NO_SURFEL, FoundPlanes, PlaneSearch
 from ddakf.kernels.hem import CloudEnds, Tube
+from ddakf.kernels.normals import vertex_normals
+from ddakf.kernels.visibility import VisibilityLimits, mark_visible
 from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
 USUAL_RATE = 30.0  # frames per second up to which a frame makes its usual passes
@@ -50,7 +52,7 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
         case PlaneAssociation():
             normal = np.empty_like(position)
             target, plane, distance, searched_at = (a.copy() for a in estimate.evidence.measurement[:4])
-            kernels.vertex_normals(position, model.faces, normal)
+            vertex_normals(position, model.faces, normal)
             seen, judged_at = _known(problem, estimate) or (_visible(problem, position, normal), position)
             eligible = seen if only is None else seen & only
             if not cloud.empty:
@@ -116,7 +118,7 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
         body = np.empty((0, 3)) if vertices is None else vertices
         cell = config.occluder_cell * problem.model.edge_length
         limits = VisibilityLimits(cell, config.hidden_depth, config.facing_cosine)
-        kernels.mark_visible(position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, limits, found)
+        mark_visible(position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, limits, found)
     return found
 
 

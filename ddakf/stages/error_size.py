@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.body import body_anchor
-from ddakf.config import NormalError, TangentialError
 from ddakf.garment.slippage import least_normal_share
-from ddakf.kernels import uncertainty as kernels
-from ddakf.kernels.uncertainty import LogLaw, PatchMeans
+from ddakf.kernels import error_size as kernels
+from ddakf.kernels.error_size import LogLaw
+from ddakf.kernels.uncertainty import PatchMeans
 from ddakf.types import Estimate, Model, Problem
 
 FACES = 1000  # of a garment whose slippage is looked at
@@ -122,37 +122,34 @@ def at_vertices(found: SizeEvidence, patch: np.ndarray) -> SizeEvidence:
 
 def sizes(problem: Problem, estimate: Estimate, found: SizeEvidence) -> Sizes:
     """The laws at the vertices of a frame."""
-    config, on_body, seen = problem.config, estimate.clearance is not None, estimate.learnable
+    config, on_body = problem.config, estimate.clearance is not None
     laws = config.normal_error, config.tangential_error
-    bases = [[log(law.on_body if on_body else law.hidden), log(law.seen)] for law in laws]
-    return Sizes(_log_factors(found, laws, problem.model.patch, (seen, bases)), tuple(law.claimed_power for law in laws))
+    base = np.log([[law.on_body if on_body else law.hidden, law.seen] for law in laws])
+    scale, power = (np.array([values(law) for law in laws]).T for values in (_SCALES, _POWERS))
+    log_factors = _log_factors(found, LogLaw(scale, power, base), problem.model.patch, estimate.learnable)
+    return Sizes(log_factors, tuple(law.claimed_power for law in laws))
 
 
-def _log_factors(
-    found: SizeEvidence, laws: tuple[NormalError, TangentialError], patch: np.ndarray, bases: tuple[np.ndarray, list]
-) -> np.ndarray:
-    """(2, V) by each law its base and the sum of power log(1 + evidence / scale).
+def _log_factors(found: SizeEvidence, law: LogLaw, patch: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(2, V) logarithms of the sizes by both laws.
 
     Args:
         found: the evidence.
-        laws: of both directions.
+        law: of both directions, its terms in the order of the evidence.
         patch: (V,) of each vertex.
-        bases: (V,) bool, which vertices were measured, and (2, 2), by each law the logarithm of the base of others and of these.
+        seen: (V,) bool, vertices that were measured.
     """
-    seen, base = bases
-    scales, powers = [_SCALES(law) for law in laws], [_POWERS(law) for law in laws]
-    kinds: tuple[list, list, list] = [], [], []
-    for k, (name, value) in enumerate(zip(SizeEvidence._fields, found, strict=True)):
-        kinds[0 if isinstance(value, float) else 1 if name in OF_PATCHES else 2].append(k)
-    of_all, of_patches, of_vertices = kinds
-    base = [
-        [number + sum(power[k] * log(1.0 + found[k] / scale[k]) for k in of_all) for number in numbers]
-        for numbers, scale, power in zip(base, scales, powers, strict=True)
-    ]
-    log_factors, chosen = np.empty((2, len(patch))), of_patches + of_vertices
-    law = LogLaw(np.array(scales).T[chosen], np.array(powers).T[chosen], np.array(base))
-    by_patch, by_vertex = (np.array([found[k] for k in each]).reshape(len(each), -1) for each in (of_patches, of_vertices))
-    kernels.log_factors(by_patch, by_vertex, patch, seen, law, log_factors)
+    log_factors, by_vertex = np.empty((2, len(patch))), []
+    for k, (name, value) in enumerate(found._asdict().items()):
+        if isinstance(value, np.ndarray) and name not in OF_PATCHES:
+            by_vertex.append(k)
+    by_patch = [k for k in range(len(found)) if k not in by_vertex]  # one number for all is the same for each patch
+    of_patches, of_vertices = np.empty((len(by_patch), len(found.unseen))), np.empty((len(by_vertex), len(patch)))
+    terms = by_patch + by_vertex
+    for row, k in zip((*of_patches, *of_vertices), terms, strict=True):
+        row[:] = found[k]
+    law = law._replace(scale=law.scale[terms], power=law.power[terms])
+    kernels.log_factors(of_patches, of_vertices, patch, seen, law, log_factors)
     return log_factors
 
 

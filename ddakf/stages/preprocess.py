@@ -8,6 +8,7 @@ import numpy as np
 
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
 from ddakf.kernels import preprocess as kernels
+from ddakf.kernels.outliers import knn_mean_distances
 from ddakf.kernels.preprocess import Grid
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct
@@ -220,7 +221,7 @@ def _drop_sparse(grid, config: GridFilter):
     suspects, rest = suspects[:n], rest[: len(index) - n]
     sample = rest[:: max(1, len(rest) // config.sample)]
     distance = np.empty(len(suspects) + len(sample))
-    kernels.knn_mean_distances(
+    knn_mean_distances(
         points, np.concatenate([suspects, sample]), Grid(*grid[2:]), config.neighbours - 1, config.suspect_rings, distance
     )
     mine, others = distance[: len(suspects)], distance[len(suspects) :]
@@ -240,7 +241,7 @@ def _drop_far(grid, config: KnnFilter):
         return grid
     others = min(config.neighbours, len(index)) - 1
     mean = np.empty(len(index))
-    kernels.knn_mean_distances(points, np.arange(len(index)), Grid(*grid[2:]), others, len(start), mean)
+    knn_mean_distances(points, np.arange(len(index)), Grid(*grid[2:]), others, len(start), mean)
     mean *= others / (others + 1)
     return _without(grid, ~(mean < mean.mean() + config.ratio * mean.std(ddof=1)))
 

@@ -16,7 +16,7 @@ import numpy as np
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.kernels import uncertainty as kernels
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
 from ddakf.planning import omission

@@ -9,7 +9,7 @@ from ddakf import Config, Tracker
 from ddakf.body import body_anchor, contact
 from ddakf.config import ConstantVelocity
 from ddakf.garment import model
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 

@@ -1,9 +1,9 @@
-"""Planes of neighbourhoods and distances to neighbours against slow twins."""
+"""Planes of neighbourhoods, and points of a grid that are gathered and removed, against slow twins."""
 
 import numpy as np
 import pytest
 
-from ddakf.kernels.preprocess import BLOCK, Grid, fill_grid, knn_mean_distances, planes_of
+from ddakf.kernels.preprocess import BLOCK, STEP, Grid, fill_grid, gather_around, mark_surplus, planes_of, remove
 
 RADIUS = 0.03  # m
 PAIRS = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
@@ -67,25 +67,55 @@ def test_planes_are_those_of_the_least_eigenvector(n):
     assert spanned >= n // len(KINDS)
 
 
-@pytest.mark.parametrize("kind", ["scattered", "in pairs", "all in one place", "clump and strays"])
-@pytest.mark.parametrize(("n", "k"), [(1, 3), (4, 3), (9, 15), (17, 16), (400, 15), (400, 1)])
-def test_mean_distances_are_those_of_sorted_ones(kind, n, k):
-    rng = np.random.default_rng(n + k)
-    points = rng.random((n, 3)).astype(np.float32)
-    if kind == "in pairs":
-        points[1::2] = points[: n // 2 * 2 : 2]
-    elif kind == "all in one place":
-        points[:] = 0.5
-    elif kind == "clump and strays":
-        points[: n // 2] *= 0.01
-    grid = Grid(np.empty(6 * 5 * 7 + 2, np.int32), np.zeros(3), 0.21, np.array([6, 5, 7]))
-    ordered, index, mean = np.empty((3, n), np.float32), np.empty(n, np.int32), np.empty(n)
-    fill_grid(points.astype(float), np.arange(n, dtype=np.int32), grid, ordered, index)
-    knn_mean_distances(ordered, np.arange(n), grid, k, 6, mean)
-    apart = np.linalg.norm(ordered.T[:, None].astype(float) - ordered.T[None], axis=2)
-    known = np.sort(apart, axis=1)[:, 1 : k + 1].mean(axis=1) if n > 1 else np.zeros(1)
-    if n > k:
-        np.testing.assert_allclose(mean, known, rtol=1e-5, atol=1e-9)
-    else:  # fewer neighbours than are asked for: the searched distance counts
-        assert (mean >= np.maximum(known * (1.0 - 1e-5), 6 * 0.21)).all()
-        assert np.isfinite(mean).all()
+def gridded(n, dims, rng):
+    """A grid of unit cells with n points, a part of them in one clump: the grid, (3, M) points and their numbers."""
+    points = rng.random((n, 3)) * dims
+    points[: n // 3] = np.array(dims) / 2 + 0.3 * rng.random((n // 3, 3))
+    grid = Grid(np.empty(np.prod(dims) + 2, np.int32), np.zeros(3), 1.0, np.array(dims))
+    ordered, index = np.empty((3, n), np.float32), np.empty(n, np.int32)
+    fill_grid(points, np.arange(n, dtype=np.int32), grid, ordered, index)
+    return grid, ordered, index
+
+
+@pytest.mark.parametrize("most", [1, 7, 100, 10**6])
+@pytest.mark.parametrize(("n", "dims"), [(900, (4, 3, 5)), (300, (1, 1, 1)), (60, (2, 7, 3)), (3, (3, 3, 3))])
+def test_points_around_a_cell_are_gathered_or_an_even_sample_of_them(n, dims, most):
+    rng = np.random.default_rng(n)
+    grid, points, _ = gridded(n, dims, rng)
+    place = np.stack(np.unravel_index(np.repeat(np.arange(np.prod(dims)), np.diff(grid.start[:-1])), dims), axis=1)
+    for middle in np.ndindex(*dims):
+        near = np.full((3, min(most, n) + 2 * STEP), np.nan, np.float32)
+        count = gather_around(points, grid.start, grid.dims, middle, most, near)
+        around = points[:, (np.abs(place - middle) <= 1).all(axis=1)]  # in the order of the cells' rows
+        every = max(1, -(-around.shape[1] // most))
+        assert count == -(-around.shape[1] // every) <= most
+        np.testing.assert_array_equal(near[:, :count], around[:, ::every])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_grid_without_the_removed_points_is_that_of_the_others(share):
+    rng = np.random.default_rng(5)
+    grid, points, index = gridded(500, (4, 3, 5), rng)
+    removed = rng.random(500) < share
+    left = np.count_nonzero(~removed)
+    start, kept, numbers = np.empty_like(grid.start), np.empty((3, left), np.float32), np.empty(left, np.int32)
+    remove(grid.start, removed, points, index, start, kept, numbers)
+    np.testing.assert_array_equal(kept, points[:, ~removed])
+    np.testing.assert_array_equal(numbers, index[~removed])
+    cell = np.repeat(np.arange(60), np.diff(grid.start[:-1]))
+    np.testing.assert_array_equal(np.diff(start[:-1]), np.bincount(cell[~removed], minlength=60))
+    assert start[0] == 0
+
+
+@pytest.mark.parametrize("most", [1, 3, 40, 1000])
+def test_of_a_cell_that_is_too_full_evenly_spread_points_are_surplus(most):
+    grid, _, _ = gridded(500, (4, 3, 5), np.random.default_rng(6))
+    surplus = np.ones(500, bool)
+    left = mark_surplus(grid.start, most, surplus)
+    assert left == np.count_nonzero(~surplus)
+    for first, end in zip(grid.start[:-2], grid.start[1:-1], strict=True):
+        n = end - first
+        stays = np.flatnonzero(~surplus[first:end])
+        assert len(stays) == min(n, most)
+        if n > most:  # no gap is longer than the mean one, rounded up
+            assert np.diff(np.concatenate([[-1], stays])).max() <= -(-n // most)

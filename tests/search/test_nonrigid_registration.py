@@ -8,8 +8,8 @@ from ddakf.config import Registration
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.garment import model
 from ddakf.kernels import nonrigid_registration as kernels
-from ddakf.kernels.associate import vertex_normals
 from ddakf.kernels.cluster_alignment import centers
+from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.search.nonrigid_registration import Target, register, rows
 from tests.stages.scenes import about, rms, scan, tube
@@ -68,9 +68,7 @@ def test_clusters_that_move_as_one_move_every_vertex_so():
     middle = np.random.default_rng(0).normal(size=(K, 3))
     moved = np.empty_like(TUBE.vertices)
     clusters = MODEL.clusters
-    kernels.blend(
-        TUBE.vertices, clusters.nearest, clusters.share, middle, middle @ turn.T + 0.3, np.tile(turn, (K, 1, 1)), moved
-    )
+    kernels.blend(TUBE.vertices, clusters.nearest, clusters.share, middle, middle @ turn.T + 0.3, np.tile(turn, (K, 1, 1)), moved)
     np.testing.assert_allclose(moved, TUBE.vertices @ turn.T + 0.3, atol=1e-12)
 
 

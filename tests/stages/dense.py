@@ -164,3 +164,12 @@ def gauss_newton(jacobian, majorised: bool = True) -> np.ndarray:
             block = 4 * np.where(vertex[:, None] == vertex, block, 0.0)
         total += block
     return total
+
+
+def blockdiag(numbers: np.ndarray) -> np.ndarray:
+    """(3V, 3V) from the xx yy zz xy xz yz of each vertex."""
+    n = len(numbers)
+    total = np.zeros((n, 3, n, 3))
+    for k, (a, b) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
+        total[np.arange(n), a, np.arange(n), b] = total[np.arange(n), b, np.arange(n), a] = numbers[:, k]
+    return total.reshape(3 * n, 3 * n)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Tracker
-from ddakf.kernels import uncertainty as kernels
-from ddakf.kernels.uncertainty import LEAST, LogLaw
+from ddakf.kernels.error_size import LEAST, LogLaw
 from ddakf.stages import error_size
 from ddakf.stages.error_size import SizeEvidence, Sizes
 from tests.tracker_runs import FPS, SHIRT, TUBE, cloud, scan
@@ -37,8 +36,7 @@ def resized_by_matrices(covariance, normal, sizes, powers):
     v = np.maximum(np.einsum("va,vab,vb->v", normal, covariance, normal), LEAST)
     t = np.maximum(0.5 * (np.einsum("vaa->v", covariance) - v), LEAST)
     a, b = (
-        size * (np.sqrt(u) / error_size.USUAL) ** power / np.sqrt(u)
-        for size, u, power in zip(sizes, (v, t), powers, strict=True)
+        size * (np.sqrt(u) / error_size.USUAL) ** power / np.sqrt(u) for size, u, power in zip(sizes, (v, t), powers, strict=True)
     )
     M = a[:, None, None] * n + b[:, None, None] * (np.eye(3) - n)
     return M @ covariance @ M
@@ -49,19 +47,6 @@ def test_resizing_is_a_congruence_by_matrices(scale):
     covariance, normal, sizes = scale * covariances(), normals(), RNG.uniform(0.001, 0.1, (2, N))
     expected = resized_by_matrices(covariance, normal, sizes, (0.4, 0.3))
     np.testing.assert_allclose(resized(covariance, normal, *sizes, (0.4, 0.3)), expected, rtol=1e-9, atol=1e-15)
-
-
-def test_logarithms_of_the_laws_are_those_of_numpy():
-    """Of no evidence and of much, of scales that both laws share and of others."""
-    patch, seen = RNG.integers(0, 7, N).astype(np.int32), RNG.random(N) < 0.5
-    by_patch, by_vertex = RNG.exponential(size=(3, 7)), RNG.exponential(size=(2, N)) * (RNG.random((2, N)) < 0.5)
-    scale, power, base = RNG.uniform(0.1, 1, (5, 2)), RNG.uniform(0, 1, (5, 2)), RNG.normal(size=(2, 2))
-    scale[::2, 1] = scale[::2, 0]
-    got = np.empty((2, N))
-    kernels.log_factors(by_patch, by_vertex, patch, seen, LogLaw(scale, power, base), got)
-    values = np.vstack([by_patch[:, patch], by_vertex])
-    terms = power.T[:, :, None] * np.log(1.0 + values / scale.T[:, :, None])
-    np.testing.assert_allclose(got, base[:, seen.astype(int)] + terms.sum(axis=1), rtol=1e-12, atol=1e-12)
 
 
 def test_with_powers_of_zero_the_sizes_are_those_of_the_laws():
@@ -92,10 +77,9 @@ def test_a_resized_covariance_is_one_and_keeps_its_shape_in_the_tangent_plane():
 @pytest.mark.parametrize("law", [Config().normal_error, Config().tangential_error], ids=["normal", "tangential"])
 def test_evidence_makes_errors_larger_and_never_smaller(name, law):
     worse = NOTHING._replace(**{name: 10 * getattr(law, f"{name}_scale") + 0 * getattr(NOTHING, name)})
-    factor, none = (
-        np.exp(error_size._log_factors(found, (law, law), np.arange(N), (np.zeros(N, bool), [[0.0, 0.0]] * 2))[0])
-        for found in (worse, NOTHING)
-    )
+    both = (np.array([values(law)] * 2).T for values in (error_size._SCALES, error_size._POWERS))
+    laws, patch, seen = LogLaw(*both, np.zeros((2, 2))), np.arange(N), np.zeros(N, bool)
+    factor, none = (np.exp(error_size._log_factors(found, laws, patch, seen)[0]) for found in (worse, NOTHING))
     np.testing.assert_array_equal(none, 1.0)
     assert (factor > 1.0).all() == (getattr(law, f"{name}_power") > 0.0)
     np.testing.assert_allclose(factor, 11.0 ** getattr(law, f"{name}_power"))

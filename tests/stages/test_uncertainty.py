@@ -7,16 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 
 from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.body import body_anchor
 from ddakf.body.proximity import Contact
 from ddakf.config import Uncertainty
 from ddakf.garment import model
-from ddakf.kernels import uncertainty as kernels
-from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
+from ddakf.kernels.uncertainty import PatchMeans
 from ddakf.mesh import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import error_size, fuse, uncertainty
@@ -240,15 +237,6 @@ def evidence_of(run: Solved):
     return uncertainty._evidence(problem, run.update, run.update.planes.weight, surface)
 
 
-def blockdiag(numbers: np.ndarray) -> np.ndarray:
-    """(3V, 3V) from the xx yy zz xy xz yz of each vertex."""
-    n = len(numbers)
-    total = np.zeros((n, 3, n, 3))
-    for k, (a, b) in enumerate([(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]):
-        total[np.arange(n), a, np.arange(n), b] = total[np.arange(n), b, np.arange(n), a] = numbers[:, k]
-    return total.reshape(3 * n, 3 * n)
-
-
 @pytest.mark.parametrize("seen", list(SEEN))
 @pytest.mark.parametrize("name", list(MESHES))
 def test_drift_becomes_the_exact_marginals_where_the_coupling_is_all_that_was_known(name, seen):
@@ -257,7 +245,7 @@ def test_drift_becomes_the_exact_marginals_where_the_coupling_is_all_that_was_kn
     evidence, n = evidence_of(run), run.garment.mesh.n_vertices
     C = run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n)
     got = uncertainty._updated(problem_of(run.garment, None), np.linalg.inv(C).astype(np.float32), evidence, run.update.system.B)
-    exact = np.linalg.inv(C + blockdiag(evidence.means.information))
+    exact = np.linalg.inv(C + dense.blockdiag(evidence.means.information))
     ratio = traces(diagonal_blocks(got)) / traces(diagonal_blocks(exact))
     np.testing.assert_allclose(ratio, 1.0, rtol=0.02)
 
@@ -269,7 +257,7 @@ def test_drift_is_the_covariance_of_errors_that_go_through_the_update(seen):
     evidence, n = evidence_of(run), run.garment.mesh.n_vertices
     root = np.random.default_rng(1).normal(scale=0.003, size=(3 * n, 3 * n))
     P = root @ root.T
-    M = blockdiag(evidence.means.information)
+    M = dense.blockdiag(evidence.means.information)
     gain = np.linalg.inv(run.exact("stretch", "shear", "rigid") + Uncertainty().least_information * np.eye(3 * n) + M)
     left, noise = (np.eye(3 * n) - gain @ M) @ root, gain @ np.linalg.cholesky(M + 1e-9 * np.eye(3 * n))
     expected = left @ left.T + noise @ noise.T
@@ -286,91 +274,6 @@ def test_measurements_count_as_one_per_patch_for_a_few_frames(name):
     together = run.garment._replace(patch=np.zeros_like(run.garment.patch), likeness=np.ones((1, 1), np.float32))
     total = run._replace(garment=together)
     np.testing.assert_allclose(evidence_of(total).means.information[0], one_each.mean(axis=0), rtol=1e-9)
-
-
-@pytest.mark.parametrize("measured", [0.0, 0.3, 1.0])
-@pytest.mark.parametrize("isotropic", [False, True])
-def test_sums_and_means_of_patches_are_those_of_numpy(measured, isotropic):
-    rng, n, count = np.random.default_rng(3), 40, 5
-    position, last, prior, surface, normal = rng.normal(size=(5, n, 3))
-    surface, normal = (each / np.linalg.norm(each, axis=1, keepdims=True) for each in (surface, normal))
-    patch, strain, variance = rng.permutation(np.arange(n) % count).astype(np.int32), rng.random(n), rng.uniform(1, 2, n)
-    weight = rng.uniform(0.1, 1, n) * (rng.random(n) < measured)
-    sums = PatchSums(*(np.empty((count, *more)) for more in ((), (), (6,), (3,), (4,), (4,), (), ())))
-    means = PatchMeans(*(np.empty((count, *more)) for more in ((6,), (), (), (), (), ())))
-    planes = MeasuredPlanes(weight, normal, variance, isotropic)
-    kernels.sum_by_patch(position, last, prior, surface, patch, strain, planes, sums)
-    kernels.patch_means(sums, 4.0, 0.02, means)
-    member, used = np.eye(count)[patch].T, weight > 0
-    seen = (member * used).sum(axis=1)
-    matrices = np.eye(3) if isotropic else normal[:, :, None] * normal[:, None, :]
-    information = np.einsum("kv,vab->kab", member, (weight / variance)[:, None, None] * matrices)
-    rows, columns = [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]
-    per = np.maximum(seen, 1.0)
-    np.testing.assert_allclose(means.information, information[:, rows, columns] / (4.0 * per)[:, None], atol=1e-12)
-    facing = (member * used) @ normal / per[:, None]
-    np.testing.assert_allclose(means.bend, np.maximum(1.0 - np.square(facing).sum(axis=1), 0.02), atol=1e-12)
-    np.testing.assert_allclose(means.strain2, member @ strain / member.sum(axis=1))
-    sine2 = (1.0 - np.einsum("va,va->v", surface, normal) ** 2) * used
-    expected = np.where(seen > 0, member @ sine2 / per, sine2.sum() / max(seen.sum(), 1.0))
-    np.testing.assert_allclose(means.turned, expected, atol=1e-12)
-    for got, step, chosen in ((means.motion2, position - last, np.ones(n)), (means.innovation2, position - prior, used)):
-        about = step - (chosen @ step) / max(chosen.sum(), 1.0)
-        chosen_of = member * chosen
-        np.testing.assert_allclose(
-            got, chosen_of @ np.square(about).sum(axis=1) / np.maximum(chosen_of.sum(axis=1), 1.0), atol=1e-12
-        )
-
-
-@pytest.mark.parametrize("measured", [0.0, 0.4, 1.0])
-def test_errors_grow_and_are_updated_as_matrices_are(measured):
-    rng, count = np.random.default_rng(4), 7
-    n = 3 * count
-    roots = rng.normal(size=(2, n, n))
-    P, C = 1e-4 * roots[0] @ roots[0].T, 10.0 * roots[1] @ roots[1].T + 1e3 * np.eye(n)
-    normal = rng.normal(size=(count, 3, 3)) * 60.0 * (rng.random(count) < measured)[:, None, None]
-    blocks = normal @ normal.transpose(0, 2, 1)
-    information = blocks[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    G = np.linalg.inv(C + blockdiag(information))
-    F, got = np.eye(n) - G @ blockdiag(information), np.empty((n, n), np.float32)
-    assert kernels.update_errors(P.astype(np.float32), G.astype(np.float32), information, got)
-    expected = F @ P @ F.T + G @ blockdiag(information) @ G
-    assert np.abs(got - expected).max() < 1e-4 * np.abs(expected).max()
-    np.testing.assert_array_equal(got, got.T)
-    assert not kernels.update_errors(P.astype(np.float32), np.full((n, n), np.nan, np.float32), information, got)
-    similar, growth2 = np.exp(-rng.random((count, count))).astype(np.float32), rng.uniform(0, 1e-3, count)
-    for ceiling in (10.0, 0.01):
-        kernels.grow(P.astype(np.float32), similar, growth2, ceiling, got)
-        expected = P + np.kron(np.sqrt(growth2)[:, None] * similar * np.sqrt(growth2), np.eye(3))
-        expected *= min(1.0, ceiling**2 / expected.diagonal().max())
-        np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
-
-
-@pytest.mark.parametrize("isotropic", [False, True])
-def test_covariances_of_vertices_are_those_of_their_patches_given_the_measurement(isotropic):
-    rng, n, count = np.random.default_rng(5), 30, 4
-    root = rng.normal(scale=0.01, size=(3 * count, 3 * count))
-    drift, added, bend = (root @ root.T).astype(np.float32), rng.uniform(0, 1e-4, count), rng.uniform(0, 1, count)
-    patch, normal = rng.integers(0, count, n).astype(np.int32), rng.normal(size=(n, 3))
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    weight, variance, got = rng.uniform(0, 1, n) * (rng.random(n) < 0.7), rng.uniform(1e-6, 1e-4, n), np.empty((n, 3, 3))
-    planes = MeasuredPlanes(weight, normal, variance, isotropic)
-    kernels.vertex_covariances(drift, 1.3, added, bend, patch, planes, got)
-    for i in range(n):
-        at = slice(3 * patch[i], 3 * patch[i] + 3)
-        expected = 1.3 * drift[at, at].astype(float) + added[patch[i]] * np.eye(3)
-        if weight[i] > 0 and isotropic:
-            expected = np.linalg.inv(np.linalg.inv(expected) + weight[i] / variance[i] * np.eye(3))
-        elif weight[i] > 0:
-            g = expected @ normal[i]
-            along = normal[i] @ g
-            known = along + variance[i] / weight[i] + bend[patch[i]] * (np.trace(expected) - along)
-            expected = expected - np.outer(g, g) / known
-        np.testing.assert_allclose(got[i], expected, rtol=1e-6, atol=1e-12)
-    mean, largest = kernels.mean_and_largest_trace(got)
-    assert (mean, largest) == (pytest.approx(traces(got).mean()), pytest.approx(traces(got).max()))
-    got[3, 1, 1] = np.nan
-    assert not np.isfinite(kernels.mean_and_largest_trace(got)).any()
 
 
 # What is reported -----------------------------------------------------------------------------------------------------
@@ -451,21 +354,6 @@ def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_c
     assert nothing.max() >= distance.max()
     for law in (Config().normal_error, Config().tangential_error):
         assert law.distance_power > 0.0
-
-
-@given(seed=st.integers(0, 2**32 - 1), most=st.sampled_from([0.02, 0.05, 10.0]))
-@settings(max_examples=20, deadline=None, derandomize=True)
-def test_distances_along_the_cloth_are_those_of_shortest_paths(seed, most):
-    rng = np.random.default_rng(seed)
-    garment = model.build(MESHES["tube"])
-    n = garment.mesh.n_vertices
-    seen = rng.random(n) < rng.choice([0.0, 0.02, 0.5])
-    distance = np.empty(n)
-    kernels.distance_along_cloth(seen, garment.start, garment.neighbour, garment.rest_length, most, distance)
-    row = np.repeat(np.arange(n), np.diff(garment.start.astype(int)))
-    graph = csr_array((garment.rest_length.astype(float), (row, garment.neighbour.astype(int))), (n, n))
-    expected = dijkstra(graph, indices=np.flatnonzero(seen), min_only=True) if seen.any() else np.full(n, np.inf)
-    np.testing.assert_allclose(distance, np.minimum(expected, most), rtol=1e-5, atol=1e-7)
 
 
 def test_a_cloud_that_lies_off_the_surface_makes_all_less_certain():

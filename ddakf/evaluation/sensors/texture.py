@@ -9,7 +9,7 @@ import numpy as np
 
 from ddakf.errors import InvalidArgument
 from ddakf.files.sequence import Sequence
-from ddakf.kernels.associate import vertex_normals
+from ddakf.kernels.normals import vertex_normals
 
 Pattern = Literal["plain", "stripes", "checks", "print"]
 
