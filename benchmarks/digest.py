@@ -65,7 +65,7 @@ def _cases(arguments):
 
 
 def digest(case: tuple[str, str, str, int]) -> str:
-    """Of the results of one run: all arrays and numbers but the timings."""
+    """Of the results of one run: all arrays and numbers but the times, in timings and usage."""
     name, condition, preset, frames = case
     view, _, body = condition.partition("+")
     sensor = Sensor("full" if view == "search" else "front" if view == "person" else view, 10_000, segmented=view != "person")
@@ -85,7 +85,7 @@ def digest(case: tuple[str, str, str, int]) -> str:
             body_vertices=frame.body_vertices if preset == "default" else None,
         )
         for field in dataclasses.fields(result):
-            if field.name != "timings":
+            if field.name not in ("timings", "usage"):
                 value = getattr(result, field.name)
                 total.update(value.encode() if isinstance(value, str) else np.ascontiguousarray(value).tobytes())
         if number == frames // 2:
