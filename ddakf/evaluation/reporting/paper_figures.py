@@ -23,6 +23,7 @@ PANEL = 340  # pixels, of a panel's height
 SMALL, LARGE, DPI = 7.5, 9.0, 150  # points, of the texts in print; dots per inch
 POINT = (40, 70, 120)
 MOST_LINES = 5  # of Figure 3
+BESIDE = ((0.98, "right", "bottom"), (0.02, "left", "top"))  # labels of the references' lines, where few systems are
 MARKERS = {"kf": "v", "icp": "s", "icp-rigid": "P", "pf": "^", "opt-ed": "D", "nicp": "o", "paper": "x", "printed": "X",
            "ddakf": "*"}  # fmt: skip
 INK = "#23262e"
@@ -99,8 +100,9 @@ def speed(path: Path, result: Result) -> None:
                 continue
             if method in REFERENCES:
                 axis.axhline(error, color="0.6", linewidth=0.8, linestyle=STYLES[REFERENCES.index(method)], zorder=0)
-                axis.annotate(TITLES[method], (0.02, error), xycoords=("axes fraction", "data"), fontsize=SMALL, color="0.4",
-                              va="bottom")  # fmt: skip
+                left, across, up = BESIDE[REFERENCES.index(method)]
+                axis.annotate(TITLES[method], (left, error), xycoords=("axes fraction", "data"), fontsize=SMALL, color="0.4",
+                              ha=across, va=up)  # fmt: skip
                 continue
             size = 11 if method == "ddakf" else 5.5
             style = {"color": COLOUR.get(method, INK), "markersize": size, "linestyle": "", "label": TITLES.get(method, method)}
