@@ -42,7 +42,7 @@ class Lanes:
         self._answer, self._send = answer, send
         self._light, self._heavy, self._building = SimpleQueue(), SimpleQueue(), SimpleQueue()
         self._unanswered: dict[str, deque[Message]] = {}  # by session, the one on a lane first
-        self._n_aside = 0
+        self._n_aside, self._stopped = 0, False
         self._changed, self._sending = threading.Condition(), threading.Lock()
         self._threads = ThreadPoolExecutor(FRAMES + 1, "lane")
         for name, requests, makes_room in (
@@ -60,6 +60,11 @@ class Lanes:
             if len(unanswered) == 1:
                 self._enqueue(request)
 
+    def stop(self) -> None:
+        """Begins no further answer. Those that have begun are finished."""
+        with self._changed:
+            self._stopped = True
+
     def _enqueue(self, request: Message) -> None:
         if request.kind in _BUILDING:
             self._building.put(request)
@@ -70,7 +75,10 @@ class Lanes:
         """Gives each request of a lane its turn."""
         while True:
             turn = _Turn(requests.get())
-            self._threads.submit(self._answer_on_thread, turn)
+            with self._changed:
+                if self._stopped:
+                    return
+                self._threads.submit(self._answer_on_thread, turn)
             if not self._ends_in_time(turn):
                 used_slice = turn.processor_seconds() >= _SLICE
                 self._tell(Message(Kind.ASIDE, turn.request.number, content=b"slice" if used_slice else b""))

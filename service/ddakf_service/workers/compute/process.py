@@ -67,6 +67,7 @@ def work(channel: BlockingChannel, host: TrackerHost) -> None:
     lanes = Lanes(lambda request: _answer(host, request), channel.send)
     while (request := channel.receive()) is not None:
         lanes.put(request)
+    lanes.stop()  # nobody waits for the answers
 
 
 def _answer(host: TrackerHost, request: Message) -> Message:

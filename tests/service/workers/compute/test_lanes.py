@@ -106,3 +106,19 @@ def test_the_server_learns_whether_a_slice_was_used_or_time_was_spent_waiting(ga
     gate.put(1, "one", content)
     message = gate.told.get(timeout=PATIENCE)
     assert (message.kind, message.number, bool(message.content)) == (Kind.ASIDE, 1, used_slice)
+
+
+def test_after_a_stop_no_further_answer_begins():
+    before = set(threading.enumerate())
+    gate = Gate()
+    light = next(thread for thread in set(threading.enumerate()) - before if thread.name == "light")
+    gate.put(1, "a", b"held")
+    gate.put(2, "b", b"held")
+    gate.put(3, "c")
+    assert [gate.aside(), gate.aside()] == [1, 2]
+    gate.lanes.stop()
+    gate.released.set()
+    assert sorted(gate.answered(2)) == [1, 2]
+    light.join(PATIENCE)
+    assert not light.is_alive()
+    assert gate.told.empty()
