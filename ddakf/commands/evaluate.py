@@ -116,6 +116,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     if arguments.frames != ":":
         size = replace(size, frames=arguments.frames, moving=arguments.frames)
     plans = paper_studies.studies(size, arguments.sequences or None)
+    everything = [arguments.results / f"{name}.json" for name in plans]
     chosen = _names(arguments.only) or list(plans)
     if unknown := [name for name in chosen if name not in plans]:
         raise InvalidArgument("only", f"some of {', '.join(plans)}", unknown[0])
@@ -136,7 +137,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
         out = arguments.results / f"{name}.json"
-        run_study(plan, out, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
+        run_study(plan, out, arguments.procs, console, again, others=everything, allow_dirty=arguments.allow_dirty)
     if not arguments.only:
         paper_studies.save_error_maps(size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")

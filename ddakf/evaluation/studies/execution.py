@@ -92,15 +92,34 @@ def title(row: dict) -> str:
 
 
 def run_study(
-    plan: StudyPlan, out: Path, procs: int, console: Console, again: Collection[str] = (), *, allow_dirty: bool = False
+    plan: StudyPlan,
+    out: Path,
+    procs: int,
+    console: Console,
+    again: Collection[str] = (),
+    *,
+    others: Collection[Path] = (),
+    allow_dirty: bool = False,
 ) -> dict:
     """Runs the missing trials of a checked plan and those of ``again``, writes the result file and returns the result.
+
+    Args:
+        plan: of the study.
+        out: result file; the row log lies beside it.
+        procs: processes.
+        console: for progress.
+        again: see :func:`execute`.
+        others: result files of other studies, whose runs are taken over where they are of the same trial.
+        allow_dirty: also with uncommitted code.
 
     Raises:
         InvalidArgument: uncommitted code, for a result of the checkout, without ``allow_dirty``.
     """
     machine.require_committed(out, allow_dirty)
-    wanted, row_log = plan.trials(), RowLog(out.with_suffix(".rows.jsonl"))
+    wanted, row_log = plan.trials(), RowLog(_log_of(out))
+    for other in others:
+        if taken := row_log.take_over(wanted, RowLog(_log_of(other))):
+            console.print(f"{taken} of {len(wanted)} runs are taken over from {other.stem}")
     try:
         execute(wanted, row_log, procs, console, again)
     except KeyboardInterrupt:
@@ -121,6 +140,10 @@ def run_study(
     result = study_summary.summarise(rows, meta)
     out.write_text(result_json(result))
     return result
+
+
+def _log_of(out: Path) -> Path:
+    return out.with_suffix(".rows.jsonl")
 
 
 def result_json(result: dict) -> str:

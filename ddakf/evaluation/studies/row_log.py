@@ -51,6 +51,13 @@ class RowLog:
         chosen = self._rows if trials is None else [trial for trial in trials if trial in self._rows]
         return [complete(self._rows[trial]) for trial in chosen]
 
+    def take_over(self, trials: list[Trial], other: RowLog) -> int:
+        """Adds the other log's rows of those trials that were not run here; how many those are."""
+        taken = [trial for trial in trials if other.done(trial) and not self.done(trial)]
+        for trial in taken:
+            self.add(other._rows[trial])
+        return len(taken)
+
     def add(self, row: dict) -> None:
         """Appends a row. It replaces an older one of the same trial, which stays in the file."""
         self.path.parent.mkdir(parents=True, exist_ok=True)

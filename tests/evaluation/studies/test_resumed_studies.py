@@ -39,6 +39,18 @@ def test_a_larger_study_runs_what_is_new_alone(systems, tmp_path):
     assert second["results"][0] == first["results"][0]
 
 
+def test_a_trial_of_two_studies_runs_once(systems, tmp_path):
+    noisy, plain = tmp_path / "noise-3.json", tmp_path / "untouched.json"
+    first = run_study(plan("frozen", "broken"), plain, 1, QUIET)
+    said = Console(file=StringIO(), width=200)
+    second = run_study(plan("frozen", "nicp", "broken"), noisy, 1, said, others=[plain, noisy, tmp_path / "never-run.json"])
+    assert "1 of 3 runs are taken over from untouched" in said.file.getvalue()
+    assert second["results"][0] == first["results"][0]
+    taken, *own = (tmp_path / "noise-3.rows.jsonl").read_text().splitlines()
+    assert taken in (tmp_path / "untouched.rows.jsonl").read_text()
+    assert len(own) == 2, "one that is new, and one that had failed"
+
+
 def test_a_system_that_failed_is_tried_again(systems, tmp_path, monkeypatch):
     out = tmp_path / "out.json"
     run_study(plan("broken"), out, 1, QUIET)
