@@ -488,6 +488,7 @@ class Estimate(NamedTuple):
     motion: LocalRigidity
     information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
     evidence: Evidence  # of the last pass
+    gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
     contacts: Contacts | None = None  # on the body; None: not searched
     planes: Planes | None = None
     system: System | None = None

@@ -28,6 +28,11 @@ class Physics(Checked):
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
     faces_followed: int = bounded(16, 1, 1000)  # frames in which each vertex's nearest face is sought in the whole body once
+    weight: float = bounded(1.2e4, 0, 1e12)  # 1/m^3: weight of cloth that the body holds, force per area
+    inertia: float = bounded(0.5, 0, 1)  # share of the body's acceleration that leaves its cloth behind
+    strongest_inertia: float = bounded(3.0, 0, 100)  # times gravity: the body's acceleration counts up to here
+    pressed_within: float = bounded(0.03, 1e-4, 1)  # m from the body at which cloth is pressed on it by half of its weight
+    carrying_share: float = bounded(0.1, 1e-4, 1)  # of the garment that lies on upward surface of the body: it carries it all
     self_collision: float = bounded(0.0, 0, 1e15)  # 1/m^4 between layers of the garment
     layer_reach: float = bounded(1.0, 0.01, 10)  # mean edge lengths within which a vertex of another layer is sought
     layer_separation: float = bounded(3.0, 0.01, 100)  # mean edge lengths: vertices closer at rest are of one layer

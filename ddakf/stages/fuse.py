@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.body import weight as cloth_weight
 from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import colour as colour_kernels
 from ddakf.kernels import conjugate_gradients as solver
@@ -28,12 +29,14 @@ def begin(problem: Problem) -> Estimate:
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
     rest_weight = problem.health.physics_lambda * physics.rest_rigidity
     motion_weight = physics.motion_rigidity * min(1.0, physics.motion_time / problem.dt)
+    rest = rigidity.to_rest(model, rest_weight, problem.rotation, physics.strain_followed, problem.resting)
     return Estimate(
         position=prior.position,
-        rest=rigidity.to_rest(model, rest_weight, problem.rotation, physics.strain_followed, problem.resting),
+        rest=rest,
         motion=rigidity.since(problem.motion_start, model, motion_weight),
         information=inverse_blocks(prior.P_pp, floor),
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
+        gravity=cloth_weight.force(problem, rest.rotation),
     )
 
 
@@ -146,6 +149,8 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, D, force)
+    if estimate.gravity is not None:
+        force[:, :3] += estimate.gravity
     if energies.self_collision is not None:
         self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, D, force)
     rigid = (estimate.rest, estimate.motion)

@@ -1,0 +1,115 @@
+"""Weight of cloth on a body: what of it the start does not balance."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker
+from ddakf.body import body_anchor, contact, weight
+from ddakf.config import Physics
+from ddakf.garment import model
+from ddakf.types import Health, Setup, Track
+from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
+
+MESH = tube()
+BODY = inner_body(MESH)
+GARMENT = model.build(MESH)
+V = MESH.n_vertices
+UPRIGHT = np.tile(np.eye(3), (V, 1, 1))
+DOWN = np.array([0.0, -1.0, 0.0])
+
+
+def frame(physics=None, velocity=None, carried=None, contacts=None, dt=1 / FPS):
+    """A frame in which the body holds the tube."""
+    config = Config() if physics is None else dataclasses.replace(Config(), physics=physics)
+    constants = contact.build(BODY, 0.1)
+    under = contact.start(constants, MESH.vertices, config.physics)._replace(velocity=velocity, contacts=contacts)
+    anchor = body_anchor.start(Setup(GARMENT, constants, config), BODY.vertices, MESH.vertices)
+    last = Track(None, None, None, 0.0, Health(), None, under, anchor)
+    return body_anchor.measure(problem_of(GARMENT, None, config, last=last, body=posed(BODY), dt=dt, carried=carried))
+
+
+def force_of(problem, rotation=UPRIGHT):
+    """(V, 3) force over that of the weight of each vertex."""
+    areas = GARMENT.area / V * GARMENT.vertex_share.astype(float)
+    return weight.force(problem, rotation) / (problem.config.physics.weight * areas)[:, None]
+
+
+def resting_on(normal) -> contact.Contacts:
+    """Contacts of a garment that lies on surface that faces so everywhere."""
+    found = contact.nearest(posed(BODY), MESH.vertices)
+    closest = found.closest._replace(
+        distance=np.zeros(V), normal=np.tile(np.asarray(normal, float), (V, 1)), face=np.zeros(V, found.closest.face.dtype)
+    )
+    return found._replace(closest=closest)
+
+
+def test_where_the_track_starts_the_weight_is_balanced():
+    np.testing.assert_allclose(force_of(frame()), 0.0, atol=1e-12)
+
+
+def test_cloth_that_has_turned_hangs_another_way():
+    turned = np.tile(about([1.0, 0.0, 0.0], np.pi / 2), (V, 1, 1))  # what was down is now -z
+    np.testing.assert_allclose(force_of(frame(), turned), np.tile(DOWN - [0.0, 0.0, -1.0], (V, 1)), atol=1e-6)
+    about_vertical = np.tile(about([0.0, 1.0, 0.0], 1.0), (V, 1, 1))
+    np.testing.assert_allclose(force_of(frame(), about_vertical), 0.0, atol=1e-6)
+
+
+def test_the_weight_is_that_of_the_cloth_and_not_of_its_vertices():
+    turned = np.tile(about([1.0, 0.0, 0.0], np.pi), (V, 1, 1))
+    total = weight.force(frame(), turned).sum(axis=0)
+    np.testing.assert_allclose(total, 2.0 * Physics.weight * GARMENT.area * DOWN, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("dt", [1 / FPS, 1 / 10])
+def test_a_body_that_accelerates_leaves_its_cloth_behind(dt):
+    before, acceleration = np.array([0.3, 0.0, 0.1]), np.array([4.0, 2.0, 0.0])
+    moving = np.tile(before, (V, 1))
+    steady = frame(velocity=moving, carried=dt * moving, dt=dt)
+    np.testing.assert_allclose(force_of(steady), 0.0, atol=1e-9)
+    faster = frame(velocity=moving, carried=dt * (moving + dt * acceleration), dt=dt)
+    np.testing.assert_allclose(
+        force_of(faster), np.tile(-Physics.inertia * acceleration / weight.GRAVITY, (V, 1)), rtol=1e-5, atol=1e-9
+    )
+
+
+def test_a_jump_of_the_body_model_throws_nothing_off():
+    jump = frame(velocity=np.zeros((V, 3)), carried=np.tile([0.5, 0.0, 0.0], (V, 1)))
+    size = np.linalg.norm(force_of(jump), axis=1)
+    np.testing.assert_allclose(size, Physics.inertia * Physics.strongest_inertia, rtol=1e-6)
+
+
+def test_cloth_is_pressed_onto_surface_that_carries_it_and_onto_no_wall():
+    np.testing.assert_allclose(force_of(frame(contacts=resting_on([0.0, 1.0, 0.0]))), np.tile(DOWN, (V, 1)), atol=1e-6)
+    for normal in ([1.0, 0.0, 0.0], [0.0, -1.0, 0.0]):
+        np.testing.assert_allclose(force_of(frame(contacts=resting_on(normal))), 0.0, atol=1e-9)
+
+
+def test_without_a_hold_there_is_no_weight():
+    held = frame()
+    assert weight.force(held._replace(anchored=None), UPRIGHT) is None
+    assert weight.force(frame(Physics(weight=0.0)), UPRIGHT) is None
+
+
+def drape(**physics) -> float:
+    """Metres by which the end of a sleeve sinks that nobody sees, when the arm in it turns from upright to level.
+
+    The sleeve is a tube of cloth; the arm is thinner, so the sleeve hangs from it.
+    """
+    arm = Mesh(MESH.vertices * [0.3, 1.0, 0.3], MESH.faces)
+    config = dataclasses.replace(Config(), physics=Physics(**physics))
+    tracker, middle = Tracker(MESH, body=arm, config=config), MESH.vertices.mean(axis=0)
+    visible = MESH.vertices[:, 1] > np.median(MESH.vertices[:, 1])
+    for k in range(1, 31):
+        turned = about([0.0, 0.0, 1.0], np.pi / 2 * min(1.0, k / 15)).T
+        shape = (MESH.vertices - middle) @ turned + middle
+        points = scan(shape, MESH, seed=k)
+        near = np.linalg.norm(points[:, None, :] - shape[visible][None, ::4, :], axis=2).min(axis=1) < 0.03
+        result = tracker.step(points[near], timestamp=k / FPS, body_vertices=(arm.vertices - middle) @ turned + middle)
+    assert rms((result.vertices - shape)[visible]) < 0.02
+    return float((shape - result.vertices)[~visible][:, 1].mean())
+
+
+def test_a_hidden_sleeve_sinks_when_the_arm_is_raised():
+    assert drape() > drape(weight=0.0) + 0.001
