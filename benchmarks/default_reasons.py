@@ -23,6 +23,7 @@ REASONS = {
     "Start.speed_sd": "chosen; not in the paper",
     "Start.search": "the paper starts at the truth",
     "Start.least_points": "chosen: fewer points fix no heading",
+    "Start.up": "convention of CLOTH3D and SMPL",
     "Start.first_step": "chosen: 30 frames per second",
     "Discretisation.clusters": "chosen: their equations, six unknowns each, are still solved exactly",
     "Discretisation.patches": "chosen: the covariance of their error costs the cube of their number",

@@ -17,8 +17,7 @@ import numpy as np
 
 from ddakf.types import Problem
 
-GRAVITY = 9.81  # m/s^2, against y, which is up: docs/conventions.md
-UP = 1  # axis
+GRAVITY = 9.81  # m/s^2
 
 
 def force(problem: Problem, rotation: np.ndarray) -> np.ndarray | None:
@@ -28,23 +27,21 @@ def force(problem: Problem, rotation: np.ndarray) -> np.ndarray | None:
         problem: the frame, with the pseudo-measurements of the body anchor.
         rotation: (V, 3, 3) of the one-rings, from the shape in which the cloth is at rest.
     """
-    model, config = problem.model, problem.config.physics
+    model, config, up = problem.model, problem.config.physics, problem.config.start.to_y_up[1]
     if problem.anchored is None or config.weight == 0:
         return None
-    direction = rotation[:, :, UP] * (1.0 - _pressed(problem))[:, None]
-    direction[:, UP] -= 1.0
-    direction -= _left_behind(problem)
+    direction = (rotation @ up) * (1.0 - _pressed(problem, up))[:, None] - up - _left_behind(problem)
     return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction
 
 
-def _pressed(problem: Problem) -> np.ndarray:
+def _pressed(problem: Problem, up: np.ndarray) -> np.ndarray:
     """(V,) in [0, 1]: share of its weight with which cloth is pressed onto the body, by its contacts in the last frame."""
     contacts, config = problem.last.body.contacts, problem.config.physics
     if contacts is None:
         return np.zeros(len(problem.model.vertex_share))
     face, normal, distance = contacts.closest.face, contacts.closest.normal, np.maximum(contacts.closest.distance, 0.0)
     near = np.where(face < 0, 0.0, 1.0 / (1.0 + np.square(distance / config.pressed_within)))
-    carrying = float((near * np.square(np.maximum(normal[:, UP], 0.0))).mean())
+    carrying = float((near * np.square(np.maximum(normal @ up, 0.0))).mean())
     return min(1.0, (carrying / config.carrying_share) ** 2) * near
 
 

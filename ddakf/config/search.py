@@ -4,7 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from ddakf.config.checked import Checked, bounded
+from ddakf.errors import InvalidConfig
+
+# by the axis that points upward: rotation of the world to one in which y does
+_TO_Y_UP = {
+    "x": ((0, -1, 0), (1, 0, 0), (0, 0, 1)),
+    "y": ((1, 0, 0), (0, 1, 0), (0, 0, 1)),
+    "z": ((1, 0, 0), (0, 0, 1), (0, -1, 0)),
+    "-x": ((0, 1, 0), (-1, 0, 0), (0, 0, 1)),
+    "-y": ((1, 0, 0), (0, -1, 0), (0, 0, -1)),
+    "-z": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
+}
 
 
 @dataclass(frozen=True)
@@ -16,6 +29,17 @@ class Start(Checked):
     first_step: float = bounded(1.0 / 30.0, 1e-3, 10)  # s, assumed between the start and the first frame
     search: bool = True  # search for the garment when the first cloud, or the first after a loss, lies elsewhere
     least_points: int = bounded(100, 1, 1_000_000)  # points of a cloud that is searched
+    up: str = "y"  # axis of the world that points upward: x, y, z, -x, -y (as in a camera's own axes) or -z
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.up not in list(_TO_Y_UP):  # a list: what is not hashable is not in it either
+            raise InvalidConfig("Start.up", f"one of {', '.join(_TO_Y_UP)}", repr(self.up))
+
+    @property
+    def to_y_up(self) -> np.ndarray:
+        """(3, 3) rotation of the world to one in which y points upward; its second row is the direction upward."""
+        return np.array(_TO_Y_UP[self.up], float)
 
 
 @dataclass(frozen=True)

@@ -248,6 +248,7 @@ def locate(problem: Problem) -> Problem:
         return _settle(problem)
     health = health._replace(postponed=False)
     problem = problem._replace(health=health)
+    turn = config.start.to_y_up  # the search turns garments about y
     shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
         shapes.append(model.mesh.vertices)
@@ -257,13 +258,13 @@ def locate(problem: Problem) -> Problem:
         return problem
     unseen = problem.dt + health.empty_for + health.poor_for
     heading_sd = np.radians(rule.heading_sd) + np.radians(rule.heading_rate) * unseen
-    target = Target.from_points(frame.points, frame.sensor_origin, config.registration)
-    search = Search(model, target, config)
+    search, shapes = Search(model, _target(frame, config), config), [shape @ turn.T for shape in shapes]
     found, cost = _best(shapes, search, heading_sd)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading_sd))
     if cost > min(rule.cost_ratio * staying, rule.highest_cost):
         return problem
+    found = found @ turn
     start = State.at(found, np.zeros_like(found), rule.found_sd, config.start.speed_sd, 1.0)
     return problem._replace(
         prior=start._replace(R=prior.R),
@@ -272,6 +273,12 @@ def locate(problem: Problem) -> Problem:
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
+
+
+def _target(frame: FrameInput, config: Config) -> Target:
+    """The cloud of a frame, its world turned so that y points upward."""
+    turn, origin = config.start.to_y_up, frame.sensor_origin
+    return Target.from_points(frame.points @ turn.T, None if origin is None else origin @ turn.T, config.registration)
 
 
 def _overturned(shape: np.ndarray, search: Search, heading_sd: float) -> tuple[float, float] | None:
@@ -307,8 +314,8 @@ def _settle(problem: Problem) -> Problem:
     garment = skin_removal.remove_skin(problem.frame, problem, prior.position, config.skin_removal.cloth_distance)
     if len(garment.points) == 0:
         return problem._replace(health=health)
-    target = Target.from_points(garment.points, garment.sensor_origin, config.registration)
-    position = register(prior.position, target, model, config.registration.settling())
+    turn, settling = config.start.to_y_up, config.registration.settling()
+    position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
     prior = _moved(prior, position, config.relocalization.settling_sd)
     return problem._replace(prior=prior, motion_start=position, rotation=rigidity.rotations(position, model), health=health)
 
@@ -334,8 +341,8 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
     position, config = problem.prior.position, problem.config.relocalization
     if len(garment.points) == 0:
         return config.truncation
-    target = Target.from_points(garment.points, garment.sensor_origin, problem.config.registration)
-    surface = Surface.from_garment(position, problem.model, target)
+    target = _target(garment, problem.config)
+    surface = Surface.from_garment(position @ problem.config.start.to_y_up.T, problem.model, target)
     there, back = _distances(surface, target, config.cost_samples, config)
     if skin_removal.apart(garment.points, position, config.truncation).mean() > problem.config.evidence.foreign_share:
         return back
