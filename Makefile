@@ -27,7 +27,7 @@ help:
 	@echo "make cluster-test  two gateways on a Ray cluster and PostgreSQL: an actor, a node, a gateway killed, a node and a gateway drained (ARGS='--worker-kind local ...')"
 	@echo "make fuzz    100,000 damaged inputs to everything that reads bytes, schemathesis, adversarial frames (ARGS='--inputs 10000 ...')"
 	@echo "make evaluate  every system of the paper on every sequence, into results/ (hours; goes on where it was; ARGS='--runs 1')"
-	@echo "make headline  its study of untouched recordings with three seeds, resumed, and its tables and figures (ARGS='--again ddakf')"
+	@echo "make headline  its study of untouched recordings with five seeds, resumed, and its tables and figures (ARGS='--again ddakf')"
 	@echo "make report    the paper's tables and figures from results/, into out/report"
 	@echo "make report-quick  both, small: 2 sequences, 3 conditions, 2 seeds, 30 frames, into out/quick"
 	@echo "make image   the container image, with Docker or Buildah (make image-slim: without Pillow; image-s3, image-ray: with those extras)"
@@ -172,7 +172,7 @@ evaluate: $(DEV)
 # the untouched study with one seed, and without what takes longer than a frame
 SYSTEMS := still,carried,kf,icp,pf,opt-ed,nicp,printed,ddakf
 headline: $(DEV)
-	@$(BIN)/ddakf evaluate --paper --only untouched --runs 3 --no-surfaces --methods $(SYSTEMS) --results results $(ARGS)
+	@$(BIN)/ddakf evaluate --paper --only untouched --runs 5 --no-surfaces --methods $(SYSTEMS) --results results $(ARGS)
 	@$(BIN)/ddakf report --results results --out out/report --markdown docs/results.md docs/results/untouched.md \
 	  docs/results/paper.md docs/results/depth.md
 	@cp out/report/speed.png out/report/calibration.png docs
