@@ -23,6 +23,7 @@ from ddakf.stages.grid import distinct
 from ddakf.types import Model
 
 CELL_BITS = 21  # of a cell's number along an axis: three of them fit into an int64
+NO_TURN = np.eye(3)
 NO_BODY, NO_SURFELS, NO_ORIGIN = np.empty((0, 3)), np.empty((6, 0), np.float32), np.zeros(3)  # occluders that are absent here
 # Directions in which the outside of a cloud is sought: 24 around, none from above or below, through the neck.
 VIEWS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if x or z], float)
@@ -40,10 +41,12 @@ class Target(NamedTuple):
     sensors: np.ndarray | None  # (S, 3) m; None: seen from all around
 
     @classmethod
-    def from_points(cls, points: np.ndarray, sensor_origin: np.ndarray | None, config: Registration) -> Target:
-        """A target of (N, 3) points, N > 0, and the (3,) or (N, 3) positions of their sensors, metres."""
+    def from_points(
+        cls, points: np.ndarray, sensor_origin: np.ndarray | None, config: Registration, turn: np.ndarray = NO_TURN
+    ) -> Target:
+        """A target of (N, 3) points, N > 0, and the (3,) or (N, 3) positions of their sensors, metres; all turned by (3, 3)."""
         stride = -(-len(points) // config.input_points)
-        points = points[::stride].astype(np.float64)
+        points = points[::stride].astype(np.float64) @ turn.T
         origin = np.median(points, axis=0)
         points -= origin
         chosen = _subsampled(points, config.spacing)
@@ -57,9 +60,9 @@ class Target(NamedTuple):
             outward(sample, dense, VIEWS, config.view_cell, config.view_depth, normal, signed)
             return cls(origin, sample, normal, signed, dense, None)
         if sensor_origin.ndim == 1:
-            sensors = eye = sensor_origin[None] - origin
+            sensors = eye = sensor_origin[None] @ turn.T - origin
         else:
-            sensors, eye = distinct(sensor_origin) - origin, sensor_origin[::stride][chosen] - origin
+            sensors, eye = (o @ turn.T - origin for o in (distinct(sensor_origin), sensor_origin[::stride][chosen]))
             sensors = sensors[:: -(-len(sensors) // config.sensors)]
         normal[:, np.einsum("an,na->n", normal, eye - sample.T) < 0] *= -1.0
         return cls(origin, sample, normal, signed, dense, sensors)

@@ -277,8 +277,7 @@ def locate(problem: Problem) -> Problem:
 
 def _target(frame: FrameInput, config: Config) -> Target:
     """The cloud of a frame, its world turned so that y points upward."""
-    turn, origin = config.start.to_y_up, frame.sensor_origin
-    return Target.from_points(frame.points @ turn.T, None if origin is None else origin @ turn.T, config.registration)
+    return Target.from_points(frame.points, frame.sensor_origin, config.registration, config.start.to_y_up)
 
 
 def _overturned(shape: np.ndarray, search: Search, heading_sd: float) -> tuple[float, float] | None:

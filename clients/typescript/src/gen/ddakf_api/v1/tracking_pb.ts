@@ -173,7 +173,7 @@ export type Session = Message<"ddakf_api.v1.Session"> & {
 
   /**
    * Configuration of the tracker as a JSON object of stages of fields, {"associate": {"wide_gate": 0.3}}; empty: defaults.
-   * Answers contain the complete configuration in force.
+   * Answers contain the complete configuration in force. {"start": {"up": "z"}} where the clients' world has z upward.
    *
    * @generated from field: string config_json = 5;
    */
