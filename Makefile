@@ -176,7 +176,6 @@ headline: $(DEV)
 	@$(BIN)/ddakf report --results results --out out/report --markdown docs/results.md docs/results/untouched.md \
 	  docs/results/paper.md docs/results/depth.md
 	@cp out/report/speed.png out/report/calibration.png docs
-	@gzip -9nc results/untouched.rows.jsonl > results/untouched.rows.jsonl.gz
 
 report: $(DEV)
 	@$(BIN)/ddakf report --results results --out out/report

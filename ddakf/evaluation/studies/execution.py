@@ -19,6 +19,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextCol
 from ddakf.evaluation import machine
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.studies import study_summary, worker_processes
+from ddakf.evaluation.studies.kept_rows import kept_rows
 from ddakf.evaluation.studies.row_log import RowLog
 from ddakf.evaluation.studies.study_plan import StudyPlan
 from ddakf.evaluation.trials.trial import Trial
@@ -116,9 +117,9 @@ def run_study(
         InvalidArgument: uncommitted code, for a result of the checkout, without ``allow_dirty``.
     """
     machine.require_committed(out, allow_dirty)
-    wanted, row_log = plan.trials(), RowLog(_log_of(out))
+    wanted, row_log = plan.trials(), _log_of(out)
     for other in others:
-        if taken := row_log.take_over(wanted, RowLog(_log_of(other))):
+        if taken := row_log.take_over(wanted, _log_of(other)):
             console.print(f"{taken} of {len(wanted)} runs are taken over from {other.stem}")
     try:
         execute(wanted, row_log, procs, console, again)
@@ -134,6 +135,7 @@ def run_study(
         "machine": machine.describe() | {"processes": procs},
         "seeds": list(range(1, plan.runs + 1)),
         "frames": plan.frames,
+        "surfaces": plan.settings.surfaces,
         "seconds": round(sum(row.get("seconds") or 0.0 for row in rows)),
         "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"} | plan.unheeded(),
     }
@@ -142,8 +144,9 @@ def run_study(
     return result
 
 
-def _log_of(out: Path) -> Path:
-    return out.with_suffix(".rows.jsonl")
+def _log_of(out: Path) -> RowLog:
+    """The row log beside a result file, with the runs of the result."""
+    return RowLog(out.with_suffix(".rows.jsonl"), kept_rows(out))
 
 
 def result_json(result: dict) -> str:

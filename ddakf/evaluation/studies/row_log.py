@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -15,18 +15,16 @@ class RowLog:
     """A file of rows, one JSON object per line.
 
     Args:
-        path: of the file, which the first row creates; or a file of this name and ``.gz`` is there, which is unpacked.
+        path: of the file, which the first row creates.
+        earlier: rows of trials that were run elsewhere; those that the file lacks are appended to it.
 
     Raises:
         InvalidFile: a line that is no row.
     """
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path, earlier: Iterable[dict] = ()):
         self.path = path
         self._rows: dict[Trial, dict] = {}
-        packed = path.with_name(path.name + ".gz")
-        if packed.is_file() and not path.is_file():
-            path.write_bytes(gzip.decompress(packed.read_bytes()))
         *lines, rest = path.read_bytes().split(b"\n") if path.is_file() else [b""]
         self._cut_off = len(rest)  # bytes of an incomplete last line, which the next row overwrites
         for number, line in enumerate(lines, 1):
@@ -35,6 +33,9 @@ class RowLog:
                 self._rows[Trial.from_row(row)] = row
             except (ValueError, TypeError, KeyError, AttributeError) as error:
                 raise InvalidFile(f"{path}, line {number}", "a row of a study", f"{line[:40]!r}") from error
+        for row in earlier:
+            if not self.done(Trial.from_row(row)):
+                self.add(row)
 
     def done(self, trial: Trial) -> bool:
         """True if the trial was run and did not fail."""

@@ -53,7 +53,7 @@ class StudyPlan:
 
     def _trial(self, name: str, view: str, seed: int, system: str) -> Trial:
         view, _, body = view.partition("+")
-        first, frames = _frames(self.frames, self.settings.every)
+        first, frames = tracked_span(self.frames, self.settings.every)
         own = {"view": view, "body": bool(body), "seed": seed, "variant": system, "first": first, "frames": frames}
         return replace(self.settings, sequence=name, **own)
 
@@ -95,7 +95,7 @@ class StudyPlan:
                 raise InvalidArgument("frames", f"at most :{len(known)}, the frames of {name}", repr(self.frames))
 
 
-def _frames(text: str, every: int) -> tuple[int, int | None]:
+def tracked_span(text: str, every: int) -> tuple[int, int | None]:
     """The first frame of ``A:B``, and the most frames to track (None for all)."""
     first, colon, last = text.partition(":")
     if not colon or not all(part == "" or part.isdecimal() for part in (first, last)):

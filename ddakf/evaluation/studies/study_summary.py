@@ -55,6 +55,7 @@ TESTED = (
     "bend_error_deg", "penetration_mm", "flicker", "acceleration_variance", "residual_mm", "own_flicker", "end_point_error_mm",
 )  # fmt: skip
 HIGHER_IS_BETTER = ("iou",)
+KEPT = "kept"  # field of a row that stands for a run of a result
 RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in the frames BEFORE
 
 
@@ -99,7 +100,9 @@ def has_result(row: dict) -> bool:
 
 
 def _run(row: dict) -> dict:
-    run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes")}
+    if KEPT in row:
+        return row[KEPT]
+    run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes"), "seconds": row.get("seconds")}
     run |= {name: row.get(key) for name, key in VALUES.items()}
     frames = row["per_frame"]
     for score in ("reliability", "paper_score"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import multiprocessing
 import os
@@ -10,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from io import StringIO
 
 import pytest
@@ -22,7 +22,7 @@ from ddakf.evaluation.studies import worker_processes
 from ddakf.evaluation.studies.execution import execute, run_study
 from ddakf.evaluation.studies.row_log import RowLog
 from ddakf.evaluation.trials import methods
-from tests.evaluation.studies.small import QUIET, Frozen, plan
+from tests.evaluation.studies.small import QUIET, SMALL, Frozen, plan
 
 pytestmark = pytest.mark.slow
 
@@ -128,14 +128,34 @@ def test_two_processes_give_the_rows_of_one(tmp_path):
         assert {k: v for k, v in a.items() if k not in TIMES} == {k: v for k, v in b.items() if k not in TIMES}
 
 
-def test_a_packed_log_is_gone_on_with(tmp_path, systems):
-    path, wanted = tmp_path / "j.rows.jsonl", plan("frozen", runs=2).trials()
-    execute(wanted[:1], RowLog(path), 1, QUIET)
-    path.with_name("j.rows.jsonl.gz").write_bytes(gzip.compress(path.read_bytes()))
-    path.unlink()
-    assert [RowLog(path).done(trial) for trial in wanted] == [True, False]
-    execute(wanted, RowLog(path), 1, QUIET)
-    assert path.read_text().count("\n") == 2
+def test_a_study_goes_on_from_its_result_alone(tmp_path, systems, code):
+    out, wanted = tmp_path / "out.json", ("frozen", "absent", "broken")
+    code("old")
+    first = run_study(plan(*wanted, runs=2, views=("full", "front+body")), out, 1, QUIET)
+    (tmp_path / "out.rows.jsonl").unlink()
+    code("new")
+    second = run_study(plan(*wanted, "ddakf", runs=3, views=("full", "front+body")), out, 1, QUIET)
+    before, after = ({(cell["view"], cell["method"]): cell for cell in result["results"]} for result in (first, second))
+    for place, cell in before.items():
+        assert after[place]["runs"][:2] == cell["runs"]
+        assert after[place].get("not_applicable") == cell.get("not_applicable")
+    assert [run["commit"] for run in after["full", "frozen"]["runs"]] == ["old", "old", "new"]
+    assert [run["commit"] for run in after["full", "ddakf"]["runs"]] == ["new"] * 3
+    again = run_study(plan(*wanted, "ddakf", runs=3, views=("full", "front+body")), out, 1, QUIET)
+    assert again["results"] == second["results"]
+
+
+def test_a_result_of_other_conditions_is_not_gone_on_with(tmp_path, systems, code):
+    out = tmp_path / "out.json"
+    code("old")
+    run_study(plan("frozen"), out, 1, QUIET)
+    for other in ({"frames": "0:6"}, {"settings": replace(SMALL, noise=0.001)}, {"settings": replace(SMALL, surfaces=False)}):
+        (tmp_path / "out.rows.jsonl").unlink()
+        code(str(other))
+        assert run_study(plan("frozen", **other), out, 1, QUIET)["meta"]["commits"] == [str(other)]
+    out.write_text('{"meta": 1}')
+    with pytest.raises(InvalidFile, match="the result of a study"):
+        run_study(plan("frozen"), out, 1, QUIET)
 
 
 class Started:
