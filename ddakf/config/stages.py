@@ -220,7 +220,7 @@ class EvidenceScales(Checked):
     slip_scale: float = bounded(5.0, 1e-12, 1e6)  # inverse share
     offset_scale: float = bounded(0.0005, 1e-12, 1e6)  # m
     distance_scale: float = bounded(0.1, 1e-12, 1e6)  # m
-    reached_scale: float = bounded(0.1, 1e-12, 1e6)  # m
+    free_scale: float = bounded(0.001, 1e-12, 1e6)  # m^2
     turned_scale: float = bounded(0.01, 1e-12, 1e6)  # squared sine
     moved_scale: float = bounded(0.003, 1e-12, 1e6)  # m
     soft_scale: float = bounded(0.0004, 1e-12, 1e6)  # squared strain
@@ -231,48 +231,48 @@ class EvidenceScales(Checked):
 class NormalError(EvidenceScales):
     """Size of a vertex's error along its normal: a base times the product of (1 + evidence / scale)^power."""
 
-    seen: float = bounded(0.00063, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00075, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00104, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.353, 0, 2)  # of the claimed error over 5 mm
-    unmatched_power: float = bounded(0.0, 0, 10)
-    hem_power: float = bounded(0.163, 0, 10)
-    unseen_power: float = bounded(0.056, 0, 10)
-    clearance_power: float = bounded(0.647, 0, 10)
-    slack_power: float = bounded(0.207, 0, 10)
-    strain_power: float = bounded(0.145, 0, 10)
-    slip_power: float = bounded(0.11, 0, 10)
-    offset_power: float = bounded(0.245, 0, 10)
-    distance_power: float = bounded(1.017, 0, 10)
-    reached_power: float = bounded(0.621, 0, 10)
-    turned_power: float = bounded(0.337, 0, 10)
-    moved_power: float = bounded(0.223, 0, 10)
-    soft_power: float = bounded(0.0, 0, 10)
-    blind_power: float = bounded(0.181, 0, 10)
+    seen: float = bounded(0.00067, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00071, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00105, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.389, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.007, 0, 10)
+    hem_power: float = bounded(0.164, 0, 10)
+    unseen_power: float = bounded(0.03, 0, 10)
+    clearance_power: float = bounded(0.397, 0, 10)
+    slack_power: float = bounded(0.194, 0, 10)
+    strain_power: float = bounded(0.158, 0, 10)
+    slip_power: float = bounded(0.125, 0, 10)
+    offset_power: float = bounded(0.22, 0, 10)
+    distance_power: float = bounded(1.053, 0, 10)
+    free_power: float = bounded(0.5, 0, 10)
+    turned_power: float = bounded(0.344, 0, 10)
+    moved_power: float = bounded(0.171, 0, 10)
+    soft_power: float = bounded(0.092, 0, 10)
+    blind_power: float = bounded(0.119, 0, 10)
 
 
 @dataclass(frozen=True)
 class TangentialError(EvidenceScales):
     """The same across its normal."""
 
-    seen: float = bounded(0.00084, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00075, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00088, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.361, 0, 2)  # of the claimed error over 5 mm
-    unmatched_power: float = bounded(0.056, 0, 10)
-    hem_power: float = bounded(0.267, 0, 10)
-    unseen_power: float = bounded(0.041, 0, 10)
-    clearance_power: float = bounded(0.164, 0, 10)
-    slack_power: float = bounded(0.511, 0, 10)
-    strain_power: float = bounded(0.046, 0, 10)
-    slip_power: float = bounded(0.288, 0, 10)
-    offset_power: float = bounded(0.264, 0, 10)
-    distance_power: float = bounded(0.546, 0, 10)
-    reached_power: float = bounded(0.431, 0, 10)
-    turned_power: float = bounded(0.13, 0, 10)
-    moved_power: float = bounded(0.352, 0, 10)
-    soft_power: float = bounded(0.197, 0, 10)
-    blind_power: float = bounded(0.153, 0, 10)
+    seen: float = bounded(0.00076, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00067, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00076, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.418, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.036, 0, 10)
+    hem_power: float = bounded(0.286, 0, 10)
+    unseen_power: float = bounded(0.054, 0, 10)
+    clearance_power: float = bounded(0.038, 0, 10)
+    slack_power: float = bounded(0.505, 0, 10)
+    strain_power: float = bounded(0.047, 0, 10)
+    slip_power: float = bounded(0.381, 0, 10)
+    offset_power: float = bounded(0.273, 0, 10)
+    distance_power: float = bounded(0.548, 0, 10)
+    free_power: float = bounded(0.262, 0, 10)
+    turned_power: float = bounded(0.139, 0, 10)
+    moved_power: float = bounded(0.319, 0, 10)
+    soft_power: float = bounded(0.154, 0, 10)
+    blind_power: float = bounded(0.147, 0, 10)
 
 
 # G. Reliability -----------------------------------------------------------------------------------------------------

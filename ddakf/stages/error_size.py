@@ -52,7 +52,7 @@ class SizeEvidence(NamedTuple):
     slip: float  # inverse of the least share of a rigid motion that is along the normals, beyond BALL
     offset: float  # m, RMS distance of the cloud from the surface beyond noise, over the last half second
     distance: np.ndarray | float  # (V,) m along the cloth to the nearest measured vertex; 0 beside a body
-    reached: np.ndarray | float  # (V,) the same beside a body; 0 without one
+    free: np.ndarray | float  # (V,) m^2, beside a body the same distance times the clearance; 0 without one
     turned: np.ndarray  # (L,) mean squared sine of the angle between the surface and its planes
     moved: np.ndarray  # (L,) m, RMS motion in this frame, the garment's common one taken out
     soft: float  # squared strain to which the stiffness has adapted
@@ -82,21 +82,21 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     model, means = problem.model, patches.means
     measured = estimate.learnable
     count = np.count_nonzero(measured)
-    clearance, slack = estimate.clearance, body_anchor.slack(problem)
-    beside, away = clearance is not None, _along_cloth(measured, model)
+    slack, beside, away = body_anchor.slack(problem), estimate.clearance is not None, _along_cloth(measured, model)
+    clearance = np.clip(estimate.clearance, 0.0, FARTHEST) if beside else 0.0
     seen_hem = estimate.evidence.measurement.squared_hem
     faces = model.faces[:: -(-len(model.faces) // FACES)]
     return SizeEvidence(
         unmatched=estimate.unmatched if count else 1.0,
         hem=problem.last.drift.hem2 if seen_hem is None else seen_hem,
         unseen=1.0 - patches.observed / patches.size,
-        clearance=np.clip(clearance, 0.0, FARTHEST) if beside else 0.0,
+        clearance=clearance,
         slack=0.0 if slack is None else slack,
         strain=patches.strain,
         slip=max(1.0 / max(least_normal_share(position, faces), LEAST_SHARE) - BALL, 0.0),
         offset=sqrt(problem.health.offset),
         distance=0.0 if beside else away,
-        reached=away if beside else 0.0,
+        free=clearance * away if beside else 0.0,
         turned=means.turned,
         moved=np.sqrt(means.motion2),
         soft=problem.last.strain2,
