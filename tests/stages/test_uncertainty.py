@@ -93,7 +93,7 @@ def without_clearance(config: Config) -> Config:
 def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     """Everywhere: each frame, or each five by the default, whose laws know the strain: it relaxes meanwhile.
 
-    By the default in the mean at first: some strain goes in the first frame without measurements, the angle to the planes as well.
+    By the default in the mean at first: strain goes in the first frame without measurements, the angle to the planes too.
     """
     body = inner_body(GARMENT) if worn else None
     tracker = Tracker(GARMENT, body=body, config=without_clearance(CONFIGS[preset]))
