@@ -2,8 +2,9 @@
 
 Tracks the recordings of the collection, and the captures of DDAKF_DATA, in five views, and in three of them with a slow, a
 sparse and a noisy sensor. Prints by garment and by sensor, for each group of vertices, the share of the vertices in their 90 %
-ellipsoids, NEES/3, and the NEES along the normal and across it, each over its directions. Then, by view, the rank correlation of
-sigma and error within a frame, and that of reliability and error; and the RMSE of the frames by what their reliability says.
+ellipsoids, NEES/3, and the NEES along the normal and across it, each over its directions. Then, by view, over all sensors and
+for the undisturbed one, the rank correlation of sigma and error within a frame, and that of reliability and error; and the RMSE
+of the frames by what their reliability says.
 Training recordings, captures and held-out recordings, on which nothing is chosen, stand apart.
 Draws the shares in the ellipsoids of all levels.
 
@@ -171,13 +172,15 @@ def curves(distances: np.ndarray, rows: Rows) -> dict[str, tuple[list, list]]:
 def rankings(title: str, rows: Rows, frames: Frames, runs: list[Run]) -> list[dict]:
     """Prints and returns by view: Spearman of sigma and error within frames, and how well reliability tells errors of frames."""
     print(f"\n{title}: sigma against error in a frame; reliability against RMSE: rho, ROC area, >= 0.9 and > 0.5 above 50 mm")
-    view = np.array([run.view for run in runs])
-    inside = _within_frames(rows)
-    found = []
-    for name in ["all", *dict.fromkeys(view)]:
-        chosen = np.ones(len(frames.run), bool) if name == "all" else view[frames.run] == name
+    view, usual = np.array([run.view for run in runs]), np.array([run.condition == "" for run in runs])
+    parts = {"all": np.ones(len(runs), bool)}
+    for name in dict.fromkeys(view):
+        parts |= {name: view == name, f"{name}, undisturbed": (view == name) & usual}
+    inside, found = _within_frames(rows), []
+    for name, part in parts.items():
+        chosen = part[frames.run]
         rmse, score, failed = frames.rmse[chosen], frames.reliability[chosen], frames.rmse[chosen] > FAILED
-        rho = [value for run, values in inside.items() if name in ("all", view[run]) for value in values]
+        rho = [value for run, values in inside.items() if part[run] for value in values]
         row = {"view": name, "sigma": np.nanmean(rho), "rho": metrics.spearman(score, rmse), "frames": len(rmse)}
         row |= {"failed": int(failed.sum()), "roc": metrics.roc_auc(-score, failed)}
         row |= {f"{word} while failed": (above & failed).sum() / max(failed.sum(), 1) for word, above in _sure(score).items()}
