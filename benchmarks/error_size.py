@@ -10,10 +10,10 @@ Draws the shares in the ellipsoids of all levels.
 
 ``--fit`` fits the powers and bases of ``NormalError`` and ``TangentialError`` to training recordings and captures (maximum
 likelihood of a Student t with five degrees of freedom, every run the same weight; then the bases of each group, so that the 90 %
-ellipsoids hold 92 % in the mean of the runs: a margin for garments that were not there) and prints them, with the same tables for
-the fitted laws: each garment, and the captures, by laws that were fitted without them. Of ``--preset fast`` only the bases are
-fitted. Likelihoods are compared with those of one size for each group. ``FrameError`` is fitted to the sigmas as reported: in a
-second run, when the other laws are in the configuration.
+ellipsoids hold 92 % in the mean of the undisturbed runs: a margin for garments that were not there) and prints them, with the
+same tables for the fitted laws: each garment, and the captures, by laws that were fitted without them. Of ``--preset fast`` only
+the bases are fitted. Likelihoods are compared with those of one size for each group. ``FrameError`` is fitted to the sigmas as
+reported: in a second run, when the other laws are in the configuration.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ BASES = ("seen", "on_body", "hidden")
 LEVELS = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.99])
 INSIDE = float(chi2.ppf(0.9, 3))  # squared Mahalanobis distance of the 90 % ellipsoid
 DEGREES = 5.0  # of freedom: errors have heavier tails than a normal distribution
-WITHIN = 0.92  # share that the 90 % ellipsoids hold in the mean of the fitted runs
+WITHIN = 0.92  # share that the 90 % ellipsoids hold in the mean of the undisturbed runs that are fitted
 RIDGE = 1e-3  # on the powers: one that says nothing is zero
 FAILED = 0.05  # m, RMSE of a frame that has failed
 WORST = 0.3  # m: larger errors of frames are clipped in the fit: the track is lost
@@ -74,8 +74,11 @@ def _columns(rows: Rows, direction: int) -> np.ndarray:
     return np.column_stack([rows.evidence[:, direction], rows.evidence[:, 2:]])
 
 
-def fitted(rows: Rows, powers: np.ndarray | None = None) -> Fit:
-    """The laws that suit the rows best; with these ``powers``, or None: with powers that are fitted as well."""
+def fitted(rows: Rows, usual: np.ndarray, powers: np.ndarray | None = None) -> Fit:
+    """The laws that suit the rows best, wide enough for the ``usual`` runs (bool).
+
+    With these ``powers``, or None: with powers that are fitted as well.
+    """
     weight = _weights(rows)
     columns, member = [_columns(rows, d) for d in range(2)], np.eye(3)[rows.group]
     n = columns[0].shape[1]
@@ -97,7 +100,7 @@ def fitted(rows: Rows, powers: np.ndarray | None = None) -> Fit:
     bounds = [(None, None)] * 6 + [(0.0, None)] * free
     best = minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 2000}).x
     fit = Fit(best[:6].reshape(2, 3), best[6:].reshape(2, n) if powers is None else powers)
-    return fit._replace(bases=fit.bases + _widening(fit.distances(rows)[:, 0], rows))
+    return fit._replace(bases=fit.bases + _widening(fit.distances(rows)[:, 0], rows, usual))
 
 
 def _weights(rows: Rows) -> np.ndarray:
@@ -107,11 +110,12 @@ def _weights(rows: Rows) -> np.ndarray:
     return 1.0 / count[place] / np.count_nonzero(count)
 
 
-def _widening(distance: np.ndarray, rows: Rows) -> np.ndarray:
-    """(3,) by group, to add to the logarithm of the sizes: then ``WITHIN`` are inside in the mean of the runs."""
-    wide = np.zeros(len(GROUPS))
-    for group in np.unique(rows.group):
-        runs = [distance[(rows.group == group) & (rows.run == r)] for r in np.unique(rows.run[rows.group == group])]
+def _widening(distance: np.ndarray, rows: Rows, usual: np.ndarray) -> np.ndarray:
+    """(3,) by group, to add to the logarithm of the sizes: then ``WITHIN`` are inside in the mean of the usual runs."""
+    wide, judged = np.zeros(len(GROUPS)), usual[rows.run]
+    for group in np.unique(rows.group[judged]):
+        chosen = judged & (rows.group == group)
+        runs = [distance[chosen & (rows.run == r)] for r in np.unique(rows.run[chosen])]
         wide[group] = brentq(lambda s, runs=runs: np.mean([(d < INSIDE * np.exp(2 * s)).mean() for d in runs]) - WITHIN, -5, 5)
     return wide
 
@@ -172,7 +176,7 @@ def curves(distances: np.ndarray, rows: Rows) -> dict[str, tuple[list, list]]:
 def rankings(title: str, rows: Rows, frames: Frames, runs: list[Run]) -> list[dict]:
     """Prints and returns by view: Spearman of sigma and error within frames, and how well reliability tells errors of frames."""
     print(f"\n{title}: sigma against error in a frame; reliability against RMSE: rho, ROC area, >= 0.9 and > 0.5 above 50 mm")
-    view, usual = np.array([run.view for run in runs]), np.array([run.condition == "" for run in runs])
+    view, usual = np.array([run.view for run in runs]), _undisturbed(runs)
     parts = {"all": np.ones(len(runs), bool)}
     for name in dict.fromkeys(view):
         parts |= {name: view == name, f"{name}, undisturbed": (view == name) & usual}
@@ -202,6 +206,10 @@ def said(title: str, frames: Frames, half_error: float) -> list[dict]:
             found.append({key: value if key in ("from", "to", "frames") else _rounded(value) for key, value in row.items()})
             print("  ".join(f"{key} {value}" for key, value in found[-1].items()))
     return found
+
+
+def _undisturbed(runs: list[Run]) -> np.ndarray:
+    return np.array([run.condition == "" for run in runs])
 
 
 def _rounded(value: float) -> float | None:
@@ -255,9 +263,9 @@ def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str =
         found["levels"][f"{name}, present laws"] = curves(today, part)
     if fit:
         training = Rows(*map(np.concatenate, zip(*(of[name] for name in splits if name != collection.HELD_OUT), strict=True)))
-        powers = None if preset == "default" else present(preset).powers
-        laws = fitted(training, powers)
-        others, gained = left_out(training, np.array([run.listed.garment for run in runs]), powers)
+        powers, usual = None if preset == "default" else present(preset).powers, _undisturbed(runs)
+        laws = fitted(training, usual, powers)
+        others, gained = left_out(training, runs, powers)
         found["log_likelihood_gained"] = gained
         found["tables"]["each garment left out"] = table("fitted, each garment left out", others, training, runs)
         found["levels"]["each garment left out"] = curves(others, training)
@@ -271,15 +279,16 @@ def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str =
     return found
 
 
-def left_out(rows: Rows, garments: np.ndarray, powers: np.ndarray | None) -> tuple[np.ndarray, dict[str, float]]:
+def left_out(rows: Rows, runs: list[Run], powers: np.ndarray | None) -> tuple[np.ndarray, dict[str, float]]:
     """(N, 3) distances of each garment's rows by laws that were fitted without it.
 
     And by group the mean gain in log-likelihood over one size for each group, likewise fitted without it; printed.
     """
+    garments, usual = np.array([run.listed.garment for run in runs]), _undisturbed(runs)
     garment, found, gained = garments[rows.run], np.empty((len(rows.run), 3)), np.empty(len(rows.run))
     for name in sorted(set(garment)):
         mine, rest = (Rows(*(column[chosen] for column in rows)) for chosen in (garment == name, garment != name))
-        laws, plain = fitted(rest, powers), fitted(rest, np.zeros((2, 1 + len(SizeEvidence._fields))))
+        laws, plain = (fitted(rest, usual, each) for each in (powers, np.zeros((2, 1 + len(SizeEvidence._fields)))))
         found[garment == name] = laws.distances(mine)
         gained[garment == name] = likelihood(laws, mine) - likelihood(plain, mine)
     weight = _weights(rows)
