@@ -25,10 +25,11 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 14
+VERSION = 15
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
-# vertices' errors, and 13 another law of the frame's, which are not read.
-READ = (11, 12, 13, VERSION)
+# vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
+# size, which are not read, and lacks the offset of hidden cloth.
+READ = (11, 12, 13, 14, VERSION)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
@@ -54,6 +55,8 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
         arrays |= {f"worn_{name}": getattr(track.anchor, name) for name in LEARNED}
     if track.resting is not None:
         arrays["resting_position"] = track.resting.position
+    if track.offset is not None:
+        arrays["offset"] = track.offset
     if track.appearance is not None:
         arrays |= {f"appearance_{name}": getattr(track.appearance, name) for name in SEEN}
     if track.body is not None:
@@ -97,6 +100,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             costs=_costs(numbers.get("costs")),  # absent from earlier snapshots
             resting=_resting(tracker, arrays),
             appearance=_appearance(tracker, arrays),
+            offset=like(first.state.position, arrays, "offset") if "offset" in arrays else None,
         )
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidSnapshot("snapshot", "the state of a tracker", str(error)) from None
@@ -291,8 +295,8 @@ def _present(numbers: dict, version: int) -> dict:
     if version >= VERSION or not isinstance(numbers, dict):
         return numbers
     if isinstance(config := numbers.get("config"), dict):
-        config.pop("vertex_error", None)
-        config.pop("frame_error", None)  # of other fields
+        for law in ("vertex_error", "frame_error", "normal_error", "tangential_error"):  # of other evidence, and fitted together
+            config.pop(law, None)
         for part, field in (("evidence", "free_clearance"), ("reliability", "sigma_share")):
             if isinstance(config.get(part), dict):
                 config[part].pop(field, None)

@@ -17,7 +17,7 @@ from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
 from ddakf.garment import model, working_mesh
 from ddakf.mesh import Mesh, same_mesh
-from ddakf.multiresolution import cluster_alignment
+from ddakf.multiresolution import cluster_alignment, follow
 from ddakf.physics import adaptive_stiffness, energies, rigidity
 from ddakf.planning import omission, plan
 from ddakf.planning.clock import Clock
@@ -145,8 +145,10 @@ class Tracker:
         if frame_gate.collapsed(problem, estimate, verdict):
             estimate, verdict = frame_gate.held(problem, estimate, verdict)
             posterior = uncertainty.posterior(problem, estimate)
-        track = _learned(problem, estimate, posterior, verdict)
-        return track, self._working.result(_result(problem, estimate, posterior, verdict), track.rotation)
+        posterior, offset = follow.follow(problem, estimate, posterior)
+        track = _learned(problem, estimate, posterior, verdict)._replace(offset=offset)
+        result = _result(problem, estimate, posterior, verdict, track.shown(posterior.state.position))
+        return track, self._working.result(result, track.rotation)
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
         """The last result as it will be ``seconds`` after its frame: stage A's prediction, the body moving on as it last did.
@@ -162,7 +164,7 @@ class Tracker:
             InvalidArgument: a result that is not the last step's, a time that is no finite number of 0 or more.
         """
         track, working = self._track, self._working
-        if not np.array_equal(result.vertices, working.carried(track.state.position, track.rotation)):
+        if not np.array_equal(result.vertices, working.carried(track.shown(track.state.position), track.rotation)):
             raise InvalidArgument("result", "that of the last step", "another one")
         if not 0 <= seconds < np.inf:
             raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
@@ -172,7 +174,7 @@ class Tracker:
         covariance = result.covariance + (later.growth if later.growth.ndim == 2 else working.spread(later.growth))
         return dataclasses.replace(
             result,
-            vertices=working.carried(later.position, track.rotation),
+            vertices=working.carried(track.shown(later.position), track.rotation),
             velocities=working.spread(later.velocity),
             covariance=covariance,
             sigma=np.sqrt(variances(covariance)),
@@ -289,10 +291,12 @@ def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict
     )
 
 
-def _result(problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict) -> FrameResult:
+def _result(
+    problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict, vertices: np.ndarray
+) -> FrameResult:
     state, carried = posterior.state, problem.carried
     return FrameResult(
-        vertices=state.position.copy(),
+        vertices=vertices.copy(),
         velocities=state.velocity.copy() if carried is None else state.velocity + carried / problem.dt,
         covariance=posterior.covariance.copy(),
         sigma=np.sqrt(variances(posterior.covariance)),

@@ -40,6 +40,7 @@ def transferred(track: Track, source: Discretised, target: Discretised, kept: Re
         costs=None,
         resting=_resting(track.resting, source, target, kept),
         appearance=_appearance(track.appearance, source, target),
+        offset=None if track.offset is None else _resampled(track.offset, source, target),
     )
 
 

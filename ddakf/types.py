@@ -322,6 +322,11 @@ class Track(NamedTuple):
     costs: Costs | None = None  # learned in frames with a budget; None: there was none
     resting: Resting | None = None  # None: the rest shape is the template's
     appearance: Appearance | None = None  # None: no frame had colours
+    offset: np.ndarray | None = None  # (V, 3) m, by which hidden cloth is shown off its state; None: by nothing
+
+    def shown(self, position: np.ndarray) -> np.ndarray:
+        """(V, 3) metres, positions as results show them."""
+        return position if self.offset is None else position + self.offset
 
 
 # One frame ----------------------------------------------------------------------------------------------------------

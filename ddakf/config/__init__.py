@@ -22,6 +22,7 @@ from ddakf.config.stages import (
     ConstantVelocity,
     DecoupledUpdate,
     ErrorEvidence,
+    Follow,
     FrameError,
     GridFilter,
     InnovationNoise,
@@ -52,6 +53,7 @@ __all__ = [
     "DecoupledUpdate",
     "Discretisation",
     "ErrorEvidence",
+    "Follow",
     "FrameError",
     "GridFilter",
     "InnovationNoise",
@@ -103,6 +105,7 @@ class Config:
     fuse: MapUpdate | DecoupledUpdate = field(default_factory=MapUpdate)
     reliability: Reliability | PaperReliability = field(default_factory=Reliability)
     uncertainty: Uncertainty = field(default_factory=Uncertainty)
+    follow: Follow = field(default_factory=Follow)
     normal_error: NormalError = field(default_factory=NormalError)
     tangential_error: TangentialError = field(default_factory=TangentialError)
     evidence: ErrorEvidence = field(default_factory=ErrorEvidence)
@@ -130,6 +133,7 @@ class Config:
             adapt=InnovationNoise(),
             physics=Physics(stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0),
             fuse=DecoupledUpdate(),
+            follow=Follow(reach=0.0),
             reliability=PaperReliability(),
         )
 

@@ -82,7 +82,7 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     model, means = problem.model, patches.means
     measured = estimate.learnable
     count = np.count_nonzero(measured)
-    slack, beside, away = body_anchor.slack(problem), estimate.clearance is not None, _along_cloth(measured, model)
+    slack, beside, away = body_anchor.slack(problem), estimate.clearance is not None, along_cloth(measured, model)
     clearance = np.clip(estimate.clearance, 0.0, FARTHEST) if beside else 0.0
     seen_hem = estimate.evidence.measurement.squared_hem
     faces = model.faces[:: -(-len(model.faces) // FACES)]
@@ -104,7 +104,7 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     )
 
 
-def _along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:
+def along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:
     """(V,) metres along the cloth from ``measured`` (V,) vertices, at most FARTHEST_ALONG."""
     distance = np.empty(len(measured))
     if not measured.all():

@@ -363,11 +363,11 @@ def test_the_looser_the_garment_hangs_on_the_body_the_less_certain_is_what_is_no
 def test_without_a_body_the_farther_along_the_cloth_from_what_is_seen_the_less_certain():
     garment = model.build(MESHES["larger sheet"])
     seen = garment.mesh.vertices[:, 0] < 0.03
-    distance = error_size._along_cloth(seen, garment)
+    distance = error_size.along_cloth(seen, garment)
     order = np.argsort(garment.mesh.vertices[:, 0][~seen], kind="stable")
     assert np.corrcoef(np.arange(len(order)), distance[~seen][order])[0, 1] > 0.9
     assert (distance[seen] == 0.0).all()
-    nothing = error_size._along_cloth(np.zeros_like(seen), garment)
+    nothing = error_size.along_cloth(np.zeros_like(seen), garment)
     assert (nothing == nothing.max()).all()
     assert nothing.max() >= distance.max()
     for law in (Config().normal_error, Config().tangential_error):

@@ -37,6 +37,7 @@ WITHOUT = {
     "no-correlation": "without motion's correlation", "no-carrying": "without carrying by the body",
     "no-softening": "without softening", "no-clusters": "without clusters", "no-hems": "without hems",
     "no-holding": "without holding to the body",
+    "no-following": "without hidden cloth that follows",
     "no-weight": "without weight of the cloth",
 }  # fmt: skip  # the variants of methods.ablations and methods.refinements
 

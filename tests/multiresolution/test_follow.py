@@ -1,0 +1,84 @@
+"""Hidden cloth of a garment without a body follows the seen cloth near it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker, snapshot
+from ddakf.multiresolution import follow
+from tests.stages.scenes import inner_body, scan, tube
+
+GARMENT = tube()
+ALONE = dataclasses.replace(Config(), follow=dataclasses.replace(Config().follow, reach=0.0))
+
+
+def turned(vertices: np.ndarray, angle: float) -> np.ndarray:
+    """(V, 3) turned about the direction of sight, which a camera sees best."""
+    c, s = np.cos(angle), np.sin(angle)
+    return vertices @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def front(vertices: np.ndarray, frame: int) -> np.ndarray:
+    points = scan(vertices, GARMENT, 3000, 0.001, frame)
+    return points[points[:, 2] > vertices[:, 2].mean() + 0.02]
+
+
+def tracked(config: Config, body: Mesh | None = None, frames: int = 30):
+    """A tube that turns by a degree in each frame and comes nearer, seen from the front: tracker, last result, truth."""
+    tracker = Tracker(GARMENT, body=body, config=config)
+    for k in range(1, frames + 1):
+        truth = turned(GARMENT.vertices, np.radians(1.0 * k)) + [0.0, 0.0, 0.002 * k]
+        more = {} if body is None else {"body_vertices": body.vertices}
+        result = tracker.step(front(truth, k), timestamp=k / 30, sensor_origin=[0.0, 0.0, 3.0], **more)
+    return tracker, result, truth
+
+
+def test_hidden_cloth_is_nearer_to_where_the_seen_cloth_carries_it():
+    (_, alone, truth), (_, led, _) = tracked(ALONE), tracked(Config())
+    hidden = ~led.observed & ~alone.observed
+    assert hidden.mean() > 0.3
+    errors = [np.sqrt(np.square(each.vertices - truth)[hidden].sum(axis=1).mean()) for each in (led, alone)]
+    assert errors[0] < errors[1]
+
+
+def test_seen_cloth_stays_where_it_is_and_the_offset_sets_in_with_distance():
+    tracker, result, _ = tracked(Config())
+    size = np.linalg.norm(tracker._track.offset, axis=1)
+    assert (size[result.observed] == 0).all()
+    border = np.unique(GARMENT.faces[result.observed[GARMENT.faces].any(axis=1)])
+    assert size[border].mean() < 0.5 * size[~result.observed].mean()
+
+
+@pytest.mark.parametrize("config", [ALONE, Config.paper()], ids=["off", "paper"])
+def test_without_it_the_result_is_the_state(config):
+    tracker, result, _ = tracked(config, frames=3)
+    assert tracker._track.offset is None
+    np.testing.assert_array_equal(result.vertices, tracker._track.state.position)
+
+
+def test_with_a_body_or_with_nothing_seen_it_does_nothing():
+    assert tracked(Config(), inner_body(GARMENT), 3)[0]._track.offset is None
+    tracker = tracked(Config(), frames=3)[0]
+    tracker.step(np.empty((0, 3)), timestamp=1.0)
+    assert tracker._track.offset is None
+
+
+def test_a_rigid_motion_is_found_whatever_is_seen():
+    tracker, _, _ = tracked(Config(), frames=3)
+    model, rng = tracker._setup.model, np.random.default_rng(0)
+    start, truth = GARMENT.vertices, turned(GARMENT.vertices, 0.7) + [0.1, 0.2, 0.3]
+    problem = type("Frame", (), {"model": model, "config": Config()})
+    rotation, translation = follow._motions(start, truth, rng.random(len(start)) < 0.5, problem)
+    np.testing.assert_allclose(start @ rotation[0].T + translation[0], truth, atol=1e-9)
+    assert np.allclose(np.linalg.det(rotation), 1.0)
+
+
+def test_a_snapshot_and_a_prediction_know_what_was_shown():
+    tracker, result, _ = tracked(Config())
+    again = snapshot.load(snapshot.save(tracker, 1), Tracker)
+    np.testing.assert_array_equal(again._track.offset, tracker._track.offset)
+    at_once, soon = (tracker.predicted(result, seconds).vertices for seconds in (0.0, 1e-6))
+    np.testing.assert_allclose(soon, at_once, atol=1e-5)
