@@ -189,7 +189,8 @@ def ablation(path: Path, result: Result) -> None:
         axis.scatter(values, names, color=[COLOUR["ddakf"] if m == "ddakf" else INK for m in methods], zorder=2)
         for k, value in enumerate(values):
             axis.text(value, k, f"   {value:.1f}", va="center", fontsize=8, color=INK)
-        axis.set(xlabel="RMSE, mm", title=view, xscale="log")
+        axis.set(xlabel="RMSE, mm", title=CONDITIONS.get(view, view), xscale="log")
+        _numbers(axis.xaxis)
         axis.margins(x=0.18)
         axis.grid(axis="y", color="0.9")
         axis.spines[["top", "right"]].set_visible(False)
