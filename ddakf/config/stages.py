@@ -275,19 +275,6 @@ class TangentialError(EvidenceScales):
     blind_power: float = bounded(0.146, 0, 10)
 
 
-# H. Output -----------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Follow(Checked):
-    """Hidden cloth of a garment without a body, drawn to where the seen cloth near it carries it."""
-
-    reach: float = bounded(0.15, 0, 10)  # m, sd of the weight of seen cloth around a place; 0: hidden cloth does not follow
-    onset: float = bounded(0.1, 1e-3, 10)  # m along the cloth from what is seen, over which following sets in
-    time: float = bounded(1.5, 1e-3, 1e6)  # s, time constant with which the state follows
-    share: float = bounded(0.3, 0, 1)  # of what is left, by which the result follows
-
-
 # G. Reliability -----------------------------------------------------------------------------------------------------
 
 
@@ -338,3 +325,16 @@ class FrameError(Checked):
     sigma_share: float = bounded(0.81, 0, 10)  # three of four frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
     unexplained_power: float = bounded(0.251, 0, 10)
+
+
+# H. Output -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Follow(Checked):
+    """Hidden cloth of a garment without a body, drawn to where the seen cloth near it carries it."""
+
+    reach: float = bounded(0.15, 0, 10)  # m, sd of the weight of seen cloth around a place; 0: hidden cloth does not follow
+    onset: float = bounded(0.1, 1e-3, 10)  # m along the cloth from what is seen, over which following sets in
+    time: float = bounded(1.5, 1e-3, 1e6)  # s, time constant with which the state follows
+    share: float = bounded(0.3, 0, 1)  # of what is left, by which the result follows

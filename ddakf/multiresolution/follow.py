@@ -16,8 +16,9 @@ from ddakf.kernels.cluster_alignment import centers
 from ddakf.stages.error_size import along_cloth
 from ddakf.types import Estimate, Posterior, Problem
 
-# Shares of the vertices: of less cloth no motion is known; with more, hidden cloth has seen cloth on all sides.
-LEAST_SEEN, MOST_SEEN = 0.02, 0.7
+# Shares of the vertices that are seen, and how far hidden cloth then follows: of little cloth no motion is known; of much, hidden
+# cloth has seen cloth on all sides. In between it fades, so that nothing jumps.
+SEEN, FOLLOWED = (0.02, 0.04, 0.5, 0.7), (0.0, 1.0, 1.0, 0.0)
 FARTHEST = 1e-6  # weight of seen cloth at any distance: where none is near, all of it counts
 
 
@@ -33,10 +34,11 @@ def follow(problem: Problem, estimate: Estimate, posterior: Posterior) -> tuple[
     config, seen, model = problem.config.follow, estimate.learnable, problem.model
     if config.reach == 0 or problem.body is not None or problem.health.unplaced:
         return posterior, None
-    if not LEAST_SEEN < seen.mean() < MOST_SEEN:
+    followed = np.interp(seen.mean(), SEEN, FOLLOWED)
+    if followed == 0:
         return posterior, None
     state = posterior.state
-    away = 1.0 - np.exp(-along_cloth(seen, model) / config.onset)
+    away = followed * (1.0 - np.exp(-along_cloth(seen, model) / config.onset))
     start = model.mesh.vertices if problem.resting is None else problem.resting.position
     motion, offset = _motions(start, state.position, seen, problem), np.empty(state.position.shape)
     kernels.offsets(start, state.position, (model.clusters.nearest, model.clusters.share), motion, away, offset)

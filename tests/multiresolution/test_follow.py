@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -64,6 +65,23 @@ def test_with_a_body_or_with_nothing_seen_it_does_nothing():
     tracker = tracked(Config(), frames=3)[0]
     tracker.step(np.empty((0, 3)), timestamp=1.0)
     assert tracker._track.offset is None
+
+
+def test_what_is_shown_does_not_jump_where_more_and_more_is_seen():
+    """The offset of the same garment, were so many of its vertices seen."""
+    tracker, _, _ = tracked(Config())
+    track, model = tracker._track, tracker._setup.model
+    health, resting = track.health, track.resting
+    problem = SimpleNamespace(config=Config(), model=model, body=None, health=health, resting=resting, dt=1 / 30)
+    order, sizes = np.argsort(-GARMENT.vertices[:, 2]), []
+    for count in range(len(order) // 3, len(order)):
+        seen = np.zeros(len(order), bool)
+        seen[order[:count]] = True
+        posterior = SimpleNamespace(state=track.state, _replace=lambda state: state)
+        _, offset = follow.follow(problem, SimpleNamespace(learnable=seen), posterior)
+        sizes.append(0.0 if offset is None else np.linalg.norm(offset, axis=1).max())
+    assert sizes[-1] == 0 < sizes[0]
+    assert np.abs(np.diff(sizes)).max() < 0.15 * max(sizes)
 
 
 def test_a_rigid_motion_is_found_whatever_is_seen():
