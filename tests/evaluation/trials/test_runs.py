@@ -74,7 +74,7 @@ def test_every_ablation_differs_from_the_default_where_its_name_says():
         "no-planes": {"associate"}, "one-association": {"associate", "coarse"}, "no-visibility": {"associate"},
         "no-correlation": {"physics"}, "no-carrying": {"predict"},
         "no-softening": {"physics"}, "no-clusters": {"coarse"}, "no-hems": {"associate"}, "no-holding": {"predict"},
-        "no-weight": {"physics"},
+        "no-weight": {"physics"}, "no-following": {"follow"},
     }  # fmt: skip
     variants = ablations() | refinements()
     assert {name: {s for s in default if c.to_dict()[s] != default[s]} for name, c in variants.items()} == stages
