@@ -13,12 +13,13 @@ from ddakf.evaluation.metrics.calibration import (
     squared_mahalanobis,
 )
 from ddakf.evaluation.metrics.hausdorff import Hausdorff
+from ddakf.evaluation.metrics.limbs import Limbs
 from ddakf.evaluation.metrics.penetration import Depth, Penetration, violating_mm
 from ddakf.evaluation.metrics.rank_correlation import roc_auc, spearman
 from ddakf.evaluation.metrics.resident_memory import ResidentPeak
 from ddakf.evaluation.metrics.scene_flow import EndPointError, end_point_error
 from ddakf.evaluation.metrics.shape import ShapeDifference, crossings
-from ddakf.evaluation.metrics.silhouette import silhouette_cameras, silhouette_iou
+from ddakf.evaluation.metrics.silhouette import Overlap, silhouette_cameras, silhouette_iou, silhouette_overlap
 from ddakf.evaluation.metrics.surface_distance import Residual, SurfaceDistance
 from ddakf.evaluation.metrics.temporal import acceleration_variance_mm2, flicker_mm, frames_until_within, own_flicker_mm
 from ddakf.evaluation.metrics.vertex_error import MM, normal_rmse_mm, rmse_mm, second_moment, tangential_rmse_mm
@@ -29,6 +30,8 @@ __all__ = [
     "Depth",
     "EndPointError",
     "Hausdorff",
+    "Limbs",
+    "Overlap",
     "Penetration",
     "ResidentPeak",
     "Residual",
@@ -51,6 +54,7 @@ __all__ = [
     "second_moment",
     "silhouette_cameras",
     "silhouette_iou",
+    "silhouette_overlap",
     "spearman",
     "squared_mahalanobis",
     "tangential_rmse_mm",

@@ -1,6 +1,8 @@
-"""Silhouettes: agreement of the outlines of two poses of a garment, from cameras all around."""
+"""Silhouettes: agreement of the outlines of two poses of a garment from cameras all around, or with a measured one."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,3 +45,18 @@ def silhouette_iou(estimate: np.ndarray, truth: np.ndarray, faces: np.ndarray) -
         if union:
             shares.append(np.count_nonzero(one & other) / union)
     return float(np.mean(shares)) if shares else float("nan")
+
+
+class Overlap(NamedTuple):
+    """Agreement of a drawn silhouette with a measured one, both ways."""
+
+    iou: float  # |drawn and measured| / |drawn or measured|
+    covered: float  # share of the measured pixels that are drawn
+    inside: float  # share of the drawn pixels that are measured
+
+
+def silhouette_overlap(drawn: np.ndarray, measured: np.ndarray) -> Overlap:
+    """Overlap of two silhouettes, (H, W) bool each; NaN where there is nothing to share."""
+    both, either = np.count_nonzero(drawn & measured), np.count_nonzero(drawn | measured)
+    wholes = (either, np.count_nonzero(measured), np.count_nonzero(drawn))
+    return Overlap(*(both / whole if whole else float("nan") for whole in wholes))

@@ -33,6 +33,8 @@ BEYOND = ("rmse_normal_mm", "rmse_tangential_mm", "hausdorff_mm", "stretch_error
           "penetration_violating_mm", "penetration_share", "ms_per_frame", "fps", "memory_mib_per_frame")  # fmt: skip
 UNTOUCHED_METRICS = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
                      "penetration_mm", "flicker", "ms_per_frame", "fps", "effective_sample_size")  # fmt: skip
+DEPTH = ("held_out_share", "held_out_mm", "iou", "silhouette_covered", "silhouette_inside", "limb_mm", "moved_limb_mm",
+         "drift_mm", "residual_mm", "stretch_percent", "own_flicker", "ms_per_frame")  # fmt: skip
 UNTOUCHED_TESTED = ("rmse_mm", "rmse_normal_mm", "penetration_mm", "flicker")
 JUDGED = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
           "penetration_mm", "flicker")  # fmt: skip
@@ -141,19 +143,19 @@ def _depth(results: dict[str, Result]) -> list[Table]:
     if "captures" in results:
         title = "RMSE in mm on real captures without a body"
         parts.append(paper_tables.by_sequence("captures", title, results["captures"], "rmse_mm"))
+    if "depth" in results:
+        parts.append(paper_tables.comparison("depth", "Real depth without truth, means", results["depth"], DEPTH, {}))
     for name, title, value in (
-        ("depth", "Real depth without truth: mean distance of the points to the surface, mm", "residual_mm"),
-        ("depth", "Real depth without truth: stretch against the first frame, %: a mesh torn to the points has no residual",
-         "stretch_percent"),
-        ("depth", "Real depth without truth: flicker of the estimate itself, mm/frame²", "own_flicker"),
+        ("depth", "Real depth: joints more than 15 cm from their start, distance to the skeleton's, mm", "moved_limb_mm"),
+        ("depth", "Real depth: share of held-out pixels whose depth is predicted within 30 mm", "held_out_share"),
+        ("depth", "Real depth: mean distance of the points to the surface, mm", "residual_mm"),
         ("scene-flow", "DeepDeform: end-point error of the scene flow, mm", "end_point_error_mm"),
     ):  # fmt: skip
         if name in results and any(cell["mean"] and cell["mean"].get(value) is not None for cell in results[name].cells):
             parts.append(paper_tables.by_sequence(f"{name}-{value}", title, results[name], value))
-    if "depth" in results:
-        title = "Real depth without truth: mean reliability that the tracker says"
-        part = paper_tables.by_sequence("depth-reliability", title, results["depth"], "reliability", systems=("paper", "ddakf"))
-        parts.append(part)
+    if "depth" in results and any(cell["runs"] for cell in results["depth"].cells_of("ddakf")):
+        title = "Real depth: DD-AKF's reliability against what can be measured"
+        parts.append(paper_tables.depth_reliability("depth-reliability", title, results["depth"]))
     return parts
 
 

@@ -121,8 +121,8 @@ def speed(path: Path, result: Result) -> None:
 
 
 def residuals(path: Path, result: Result, systems: Iterable[str] = ("icp-rigid", "opt-ed", "nicp", "ddakf")) -> None:
-    """Mean distance of the points to the surface over time, a panel per recording of a real camera."""
-    names = result.sequences[:4]
+    """Mean distance of the points to the surface over time, a panel per recording of a real camera: at most four."""
+    names = [result.sequences[k] for k in np.unique(np.linspace(0, len(result.sequences) - 1, 4).round().astype(int))]
     drawn = figure(7.4, 1.15 * len(names) + 0.3)
     axes = drawn.subplots(len(names), 1, sharex=False, squeeze=False).ravel()
     for axis, name in zip(axes, names, strict=True):

@@ -6,6 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
+from ddakf.evaluation import metrics
 from ddakf.evaluation.paper_scope import TITLES, ordered
 from ddakf.evaluation.reporting import paper_numbers
 from ddakf.evaluation.reporting.result_files import Pooled, Result
@@ -20,21 +23,29 @@ HEADS = {
     "flicker": "flicker, mm/frame²",
     "acceleration_variance": "variance of acceleration, mm²/frame⁴", "ms_per_frame": "ms per frame", "fps": "frames per second",
     "memory_mib_per_frame": "MiB per frame", "recovery_frames": "frames to recover",
-    "effective_sample_size": "effective sample size",
+    "effective_sample_size": "effective sample size", "residual_mm": "points to surface, mm",
+    "own_flicker": "own flicker, mm/frame²",
+    "held_out_mm": "held-out depth, mm", "held_out_share": "held-out pixels within 30 mm",
+    "silhouette_covered": "person covered", "silhouette_inside": "on the person",
+    "limb_mm": "joints, mm", "moved_limb_mm": "moved joints, mm", "drift_mm": "drift after return, mm",
 }  # fmt: skip
 DECIMALS = {
     "iou": 3, "fps": 1, "penetration_mm": 2, "penetration_share": 4, "reliability": 2, "acceleration_variance": 2,
-    "ms_per_frame": 0,
+    "ms_per_frame": 0, "held_out_share": 2, "silhouette_covered": 2, "silhouette_inside": 2,
 }  # fmt: skip
-HIGHER_IS_BETTER = ("iou", "fps", "effective_sample_size")
+HIGHER_IS_BETTER = ("iou", "fps", "effective_sample_size", "held_out_share")
 TRUTH = {  # the truth's own value of metrics that do not compare with it
     "stretch_percent": "stretch_truth_percent", "bend_deg": "bend_truth_deg", "penetration_mm": "penetration_truth_mm",
     "acceleration_variance": "acceleration_variance_truth",
 }  # fmt: skip
-# A frozen, a rigid or a torn garment would win these, or one that was already wrong. A high reliability alone is no merit.
+# A frozen, a rigid, a torn or a shrunken garment would win these, or one that was already wrong. A high reliability alone is no
+# merit.
 UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm", "own_flicker", "recovery_frames",
-            "recovery_ratio", "reliability", "effective_sample_size")  # fmt: skip
+            "recovery_ratio", "reliability", "effective_sample_size", "held_out_mm", "silhouette_covered", "silhouette_inside",
+            "drift_mm")  # fmt: skip
 PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
+WRONG, CONFIDENT = 100.0, 0.5  # mm of the joints; reliability
+DEPTH_FRAMES = ("reliability", "state", "limb_mm", "held_out_share")
 RUNS = {"main": "undisturbed", "occlusion": "with an occlusion"}  # of Table 7
 SIGN = (
     "Of a score that falls where the error grows the correlation is negative. The paper prints positive numbers and says that "
@@ -104,7 +115,7 @@ def comparison(name: str, title: str, result: Result, values: Iterable[str], pap
             if value in paper:
                 row.append(_paper(paper[value].get(method)))
         rows.append(row)
-    if any(value in TRUTH for value in values):
+    if any(value in TRUTH and result.pooled(methods[0], TRUTH[value], chosen) for value in values):
         rows.append(_truth(result, values, paper, chosen))
     notes = _notes(rows, [result], methods)
     lost = {method: result.lost(method, chosen) for method in methods}
@@ -311,6 +322,25 @@ def reliability(name: str, title: str, results: list[Result]) -> Table:
     for error in ("RMSE", "penetration"):
         heads += [f"{error}, {RUNS.get(result.name, result.name)}" for result in results] + ["in the paper"]
     return Table(name, title, heads, rows, [SIGN], results)
+
+
+def depth_reliability(name: str, title: str, result: Result) -> Table:
+    """DD-AKF's reliability on real depth against what can be measured there, a row per recording: means over frames and runs."""
+    heads = ["sequence", "reliability", "frames tracking", "rank correlation with the joints' error", "with the held-out share",
+             f"frames with joints {WRONG:g} mm off", f"of them over {CONFIDENT:g}"]  # fmt: skip
+    rows = []
+    for cell in result.cells_of("ddakf", lambda cell: bool(cell["runs"])):
+        frames = {key: [v for run in cell["runs"] for v in run["per_frame"].get(key, [])] for key in DEPTH_FRAMES}
+        score, held_out = np.array(frames["reliability"]), np.array(frames["held_out_share"], float)
+        error = np.array(frames["limb_mm"], float)  # None is NaN
+        wrong = error > WRONG
+        row = [Path(cell["sequence"]).name, f"{score.mean():.2f}", f"{np.mean([s == 'tracking' for s in frames['state']]):.0%}"]
+        for other in (error, held_out):
+            known = np.isfinite(other) if len(other) else np.zeros(len(score), bool)
+            row.append(f"{metrics.spearman(score[known], other[known]):.2f}" if known.any() else "–")
+        row += [f"{wrong.mean():.0%}" if len(wrong) else "–", f"{(score[wrong] > CONFIDENT).mean():.0%}" if wrong.any() else "–"]
+        rows.append([Cell(text) for text in row])
+    return Table(name, title, heads, rows, [], [result])
 
 
 def p_text(p: float | None) -> str:

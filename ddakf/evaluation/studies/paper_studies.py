@@ -33,7 +33,6 @@ from ddakf.evaluation.trials.variants import ablations, refinements
 MOVING = "30:91"  # frames of the untouched recordings and of the sweeps: all are in motion by then
 OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
 CAPTURES = ("samba_dress", "samba_whole")  # real captures without a body, which have a study of their own
-DEPTH = 4  # number of recordings of a real depth camera
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
         plans["captures"] = StudyPlan(captures, CLOUD_SYSTEMS, ("full", "ring4"), size.runs, size.frames, common)
     recordings, pairs = depth_recording_names()
     if recordings and names is None and size.sweeps:
-        plans["depth"] = StudyPlan(_spread(recordings, DEPTH), CLOUD_SYSTEMS, ("front",), 1, size.frames, common)
+        plans["depth"] = StudyPlan(tuple(recordings), CLOUD_SYSTEMS, ("front",), 1, size.frames, common)
     if pairs and names is None and size.sweeps:
         plans["scene-flow"] = StudyPlan(tuple(pairs), CLOUD_SYSTEMS, ("front",), 1, ":", common)
     if chosen:

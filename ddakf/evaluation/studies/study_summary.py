@@ -42,6 +42,13 @@ VALUES = {  # name in a result: name in a row
     "own_flicker": "own_flicker_mm",
     "end_point_error_mm": "end_point_error_mm",
     "within_5cm": "within_5cm",
+    "held_out_mm": "held_out_mm",
+    "held_out_share": "held_out_share",
+    "silhouette_covered": "silhouette_covered",
+    "silhouette_inside": "silhouette_inside",
+    "limb_mm": "limb_mm",
+    "moved_limb_mm": "moved_limb_mm",
+    "drift_mm": "drift_mm",
     "coverage90": "coverage90",
     "anees": "anees",
     "spearman_sigma": "spearman_sigma",
@@ -49,12 +56,14 @@ VALUES = {  # name in a result: name in a row
     "effective_sample_size": "effective_sample_size",
 }
 CALIBRATION = ("n", "coverage90", "nees3", "inside")
-PER_FRAME = ("rmse_mm", "residual_mm", "penetration_mm", "reliability", "paper_score", "state")
+PER_FRAME = ("rmse_mm", "residual_mm", "penetration_mm", "reliability", "paper_score", "state",
+             "held_out_share", "limb_mm", "moved_limb_mm")  # fmt: skip
 TESTED = (
     "rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_percent", "stretch_error_percent", "bend_deg",
     "bend_error_deg", "penetration_mm", "flicker", "acceleration_variance", "residual_mm", "own_flicker", "end_point_error_mm",
+    "held_out_share", "moved_limb_mm",
 )  # fmt: skip
-HIGHER_IS_BETTER = ("iou",)
+HIGHER_IS_BETTER = ("iou", "held_out_share")
 KEPT = "kept"  # field of a row that stands for a run of a result
 RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in the frames BEFORE
 
@@ -89,7 +98,7 @@ def _cell(sequence: str, view: str, method: str, rows: list[dict]) -> dict:
             cell[reason] = "; ".join(sentences)
     runs = [_run(row) for row in rows if has_result(row)]
     cell["runs"] = runs
-    spreads = {name: statistics.spread([run[name] for run in runs]) for name in VALUES}
+    spreads = {name: statistics.spread([run.get(name) for run in runs]) for name in VALUES}
     cell["mean"] = {name: json_numbers(spread.mean) for name, spread in spreads.items()} if runs else None
     cell["sd"] = {name: json_numbers(spread.sd) for name, spread in spreads.items()} if runs else None
     return cell

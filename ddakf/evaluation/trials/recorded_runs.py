@@ -9,72 +9,95 @@ from dataclasses import replace
 import numpy as np
 
 from ddakf.evaluation import metrics, statistics
-from ddakf.evaluation.datasets import Pair, Recording
+from ddakf.evaluation.datasets import DepthRecording, Pair, Recording
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
+from ddakf.evaluation.trials.depth_score import DepthScore
 from ddakf.evaluation.trials.estimates import MethodFactory
 from ddakf.evaluation.trials.run_score import json_numbers
 from ddakf.evaluation.trials.trial import PAIR_STEPS
 
 
 def recording_row(make: MethodFactory, recording: Recording, frames: range, sensor: Sensor, seed: int) -> dict:
-    """Tracks a recording from a template of its first frame.
+    """Tracks a recording from a template of its first frame, and then back to it.
 
     Args:
         make: of the method, see :func:`ddakf.evaluation.trials.methods.method_factory`.
-        recording: see :class:`ddakf.evaluation.datasets.Recording`.
+        recording: see :class:`ddakf.evaluation.datasets.Recording`. Of depth images some columns are held out.
         frames: to track; the template comes from the frame before.
-        sensor: limit, drop-out, outliers and occlusion to add; the recording has noise of its cpu_started.
+        sensor: limit, drop-out, outliers and occlusion to add; the recording has noise of its own.
         seed: of its random numbers.
 
     Returns:
-        ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm``, ``stretch_pct`` against the template and, where the
-        method provides them, ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``;
-        ``per_frame``.
+        ``frames_tracked``; means of ``residual_mm``, ``residual_p95_mm``, ``stretch_pct`` against the template, those of
+        :class:`ddakf.evaluation.trials.depth_score.DepthScore` for depth images and, where the method provides them,
+        ``reliability``, ``paper_score`` and ``coverage``; ``own_flicker_mm``; times; ``states``; ``clips``; ``per_frame``; and
+        ``drift_mm``, the mean distance of the vertices from the template when the recording has been played back to its frame.
 
     Raises:
         InvalidArgument: a sensor with errors of a depth camera.
     """
     sensor.require_no_camera()
     sensor = replace(sensor, noise=0.0)
-    garment = recording.template(frames.start - frames.step)
+    start = frames.start - frames.step
+    garment = recording.template(start)
+    images = DepthScore(recording, garment, start) if isinstance(recording, DepthRecording) else None
+    recording = images.recording if images else recording
     step, distance = make(garment, garment.vertices, None), metrics.SurfaceDistance(garment)
     shape = metrics.ShapeDifference(garment)
-    values: dict[str, list] = {"number": [], "residual_mm": [], "residual_p95_mm": [], "stretch_pct": []}
+    values: dict[str, list] = {}
     estimates, wall, cpu = [], [], []
-    for number in frames:
+
+    def frame_of(number: int, timestamp: float) -> CapturedFrame:
         cloud = sensor.degrade(recording.cloud(number), np.random.default_rng([seed, number]), number)
-        frame = CapturedFrame(number, recording.timestamp(number), cloud.points, cloud.sensor_origin)
+        return CapturedFrame(number, timestamp, cloud.points, cloud.sensor_origin)
+
+    for number in frames:
+        frame = frame_of(number, recording.timestamp(number))
         started, cpu_started = time.perf_counter(), time.thread_time()
         estimate = step(frame)
         wall.append(1e3 * (time.perf_counter() - started))
         cpu.append(1e3 * (time.thread_time() - cpu_started))
-        residual = distance.residual(cloud.points, estimate.vertices)
+        residual = distance.residual(frame.points, estimate.vertices)
         estimates.append(np.asarray(estimate.vertices, np.float32))
-        values["number"].append(number)
-        values["residual_mm"].append(residual.mean_mm)
-        values["residual_p95_mm"].append(residual.p95_mm)
-        values["stretch_pct"].append(shape.stretch(estimate.vertices, garment.vertices))
-        for name in ("reliability", "paper_score", "coverage", "state"):
-            if getattr(estimate, name) is not None:
-                values.setdefault(name, []).append(getattr(estimate, name))
+        scores = {"number": number, "residual_mm": residual.mean_mm, "residual_p95_mm": residual.p95_mm}
+        scores |= {"stretch_pct": shape.stretch(estimate.vertices, garment.vertices)}
+        scores |= images(number, estimate.vertices) if images else {}
+        told = {name: getattr(estimate, name) for name in ("reliability", "paper_score", "coverage", "state")}
+        for name, value in (scores | {name: value for name, value in told.items() if value is not None}).items():
+            values.setdefault(name, []).append(value)
+    back = [step(frame_of(number, timestamp)) for number, timestamp in _backwards(recording, frames)]
     states = values.pop("state", [])
-    means = {name: float(np.nanmean(column)) for name, column in values.items() if name != "number"}
-    row = {"frames_tracked": len(frames)} | means | {"own_flicker_mm": metrics.own_flicker_mm(np.array(estimates))}
+    row = {"frames_tracked": len(frames)} | {name: _mean(column) for name, column in values.items() if name != "number"}
+    row["own_flicker_mm"] = metrics.own_flicker_mm(np.array(estimates))
+    row["drift_mm"] = metrics.MM * float(np.linalg.norm(back[-1].vertices - garment.vertices, axis=1).mean())
     for name, column in (("wall_ms", wall), ("cpu_ms", cpu)):
         row[f"{name}_p50"], row[f"{name}_p99"] = np.percentile(column, [50, 99])
     clips = [
         {
             "first": frames[part.start],
             "frames": part.stop - part.start,
-            "residual_mm": float(np.nanmean(values["residual_mm"][part])),
-            "stretch_pct": float(np.nanmean(values["stretch_pct"][part])),
+            "residual_mm": _mean(values["residual_mm"][part]),
+            "stretch_pct": _mean(values["stretch_pct"][part]),
             "own_flicker_mm": metrics.own_flicker_mm(np.array(estimates[part])),
         }
         for part in statistics.clips(len(frames))
     ]
     row |= {"fps": 1e3 / np.mean(wall), "states": dict(Counter(states)), "clips": clips, "per_frame": values}
     return json_numbers(row)
+
+
+def _backwards(recording: Recording, frames: range) -> list[tuple[int, float]]:
+    """Numbers and times of the frames from the last but one to that of the template, at the pace of the way there."""
+    last = recording.timestamp(frames[-1])
+    numbers = [*frames[-2::-1], frames.start - frames.step]
+    return [(number, 2 * last - recording.timestamp(number)) for number in numbers]
+
+
+def _mean(column: list) -> float:
+    """Mean of the numbers of a column; NaN where there is none."""
+    numbers = [value for value in column if np.isfinite(value)]
+    return float(np.mean(numbers)) if numbers else float("nan")
 
 
 def pair_row(make: MethodFactory, pair: Pair) -> dict:

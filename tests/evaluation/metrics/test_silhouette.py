@@ -44,3 +44,13 @@ def test_of_what_is_elsewhere_is_zero():
     assert np.isnan(metrics.silhouette_iou(0 * box, 0 * box, FACES)), "without an area nothing is to be seen"
     broken = np.where(np.arange(8)[:, None] == 3, np.nan, box)
     assert np.isnan(metrics.silhouette_iou(broken, box, FACES)), "a face less is no smaller garment"
+
+
+def test_the_overlap_with_a_measured_silhouette_is_told_both_ways():
+    measured, drawn = np.zeros((10, 10), bool), np.zeros((10, 10), bool)
+    measured[:8], drawn[4:9] = True, True  # 80 and 50 pixels, 40 of them in both
+    overlap = metrics.silhouette_overlap(drawn, measured)
+    assert (overlap.iou, overlap.covered, overlap.inside) == pytest.approx((40 / 90, 40 / 80, 40 / 50))
+    nothing = metrics.silhouette_overlap(np.zeros_like(drawn), measured)
+    assert nothing[:2] == (0, 0)
+    assert np.isnan(nothing.inside)

@@ -83,9 +83,9 @@ def test_a_mesh_torn_to_the_points_is_betrayed_by_its_stretch():
 
 def test_the_frames_are_the_sensors_without_further_noise():
     seen = []
-    recording_row(method(lambda start, frame: start, seen), Rising(), range(1, 6, 2), Sensor(points=50, noise=0.5, every=2), 1)
-    assert [frame.number for frame in seen] == [1, 3, 5]
-    assert [frame.timestamp for frame in seen] == [0.1, 0.3, 0.5]
+    recording_row(method(lambda start, frame: start, seen), Rising(), range(2, 6, 2), Sensor(points=50, noise=0.5, every=2), 1)
+    assert [frame.number for frame in seen] == [2, 4, 2, 0]  # there and back again
+    assert [frame.timestamp for frame in seen] == pytest.approx([0.2, 0.4, 0.6, 0.8])
     for frame in seen:
         assert frame.points.shape == (50, 3)
         assert frame.points[:, 2] == pytest.approx(0.01 * frame.number)

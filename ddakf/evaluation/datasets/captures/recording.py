@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence as Ordered
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -49,6 +49,8 @@ class DepthRecording:
         smooth: even out the sensor's depth steps (22 mm at 2.8 m), which otherwise make every local plane face the
             camera.
         times: (T,) seconds, or None where the frames are evenly spaced.
+        joints: (T, J, 3) metres in the same world, of a body tracker that watched the person, or None.
+        held_out: every such column of pixels, from the middle of the first ones on, is left out of the clouds; 0 for none.
     """
 
     name: str
@@ -57,9 +59,20 @@ class DepthRecording:
     fps: float
     smooth: bool = True
     times: np.ndarray | None = None
+    joints: np.ndarray | None = None
+    held_out: int = 0
 
     def __len__(self) -> int:
         return len(self.depth)
+
+    def without_columns(self, every: int) -> DepthRecording:
+        """The recording whose clouds lack every such column of pixels, which can then be predicted."""
+        return replace(self, held_out=every)
+
+    @property
+    def held_out_columns(self) -> slice:
+        """The columns of pixels that the clouds lack."""
+        return slice(self.held_out // 2, None, self.held_out) if self.held_out else slice(0)
 
     def timestamp(self, frame: int) -> float:
         """Seconds since frame 0."""
@@ -68,6 +81,7 @@ class DepthRecording:
     def cloud(self, frame: int) -> Cloud:
         """The points of one frame without edge fliers, and the camera's position."""
         depth = self.depth[frame] * MM
+        depth[:, self.held_out_columns] = 0
         if self.smooth:
             depth = smoothed(depth, JUMP, passes=1)
         points = self.camera.unproject(depth, without_fliers(depth, JUMP))
