@@ -34,7 +34,7 @@ BEYOND = ("rmse_normal_mm", "rmse_tangential_mm", "hausdorff_mm", "stretch_error
 UNTOUCHED_METRICS = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
                      "penetration_mm", "flicker", "ms_per_frame", "fps", "effective_sample_size")  # fmt: skip
 DEPTH = ("held_out_share", "held_out_mm", "iou", "silhouette_covered", "silhouette_inside", "limb_mm", "moved_limb_mm",
-         "drift_mm", "residual_mm", "stretch_percent", "own_flicker", "ms_per_frame")  # fmt: skip
+         "drift_mm", "residual_mm", "stretch_percent", "own_flicker")  # fmt: skip
 UNTOUCHED_TESTED = ("rmse_mm", "rmse_normal_mm", "penetration_mm", "flicker")
 JUDGED = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "stretch_error_percent", "bend_error_deg",
           "penetration_mm", "flicker")  # fmt: skip
