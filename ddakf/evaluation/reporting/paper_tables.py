@@ -45,7 +45,7 @@ UNRANKED = ("stretch_percent", "bend_deg", "acceleration_variance", "residual_mm
             "drift_mm")  # fmt: skip
 PARTIAL = "* the mean of fewer sequences x views: in the others the system does not apply, failed or has no such value."
 WRONG, CONFIDENT = 100.0, 0.5  # mm of the joints; reliability
-DEPTH_FRAMES = ("reliability", "state", "limb_mm", "held_out_share")
+DEPTH_FRAMES = ("reliability", "limb_mm", "held_out_share")
 RUNS = {"main": "undisturbed", "occlusion": "with an occlusion"}  # of Table 7
 SIGN = (
     "Of a score that falls where the error grows the correlation is negative. The paper prints positive numbers and says that "
@@ -334,7 +334,8 @@ def depth_reliability(name: str, title: str, result: Result) -> Table:
         score, held_out = np.array(frames["reliability"]), np.array(frames["held_out_share"], float)
         error = np.array(frames["limb_mm"], float)  # None is NaN
         wrong = error > WRONG
-        row = [Path(cell["sequence"]).name, f"{score.mean():.2f}", f"{np.mean([s == 'tracking' for s in frames['state']]):.0%}"]
+        tracking = sum(run["states"].get("tracking", 0) for run in cell["runs"])
+        row = [Path(cell["sequence"]).name, f"{score.mean():.2f}", f"{tracking / len(score):.0%}"]
         for other in (error, held_out):
             known = np.isfinite(other) if len(other) else np.zeros(len(score), bool)
             row.append(f"{metrics.spearman(score[known], other[known]):.2f}" if known.any() else "–")
