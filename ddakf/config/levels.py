@@ -21,7 +21,7 @@ class Discretisation(Checked):
     probe_stride: int = bounded(4, 1, 1000)  # every so-many-th of these decides whether clusters are aligned at all
     working_edge: float = bounded(0.018, 0, 1)  # m, edges of the working mesh; 0: the template's vertices are tracked
     working_vertices_least: int = bounded(2500, 3, 100_000)  # of a small garment, whose edges are shorter
-    working_vertices_most: int = bounded(5000, 3, 100_000)  # of a large garment, whose edges are longer
+    working_vertices_most: int = bounded(4000, 3, 100_000)  # of a large garment, whose edges are longer
     working_finest: float = bounded(0.95, 0, 100)  # edges over the working ones from which an even template is tracked itself
     working_unevenness: float = bounded(0.65, 0, 100)  # standard deviation of log vertex areas up to which a template is even
     correlation_length: float = bounded(0.2, 1e-3, 10)  # m, distance at rest over which patches move alike
