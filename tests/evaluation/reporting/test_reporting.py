@@ -389,3 +389,11 @@ def test_a_still_is_taken_once_per_frame_and_again_with_other_code(tmp_path, mon
     for again, more in ((False, 4), (True, 6)):
         paper_studies.save_error_maps(paper_studies.FULL, tmp_path, QUIET, again=again)
         assert len(taken) == more
+
+
+def test_reliability_on_real_depth_stands_beside_what_was_missed():
+    frames = {"reliability": [0.9, 0.7, 0.2], "limb_mm": [20.0, 120.0, 300.0], "held_out_share": [0.9, None, 0.5]}
+    run = {"seed": 1, "states": {"tracking": 2, "lost": 1}, "per_frame": frames}
+    cell = {"sequence": "depth/a3_depth.mat", "view": "front", "method": "ddakf", "runs": [run], "mean": {}}
+    table = paper_tables.depth_reliability("depth-reliability", "", read.Result("depth", {}, [cell], {}))
+    assert [each.text for each in table.rows[0]] == ["a3_depth.mat", "0.60", "67%", "-1.00", "1.00", "67%", "50%"]
