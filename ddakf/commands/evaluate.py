@@ -19,7 +19,7 @@ not stop the others; its row has the reason.
 
 WIDE = 140  # least characters of the table: a narrow terminal wraps lines instead of truncating numbers
 SHOWN = ("rmse_mm", "rmse_normal_mm", "hausdorff_mm", "iou", "penetration_mm", "flicker", "residual_mm", "own_flicker",
-         "end_point_error_mm", "ms_per_frame")  # fmt: skip
+         "held_out_share", "limb_mm", "drift_mm", "end_point_error_mm", "ms_per_frame")  # fmt: skip
 
 
 def register(commands: argparse._SubParsersAction) -> None:
