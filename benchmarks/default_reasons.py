@@ -35,7 +35,7 @@ REASONS = {
     "Discretisation.probe_stride": "chosen: 300 vertices tell whether the prediction is good",
     "Discretisation.working_edge": "tuned: 15 mm costs 20 to 30 % more time and gains nothing in the mean",
     "Discretisation.working_vertices_least": "chosen: below it sleeves of small garments lose error",
-    "Discretisation.working_vertices_most": "tuned: 5,000 cost 8 % of the time of whole bodies for 1 % of error",
+    "Discretisation.working_vertices_most": "tuned: 5,000 cost a whole body 16 % of time for 1 to 4 % of error",
     "Discretisation.working_finest": "tuned: templates at 0.74 to 0.94 gain 6 to 15 % of error, 30 % of time",
     "Discretisation.working_unevenness": "chosen: between captured templates (0.19 to 0.47) and split faces (0.83)",
     "Discretisation.correlation_length": "chosen: near parts move alike",

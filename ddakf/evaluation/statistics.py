@@ -40,6 +40,12 @@ def spread(values: Iterable[float | None]) -> Spread:
     return Spread(mean, float(found.std(ddof=1)) if len(found) > 1 else None, len(found))
 
 
+def finite_mean(values: Iterable[float | None]) -> float:
+    """Mean of the values that are finite numbers; NaN where there is none."""
+    found = _finite(values)
+    return float(found.mean()) if len(found) else float("nan")
+
+
 def clips(count: int, length: int = CLIP) -> list[slice]:
     """The disjoint clips of ``count`` frames; a rest of less than half a clip belongs to the last one."""
     starts = [k for k in range(0, count, length) if k == 0 or count - k >= length / 2]

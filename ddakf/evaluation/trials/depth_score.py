@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.evaluation import metrics
+from ddakf.evaluation import metrics, statistics
 from ddakf.evaluation.datasets import DepthRecording
 from ddakf.evaluation.datasets.captures.depth_template import JUMP
 from ddakf.evaluation.datasets.captures.recording import MM
@@ -53,14 +53,11 @@ class DepthScore:
         difference = np.abs(drawn[held_out] - measured[held_out])
         overlap = metrics.silhouette_overlap(np.isfinite(drawn), seen(measured))
         scores = {
-            "held_out_mm": metrics.MM * _mean(difference[np.isfinite(difference)]), "held_out_share": _mean(difference < WITHIN),
+            "held_out_mm": metrics.MM * statistics.finite_mean(difference),
+            "held_out_share": statistics.finite_mean(difference < WITHIN),
             "iou": overlap.iou, "silhouette_covered": overlap.covered, "silhouette_inside": overlap.inside,
         }  # fmt: skip
         if self._limbs is not None:
             errors = self._limbs.error_mm(vertices, self.recording.joints[number])
             scores |= dict(zip(("limb_mm", "moved_limb_mm"), errors, strict=True))
         return scores
-
-
-def _mean(values: np.ndarray) -> float:
-    return float(values.mean()) if len(values) else float("nan")

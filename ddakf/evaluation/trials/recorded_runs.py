@@ -68,7 +68,8 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
             values.setdefault(name, []).append(value)
     back = [step(frame_of(number, timestamp)) for number, timestamp in _backwards(recording, frames)]
     states = values.pop("state", [])
-    row = {"frames_tracked": len(frames)} | {name: _mean(column) for name, column in values.items() if name != "number"}
+    means = {name: statistics.finite_mean(column) for name, column in values.items() if name != "number"}
+    row = {"frames_tracked": len(frames)} | means
     row["own_flicker_mm"] = metrics.own_flicker_mm(np.array(estimates))
     row["drift_mm"] = metrics.MM * float(np.linalg.norm(back[-1].vertices - garment.vertices, axis=1).mean())
     for name, column in (("wall_ms", wall), ("cpu_ms", cpu)):
@@ -77,8 +78,8 @@ def recording_row(make: MethodFactory, recording: Recording, frames: range, sens
         {
             "first": frames[part.start],
             "frames": part.stop - part.start,
-            "residual_mm": _mean(values["residual_mm"][part]),
-            "stretch_pct": _mean(values["stretch_pct"][part]),
+            "residual_mm": statistics.finite_mean(values["residual_mm"][part]),
+            "stretch_pct": statistics.finite_mean(values["stretch_pct"][part]),
             "own_flicker_mm": metrics.own_flicker_mm(np.array(estimates[part])),
         }
         for part in statistics.clips(len(frames))
@@ -92,12 +93,6 @@ def _backwards(recording: Recording, frames: range) -> list[tuple[int, float]]:
     last = recording.timestamp(frames[-1])
     numbers = [*frames[-2::-1], frames.start - frames.step]
     return [(number, 2 * last - recording.timestamp(number)) for number in numbers]
-
-
-def _mean(column: list) -> float:
-    """Mean of the numbers of a column; NaN where there is none."""
-    numbers = [value for value in column if np.isfinite(value)]
-    return float(np.mean(numbers)) if numbers else float("nan")
 
 
 def pair_row(make: MethodFactory, pair: Pair) -> dict:

@@ -17,8 +17,6 @@ from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 # The Kinect for Windows delivers mirrored images: people's left hands appear on the left. They are mirrored back, and
 # with them the principal point (160, 120) that fits the recordings.
 KINECT = Intrinsics(width=320, height=240, fx=285.63, fy=285.63, cx=159.0, cy=120.0)
-
-
 LIMBS = (5, 6, 9, 10, 13, 14, 17, 18)  # of the 20 joints: elbow and wrist, knee and ankle of either side
 DEPTH, SKELETON = "_depth", "_skeleton"  # the ends of the names of a recording's two files
 
