@@ -1,7 +1,14 @@
 """Depth scores of a wall in front of a camera, by hand."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
+import scipy.io
+from PIL import Image
 
 from ddakf.evaluation.datasets import DepthRecording
 from ddakf.evaluation.sensors.camera import Camera, Intrinsics
@@ -10,6 +17,7 @@ from ddakf.evaluation.trials.depth_score import DepthScore
 from ddakf.evaluation.trials.estimates import FrameEstimate
 from ddakf.evaluation.trials.recorded_runs import recording_row
 
+ROOT = Path(__file__).parents[3]
 CAMERA = Camera.at_origin(Intrinsics(width=100, height=80, fx=100, fy=100, cx=49.5, cy=39.5))
 FRAMES = 6
 
@@ -70,3 +78,21 @@ def test_a_run_has_the_scores_of_its_frames_and_the_drift_of_its_return(recordin
     assert row["drift_mm"] == pytest.approx(5)
     assert len(made[0].seen) == 2 * (FRAMES - 1)  # there, and back to the template's frame
     assert set(made[0].seen) == {54 * 40}  # 6 of 60 columns are held out
+
+
+def test_each_recording_gets_a_sheet_and_an_animation(tmp_path):
+    """Of a wall that comes nearer: the surface covers it, grey and orange are its rim."""
+    folder = tmp_path / "depth/utd-mhad"
+    folder.mkdir(parents=True)
+    depth = np.zeros((240, 320, 4), np.int32)
+    depth[60:180, 120:200] = 2000 - 10 * np.arange(4)
+    scipy.io.savemat(folder / "wall_depth.mat", {"d_depth": depth})
+    command = [sys.executable, ROOT / "benchmarks/depth_pictures.py", "--out", tmp_path / "out"]
+    subprocess.run(command, check=True, env=os.environ | {"DDAKF_DATA": str(tmp_path)}, timeout=300)
+    with Image.open(tmp_path / "out/wall.webp") as animation:
+        assert animation.n_frames == 3
+        pixels = np.asarray(animation.convert("RGB"), int)
+    blue = (pixels[..., 2] > pixels[..., 0] + 40).mean()
+    assert blue == pytest.approx(120 * 80 / (240 * 320), rel=0.15)
+    with Image.open(tmp_path / "out/wall.png") as sheet:
+        assert sheet.size == (3 * 3 * 640 // 5, 480)
