@@ -186,7 +186,7 @@ def _on_loops(mesh: Mesh, loops: list[np.ndarray], graph: Graph) -> np.ndarray:
         step = graph.between(loop, np.roll(loop, -1))
         arc = np.append(0.0, np.cumsum(step))
         count = max(round(arc[-1]), 3)
-        fixed[loop[np.searchsorted(arc[:-1], arc[-1] * np.arange(count) / count)]] = True
+        fixed[loop[np.searchsorted(arc[:-1], arc[-1] * np.arange(count) / count) % len(loop)]] = True
     return fixed
 
 

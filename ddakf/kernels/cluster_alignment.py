@@ -155,19 +155,21 @@ def add_seams(position, clusters, seam, rest, motion, stiffness, A, b):
     """
     cluster, center = clusters
     weakening, stretch, strain_scale = stiffness
-    rest_source, rest_rotation, rest_weight = rest.source, rest.rotation, weakening * rest.weight
-    motion_source, motion_rotation, motion_weight = motion.source, motion.rotation, weakening * motion.weight
+    rest_source, rest_rotation, rest_weight = rest.source, rest.rotation, rest.weight
+    motion_source, motion_rotation, motion_weight = motion.source, motion.rotation, motion.weight
     rows = np.zeros((19, 12))
     sums, J, weight, residual = rows[:13], rows[13:17], rows[17], rows[18]
-    total = rest_weight + motion_weight
     for s in range(seam.shape[0]):
         i, j, e = seam[s, 0], seam[s, 1], seam[s, 2]
         p, q = cluster[i], cluster[j]
         ex, ey, ez = position[j, 0] - position[i, 0], position[j, 1] - position[i, 1], position[j, 2] - position[i, 2]
+        rest_w = 0.5 * weakening * (rest_weight[i] + rest_weight[j])
+        motion_w = 0.5 * weakening * (motion_weight[i] + motion_weight[j])
+        total = rest_w + motion_w
         fx = fy = fz = 0.0  # weighted residual of both terms
         mx = my = mz = 0.0  # weighted mean of the turned sources
         for a in range(2):
-            w = rest_weight if a == 0 else motion_weight
+            w = rest_w if a == 0 else motion_w
             S = rest_source if a == 0 else motion_source
             R = rest_rotation if a == 0 else motion_rotation
             sx, sy, sz = 0.5 * S[e, 0], 0.5 * S[e, 1], 0.5 * S[e, 2]

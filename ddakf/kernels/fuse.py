@@ -99,16 +99,16 @@ def add_coupling(start, neighbour, edge, blocks, weight, own, D, B):
     Args:
         start, neighbour, edge: the one-rings.
         blocks: (E, 12) float32, of each edge i < j by columns, padded.
-        weight: w, of all edges alike.
+        weight: (V,), w of an edge is the mean of its ends'.
         own: (V, 3, 3) symmetric, blocks of terms on single vertices.
         D: (V, 3, 3) out; it may be ``own``.
         B: (2E, 12) float32 out.
     """
-    w, zero = np.float32(weight), np.float32(0.0)
+    zero = np.float32(0.0)
     for i in range(D.shape[0]):
         xx = yy = zz = xy = xz = yz = zero
         for e in range(start[i], start[i + 1]):
-            block = blocks[edge[e]]
+            block, w = blocks[edge[e]], np.float32(0.5 * (weight[i] + weight[neighbour[e]]))
             x0, y0, z0 = block[0] - w, block[1], block[2]
             x1, y1, z1 = block[4], block[5] - w, block[6]
             x2, y2, z2 = block[8], block[9], block[10] - w

@@ -16,10 +16,10 @@ LANES = 32  # vertices whose rotations are fitted side by side
 
 
 class LocalRigidity(NamedTuple):
-    """One term of the MAP problem; ``rotation`` and ``shared`` are its only changing parts."""
+    """One term of the MAP problem; ``weight``, ``rotation`` and ``shared`` are its only changing parts."""
 
     source: np.ndarray  # (2E, 3) float32 m, edge vectors s_ij = s_j - s_i of each entry of the one-rings
-    weight: float  # 1/m^2
+    weight: np.ndarray  # (V,) 1/m^2, of each one-ring; an edge has the mean of its ends'
     rotation: np.ndarray  # (V, 3, 3), R_i
     shared: np.ndarray  # (V, 12) float32 1/m^2, weight / 2 times T_i by columns padded to four, as the neighbours read it
     follow: np.ndarray  # (V, 8) float32 of followers(), how T_i stretches with its ring; (0, 8): T_i is R_i
@@ -39,8 +39,7 @@ def fit_rotations(position, start, neighbour, term, iterations):
         term: :class:`LocalRigidity`; its rotations are updated, and ``shared`` is written.
         iterations: fixed number of steps.
     """
-    source, rotation, shared, follow = term.source, term.rotation, term.shared, term.follow
-    half_weight = np.float32(0.5 * term.weight)
+    source, weight, rotation, shared, follow = term.source, term.weight, term.rotation, term.shared, term.follow
     n = position.shape[0]
     covariance = np.empty((LANES, 12), np.float32)
     lanes = np.ones(18 * LANES, np.float32)
@@ -57,6 +56,7 @@ def fit_rotations(position, start, neighbour, term, iterations):
             turn(lanes)
         for k in range(size):
             i = first + k
+            half_weight = np.float32(0.5 * weight[i])
             for b in range(3):
                 for a in range(3):
                     rotation[i, a, b] = lanes[(9 + 3 * b + a) * LANES + k]
@@ -222,7 +222,7 @@ def edge_vectors(position, start, neighbour, edge):
 
 @njit(nogil=True, cache=True, error_model="numpy", fastmath=FAST)
 def add_force(position, start, neighbour, term, force):
-    """Adds -gradient of 1/2 sum_edges w |x_j - x_i - (R_i + R_j) s_ij / 2|^2.
+    """Adds -gradient of 1/4 sum_i w_i sum_j |x_j - x_i - R_i s_ij|^2, the rotations held.
 
     Args:
         position: (V, 4) metres, padded.
@@ -233,14 +233,16 @@ def add_force(position, start, neighbour, term, force):
     source, weight, shared = term.source, term.weight, term.shared
     for i in range(position.shape[0]):
         px, py, pz, pw = position[i, 0], position[i, 1], position[i, 2], position[i, 3]
+        half_weight = 0.5 * weight[i]
         fx = fy = fz = fw = 0.0
         gx = gy = gz = gw = sx = sy = sz = np.float32(0.0)
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
-            fx += position[j, 0] - px
-            fy += position[j, 1] - py
-            fz += position[j, 2] - pz
-            fw += position[j, 3] - pw
+            w = half_weight + 0.5 * weight[j]
+            fx += w * (position[j, 0] - px)
+            fy += w * (position[j, 1] - py)
+            fz += w * (position[j, 2] - pz)
+            fw += w * (position[j, 3] - pw)
             x, y, z = source[e, 0], source[e, 1], source[e, 2]
             sx += x
             sy += y
@@ -253,7 +255,7 @@ def add_force(position, start, neighbour, term, force):
         gy += shared[i, 1] * sx + shared[i, 5] * sy + shared[i, 9] * sz
         gz += shared[i, 2] * sx + shared[i, 6] * sy + shared[i, 10] * sz
         gw += shared[i, 3] * sx + shared[i, 7] * sy + shared[i, 11] * sz
-        force[i, 0] += weight * fx - gx
-        force[i, 1] += weight * fy - gy
-        force[i, 2] += weight * fz - gz
-        force[i, 3] += weight * fw - gw
+        force[i, 0] += fx - gx
+        force[i, 1] += fy - gy
+        force[i, 2] += fz - gz
+        force[i, 3] += fw - gw

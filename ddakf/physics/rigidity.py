@@ -1,7 +1,10 @@
 """Rigidity: spatially correlated process noise, in which edges follow the rotation of their one-ring.
 
-Two terms of the form 1/2 sum w |x_j - x_i - (R_i + R_j)/2 s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
+Two terms of the form 1/4 sum_i w_i sum_j |x_j - x_i - R_i s_ij|^2 (as-rigid-as-possible, Sorkine and Alexa 2007): between frames,
 with s the edges of the last posterior, and to the rest shape, with s the edges of the template or of the start.
+
+In a mesh with edges h a bend of curvature c costs each vertex c^2 h^4 w, a strain e costs it e^2 h^2 w: a fine mesh folds easily.
+Where cloth is seen, measurements say which folds are there. Hidden cloth has none, see :func:`stiffen_hidden`.
 """
 
 from __future__ import annotations
@@ -45,7 +48,7 @@ def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.
     own = rotation.copy()
     if shape is not None:
         kernels.products_with_transposed(rotation, shape.rotation, own)
-    return LocalRigidity(edge, float(weight), own, np.empty((n, 12), np.float32), follow)
+    return LocalRigidity(edge, np.full(n, float(weight)), own, np.empty((n, 12), np.float32), follow)
 
 
 def against_template(term: LocalRigidity, shape: Resting | None) -> np.ndarray:
@@ -60,7 +63,22 @@ def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
     """The term that makes the change since ``position`` (V, 3) locally rigid."""
     n = len(position)
     shared, follow = np.empty((n, 12), np.float32), np.empty((0, 8), np.float32)
-    return LocalRigidity(edges(position, model), float(weight), identity(n), shared, follow)
+    return LocalRigidity(edges(position, model), np.full(n, float(weight)), identity(n), shared, follow)
+
+
+def stiffen_hidden(
+    terms: tuple[LocalRigidity, LocalRigidity], weights: tuple[float, float], hidden: np.ndarray, finer: float
+) -> None:
+    """Gives the rings of hidden vertices the weights at which bends and strains cost as much as in a coarser mesh, in place.
+
+    Args:
+        terms: to the rest shape, which resists bends, and between frames, which resists strain.
+        weights: of each, of seen vertices, 1/m^2.
+        hidden: (V,) bool.
+        finer: edges of the coarser mesh over those of this one, at least 1.
+    """
+    for term, weight, power in zip(terms, weights, (4, 2), strict=True):
+        np.copyto(term.weight, np.where(hidden, weight * finer**power, weight))
 
 
 def edges(position: np.ndarray, model: Model) -> np.ndarray:

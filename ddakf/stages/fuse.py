@@ -25,11 +25,9 @@ from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem,
 def begin(problem: Problem) -> Estimate:
     """The estimate before the first pass: the prediction, with its locally rigid terms."""
     prior, model, config = problem.prior, problem.model, problem.config
-    n, physics = len(prior.position), config.physics
+    n, (rest_weight, motion_weight) = len(prior.position), _rigidities(problem)
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
-    rest_weight = problem.health.physics_lambda * physics.rest_rigidity
-    motion_weight = physics.motion_rigidity * min(1.0, physics.motion_time / problem.dt)
-    rest = rigidity.to_rest(model, rest_weight, problem.rotation, physics.strain_followed, problem.resting)
+    rest = rigidity.to_rest(model, rest_weight, problem.rotation, config.physics.strain_followed, problem.resting)
     return Estimate(
         position=prior.position,
         rest=rest,
@@ -38,6 +36,13 @@ def begin(problem: Problem) -> Estimate:
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
         gravity=cloth_weight.force(problem, rest.rotation),
     )
+
+
+def _rigidities(problem: Problem) -> tuple[float, float]:
+    """Weights of the locally rigid terms, to the rest shape and between frames, 1/m^2."""
+    physics = problem.config.physics
+    motion = physics.motion_rigidity * min(1.0, physics.motion_time / problem.dt)
+    return problem.health.physics_lambda * physics.rest_rigidity, motion
 
 
 def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) -> Estimate:
@@ -61,8 +66,11 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     model, config, first = problem.model, problem.config, estimate.before is None
     steps = config.physics.first_rotation_steps if first else config.physics.rotation_steps
     planes = _planes(estimate, config)
-    rows = rigidity.padded(estimate.position)
-    for term in (estimate.rest, estimate.motion):
+    rows, rigid = rigidity.padded(estimate.position), (estimate.rest, estimate.motion)
+    if problem.body is None:  # a body tells where hidden cloth is
+        finer = max(1.0, config.physics.hidden_edge / model.edge_length)
+        rigidity.stiffen_hidden(rigid, _rigidities(problem), ~estimate.observed, finer)
+    for term in rigid:
         rigidity.fit(term, rows, model, steps)
     system = normal_equations(problem, estimate, rows, planes)
     # the coarse level of the first pass preconditions the later ones as well

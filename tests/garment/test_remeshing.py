@@ -107,3 +107,11 @@ def test_a_folded_mesh_of_many_pieces_is_survived(fold):
     corners = 2e-6 * rng.random((6000, 3)) + ([0, 0, 0] if fold == "point" else np.outer(np.arange(6000) // 3, [1e-3, 0, 0]))
     mesh, _ = Mesh.cleaned(corners, np.arange(6000).reshape(-1, 3))
     assert working_mesh.build(mesh, Config().discretisation).mesh.n_vertices >= 3
+
+
+@pytest.mark.parametrize("side", [0.005, 0.008, 0.012, 0.02, 0.03])
+def test_the_last_edge_of_a_small_opening_may_be_its_longest(side):
+    """Seeds may then be wanted within it."""
+    for seed in range(10):
+        corners = np.random.default_rng(seed).normal(scale=side, size=(3, 3))
+        remesh(Mesh(corners, np.array([[0, 1, 2]])), 0.02)

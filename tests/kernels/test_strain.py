@@ -42,13 +42,14 @@ def test_force_and_blocks_are_those_of_the_jacobians(name, flat):
     force, blocks = np.zeros((n, 4)), np.zeros((len(garment.mesh.edges), 12), np.float32)
     strain.add_strain(padded(x), garment.strain, STRETCH, SHEAR, SCALE**2, blocks, force)
     D, B = np.zeros((n, 3, 3)), np.empty((len(garment.neighbour), 12), np.float32)
-    fuse.add_coupling(garment.start, garment.neighbour, garment.edge, blocks, 700.0, np.zeros((n, 3, 3)), D, B)
+    rigid = rng.uniform(300.0, 1100.0, n)
+    fuse.add_coupling(garment.start, garment.neighbour, garment.edge, blocks, rigid, np.zeros((n, 3, 3)), D, B)
 
     g, A = dense(x, garment)
     i, j = garment.mesh.edges.T
     for a in range(3):
         for row, column, sign in ((i, i, 1), (j, j, 1), (i, j, -1), (j, i, -1)):
-            np.add.at(A, (row, a, column, a), 700.0 * sign)
+            np.add.at(A, (row, a, column, a), 0.5 * (rigid[i] + rigid[j]) * sign)
     row = np.repeat(np.arange(n), np.diff(garment.start))
     scale = np.abs(A).max()
     np.testing.assert_allclose(force[:, :3], -g, rtol=0, atol=4e-6 * np.abs(g).max())

@@ -109,7 +109,8 @@ def test_common_turns_cost_nothing_in_the_seams(scale):
     kernels.centers(MESH.vertices, GARMENT.cluster, center)
     identity = np.tile(np.eye(3), (len(MESH.vertices), 1, 1))
     rotations = identity, np.empty((0, 12), np.float32), np.empty((0, 8), np.float32)
-    rest, motion = (LocalRigidity(GARMENT.rest_edge, weight, *rotations) for weight in (3.0 * scale, 5.0))
+    weights = (np.full(len(MESH.vertices), weight) for weight in (3.0 * scale, 5.0))
+    rest, motion = (LocalRigidity(GARMENT.rest_edge, weight, *rotations) for weight in weights)
     frames, stiffness = kernels.ClusterFrames(GARMENT.cluster, center), kernels.SeamStiffness(1.0, 7.0, 0.1)
     kernels.add_seams(MESH.vertices, frames, c.seam, rest, motion, stiffness, A, b)
     A = np.tril(A) + np.tril(A, -1).T

@@ -38,7 +38,8 @@ def rigid_alone(garment, position, last, config=RIGID):
     evidence = Evidence(nothing, np.zeros(n), prior.R, energies.linearize(problem, update))
     update = fuse.fuse(problem, update, evidence, 10.0)
     i, j = garment.mesh.edges.T
-    weight = config.physics.rest_rigidity + config.physics.motion_rigidity
+    ring = update.rest.weight + update.motion.weight
+    weight = 0.5 * (ring[i] + ring[j])
     matrix = np.eye(n) / (0.01**2 + config.fuse.prior_sd**2)
     np.add.at(matrix, (i, i), weight)
     np.add.at(matrix, (j, j), weight)
@@ -89,10 +90,10 @@ def test_a_start_that_no_cloth_can_have_leaves_the_template(name):
 
 
 def energy(position, source, weight, rotation, garment):  # rotation: T_i
-    """1/2 sum over the edges, each once, of w |x_j - x_i - (R_i + R_j)/2 s_ij|^2."""
-    i, j = garment.mesh.edges.T
-    goal = np.einsum("eab,eb->ea", 0.5 * (rotation[i] + rotation[j]), source[j] - source[i])
-    return 0.5 * weight * np.sum((position[j] - position[i] - goal) ** 2)
+    """1/4 sum over the rings, and the edges of each, of w_i |x_j - x_i - R_i s_ij|^2."""
+    i, j = np.concatenate([garment.mesh.edges, garment.mesh.edges[:, ::-1]]).T
+    off = position[j] - position[i] - np.einsum("eab,eb->ea", rotation[i], source[j] - source[i])
+    return 0.25 * np.sum(weight[i] * np.square(off).sum(axis=1))
 
 
 @pytest.mark.parametrize("name", ["sheet", "tube"])
@@ -160,15 +161,34 @@ def test_force_is_minus_the_gradient_with_the_rotations_held(seed):
     x = SHEET.mesh.vertices + rng.normal(scale=0.005, size=(20, 3))
     last = SHEET.mesh.vertices + rng.normal(scale=0.002, size=(20, 3))
     update, force = rigid_alone(SHEET, x, last)
-    numbers, direction, step = RIGID.physics, rng.normal(size=x.shape), 1e-5
+    direction, step = rng.normal(size=x.shape), 1e-5
 
     def total(at):
-        rest = energy(at, SHEET.mesh.vertices, numbers.rest_rigidity, dense.transforms(update.rest), SHEET)
-        return rest + energy(at, last, numbers.motion_rigidity, dense.transforms(update.motion), SHEET)
+        rest = energy(at, SHEET.mesh.vertices, update.rest.weight, dense.transforms(update.rest), SHEET)
+        return rest + energy(at, last, update.motion.weight, dense.transforms(update.motion), SHEET)
 
     numeric = (total(x + step * direction) - total(x - step * direction)) / (2 * step)
     scale = np.linalg.norm(force) * np.linalg.norm(direction)
     assert np.sum(-force * direction) == pytest.approx(numeric, abs=1e-3 * scale)
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.sampled_from([0.0, 0.9]))
+@settings(max_examples=10, deadline=None, derandomize=True)
+def test_rings_of_unlike_weights_pull_as_their_energy_says(seed, share):
+    rng = np.random.default_rng(seed)
+    x = SHEET.mesh.vertices + rng.normal(scale=0.005, size=(20, 3))
+    term = rigidity.to_rest(SHEET, 1.0, rigidity.rotations(x, SHEET), share)
+    rigidity.stiffen_hidden((term, term), (2e3, 2e3), rng.random(20) < 0.5, 1.5)
+    assert len(np.unique(term.weight)) == 2
+    rigidity.fit(term, rigidity.padded(x), SHEET, 4)
+    force, rotation = np.zeros((20, 4)), dense.transforms(term)
+    rigidity.add_force((term,), rigidity.padded(x), SHEET, force)
+    direction, step = rng.normal(size=x.shape), 1e-5
+    ahead, behind = (
+        energy(x + sign * step * direction, SHEET.mesh.vertices, term.weight, rotation, SHEET) for sign in (1, -1)
+    )
+    scale = np.linalg.norm(force) * np.linalg.norm(direction)
+    assert np.sum(-force[:, :3] * direction) == pytest.approx((ahead - behind) / (2 * step), abs=1e-3 * scale)
 
 
 def test_the_start_of_the_rotations_is_left_as_it_was():

@@ -93,9 +93,9 @@ def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.nda
 
 def transforms(term) -> np.ndarray:
     """(V, 3, 3) T_i of a locally rigid term as last fitted: its rotations, or stretched with the rings."""
-    if len(term.follow) == 0 or term.weight == 0:
+    if len(term.follow) == 0 or not term.weight.all():
         return term.rotation
-    return term.shared.reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1).astype(float) * 2 / term.weight
+    return term.shared.reshape(-1, 3, 4)[:, :, :3].transpose(0, 2, 1).astype(float) * 2 / term.weight[:, None, None]
 
 
 def residuals(x: np.ndarray, held: np.ndarray, problem: Problem, rigid) -> dict[str, np.ndarray]:
@@ -104,7 +104,7 @@ def residuals(x: np.ndarray, held: np.ndarray, problem: Problem, rigid) -> dict[
     Args:
         x, held: (V, 3) estimates, metres.
         problem: the frame.
-        rigid: (source positions, weight, transforms T) of each locally rigid term, as :func:`transforms` reads them.
+        rigid: (source positions, weights (V,), transforms T) of each locally rigid term, as :func:`transforms` reads them.
     """
     config, mesh = problem.config, problem.mesh
     covariance = problem.prior.P_pp + config.fuse.prior_sd**2 * np.eye(3)
@@ -119,8 +119,9 @@ def residuals(x: np.ndarray, held: np.ndarray, problem: Problem, rigid) -> dict[
     parts["across"] = (across[:, None] * (off - along[:, None] * n)).ravel()
     for number, (source, weight, rotation) in enumerate(rigid):
         i, j = mesh.edges.T
-        goal = np.einsum("eab,eb->ea", 0.5 * (rotation[i] + rotation[j]), source[j] - source[i])
-        parts[f"rigid {number}"] = (np.sqrt(weight) * (x[j] - x[i] - goal)).ravel()
+        for of, ring in (("first", i), ("second", j)):  # each edge is of the rings of both ends
+            goal = np.einsum("eab,eb->ea", rotation[ring], source[j] - source[i])
+            parts[f"rigid {number} {of}"] = (np.sqrt(0.5 * weight[ring])[:, None] * (x[j] - x[i] - goal)).ravel()
     return parts
 
 

@@ -82,11 +82,23 @@ def one_pass(update, problem, contact, gate=FAR):
 
 
 def rigid_terms(update, last, problem):
-    numbers = problem.config.physics
     return (
-        (MESH.vertices, problem.physics_lambda * numbers.rest_rigidity, dense.transforms(update.rest)),
-        (last, numbers.motion_rigidity, dense.transforms(update.motion)),
+        (MESH.vertices, update.rest.weight, dense.transforms(update.rest)),
+        (last, update.motion.weight, dense.transforms(update.motion)),
     )
+
+
+def test_only_hidden_cloth_without_a_body_is_stiffened():
+    problem, contact = scene(0, body=True)
+    hidden, finer = problem.weight == 0, CONFIG.physics.hidden_edge / problem.model.edge_length
+    assert finer > 1
+    assert 0 < hidden.mean() < 1
+    for body, more in ((contact, 1.0), (None, finer)):
+        update = one_pass(begun(problem)[0], problem, body)
+        for term, power in ((update.rest, 4), (update.motion, 2)):
+            seen = term.weight[~hidden][0]
+            np.testing.assert_allclose(term.weight[~hidden], seen)
+            np.testing.assert_allclose(term.weight[hidden], seen * more**power)
 
 
 # The fused update ---------------------------------------------------------------------------------------------------

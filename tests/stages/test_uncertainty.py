@@ -219,8 +219,8 @@ def solved(mesh: Mesh, seen, config=LIMP, seed=0, scale=1.0) -> Solved:
     evidence = Evidence(measurement, problem.weight, problem.R, energies.linearize(frame, update))
     update = fuse.fuse(frame, update, evidence, 1.0)
     rigid = (
-        (mesh.vertices, config.physics.rest_rigidity, dense.transforms(update.rest)),
-        (mesh.vertices, config.physics.motion_rigidity, dense.transforms(update.motion)),
+        (mesh.vertices, update.rest.weight, dense.transforms(update.rest)),
+        (mesh.vertices, update.motion.weight, dense.transforms(update.motion)),
     )
     _, jacobian = dense.linearised(lambda x, held: dense.residuals(x, held, problem, rigid), prior.position)
     return Solved(frame, update, prior, uncertainty.posterior(frame, update).state, garment, jacobian)
