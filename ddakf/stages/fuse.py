@@ -67,7 +67,7 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     steps = config.physics.first_rotation_steps if first else config.physics.rotation_steps
     planes = _planes(estimate, config)
     rows, rigid = rigidity.padded(estimate.position), (estimate.rest, estimate.motion)
-    if problem.body is None:  # a body tells where hidden cloth is
+    if _folds_unseen(problem):
         finer = max(1.0, config.physics.hidden_edge / model.edge_length)
         rigidity.stiffen_hidden(rigid, _rigidities(problem), ~estimate.observed, finer)
     for term in rigid:
@@ -91,6 +91,12 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
         settled=settled,
         before=(estimate.position, delta),
     )
+
+
+def _folds_unseen(problem: Problem) -> bool:
+    """Hidden cloth may fold onto the cloud: no body tells where it is, and it is the other side of a garment, not of a sheet."""
+    reference, sidedness = problem.reference, problem.config.sidedness
+    return problem.body is None and (reference is None or reference.hidden_share >= sidedness.one_sided)
 
 
 def _planes(estimate: Estimate, config: Config) -> Planes:

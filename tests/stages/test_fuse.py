@@ -11,7 +11,7 @@ from ddakf.config import MapUpdate
 from ddakf.garment import model
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, Health
+from ddakf.types import Evidence, Health, InputReference
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
 from tests.stages.scenes import blocks, full, measured, posed, problem_of, random_state, rms
@@ -99,6 +99,15 @@ def test_only_hidden_cloth_without_a_body_is_stiffened():
             seen = term.weight[~hidden][0]
             np.testing.assert_allclose(term.weight[~hidden], seen)
             np.testing.assert_allclose(term.weight[hidden], seen * more**power)
+
+
+@pytest.mark.parametrize(("share", "alike"), [(0.0, True), (0.4, False)], ids=["sheet", "two sides"])
+def test_hidden_cloth_of_a_sheet_is_not_stiffened(share, alike):
+    problem, _ = scene(0)
+    now = frame(problem)._replace(reference=InputReference(share, 1.0, 1.0))
+    start = fuse.begin(now)
+    evidence = Evidence(problem.measurement, problem.weight, problem.R, energies.linearize(now, start))
+    assert (np.ptp(fuse.fuse(now, start, evidence, FAR).rest.weight) == 0) == alike
 
 
 # The fused update ---------------------------------------------------------------------------------------------------
