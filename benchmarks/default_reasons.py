@@ -139,7 +139,7 @@ REASONS = {
     "Physics.motion_rigidity": "tuned",
     "Physics.motion_time": "chosen: nothing changes at 30 frames per second and more",
     "Physics.rest_rigidity": "tuned: more supports a loose skirt, but lifts a hidden half off its body",
-    "Physics.hidden_edge": "tuned: one camera with few points, low rate or noise; 29 to 36 mm are alike",
+    "Physics.hidden_edge": "chosen: edges of the templates on which both rigidities were tuned",
     "Physics.uneven_rigidity": "tuned: prevents crumpling of soft cloth",
     "Physics.strain_followed": "tuned: the rest stops an even strain from wandering",
     "Physics.start_strain": "chosen: three times the strain of simulated garments, a third of that of a start 5 mm off",
