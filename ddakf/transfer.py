@@ -59,8 +59,7 @@ def _patch_shares(source: Discretised, target: Discretised) -> np.ndarray:
     template = source.setup.model.patch if source.working.places is None else _nearest(source, source.working.places.on_mesh)
     before = template if target.working.places is None else template[_nearest_corner(target.working.places.on_template)]
     after, shape = target.setup.model.patch, (len(target.setup.model.likeness), len(source.setup.model.likeness))
-    count = np.zeros(shape)
-    np.add.at(count, (after, before), 1.0)
+    count = np.bincount(np.ravel_multi_index((after, before), shape), minlength=shape[0] * shape[1]).reshape(shape)
     return count / count.sum(axis=1, keepdims=True)
 
 

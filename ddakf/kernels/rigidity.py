@@ -13,6 +13,8 @@ from ddakf.kernels import FAST
 from ddakf.kernels.symmetric import invert3
 
 LANES = 32  # vertices whose rotations are fitted side by side
+STRAIGHT = 1e-6  # of the cube of a covariance's norm: the ring leaves its turn about itself open
+NEWTON = 40  # steps to a root, at most
 
 
 class LocalRigidity(NamedTuple):
@@ -208,6 +210,66 @@ def turn(lanes):
         lanes[12 * LANES + k], lanes[13 * LANES + k], lanes[14 * LANES + k] = bx, by, bz
         lanes[15 * LANES + k], lanes[16 * LANES + k] = ay * bz - az * by, az * bx - ax * bz
         lanes[17 * LANES + k] = ax * by - ay * bx
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def best_rotations(position, start, neighbour, source, covariance, rotation, straight):
+    """The rotation of each one-ring that maximises sum_j (x_j - x_i) . R s_ij, without a start.
+
+    Markley 1993, "Attitude determination using vector observations: a fast optimal matrix algorithm": the maximum is the largest
+    root of a quartic, which Newton's steps reach from above, and the rotation is rational in it.
+
+    Args:
+        position: (V, 3) metres.
+        start, neighbour: one-rings in compressed rows.
+        source: (2E, 3) s_ij, metres.
+        covariance: (V, 3, 3) out, sum_j (x_j - x_i) s_ij', m^2.
+        rotation: (V, 3, 3) out, left as it is where the ring is straight.
+        straight: (V,) bool out, rings that leave their turn about themselves open.
+    """
+    B, C = np.empty((3, 3)), np.empty((3, 3))
+    for i in range(position.shape[0]):
+        B[:] = 0.0
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            for a in range(3):
+                x = position[j, a] - position[i, a]
+                for b in range(3):
+                    B[a, b] += x * source[e, b]
+        size2 = 0.0
+        for a in range(3):
+            for b in range(3):
+                size2 += B[a, b] * B[a, b]
+        scale = 1.0 / sqrt(size2) if size2 > 0.0 else 0.0
+        covariance[i] = B
+        B *= scale
+        cofactors2 = 0.0
+        for a in range(3):
+            p, q = (a + 1) % 3, (a + 2) % 3
+            for b in range(3):
+                r, s = (b + 1) % 3, (b + 2) % 3
+                C[a, b] = B[p, r] * B[q, s] - B[p, s] * B[q, r]
+                cofactors2 += C[a, b] * C[a, b]
+        det = B[0, 0] * C[0, 0] + B[0, 1] * C[0, 1] + B[0, 2] * C[0, 2]
+        root = sqrt(3.0)
+        for _ in range(NEWTON):
+            square = root * root - 1.0
+            slope = 4.0 * root * square - 8.0 * det
+            step = (square * square - 8.0 * root * det - 4.0 * cofactors2) / slope if slope > 0.0 else 0.0
+            root -= step
+            if step < 1e-15:
+                break
+        share = 0.5 * (root * root - 1.0)
+        divisor = share * root - det
+        straight[i] = not divisor > STRAIGHT
+        if straight[i]:
+            continue
+        for a in range(3):
+            for b in range(3):
+                cubic = 0.0
+                for c in range(3):
+                    cubic += (B[a, 0] * B[c, 0] + B[a, 1] * B[c, 1] + B[a, 2] * B[c, 2]) * B[c, b]
+                rotation[i, a, b] = ((share + 1.0) * B[a, b] + root * C[a, b] - cubic) / divisor
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

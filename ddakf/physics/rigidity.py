@@ -112,17 +112,15 @@ def padded(position: np.ndarray) -> np.ndarray:
 
 
 def rotations(position: np.ndarray, model: Model) -> np.ndarray:
-    """(V, 3, 3) rotations of the one-rings from rest to ``position``, exactly: the polar factor, by singular values.
-
-    The covariance of a ring that is flat at rest and now has rank two: the proper one of the two rotations is returned.
-    """
-    edge = edges(position, model)
-    row = np.repeat(np.arange(len(position)), np.diff(model.start))
-    covariance = np.zeros((len(position), 3, 3))
-    np.add.at(covariance, row, edge[:, :, None] * model.rest_edge[:, None, :].astype(float))
-    U, _, Vt = np.linalg.svd(covariance)
-    U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
-    return U @ Vt
+    """(V, 3, 3) rotations of the one-rings from rest to ``position``, exactly; of a straight ring, one of the best."""
+    n = len(position)
+    rotation, covariance, straight = np.empty((n, 3, 3)), np.empty((n, 3, 3)), np.empty(n, bool)
+    kernels.best_rotations(position, model.start, model.neighbour, model.rest_edge, covariance, rotation, straight)
+    if straight.any():
+        U, _, Vt = np.linalg.svd(covariance[straight])
+        U[:, :, 2] *= np.linalg.det(U @ Vt)[:, None]
+        rotation[straight] = U @ Vt
+    return rotation
 
 
 def identity(n: int) -> np.ndarray:

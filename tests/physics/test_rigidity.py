@@ -113,6 +113,31 @@ def test_a_half_turn_is_recovered(name, axis):
     np.testing.assert_allclose(found, np.tile(R, (len(found), 1, 1)), atol=0.02)
 
 
+@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-3, 1.0, 1e3]))
+@settings(max_examples=20, deadline=None, derandomize=True)
+def test_rotations_are_proper_and_those_of_singular_values(seed, scale):
+    """Wherever the vertices are: crumpled, mirrored and flattened rings as well."""
+    x = scale * np.random.default_rng(seed).normal(size=(120, 3)) * [1.0, 1.0, seed % 2]
+    found, row = rigidity.rotations(x, TUBE), np.repeat(np.arange(120), np.diff(TUBE.start))
+    covariance = np.zeros((120, 3, 3))
+    np.add.at(covariance, row, (x[TUBE.neighbour] - x[row])[:, :, None] * TUBE.rest_edge[:, None, :].astype(float))
+    u, values, vt = np.linalg.svd(covariance)
+    u[:, :, 2] *= (side := np.linalg.det(u @ vt))[:, None]
+    clear = values[:, 1] + side * values[:, 2] > 1e-3 * values[:, 0]
+    assert clear.mean() > 0.9
+    np.testing.assert_allclose(found[clear], (u @ vt)[clear], atol=1e-9)
+    np.testing.assert_allclose(np.einsum("vab,vcb->vac", found, found), np.tile(np.eye(3), (120, 1, 1)), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-9)
+
+
+def test_a_straight_ring_has_a_rotation_along_it():
+    """Its turn about itself is open."""
+    x = np.outer(np.arange(120.0), [0.0, 1.0, 0.0])
+    found = rigidity.rotations(x, TUBE)
+    np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-9)
+    assert np.isfinite(rigidity.rotations(np.zeros((120, 3)), TUBE)).all()
+
+
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_fitted_rotations_are_the_best_ones(seed):

@@ -20,11 +20,11 @@ _ABSENT_AFTER = 2.0  # seconds without a frame after which a session has no shar
 _PAUSE = 1.0  # seconds, at most, between two frames that tell a rate
 _LEAST = 2.0  # times what a whole frame takes: the smallest budget
 _SHORT = 0.9  # of its load: a share that is too small
-_SHORT_FRAMES = 15  # in a row for which the share of a session does not suffice, before its lighter tracker goes on
-_URGENT, _URGENT_FRAMES = 1.0, 3  # processor seconds per second of several sessions, which no worker has: watched for less long
+_SHORT_FRAMES = 18  # in a row for which the share of a session alone does not suffice, before its lighter tracker goes on
+_CROWDED_FRAMES = 2  # the same of one of several: each frame that is dropped makes the next one dearer
 _HOPELESS = 2.0  # processor seconds per second: even first frames tell that this is too much, though later ones take half
 _FIRST_FRAMES = 10  # of a tracker; later ones take less, when all is in the caches
-_TELLING = 6  # frames of a tracker, whose least time tells the load
+_TELLING = 3  # frames of a tracker, whose least time tells the load
 _LIGHTER = 0.5  # of the time of its own tracker, which a session's lighter one is expected to take
 _FADES = 0.998  # per frame, what the own tracker took
 _SETTLED = 0.5  # seconds between two changes of trackers in a worker, so that each one shows
@@ -161,8 +161,8 @@ class FairShares:
             told = hopeless or demand.tracked >= _TELLING
             gives_way = told and demand.is_short and self._gives_way(demand, load - self._planned)
             demand.short = demand.short + 1 if gives_way else 0
-            urgent = several and load > _URGENT and demand.short >= (1 if hopeless else _URGENT_FRAMES)
-            if urgent or (demand.short >= _SHORT_FRAMES and settled):
+            crowded = several and demand.short >= (1 if hopeless else _CROWDED_FRAMES)
+            if crowded or (demand.short >= _SHORT_FRAMES and settled):
                 demand.change(True, now)
                 self._changed = now
         elif demand.is_lighter:

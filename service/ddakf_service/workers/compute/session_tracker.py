@@ -51,10 +51,14 @@ class SessionTracker:
         return built
 
     def own(self) -> ddakf.Tracker:
-        """The tracker with the session's configuration, after the last frame."""
+        """The tracker with the session's configuration, after the last frame; it tracks the next one."""
+        own, self.is_lighter = self.brought_up(), False
+        return own
+
+    def brought_up(self) -> ddakf.Tracker:
+        """The tracker with the session's configuration, after the last frame; the one in use goes on from where it is."""
         if self.is_lighter:
             self._own.continue_from(self._lighter.result())
-            self.is_lighter = False
         return self._own
 
     def _built(self) -> ddakf.Tracker | None:

@@ -101,7 +101,7 @@ class TrackerHost:
 
     def snapshot(self, session_id: str, request: bytes) -> bytes:
         """The tracker's state out; compressed unless the request is empty."""
-        return self._tracker(session_id).own().snapshot(compressed=bool(request))
+        return self._tracker(session_id).brought_up().snapshot(compressed=bool(request))
 
     def close(self, session_id: str, request: bytes) -> bytes:
         """Removes a session."""

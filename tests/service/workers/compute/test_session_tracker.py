@@ -63,6 +63,19 @@ def test_its_own_tracker_is_where_the_lighter_one_is(builder):
     assert not session.is_lighter
 
 
+def test_a_checkpoint_is_of_its_own_tracker_and_the_lighter_one_goes_on():
+    """A checkpoint every second must not cost frames, when there are sessions that have lighter trackers for want of time."""
+    host = host_of(one=SHIRT)
+    session = waiting(host._trackers["one"])
+    lighter = session.of_frame(True)
+    lighter.step((SHIRT.vertices + [0.05, 0.0, 0.0]).astype(np.float32), timestamp=1.0)
+    before = lighter.snapshot()
+    restored = Tracker.restore(host.snapshot("one", b""))
+    assert (restored.config, restored._track.time) == (Config(), 1.0)
+    assert session.of_frame(True) is lighter
+    assert lighter.snapshot() == before
+
+
 @pytest.mark.parametrize("config", [Config.paper(), Config.fast()], ids=["paper", "fast"])
 def test_some_configurations_have_no_lighter_one(config, builder):
     own = Tracker(TUBE, config=config)
