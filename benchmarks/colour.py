@@ -19,6 +19,7 @@ import numpy as np
 from conditions import FIRST, INSIDE, add_recordings, garment_of, geometric, recordings
 
 import ddakf
+from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
@@ -133,10 +134,14 @@ def report(rows: list[dict]) -> None:
 
 
 def write(path: Path, split: str, rows: list[dict]) -> None:
-    """Writes the rows of a split into a file; those of the other split stay."""
-    splits = (json.loads(path.read_text()) if path.is_file() else {}) | {split: rows}
-    parts = ",\n".join(f"{json.dumps(name)}: [\n" + ",\n".join(map(json.dumps, found)) + "\n]" for name, found in splits.items())
-    path.write_text(f"{{\n{parts}\n}}\n")
+    """Writes the rows of a split into a file, with the commit; those of the other split stay."""
+    splits = json.loads(path.read_text()) if path.is_file() else {}
+    splits |= {split: {"commit": machine.commit(), "rows": rows}}
+    parts = []
+    for name, found in splits.items():
+        lines = ",\n".join(map(json.dumps, found["rows"]))
+        parts.append(f'{json.dumps(name)}: {{"commit": {json.dumps(found["commit"])}, "rows": [\n{lines}\n]}}')
+    path.write_text("{\n" + ",\n".join(parts) + "\n}\n")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -152,9 +157,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--show", type=Path, metavar="JSON", help="print the tables of such a file, and track nothing")
     arguments = parser.parse_args(argv)
     if arguments.show:
-        for split, rows in json.loads(arguments.show.read_text()).items():
-            print(f"\n{split}\n")
-            report(rows)
+        for split, found in json.loads(arguments.show.read_text()).items():
+            print(f"\n{split}, {found['commit']}\n")
+            report(found["rows"])
         return 0
     chosen = recordings(parser, arguments)
     jobs = itertools.product(chosen, arguments.views, [tuple(arguments.textures)], [arguments.frames], [arguments.config])

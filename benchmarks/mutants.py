@@ -323,7 +323,10 @@ def main(argv: list[str] | None = None) -> int:
         {**asdict(o.mutant), "result": o.result, "tests": o.tests, "seconds": round(o.seconds, 1)}
         for o in sorted(done, key=lambda o: (o.mutant.path, o.mutant.lines, o.mutant.node))
     ]
-    report = {"seed": arguments.seed, "of": len(every), "killed_share": round(share, 3), **count, "mutants": rows}
+    from ddakf.evaluation import machine  # not before: a mutant is loaded instead of the original
+
+    report = {"commit": machine.commit(), "seed": arguments.seed, "of": len(every), "killed_share": round(share, 3), **count}
+    report["mutants"] = rows
     arguments.out.write_text(json.dumps(report, indent=1) + "\n")
     return 0
 
