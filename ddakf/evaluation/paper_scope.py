@@ -22,7 +22,7 @@ RUNS = 5  # seeds per cell
 NOISE_MM = (0, 1, 3, 5)  # Table 5
 DROP_PERCENT = (0, 10, 20, 30, 40)  # Table 6
 OUTLIER_PERCENT = (0, 10, 20)
-EVERY = (1, 2, 3)  # frame: 30, 15 and 10 per second
+RATE, EVERY = 30, (1, 2, 3)  # frames per second of the recordings that are swept, of which every n-th is seen
 ERROR_MAPS = {  # figure: view, noise in metres, recording, frame; of untouched recordings
     "figure-1": ("front+body", 0.003, "tshirt_run_loose_19", 80),
     "figure-2": ("full", 0.010, "skirt_crossed-arms_loose_31", 80),

@@ -7,7 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
-from ddakf.evaluation.paper_scope import CONDITIONS, TITLES, ordered
+from ddakf.evaluation.paper_scope import CONDITIONS, EVERY, RATE, TITLES, ordered
 from ddakf.evaluation.reporting import headline, not_reproduced, paper_figures, paper_numbers, paper_tables
 from ddakf.evaluation.reporting.page import Picture, page
 from ddakf.evaluation.reporting.paper_tables import Table
@@ -185,9 +185,11 @@ def _sweeps(results: dict[str, Result]) -> list[Table]:
         ("noise", "Table 5: RMSE in mm with noise", "rmse_mm", paper_numbers.NOISE, "noise, mm"),
         ("drop", "Table 6: penetration in mm with missing points", "penetration_mm", paper_numbers.DROP, "missing, %"),
         ("outliers", "RMSE in mm with outliers", "rmse_mm", {}, "outliers, %"),
-        ("every", "RMSE in mm at lower frame rates", "rmse_mm", {}, "every n-th frame of 30 per second"),
+        ("rate", "RMSE in mm at other frame rates", "rmse_mm", {}, "frames per second"),
     ):
         levels = {int(m[1]): r for name, r in results.items() if (m := re.fullmatch(rf"{kind}-(\d+)", name))}
+        if kind == "rate":
+            levels |= {RATE // n: results[f"every-{n}"] for n in EVERY if f"every-{n}" in results}
         if levels:
             parts.append(paper_tables.sweep(f"table-{kind}", title, levels, value, paper, unit))
     return parts

@@ -25,12 +25,21 @@ from ddakf.evaluation.sensors.virtual_sensor import front_camera
 from ddakf.evaluation.splits import faust_split
 from ddakf.evaluation.studies.frame_estimates import FrameEstimates, load_frame_estimates
 from ddakf.evaluation.studies.study_plan import StudyPlan
-from ddakf.evaluation.trials.recordings import FAUST, SAMPLE, depth_recording_names, faust_names, find_recording, recording_names
+from ddakf.evaluation.trials.recordings import (
+    AT,
+    FAUST,
+    SAMPLE,
+    depth_recording_names,
+    faust_names,
+    find_recording,
+    recording_names,
+)
 from ddakf.evaluation.trials.runs import estimate_frame
 from ddakf.evaluation.trials.trial import Trial, sensor_of
 from ddakf.evaluation.trials.variants import ablations, refinements
 
 MOVING = "30:91"  # frames of the untouched recordings and of the sweeps: all are in motion by then
+FASTER, MOVING_FASTER = 60, "60:181"  # frames per second, and the frames of the same two seconds
 OCCLUDE, OCCLUSION_FRAMES = (38, 68), "0:101"  # of Figures 1 and 3
 CAPTURES = ("samba_dress", "samba_whole")  # real captures without a body, which have a study of their own
 
@@ -85,6 +94,9 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
     swept = untouched or chosen
     for name, settings in _degraded(common, size.sweeps).items():
         plans[name] = StudyPlan(swept, ALL_SYSTEMS, views[:1], size.swept_runs, size.moving, settings)
+    if untouched:
+        twice = tuple(f"{name}{AT}{FASTER}" for name in swept)
+        plans[f"rate-{FASTER}"] = StudyPlan(twice, ALL_SYSTEMS, views[:1], size.swept_runs, MOVING_FASTER, common)
     window = OCCLUDE if size.sweeps else (12, 22)
     if long_enough := tuple(name for name in swept if len(find_recording(name)) > window[1]):  # that are seen again after it
         frames = OCCLUSION_FRAMES if size.sweeps else size.frames

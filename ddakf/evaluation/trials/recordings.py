@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+
+import numpy as np
 
 from ddakf import data
 from ddakf.errors import InvalidArgument, nearest
@@ -14,6 +17,7 @@ from ddakf.files.sequence import Sequence, load_sequence
 
 FAUST = "faust_"  # before the name of a clip
 SAMPLE = "sample"  # the name of the recording that ships with the project
+AT = "@"  # between the name of a recording and a number of frames per second
 
 def recording_names() -> list[str]:
     """The bundled sample, and the recordings under DDAKF_DATA."""
@@ -23,12 +27,18 @@ def recording_names() -> list[str]:
 
 @lru_cache(maxsize=8)
 def find_recording(name: str) -> Sequence | Recording | Pair:
-    """A recording by its name or path, see :func:`ddakf.evaluation.datasets.open_dataset`.
+    """A recording by its name or path, see :func:`ddakf.evaluation.datasets.open_dataset`; ``NAME@60`` is :func:`at_rate` 60.
 
     Raises:
-        InvalidArgument: neither a known name nor a path.
+        InvalidArgument: neither a known name nor a path, or a rate of no sequence.
         InvalidFile: an unreadable file at the path.
     """
+    base, at, rate = name.rpartition(AT)
+    if at and rate.isdecimal():
+        sequence = find_recording(base)
+        if not isinstance(sequence, Sequence) or int(rate) == 0:
+            raise InvalidArgument("sequence", "frames per second above 0 of a recording with truth, as in sample@60", repr(name))
+        return at_rate(sequence, int(rate))
     if name == SAMPLE:
         return data.sample()
     if name.startswith(FAUST) and (archive := _faust()):
@@ -46,6 +56,22 @@ def find_recording(name: str) -> Sequence | Recording | Pair:
         expected = f"a path, or one of {', '.join(known)} (DDAKF_DATA names a folder of more)"
         raise InvalidArgument("sequence", expected, repr(name) + nearest(name, known))
     return load_sequence(folder / f"{name}.npz")
+
+
+def at_rate(sequence: Sequence, fps: int) -> Sequence:
+    """The recording with so many frames per second. Between two of its frames garment and body move linearly."""
+    last = len(sequence) - 1
+    place = np.arange(int(last * fps / sequence.fps) + 1) * (sequence.fps / fps)
+    before = np.minimum(place.astype(int), max(last - 1, 0))
+    share = (place - before).astype(np.float32)[:, None, None]
+
+    def between(vertices: np.ndarray | None) -> np.ndarray | None:
+        if vertices is None:
+            return None
+        return (1 - share) * vertices[before] + share * vertices[np.minimum(before + 1, last)]
+
+    moved = between(sequence.garment_vertices)
+    return replace(sequence, garment_vertices=moved, body_vertices=between(sequence.body_vertices), fps=float(fps))
 
 
 def faust_names() -> list[str]:

@@ -284,6 +284,8 @@ def test_the_studies_of_the_paper_have_its_levels(monkeypatch):
     assert {name for name in whole if re.match("noise|drop", name)} == {
         *(f"noise-{level}" for level in (0, 1, 3, 5)), *(f"drop-{level}" for level in (0, 10, 20, 30, 40)),
     }  # fmt: skip
+    assert {name for name in whole if re.match("every|rate", name)} == {"every-1", "every-2", "every-3", "rate-60"}
+    assert whole["rate-60"].sequences == tuple(f"{name}@60" for name in whole["every-1"].sequences)
     assert whole["main"].runs == 5
     assert quick["main"].runs == 2
     assert {plan.views for name, plan in whole.items() if name in ("main", "untouched", "ablation")} == {tuple(CONDITIONS)}
