@@ -34,6 +34,7 @@ class Coarse(Checked):
     iterations: int = bounded(4, 0, 50)  # at most in a frame; 0: none
     tolerance: float = bounded(0.002, 0, 0.1)  # m, RMS step at which the passes stop
     least_innovation: float = bounded(0.008, 0, 10)  # m, RMS along the normals; below it the prediction is good enough
+    least_cluster_innovation: float = bounded(0.015, 0, 10)  # m, the same of a cluster, as if one more vertex had none
     prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex 1/30 s ahead; in proportion to the time
     longest_prior_sd: float = bounded(0.1, 1e-4, 10)  # m, at most
     contact_sd: float = bounded(0.004, 1e-4, 10)  # m, of the body's surface that pushes a cluster out

@@ -21,14 +21,15 @@ from ddakf.stages import associate, fuse, robust
 from ddakf.types import Estimate, Problem, variances
 
 EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
+MOST = 0.7  # of the vertices; one camera sees half of a garment
 RIDGE = 1e-6  # of the mean diagonal: a cluster that nothing holds
 
 
 def align(problem: Problem) -> Estimate:
     """The estimate before the first pass over all vertices: the prediction, or where the clusters went from there.
 
-    Nothing is done while the prediction is good, the innovations along the normals below ``least_innovation``; and by the paper's
-    association, which has no normals. A budget may leave passes out.
+    Nothing is done while the prediction is good, see :func:`_needed`; and by the paper's association, which has no normals. A
+    budget may leave passes out.
     """
     begun, config, clusters = fuse.begin(problem), problem.config, problem.model.clusters
     coarse, floor = config.coarse, None
@@ -36,7 +37,7 @@ def align(problem: Problem) -> Estimate:
         return begun
     gates = list(islice(associate.gates(problem), coarse.iterations))
     estimate = _measured(problem, begun, clusters.probe, gates[0])
-    if not _needed(estimate, clusters.probe, coarse.least_innovation):
+    if not _needed(problem, estimate):
         return estimate  # its planes need not be sought again
     if problem.effort.passes < 1:
         return estimate._replace(work=Work(unaligned=True))
@@ -69,12 +70,22 @@ def _measured(problem: Problem, estimate: Estimate, vertex: np.ndarray, gate: fl
     return estimate._replace(evidence=estimate.evidence._replace(measurement=measurement))
 
 
-def _needed(estimate: Estimate, vertex: np.ndarray, least: float) -> bool:
-    """Whether passes are: the RMS innovation of some vertices along the normals is above ``least`` metres."""
-    measurement = estimate.evidence.measurement
+def _needed(problem: Problem, estimate: Estimate) -> bool:
+    """Whether passes are: innovations along the normals are large, of the whole garment or of a cluster, such as a raised arm.
+
+    A cluster that moves drags hidden ones along, so that it decides only where most of the garment is seen.
+    """
+    coarse, measurement, vertex = problem.config.coarse, estimate.evidence.measurement, problem.model.clusters.probe
     found = vertex[measurement.found[vertex]]
+    if len(found) == 0:
+        return False
     y = np.einsum("va,va->v", measurement.normal[found], measurement.target[found] - estimate.position[found])
-    return len(y) > 0 and float(y @ y) > least**2 * len(y)
+    if float(y @ y) > coarse.least_innovation**2 * len(y):
+        return True
+    cluster = problem.model.cluster[found]
+    squares, count = np.bincount(cluster, y * y), np.bincount(cluster)
+    large = squares > coarse.least_cluster_innovation**2 * (count + 1)  # one vertex alone tells little
+    return len(found) > MOST * len(vertex) and bool(large.any())
 
 
 def _prior_sd(problem: Problem) -> float:
