@@ -98,7 +98,7 @@ REASONS = {
     "PlaneAssociation.beside": "tuned: a plane reaches about one spacing beyond its points",
     "PlaneAssociation.normal_cosine": "chosen, 60 degrees: front and back never match",
     "PlaneAssociation.turned": "tuned: about an edge",
-    "PlaneAssociation.facing_cosine": "tuned, 78 degrees: planes seen edge-on are poor and pull the surface along itself",
+    "PlaneAssociation.facing_cosine": "tuned, 107 degrees: a vertex at the rim may turn back to what is seen",
     "PlaneAssociation.hidden_depth": "chosen: above noise and cloth thickness, below an arm",
     "PlaneAssociation.hem_reach": "tuned: farther than cloth slips, nearer than the next hem",
     "PlaneAssociation.hem_sd": "tuned: half the point spacing of a depth camera at 2 m",

@@ -104,7 +104,7 @@ class PlaneAssociation(Checked):
     beside: float = bounded(1.4, 0.1, 1e3)  # mean distances of plane fits, along the plane, after which the cloud has ended
     normal_cosine: float = bounded(0.5, -1, 1)  # agreement of vertex and cloud normals, at least
     turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
-    facing_cosine: float = bounded(0.2, -1, 1)  # cosine between a vertex normal and its sensor, at least
+    facing_cosine: float = bounded(-0.3, -1, 1)  # cosine between a vertex normal and its sensor, at least
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a surface in front of a vertex by more than this hides it
     sighting: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
