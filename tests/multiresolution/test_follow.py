@@ -38,7 +38,7 @@ def tracked(config: Config, body: Mesh | None = None, frames: int = 30):
 
 
 def test_hidden_cloth_is_nearer_to_where_the_seen_cloth_carries_it():
-    (_, alone, truth), (_, led, _) = tracked(ALONE), tracked(Config())
+    (_, alone, truth), (_, led, _) = tracked(ALONE, frames=45), tracked(Config(), frames=45)
     hidden = ~led.observed & ~alone.observed
     assert hidden.mean() > 0.3
     errors = [np.sqrt(np.square(each.vertices - truth)[hidden].sum(axis=1).mean()) for each in (led, alone)]
