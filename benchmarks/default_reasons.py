@@ -83,7 +83,7 @@ REASONS = {
     "Coarse.iterations": "tuned: of use below 30 frames per second, where one pass does not arrive",
     "Coarse.tolerance": "tuned",
     "Coarse.least_innovation": "tuned: noise and calm motion leave about 3 mm",
-    "Coarse.least_cluster_innovation": "tuned: 10 mm gain no more, and cost twice the time",
+    "Coarse.least_cluster_innovation": "tuned: 10 mm gain no more and take longer",
     "Coarse.prior_sd": "tuned: prediction error of fast motion",
     "Coarse.longest_prior_sd": "tuned: prediction error at 5 to 10 frames per second",
     "Coarse.contact_sd": "chosen: error of a body model's surface",

@@ -1,4 +1,4 @@
-"""What each part of the tracker earns: ``python benchmarks/parts.py [--seeds 5] [--procs 2] [--out FILE]``.
+"""Error, time and lines of the tracker's parts: ``python benchmarks/parts.py [--seeds 5] [--procs 2] [--out FILE]``.
 
 Clips of training recordings (see :mod:`conditions`) are tracked by the default and by it without each of its parts, in three
 views and with several seeds of the noise; the parts that are about low rates also at 10 frames per second. Printed are errors and
@@ -23,6 +23,7 @@ from rich.console import Console
 from rich.progress import track
 
 import ddakf
+from ddakf.errors import InvalidArgument
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.trials import variants
@@ -129,11 +130,16 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROWS, help="file of the rows, which resumes")
     parser.add_argument("--json", type=Path, default=RESULT, help="file of the summary")
+    parser.add_argument("--allow-dirty", action="store_true", help="write a summary of uncommitted code into the checkout")
     parser.add_argument("--table", action="store_true", help="print the table of the summary, and run nothing")
     arguments = parser.parse_args(argv)
     if arguments.table:
         table(json.loads(arguments.json.read_text()))
         return 0
+    try:
+        machine.require_committed(arguments.json, arguments.allow_dirty)
+    except InvalidArgument as error:
+        parser.error(str(error))
     names = arguments.recordings or [each.name for each in collection.listed(collection.TRAINING)][::EVERY]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.is_file() else []

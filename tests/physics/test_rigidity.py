@@ -132,8 +132,11 @@ def test_rotations_are_proper_and_those_of_singular_values(seed, scale):
 
 def test_a_straight_ring_has_a_rotation_along_it():
     """Its turn about itself is open."""
-    x = np.outer(np.arange(120.0), [0.0, 1.0, 0.0])
-    found = rigidity.rotations(x, TUBE)
+    x, row = np.outer(np.arange(120.0), [0.0, 1.0, 0.0]), np.repeat(np.arange(120), np.diff(TUBE.start))
+    found, along = rigidity.rotations(x, TUBE), np.zeros((120, 3))
+    np.add.at(along, row, (TUBE.neighbour.astype(float) - row)[:, None] * TUBE.rest_edge)
+    along /= np.linalg.norm(along, axis=1)[:, None]
+    np.testing.assert_allclose(np.einsum("vab,vb->va", found, along), np.tile([0.0, 1.0, 0.0], (120, 1)), atol=1e-6)
     np.testing.assert_allclose(np.linalg.det(found), 1.0, atol=1e-9)
     assert np.isfinite(rigidity.rotations(np.zeros((120, 3)), TUBE)).all()
 
