@@ -221,12 +221,8 @@ class Sessions:
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             await self._end_abandoned()
-            for session in self._catalog if self._tenure.held else ():
-                try:
-                    self._expire(session)
-                    self._persistence.save(session)
-                except Exception:  # a failure of one session must not keep the others alive
-                    log.exception("a session could not be ended", extra={"session": session.id})
+            if self._tenure.held:
+                self._expire_or_save()  # a local variable here would hold the last session while it waits
 
     async def _end_abandoned(self) -> None:
         if monotonic() > self._abandoned_due:
@@ -235,6 +231,14 @@ class Sessions:
                 await self._ownership.end_abandoned()
             except Exception as error:
                 log.warning("abandoned sessions could not be ended: %s", error)
+
+    def _expire_or_save(self) -> None:
+        for session in self._catalog:
+            try:
+                self._expire(session)
+                self._persistence.save(session)
+            except Exception:  # a failure of one session must not keep the others alive
+                log.exception("a session could not be ended", extra={"session": session.id})
 
     def _expire(self, session: Session) -> None:
         """Ends a session if it has expired."""

@@ -195,3 +195,13 @@ async def test_what_was_refused_is_not_kept(sheet, tmp_path):
             for _ in range(3):
                 await refusals(addresses)
             assert not await left(addresses, held, first)
+
+
+async def test_an_expired_session_is_not_kept(sheet, tmp_path):
+    async with serving(spare_workers=0, data_dir=str(tmp_path)) as addresses, asyncio.timeout(TIMEOUT):
+        await visit(addresses.grpc, sheet, in_order)  # which leaves what is made once and kept
+        gc.collect()
+        first = await settled(addresses, held)
+        with without_collector():
+            await visit(addresses.grpc, sheet, gone)
+            assert not await left(addresses, held, first)
