@@ -25,12 +25,20 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 15
+VERSION = 16
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
-# size, which are not read, and lacks the offset of hidden cloth.
-READ = (11, 12, 13, 14, VERSION)
+# size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well.
+READ = (11, 12, 13, 14, 15, VERSION)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
+DROPPED = (
+    ("evidence", "free_clearance"),
+    ("reliability", "sigma_share"),
+    ("predict", "worn_tangential_sd"),
+    *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
+    ("predict", "anchor_slippage"),
+    ("predict", "anchor_slippage_power"),
+)  # parts and fields of earlier configurations
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
 
@@ -278,10 +286,12 @@ def unpack(data: bytes) -> tuple[dict, dict[str, np.ndarray]]:
         if reader.unconsumed_tail:
             raise InvalidSnapshot("snapshot", f"at most {MAX_BYTES} bytes when unpacked", "more")
         arrays = _members(body)
+        if version < 16 and "worn_squares" in arrays:
+            arrays["worn_squares"] = np.ascontiguousarray(arrays["worn_squares"][:, 0])
         return _present(json.loads(arrays.pop("numbers").tobytes()), version), arrays
     except InvalidSnapshot:
         raise
-    except (zlib.error, zipfile.BadZipFile, ValueError, KeyError, EOFError, OSError, RuntimeError, struct.error) as error:
+    except (zlib.error, zipfile.BadZipFile, ValueError, LookupError, EOFError, OSError, RuntimeError, struct.error) as error:
         raise InvalidSnapshot("snapshot", "an archive of arrays", str(error) or type(error).__name__) from None
 
 
@@ -297,7 +307,7 @@ def _present(numbers: dict, version: int) -> dict:
     if isinstance(config := numbers.get("config"), dict):
         for law in ("vertex_error", "frame_error", "normal_error", "tangential_error"):  # of other evidence, and fitted together
             config.pop(law, None)
-        for part, field in (("evidence", "free_clearance"), ("reliability", "sigma_share")):
+        for part, field in DROPPED:
             if isinstance(config.get(part), dict):
                 config[part].pop(field, None)
     if isinstance(health := numbers.get("health"), dict):

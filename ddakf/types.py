@@ -96,6 +96,7 @@ class Model(NamedTuple):
     rest_length: np.ndarray  # (2E,) float32 m, its length
     crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
+    hanging: np.ndarray  # (V,) float32 m of cloth between a vertex and the garment's top, at rest
     area: float  # m^2
     vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
     edge_length: float  # m, mean
@@ -222,10 +223,10 @@ class BodyAnchor(NamedTuple):
 
     bound: Bound  # at the start, or where relocalization found the garment
     seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
-    squares: np.ndarray  # (L, 2) m^2, squared deviation of these along the normal, and along either tangent, times that share
+    squares: np.ndarray  # (L,) m^2, squared deviation of these along the normal, times that share
     measured: np.ndarray  # (V,) bool, in the last frame
-    slippage: float  # of the bound garment: least share of a rigid motion that is along its normals
-    guess: np.ndarray  # (L, 2) m^2, as squares of patches of which all is measured: before anything is
+    guess: np.ndarray  # (L,) m^2, as squares of patches of which all is measured: before anything is
+    slip: np.ndarray  # (L,) m^2, squared deviation along either tangent
 
 
 # What changes from frame to frame -----------------------------------------------------------------------------------

@@ -21,18 +21,13 @@ class ConstantVelocity(Checked):
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: a longer gap moves the garment no further
     worn_memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the deviation from the body anchor; 0: no anchor
     worn_normal_sd: float = bounded(0.003, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
-    worn_tangential_sd: float = bounded(0.01, 1e-4, 10)  # m, the same across it
-    worn_slope: float = bounded(0.12, 0, 10)  # m more of both per m from the body
+    worn_slope: float = bounded(0.12, 0, 10)  # m more per m from the body
     worn_sd: float = bounded(0.05, 1e-3, 10)  # m, first guess at most
+    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top
+    slip_slope: float = bounded(0.12, 0, 10)  # m more per m of cloth from there
     anchor_reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
-    anchor_least_sd: float = bounded(0.002, 1e-4, 1)  # m, deviation from the body anchor, at least
+    anchor_least_sd: float = bounded(0.001, 1e-4, 1)  # m, deviation from the body anchor along the normal, at least
     anchor_first_share: float = bounded(0.6, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
-    anchor_normal_samples: float = bounded(2.0, 1e-3, 1e3)  # independent deviations of a patch along the normal
-    anchor_tangential_samples: float = bounded(0.7, 1e-3, 1e3)  # the same across the normal: cloth slips over longer lengths
-    anchor_seen_samples: float = bounded(2.3, 1e-3, 1e3)  # the same of a patch that is seen
-    anchor_seen_sd: float = bounded(0.01, 0, 1)  # m, added to the deviation of one that is seen: part of it is the tracker's own
-    anchor_slippage: float = bounded(0.04, 1e-3, 1)  # least normal share of a garment, above which what is seen is held less
-    anchor_slippage_power: float = bounded(4.0, 0, 100)  # how fast that hold fades
 
 
 @dataclass(frozen=True)

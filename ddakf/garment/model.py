@@ -10,6 +10,8 @@ from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, self_collision, shear, strain, stretch
 from ddakf.types import Model
 
+TOP = 0.03  # m: as far below a garment's highest vertex reach waistbands and collars, by which it hangs
+
 
 def build(mesh: Mesh, config: Config | None = None) -> Model:
     """Model of a garment.
@@ -52,6 +54,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         rest_length=np.linalg.norm(rest_edge, axis=1).astype(np.float32),
         crossing=crossings(edges, patch),
         boundary=_boundary(mesh),
+        hanging=_hanging(graph, mesh.vertices @ config.start.to_y_up[1]),
         area=float(area.sum()),
         vertex_share=(vertex_area / vertex_area.mean()).astype(np.float32),
         edge_length=mesh.edge_length,
@@ -84,6 +87,13 @@ def _distances(graph: geodesic.Graph, mesh: Mesh, config: Discretisation) -> np.
         distance[k], _ = geodesic.distances(graph, [int(np.argmax(nearest if k else away))])
         np.minimum(nearest, distance[k], out=nearest)
     return distance
+
+
+def _hanging(graph: geodesic.Graph, height: np.ndarray) -> np.ndarray:
+    """(V,) float32 metres along the surface from the garment's top; in a piece without it, the height below it."""
+    below = height.max() - height
+    distance, _ = geodesic.distances(graph, np.flatnonzero(below <= TOP))
+    return np.where(np.isfinite(distance), distance, below).astype(np.float32)
 
 
 def _boundary(mesh: Mesh) -> np.ndarray:
