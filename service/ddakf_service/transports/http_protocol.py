@@ -1,10 +1,11 @@
-"""HTTP protocol: uvicorn's on h11, with a time limit per request and errors of the parser as JSON."""
+"""HTTP protocol: uvicorn's on h11, with bounds on a request's time and chunks, and errors of the parser as JSON."""
 
 from __future__ import annotations
 
 import asyncio
 import sys
 from http import HTTPStatus
+from typing import Any
 
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -14,6 +15,9 @@ from .rest.errors import http_error_response
 from .truncation import truncated
 
 _MAX_REASON_BYTES = 200  # of h11's message; the part that repeats the request is left out
+_LARGE_READ = 1 << 16  # bytes after which other connections have their turn
+MAX_SMALL_CHUNKS = 1 << 10  # chunks of a body beside one per CHUNK_BYTES
+CHUNK_BYTES = 128  # a smaller chunk costs more time than its bytes
 
 
 def http_protocol(patience: float) -> type[H11Protocol]:
@@ -27,6 +31,10 @@ def http_protocol(patience: float) -> type[H11Protocol]:
     class Protocol(H11Protocol):
         _cutting: asyncio.TimerHandle | None = None
 
+        def __init__(self, *arguments: Any, **options: Any):
+            super().__init__(*arguments, **options)
+            self.conn = _Connection(h11.SERVER)
+
         def connection_made(self, transport: asyncio.Transport) -> None:
             super().connection_made(transport)
             self._await_request()
@@ -34,6 +42,9 @@ def http_protocol(patience: float) -> type[H11Protocol]:
         def data_received(self, data: bytes) -> None:
             super().data_received(data)
             self._await_request()
+            if len(data) >= _LARGE_READ and self._is_reading():
+                self.transport.pause_reading()  # uvloop would go on with megabytes
+                self.loop.call_soon(self._read_on)
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop_cutting()
@@ -45,6 +56,14 @@ def http_protocol(patience: float) -> type[H11Protocol]:
                 for event in _refusal(sys.exception(), self.scheme):
                     self.transport.write(self.conn.send(event))
             self.transport.close()
+
+        def _read_on(self) -> None:
+            if self._is_reading():
+                self.transport.resume_reading()
+
+        def _is_reading(self) -> bool:
+            """Whether this protocol has an open connection whose flow control does not hold it back."""
+            return not (self.flow.read_paused or self.transport.is_closing()) and self.transport.get_protocol() is self
 
         def _await_request(self) -> None:
             upgraded = self.transport.get_protocol() is not self
@@ -59,6 +78,23 @@ def http_protocol(patience: float) -> type[H11Protocol]:
                 self._cutting = None
 
     return Protocol
+
+
+class _Connection(h11.Connection):
+    """h11's connection without bodies of tiny chunks: one read has tens of thousands of them."""
+
+    _chunks = _bytes = 0  # of the body so far
+
+    def next_event(self) -> h11.Event | type[h11.NEED_DATA] | type[h11.PAUSED]:
+        event = super().next_event()
+        if isinstance(event, h11.Request):
+            self._chunks = self._bytes = 0
+        elif isinstance(event, h11.Data):
+            self._chunks += event.chunk_end
+            self._bytes += len(event.data)
+            if self._chunks > MAX_SMALL_CHUNKS + self._bytes // CHUNK_BYTES:
+                raise h11.RemoteProtocolError(f"more than {MAX_SMALL_CHUNKS} chunks of fewer than {CHUNK_BYTES} bytes")
+        return event
 
 
 def _refusal(error: BaseException | None, scheme: str) -> list[h11.Event]:

@@ -82,6 +82,23 @@ def test_a_request_with_one_length_leaves_the_connection_open(port, lengths, bod
     assert port.send(POST + lengths + "\r\n" + body, until_closed=False).error["name"] == "InvalidArgument"
 
 
+def chunked(size: int, count: int) -> str:
+    """A body of equal chunks."""
+    return POST + "Transfer-Encoding: chunked\r\n\r\n" + f"{size:x}\r\n{' ' * size}\r\n" * count + "0\r\n\r\n"
+
+
+def test_a_body_of_tiny_chunks_is_refused(port):
+    """One read of them would hold up all streams."""
+    answer = port.send(chunked(1, 2_000))
+    assert answer.status == 400
+    assert "more than 1024 chunks of fewer than 128 bytes" in answer.error["message"]
+
+
+@pytest.mark.parametrize(("size", "count"), [(1, 1_000), (128, 5_000), (100_000, 20)])
+def test_a_body_of_other_chunks_is_read(port, size, count):
+    assert port.send(chunked(size, count), until_closed=False).error["field"] == "body"
+
+
 @pytest.mark.parametrize(
     ("request_", "status", "words"),
     [
