@@ -16,7 +16,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 from ..conftest import TIMEOUT, frame_of, held, make_sheet, request_of, workers
-from .websockets_client import START, Line, line
+from .websockets_client import START, Line, handshake, line
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -157,6 +157,46 @@ def test_a_stream_is_taken_over_across_transports(service, api, session, sheet):
         list(api.track(session, [request_of(frame_of(sheet, 1))], takeover=True))
         code, reason = first.ending()
     assert (code, reason) == (4409, f"another stream took over {session}")
+
+
+MASKED = b"\x80\0\0\0\0"  # no payload
+
+
+@pytest.mark.parametrize(
+    ("first", "repeated"),
+    [(b"", b"\x8a"), (b"", b"\x89"), (b"\x02" + MASKED, b"\0"), (b"\x82" + MASKED, b"\x82")],
+    ids=["pongs", "pings", "fragments", "messages after the end"],
+)
+def test_a_flood_of_empty_frames_ends_its_connection(service, session, first, repeated):
+    """Their number costs the time of all streams; messages, which flow control holds back, are none of them."""
+    with handshake(service, f"{session}/stream") as flooding:
+        with contextlib.suppress(ConnectionError):
+            flooding.sendall(first + (repeated + MASKED) * 100_000)
+        received = b""
+        with contextlib.suppress(ConnectionError):
+            while data := flooding.recv(1 << 16):
+                received += data
+    reason = b"has to be start" if repeated == b"\x82" else b"\x03\xf0more than 500 control frames or small fragments a second"
+    assert reason in received
+
+
+def test_a_client_of_many_pings_and_fragments_stays(service, session, sheet):
+    """In one read they are more than the server parses at once."""
+    start, frame = START.SerializeToString(), request_of(frame_of(sheet, 1)).SerializeToString()
+    with line(service, f"{session}/stream") as websocket:
+        for _ in range(100):
+            websocket.connection.ping()
+        websocket.connection.send([start[:1], b"", start[1:]])
+        websocket.connection.send([frame[at : at + 128] for at in range(0, len(frame), 128)])
+        for token in range(5_000):
+            websocket.send(pb.TrackRequest(ping=pb.Ping(token=token)))
+        websocket.send(None)
+        kinds = []
+        with contextlib.suppress(ConnectionClosed):
+            while True:
+                kinds.append(websocket.receive().WhichOneof("message"))
+        assert websocket.connection.close_code == 1000
+    assert (kinds[0], kinds.count("result"), kinds.count("pong")) == ("started", 1, 5_000)
 
 
 def test_nothing_is_compressed(service, session):
