@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import sys
+import threading
+import time
 
+import numpy as np
 import pytest
 from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import InvalidArgument, InvalidFrame, MessageTooLarge, ResourceExhausted
@@ -11,7 +15,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.streaming.frame_bounds import require_frame_within_bounds
 from ddakf_service.streaming.frame_message import FrameMessage
 from ddakf_service.transports import bounded_parsing
-from ddakf_service.transports.dialect.reading import read
+from ddakf_service.transports.dialect.reading import parsed, read
 from google.protobuf.message import DecodeError
 
 from ..conftest import frame_of, make_sheet, request_of
@@ -40,12 +44,47 @@ def test_a_body_above_the_limit_is_cut_off(http):
 
 @pytest.mark.parametrize(
     "body",
-    [b'{"labels":{' + b",".join(b'"%x":1' % i for i in range(70_000)) + b"}}", b'{"config":{"a":' + b"[" * (1 << 20)],
-    ids=["members", "lists"],
+    [
+        b'{"labels":{' + b",".join(b'"%x":1' % i for i in range(70_000)) + b"}}",
+        b'{"config":{"a":' + b"[" * (1 << 20),
+        b'{"garment":{"vertices":[[' + b"1," * 3_000_000 + b"1]]}}",
+    ],
+    ids=["members", "lists", "numbers"],
 )
 def test_a_body_of_countless_parts_is_refused_before_they_are_made(http, body):
     answer = http.patch("/v1/sessions/nobody", content=body)
     assert (answer.status_code, answer.json()["error"]["name"]) == (413, "MessageTooLarge")
+
+
+def test_a_list_of_as_many_rows_as_a_mesh_has_is_read_in_order():
+    rows = [[i, i + 1, i + 2] for i in range(20_001)]
+    mesh = read(json.dumps({"vertices": rows, "faces": rows}), pb.Mesh)
+    assert np.array_equal(np.frombuffer(mesh.vertices.data, "<f8").reshape(-1, 3), rows)
+    assert np.array_equal(np.frombuffer(mesh.faces.data, "<u4").reshape(-1, 3), rows)
+
+
+def test_other_threads_run_while_a_list_of_numbers_is_parsed():
+    """The parser of the standard library keeps the interpreter from its first number to its last."""
+    parsing, turns, interval = threading.Event(), [], sys.getswitchinterval()
+    text = json.dumps([1.5, 2] * 200_000)
+
+    def run_beside() -> None:
+        parsing.wait()
+        while parsing.is_set():
+            turns.append(None)
+            time.sleep(0)
+
+    beside = threading.Thread(target=run_beside)
+    beside.start()
+    sys.setswitchinterval(1e-4)
+    try:
+        parsing.set()
+        assert parsed(text, pb.Mesh) == [1.5, 2] * 200_000
+    finally:
+        parsing.clear()
+        sys.setswitchinterval(interval)
+        beside.join()
+    assert len(turns) > 20
 
 
 COUNTLESS = [

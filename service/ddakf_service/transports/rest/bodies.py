@@ -52,13 +52,19 @@ async def parse_json(request: Request, settings: Settings, parse: Callable[[byte
     """Parses a JSON body in a thread: some hundred thousand numbers would block the event loop.
 
     The parser makes one object of each element. The elements are therefore counted before: every member of an object has a
-    colon, every row of a mesh a bracket.
+    colon, every row of a mesh a bracket, every number but the first of a row a comma, as has every row.
     """
     body = await read(request, min(_MAX_JSON_BYTES, settings.max_message_bytes), settings.request_timeout)
     max_rows = settings.max_vertices + settings.max_body_vertices + 2 * settings.max_faces
 
+    bounds = (
+        (b":", _MAX_MEMBERS, "members"),
+        (b"[", max_rows + _MAX_MEMBERS, "lists"),
+        (b",", 3 * max_rows + _MAX_MEMBERS, "numbers"),
+    )
+
     def parse_bounded() -> Message:
-        for separator, maximum, elements in ((b":", _MAX_MEMBERS, "members"), (b"[", max_rows + _MAX_MEMBERS, "lists")):
+        for separator, maximum, elements in bounds:
             if (count := body.count(separator)) > maximum:
                 raise MessageTooLarge(field="body", expected=f"at most {maximum} {elements}", got=f"up to {count}")
         return parse(body)
