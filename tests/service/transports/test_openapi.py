@@ -154,6 +154,13 @@ def test_patch_changes_what_the_mask_says(http, session):
     assert http.patch("/v1/sessions/nobody", json={}).status_code == 404
 
 
+def test_null_in_a_patch_is_absent(http, session):
+    url = f"/v1/{session}"
+    http.patch(url, json={"labels": {"a": "b"}})
+    changed = http.patch(url, json={"session": {"fabric": "silk", "labels": None, "limits": None}}).json()
+    assert (changed["fabric"], changed["labels"]) == ("silk", {"a": "b"})
+
+
 def test_reset_over_http_starts_where_it_says(http, api, session, sheet):
     moved = (sheet.vertices + [0.3, 0, 0]).tolist()
     assert http.post(f"/v1/{session}:reset", json={"vertices": moved}).status_code == 200

@@ -97,7 +97,8 @@ def _given(values: dict) -> list[str]:
     """Names of the fields that the session of an update has."""
     session = earlier.nested(values, pb.UpdateSessionRequest.DESCRIPTOR).get("session") or {}
     fields = reading.fields_of(pb.Session.DESCRIPTOR)
-    names = {fields[name].name for name in earlier.renamed(session, pb.Session.DESCRIPTOR)}
+    values = earlier.renamed(session, pb.Session.DESCRIPTOR)
+    names = {fields[name].name for name, value in values.items() if value is not None}
     return sorted(names - {"name", "etag"})
 
 
