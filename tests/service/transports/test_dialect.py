@@ -132,6 +132,9 @@ def test_errors_have_the_fields_of_their_message(http):
     [
         ("Start", '{"colour": 1}', "colour", "no field of this name, got 1"),
         ("Start", '{"flow_mode": "fast"}', "flow_mode", "FLOW_MODE_REALTIME or FLOW_MODE_LOSSLESS"),
+        ("Start", '{"flow_mode": "\\udfff"}', "flow_mode", "FLOW_MODE_REALTIME or FLOW_MODE_LOSSLESS"),
+        ("Start", '{"flow_mode": "FLOW_MODE_LOSSLESS\\u0000"}', "flow_mode", "FLOW_MODE_REALTIME or FLOW_MODE_LOSSLESS"),
+        ("ResetSessionRequest", '{"vertices": {"encoding": "\\ud800"}}', "vertices.encoding", "ARRAY_ENCODING_FLOAT64"),
         ("Start", '{"takeover": 1}', "takeover", "true or false"),
         ("Start", '{"name": "\\ud800"}', "name", "UTF-8"),
         ("Start", '{"result_options": []}', "result_options", "an object, got []"),

@@ -35,8 +35,8 @@ def renamed(values: dict[str, Any], descriptor: Descriptor) -> dict[str, Any]:
 def enum_number(enum: EnumDescriptor, name: str) -> int | None:
     """The number of a value, by its full name or in lower case without the enumeration's name; None: no such value."""
     prefix = enum.values[0].name.removesuffix("UNSPECIFIED")
-    value = enum.values_by_name.get(name) or enum.values_by_name.get(prefix + name.upper())
-    return None if value is None else value.number
+    names = (name, prefix + name.upper())  # compared here: values_by_name fails at a surrogate and reads up to a NUL
+    return next((value.number for value in enum.values if value.name in names), None)
 
 
 def mask_paths(text: str) -> list[str]:
