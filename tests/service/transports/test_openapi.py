@@ -161,6 +161,18 @@ def test_null_in_a_patch_is_absent(http, session):
     assert (changed["fabric"], changed["labels"]) == ("silk", {"a": "b"})
 
 
+def test_an_answer_can_be_changed_and_sent_back(http, session):
+    url = f"/v1/{session}"
+    answer = http.get(url).json()
+    changed = http.patch(url, json={"session": {**answer, "labels": {"a": "b"}}})
+    assert changed.status_code == 200, changed.text
+    follow = {"labels", "etag", "expire_time", "checkpoint_time"}  # the change and the clock
+    assert changed.json()["labels"] == {"a": "b"}
+    assert {k: v for k, v in changed.json().items() if k not in follow} == {k: v for k, v in answer.items() if k not in follow}
+    refused = http.patch(url, json={"session": {**answer, "body_mesh": "meshes/some"}}).json()["error"]
+    assert refused["message"] == "body_mesh: expected no mesh, as a session keeps those of its creation, got a mesh"
+
+
 def test_reset_over_http_starts_where_it_says(http, api, session, sheet):
     moved = (sheet.vertices + [0.3, 0, 0]).tolist()
     assert http.post(f"/v1/{session}:reset", json={"vertices": moved}).status_code == 200

@@ -14,6 +14,9 @@ KEY_VALUES = {"items": {"type": "string", "pattern": "="}}
 EXAMPLE_ID = "shirt-1"
 TRIANGLE = {"vertices": [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]], "faces": [[0, 1, 2]]}
 
+_CHANGEABLE_FIELDS = ("config_json", "fabric", "labels", "limits")
+_MESH_FIELDS = ("garment", "body", "garment_mesh", "body_mesh")
+
 
 def create_request(body: bytes) -> pb.CreateSessionRequest:
     """The body of a creation. Without an API version it has that of the address."""
@@ -29,7 +32,7 @@ def update_request(body: bytes, name: str, update_mask: str) -> pb.UpdateSession
     _address(request.session, name, "session.name")
     paths = earlier.mask_paths(update_mask) or list(request.update_mask.paths)
     del request.update_mask.paths[:]
-    request.update_mask.paths.extend(paths or _given(values))
+    request.update_mask.paths.extend(paths or _given(values, request.session))
     return request if request.update_mask.paths else pb.UpdateSessionRequest(session={"name": name, "etag": request.session.etag})
 
 
@@ -93,13 +96,22 @@ def labels_from(texts: list[str]) -> dict[str, str]:
     return labels
 
 
-def _given(values: dict) -> list[str]:
-    """Names of the fields that the session of an update has."""
-    session = earlier.nested(values, pb.UpdateSessionRequest.DESCRIPTOR).get("session") or {}
+def _given(values: dict, session: pb.Session) -> list[str]:
+    """Names of the fields to change that the session of an update has. The others may be those of an answer.
+
+    Args:
+        session: the same, as a message.
+
+    Raises:
+        InvalidArgument: a mesh, which would stay as it is.
+    """
+    for field, _ in session.ListFields():
+        if field.name in _MESH_FIELDS:
+            raise InvalidArgument(field=field.name, expected="no mesh, as a session keeps those of its creation", got="a mesh")
+    given = earlier.nested(values, pb.UpdateSessionRequest.DESCRIPTOR).get("session") or {}
     fields = reading.fields_of(pb.Session.DESCRIPTOR)
-    values = earlier.renamed(session, pb.Session.DESCRIPTOR)
-    names = {fields[name].name for name, value in values.items() if value is not None}
-    return sorted(names - {"name", "etag"})
+    given = earlier.renamed(given, pb.Session.DESCRIPTOR)
+    return sorted({fields[name].name for name, value in given.items() if value is not None}.intersection(_CHANGEABLE_FIELDS))
 
 
 def _address(message: pb.Session | pb.ResetSessionRequest, name: str, field: str) -> None:
