@@ -173,6 +173,24 @@ def test_an_answer_can_be_changed_and_sent_back(http, session):
     assert refused["message"] == "body_mesh: expected no mesh, as a session keeps those of its creation, got a mesh"
 
 
+@pytest.mark.parametrize("method", ["PATCH", "DELETE"])
+def test_if_match_prevents_a_lost_update(http, api, sheet, method):
+    name = api.create(sheet).name
+    url, body = f"/v1/{name}", {"json": {"labels": {"a": "b"}}} if method == "PATCH" else {}
+    etag = http.get(url).json()["etag"]
+    present = http.patch(url, json={"labels": {"by": "another"}}).json()["etag"]
+    for stale in (f'"{etag}"', etag, f'"{etag}", W/"{present}"', ""):
+        refused = http.request(method, url, headers={"If-Match": stale}, **body)
+        assert (refused.status_code, refused.json()["error"]["name"]) == (412, "FailedPrecondition"), stale
+        assert refused.json()["error"]["message"].startswith(f'If-Match: expected "{present}", the etag of {name}, or *, got')
+    assert http.get(url).json()["labels"] == {"by": "another"}
+    assert http.request(method, url, headers={"If-Match": f'"0", "{present}"'}, **body).is_success
+    last = http.request(method, url, headers={"If-Match": "*"}, **body)
+    assert last.status_code == (200 if method == "PATCH" else 404)
+    if method == "PATCH":
+        api.delete(name)
+
+
 def test_reset_over_http_starts_where_it_says(http, api, session, sheet):
     moved = (sheet.vertices + [0.3, 0, 0]).tolist()
     assert http.post(f"/v1/{session}:reset", json={"vertices": moved}).status_code == 200

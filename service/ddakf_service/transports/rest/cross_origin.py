@@ -39,7 +39,7 @@ def origin_checked(app: ASGIApp, allowed: Sequence[str]) -> ASGIApp:
             app,
             allow_origins=list(allowed),
             allow_methods=["GET", "POST", "PATCH", "DELETE"],
-            allow_headers=["Authorization", "Content-Type"],
+            allow_headers=["Authorization", "Content-Type", "If-Match"],
             expose_headers=["Content-Disposition", "Location", "Retry-After", LAST_SEQUENCE_NUMBER],
         )
     return OriginCheck(app, frozenset(allowed))

@@ -6,6 +6,7 @@ import math
 from http import HTTPStatus
 
 from ddakf_api.errors import (
+    FailedPrecondition,
     InvalidArgument,
     MessageTooLarge,
     MethodNotAllowed,
@@ -31,6 +32,7 @@ from .validation import invalid_argument
 _FRAMEWORK_ERRORS = {
     HTTPStatus.NOT_FOUND: NotFound,
     HTTPStatus.METHOD_NOT_ALLOWED: MethodNotAllowed,
+    HTTPStatus.PRECONDITION_FAILED: FailedPrecondition,
     HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE: MessageTooLarge,
     HTTPStatus.NOT_IMPLEMENTED: Unimplemented,
 }

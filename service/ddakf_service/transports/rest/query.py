@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import get_origin
 
 from fastapi.dependencies.utils import get_flat_params
-from fastapi.params import Path
+from fastapi.params import Header, Path
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
@@ -22,6 +22,6 @@ async def check_query(connection: HTTPConnection) -> None:
     """
     route, query = connection.scope.get("route"), connection.query_params
     if query and isinstance(route, APIRoute) and route.path.startswith(_CHECKED):
-        fields = [field for field in get_flat_params(route.dependant) if not isinstance(field.field_info, Path)]
+        fields = [field for field in get_flat_params(route.dependant) if not isinstance(field.field_info, (Header, Path))]
         lists = {field.alias for field in fields if get_origin(field.field_info.annotation) is list}
         require_known(query, [field.alias for field in fields], lists)

@@ -43,6 +43,12 @@ def reset_request(body: bytes, name: str) -> pb.ResetSessionRequest:
     return request
 
 
+def is_match(if_match: str, etag: str) -> bool:
+    """Whether the header If-Match has the etag of a session, in quotes or not, or ``*``."""
+    tags = [tag.strip() for tag in if_match.split(",")]
+    return "*" in tags or etag in tags or f'"{etag}"' in tags
+
+
 class RestoreSession(BaseModel):
     """Query of a restore; the snapshot is the request body. An omitted limit, or one beyond the server's, becomes the
     server's."""

@@ -7,6 +7,7 @@ import functools
 import json
 from collections.abc import Callable
 from datetime import datetime
+from http import HTTPStatus
 from typing import Annotated, Any
 
 from ddakf_api.errors import (
@@ -27,7 +28,7 @@ from ddakf_api.errors import (
     WorkerLost,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
-from fastapi import Depends, FastAPI, Path, Query, Request, Response
+from fastapi import Depends, FastAPI, Header, Path, Query, Request, Response
 from fastapi.responses import HTMLResponse, PlainTextResponse
 from prometheus_client import CONTENT_TYPE_LATEST, generate_latest
 from starlette.convertors import Convertor, register_url_convertor
@@ -40,7 +41,7 @@ from ...sessions.service import Sessions
 from ...settings import Settings
 from ...store.store import Store
 from ..rest import bodies
-from .errors import add_error_handlers
+from .errors import ErrorOut, add_error_handlers, http_error_response
 from .history import history_request
 from .mesh_routes import add_mesh_routes
 from .openapi import binary_body, binary_response, error_responses, json_body, openapi_document
@@ -54,6 +55,7 @@ from .requests import (
     RestoreSession,
     create_request,
     enum_numbers,
+    is_match,
     labels_from,
     reset_request,
     update_request,
@@ -72,6 +74,8 @@ _CREATION_ERRORS = error_responses(
     *(ResourceExhausted, Draining, DeadlineExceeded),
 )
 
+
+_MATCH_ERRORS = {412: {"model": ErrorOut, "description": f"FailedPrecondition: {FailedPrecondition.__doc__}"}}
 
 STATES = {"items": {"type": "string", "enum": pb.SessionState.keys()}}
 
@@ -118,6 +122,9 @@ _View = Annotated[
     str,
     Query(description="SESSION_VIEW_BASIC, or SESSION_VIEW_FULL with the meshes", openapi_examples=_example("SESSION_VIEW_FULL")),
 ]
+
+
+_IfMatch = Annotated[str | None, Header(description="etags of the session as last read; another present one gets 412")]
 
 
 def _earlier(name: str, **options: Any) -> Any:
@@ -269,6 +276,7 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
             **answer_of(pb.Session),
             **_WORKER_ERRORS,
             **_BODY_ERRORS,
+            **_MATCH_ERRORS,
             **error_responses(FailedPrecondition),
         },
         openapi_extra=json_body(
@@ -285,11 +293,16 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
             str,
             Query(description="fields, separated by commas; empty: those in the body", openapi_examples=_example("labels")),
         ] = "",
+        if_match: _IfMatch = None,
     ) -> Response:
         """Changes labels, limits, configuration and fabric. A field that the mask names and the body lacks is reset to its
         default."""
         name = f"sessions/{session_id}"
         message = await bodies.parse_json(request, settings, lambda body: update_request(body, name, update_mask))
+        if if_match is not None:
+            if not is_match(if_match, etag := (await sessions.get(name)).etag):
+                return _unmatched(name, etag, if_match)
+            message.session.etag = message.session.etag or etag
         return await answer(await sessions.update(message))
 
     @app.get(
@@ -310,10 +323,22 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         span = start_time or earlier_start, end_time or earlier_end
         return await answer(await sessions.history(history_request(session_id, *span, resolution, max_samples)))
 
-    @app.delete("/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses=_SESSION_ERRORS)
-    async def delete_session(session_id: SessionId) -> None:
+    @app.delete(
+        "/v1/sessions/{session_id:session}", tags=["sessions"], status_code=204, responses={**_SESSION_ERRORS, **_MATCH_ERRORS}
+    )
+    async def delete_session(session_id: SessionId, if_match: _IfMatch = None) -> Response:
         """Ends a session and its stream."""
-        await sessions.delete(f"sessions/{session_id}")
+        name = f"sessions/{session_id}"
+        if if_match is not None and not is_match(if_match, etag := (await sessions.get(name)).etag):
+            return _unmatched(name, etag, if_match)
+        await sessions.delete(name)
+        return Response(status_code=204)
+
+
+def _unmatched(name: str, etag: str, if_match: str) -> Response:
+    """The answer to a header If-Match without a session's etag."""
+    message = f'If-Match: expected "{etag}", the etag of {name}, or *, got {if_match[:80]!r}'
+    return http_error_response(HTTPStatus.PRECONDITION_FAILED, message)
 
 
 def _add_state_routes(app: FastAPI, sessions: Sessions, settings: Settings) -> None:
