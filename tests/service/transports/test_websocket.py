@@ -159,6 +159,13 @@ def test_a_stream_is_taken_over_across_transports(service, api, session, sheet):
     assert (code, reason) == (4409, f"another stream took over {session}")
 
 
+def test_text_that_is_no_utf8_is_refused_in_a_sentence(service, session):
+    with handshake(service, f"{session}/stream") as client:
+        client.sendall(b"\x01\x81\0\0\0\0a" + b"\x80\x82\0\0\0\0\xff\xfe")
+        received = b"".join(iter(lambda: client.recv(1 << 16), b""))
+    assert received.endswith(b"\x03\xefmessage: expected text in UTF-8, got invalid start byte at byte 1")
+
+
 MASKED = b"\x80\0\0\0\0"  # no payload
 
 

@@ -50,6 +50,16 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
                 return
         super().handle_events()
 
+    def send_receive_event_to_app(self) -> None:
+        if self.curr_msg_data_type == "text" and not self.close_sent:
+            try:
+                b"".join(self.frames).decode()
+            except UnicodeDecodeError as error:  # uvicorn would log a traceback and give no reason
+                reason = f"message: expected text in UTF-8, got {error.reason} at byte {error.start}"
+                self._fail(CloseCode.INVALID_DATA, reason)
+                return
+        super().send_receive_event_to_app()
+
     async def receive(self) -> ASGIReceiveEvent:
         message = await super().receive()
         if self._unparsed and not self.read_paused:
