@@ -9,7 +9,7 @@ from starlette.datastructures import QueryParams
 
 from ddakf.errors import nearest
 
-_LONGEST = 80  # characters of a name in a message
+from .truncation import printable
 
 
 def require_known(given: QueryParams, known: Collection[str], repeatable: Collection[str] = ()) -> None:
@@ -21,7 +21,7 @@ def require_known(given: QueryParams, known: Collection[str], repeatable: Collec
     for name in given:
         if name not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameters"
-            shown = name[:_LONGEST]
+            shown = printable(name)
             raise InvalidArgument(field=shown, expected=expected, got=f"an unknown parameter{nearest(shown, known)}")
         if name not in repeatable and (count := len(given.getlist(name))) > 1:
             raise InvalidArgument(field=name, expected="one value", got=str(count))

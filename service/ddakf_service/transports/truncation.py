@@ -1,8 +1,9 @@
-"""Truncation of messages to the size of a header or a control frame."""
+"""Truncation of messages to the size of a header or a control frame, and of a client's texts in them to a part of one line."""
 
 from __future__ import annotations
 
 _DOTS = "..."
+_MAX_SHOWN = 80  # characters of a client's text
 
 
 def truncated(text: str, max_bytes: int) -> str:
@@ -11,3 +12,8 @@ def truncated(text: str, max_bytes: int) -> str:
     if len(data) <= max_bytes:
         return text
     return data[: max_bytes - len(_DOTS)].decode(errors="ignore") + _DOTS
+
+
+def printable(text: str) -> str:
+    """The beginning of a client's text, which may have any length and letters; line feeds and the like are escaped."""
+    return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text[:_MAX_SHOWN])[:_MAX_SHOWN]

@@ -150,6 +150,10 @@ def test_errors_have_the_fields_of_their_message(http):
         ("TrackRequest", '{"frame": {"body_vertices": "?"}}', "frame.body_vertices", "base64"),
         ("GetSessionHistoryRequest", '{"start_time": "soon"}', "start_time", "a time"),
         ("Session", '{"labels": {"a": 1}}', "labels.a", "a string"),
+        ("Session", '{"a\\nb": 1}', "a\\nb", "no field of this name"),
+        ("Session", '{"a\\u001b[31m": "\\u009b\\u2028"}', "a\\x1b[31m", '"\\x9b\\u2028"'),
+        ("Session", '{"' + "a" * 9_000 + '": 1}', "a" * 80, "no field of this name"),
+        ("Session", '{"labels": {"a\\nb": 1}}', "labels.a\\nb", "a string"),
         ("Session", '{"labels": ["' + "a" * 9_000 + '"]}', "labels", "an object"),
     ],
 )
@@ -160,6 +164,7 @@ def test_an_invalid_value_is_refused_with_its_field(kind, text, field, words):
     assert words in str(refused.value)
     assert len(str(refused.value)) < 300
     str(refused.value).encode()
+    assert str(refused.value).isprintable()
 
 
 def test_a_deep_configuration_is_text_or_refused():

@@ -148,6 +148,7 @@ def test_head_has_the_head_of_get(port, http, path):
         ("GET", "/v1/sessions?page_size=3&page_size=4", "page_size", "one value, got 2"),
         ("GET", "/v1/sessions?labels=a=1&label=a=2", "labels", "one value of each key, got two of 'a'"),
         ("GET", "/v1/sessions?" + "q" * 500 + "=1", "q" * 80, "one of page_size"),
+        ("GET", "/v1/sessions?a%0Ab=1", "a\\nb", "one of page_size"),
         ("GET", "/v1/sessions/some?veiw=full", "veiw", "did you mean view?"),
         ("GET", "/v1/sessions/some/history?form=2020-01-01", "form", "did you mean from?"),
         ("GET", "/v1/sessions/some/history?start=2020-01-01", "start", "did you mean start_time"),
@@ -166,6 +167,13 @@ def test_an_unknown_parameter_is_refused_by_its_name(http, method, path, field, 
     assert answer.status_code == 422
     assert answer.json()["error"]["field"] == field
     assert words in answer.json()["error"]["message"]
+
+
+@pytest.mark.parametrize("path", ["/a%0Ab%1B[31m", "/v1/sessions/some/a%0Ab", "/" + "a" * 9_000])
+def test_an_address_of_nothing_is_named_in_a_line(http, path):
+    message = http.get(path).json()["error"]["message"]
+    assert message.isprintable()
+    assert len(message) < 120
 
 
 def test_probes_may_add_parameters(http):

@@ -110,6 +110,9 @@ WRONG = {
     "another name": Wrong(
         [pb.TrackRequest(start=pb.Start(name="sessions/other", api_version=API_VERSION)).SerializeToString()], 4422, "start.name"
     ),
+    "a long name of lines": Wrong(
+        [pb.TrackRequest(start=pb.Start(name="a\nb\x1b" * 300_000)).SerializeToString()], 4422, r"got a\nb\x1ba"
+    ),
     "start twice": Wrong([START.SerializeToString()] * 2, 4422, "a frame or a ping, got start"),
     # the frame, in a worker that is held, keeps the stream from its end until the message after it has come
     "more after the end": Wrong([START.SerializeToString(), FRAME, b"", b""], 4409, "no message may follow"),
@@ -137,7 +140,7 @@ def test_the_error_that_ends_a_stream_comes_whole_before_the_close_code(service,
 def test_a_stream_that_ends_with_an_error_says_why_in_its_close_code(service, session, case):
     wrong = WRONG[case]
     url = f"{service.http.replace('http', 'ws', 1)}/v1/{wrong.path or session}/stream?{wrong.query}"
-    with connect(url, proxy=None, open_timeout=TIMEOUT) as connection:
+    with connect(url, proxy=None, open_timeout=TIMEOUT, max_size=1 << 10) as connection:
         with contextlib.suppress(ConnectionClosed), held(workers(service.pid)):
             for message in wrong.send:
                 connection.send(message)
@@ -145,6 +148,7 @@ def test_a_stream_that_ends_with_an_error_says_why_in_its_close_code(service, se
     assert code == wrong.code, reason
     assert wrong.words in reason
     assert len(reason.encode()) <= 123
+    assert reason.isprintable()
 
 
 def test_a_stream_is_taken_over_across_transports(service, api, session, sheet):

@@ -17,6 +17,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import Message
 
+from ..truncation import printable
 from . import earlier
 
 M = TypeVar("M", bound=Message)
@@ -79,8 +80,8 @@ def shown(value: Any) -> str:
     for part in json.JSONEncoder(ensure_ascii=False).iterencode(value):
         text += part[:_MAX_SHOWN]
         if len(text) > _MAX_SHOWN:
-            return text[: _MAX_SHOWN - 3] + "..."
-    return text
+            return printable(text[: _MAX_SHOWN - 3] + "...")
+    return printable(text)
 
 
 @functools.cache
@@ -101,7 +102,7 @@ def _fill(message: Message, values: Any, path: str, whole: str) -> None:
     fields = fields_of(message.DESCRIPTOR)
     for name, value in earlier.renamed(values, message.DESCRIPTOR).items():
         if (field := fields.get(name)) is None:
-            raise _invalid(_name(path + name), "no field of this name", value)
+            raise _invalid(printable(path + name), "no field of this name", value)
         if value is None:
             continue
         if (group := field.containing_oneof) is not None and (other := message.WhichOneof(group.name)):
@@ -115,7 +116,7 @@ def _set(message: Message, field: FieldDescriptor, value: Any, path: str) -> Non
             raise _invalid(path, "an object", value)
         entries, kind = getattr(message, field.name), field.message_type.fields_by_name["value"]
         for key, item in value.items():
-            entries[_text(key, path)] = _scalar(kind, item, _name(f"{path}.{key}"))
+            entries[_text(key, path)] = _scalar(kind, item, printable(f"{path}.{key}"))
     elif field.is_repeated:
         if not isinstance(value, list):
             raise _invalid(path, "a list", value)
@@ -222,7 +223,7 @@ def _text(value: Any, path: str) -> str:
     try:
         value.encode()
     except UnicodeEncodeError:
-        raise InvalidArgument(field=_name(path), expected="text that UTF-8 can encode", got=ascii(value)[:_MAX_SHOWN]) from None
+        raise _invalid(printable(path), "text that UTF-8 can encode", value) from None
     return value
 
 
@@ -235,10 +236,5 @@ def _bytes(value: Any, path: str) -> bytes:
         raise InvalidArgument(field=path, expected="base64", got=str(error)) from None
 
 
-def _name(path: str) -> str:
-    """A path that contains names of the client, which may have any length and letters."""
-    return path.encode(errors="replace").decode()[:_MAX_SHOWN]
-
-
 def _invalid(path: str, expected: str, value: Any) -> InvalidArgument:
-    return InvalidArgument(field=path, expected=expected, got=shown(value).encode(errors="replace").decode())
+    return InvalidArgument(field=path, expected=expected, got=shown(value))

@@ -27,6 +27,7 @@ from starlette.types import Receive, Scope, Send
 
 from ddakf.errors import DdakfError
 
+from ..truncation import printable
 from .validation import invalid_argument
 
 _FRAMEWORK_ERRORS = {
@@ -81,7 +82,7 @@ def add_error_handlers(app: FastAPI) -> None:
 
     async def http_error(request: Request, error: HTTPException) -> JSONResponse:
         status = HTTPStatus(error.status_code)
-        response = http_error_response(status, f"{request.method} {request.url.path}: {status.phrase}")
+        response = http_error_response(status, f"{printable(request.method)} {printable(request.url.path)}: {status.phrase}")
         response.headers.update(error.headers or {})
         if status == HTTPStatus.METHOD_NOT_ALLOWED:  # the framework names the methods of one route only
             response.headers["Allow"] = _allowed(app, request)
@@ -110,5 +111,5 @@ def _allowed(app: FastAPI, request: Request) -> str:
 async def _no_route(scope: Scope, receive: Receive, send: Send) -> None:
     """Answers a path without a route, also a WebSocket's, which the framework would refuse with 403 and no reason."""
     what = "WebSocket" if scope["type"] == "websocket" else scope["method"]
-    response = http_error_response(HTTPStatus.NOT_FOUND, f"{what} {scope['path']}: {HTTPStatus.NOT_FOUND.phrase}")
+    response = http_error_response(HTTPStatus.NOT_FOUND, f"{what} {printable(scope['path'])}: {HTTPStatus.NOT_FOUND.phrase}")
     await response(scope, receive, send)

@@ -9,6 +9,7 @@ from google.protobuf.descriptor import EnumDescriptor
 from pydantic import BaseModel, ConfigDict, Field
 
 from ..dialect import earlier, reading
+from ..truncation import printable
 
 KEY_VALUES = {"items": {"type": "string", "pattern": "="}}
 EXAMPLE_ID = "shirt-1"
@@ -123,5 +124,5 @@ def _given(values: dict, session: pb.Session) -> list[str]:
 def _address(message: pb.Session | pb.ResetSessionRequest, name: str, field: str) -> None:
     """Sets the name of the resource, which the message may repeat."""
     if message.name not in ("", name):
-        raise InvalidArgument(field=field, expected=f"{name}, as in the address, or nothing", got=message.name[:80])
+        raise InvalidArgument(field=field, expected=f"{name}, as in the address, or nothing", got=printable(message.name))
     message.name = name

@@ -9,6 +9,8 @@ from ddakf_api.errors import InvalidArgument
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 
+from ..truncation import printable
+
 _MAX_SHOWN = 80  # characters of a value in a message
 # Expected values by type of pydantic's error; formatted with its context.
 _EXPECTED = {
@@ -44,7 +46,7 @@ def invalid_argument(error: RequestValidationError | ValidationError) -> Invalid
     location = [part for part in first["loc"] if part not in ("query", "path", "body")]
     field = ".".join(itertools.takewhile(_is_field, map(str, location))) or "body"
     if kind == "extra_forbidden":  # the name comes from the client and may have any letters
-        field = ".".join(map(str, location))
+        field = printable(".".join(map(str, location)))
     expected = _EXPECTED[kind].format(**context) if kind in _EXPECTED else first["msg"].removeprefix("Input should be ")
     got = {"missing": "nothing", "string_too_long": "more"}.get(kind) or _shown(value)
     return InvalidArgument(field=field, expected=expected, got=got)
@@ -60,4 +62,4 @@ def _shown(value) -> str:
         text = json.dumps(value, ensure_ascii=False)
     except (TypeError, ValueError):
         text = repr(value)
-    return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
+    return printable(text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "...")

@@ -22,7 +22,7 @@ from ...sessions.responses.response import Response
 from ...streaming.stream import Stream
 from ...streaming.streams import Streams
 from ..query_parameters import require_known
-from ..truncation import truncated
+from ..truncation import printable, truncated
 from .modes import MODES, Mode
 
 log = logging.getLogger(__name__)
@@ -104,7 +104,8 @@ async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
     if not isinstance(request, pb.TrackRequest) or not request.HasField("start"):
         raise FailedPrecondition("the first message of a stream has to be start", field="start")
     if request.start.name not in ("", name):
-        raise InvalidArgument(field="start.name", expected=f"{name}, as in the address, or nothing", got=request.start.name)
+        got = printable(request.start.name)
+        raise InvalidArgument(field="start.name", expected=f"{name}, as in the address, or nothing", got=got)
     request.start.name = name
     return request.start
 
