@@ -6,6 +6,7 @@ import itertools
 import re
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -75,12 +76,23 @@ def test_the_sample_is_the_share_of_frames(collector):
 
 
 def test_a_collector_that_is_away_holds_nobody_up(monkeypatch):
-    """More spans than the queue holds cause neither a wait nor an error."""
+    """More frames than the queue holds are recorded while an export hangs. What does not fit is dropped, the oldest first."""
     monkeypatch.setenv("OTEL_EXPORTER_OTLP_ENDPOINT", "http://127.0.0.1:9")
-    tracer = tracer_for(1.0, "here")
-    for _ in range(5000):
-        tracer.applied("s-1", FRAME, result(server=0.01), "raw", "realtime")
+    tracer, recorded, exported, in_time = tracer_for(1.0, "here"), threading.Event(), [], []
+
+    def export(spans) -> None:
+        in_time.append(recorded.wait(TIMEOUT))
+        recorded.set()  # one wait is enough
+        exported.extend(span.attributes["ddakf.session"] for span in spans)
+
+    monkeypatch.setattr(tracer._exporter, "export", export)
+    for i in range(5000):
+        tracer.applied(f"s-{i}", FRAME, result(server=0.01), "raw", "realtime")
+    recorded.set()
     tracer.close()
+    assert all(in_time), "a frame has waited for the export"
+    assert len(exported) < 5000
+    assert exported[-2000:] == [f"s-{i}" for i in range(3000, 5000)]
 
 
 def test_without_an_endpoint_there_are_no_spans(monkeypatch):
