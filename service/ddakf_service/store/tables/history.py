@@ -269,6 +269,8 @@ def _resolution(request: pb.GetSessionHistoryRequest, start: float, end: float) 
     max_samples = min(request.max_samples or _SAMPLES, _MAX_SAMPLES)
     step = max(int(request.resolution), 1)
     first, last = int(start), max(int(end), int(start))
-    while last // step - first // step >= max_samples:  # samples start at multiples of the step, which may add one
-        step = max(step + 1, -(-(last - first) // max_samples))
-    return step
+    if last // step - first // step < max_samples:
+        return step
+    if max_samples > 1:  # samples start at multiples of the step, which may add one
+        return -(-(last - first) // (max_samples - 1))
+    return 1 << max((first ^ last).bit_length(), step.bit_length())  # no multiple of this power of two lies between the times

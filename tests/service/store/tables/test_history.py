@@ -114,6 +114,23 @@ async def test_never_more_samples_than_asked_for(parts):
         assert sum(s.frames_applied for s in answer.samples) == 101
 
 
+@pytest.mark.parametrize("end", [1_700_000_002, 1 << 31, 1 << 39, (1 << 40) - 1])
+async def test_any_end_is_answered_at_once(parts, end):
+    parts.track_every_second(2)
+    for most in (0, 1, 2, 10_000):
+        answer = await parts.query(end=end, max_samples=most)
+        assert 0 < len(answer.samples) <= (most or 500)
+        assert sum(s.frames_applied for s in answer.samples) == 2
+
+
+async def test_a_single_sample_is_no_finer_than_asked_for(parts):
+    parts.track_every_second(101)
+    for resolution in (1, 3, 7, 100, 1000):
+        answer = await parts.query(max_samples=1, resolution=resolution)
+        assert len(answer.samples) == 1
+        assert answer.resolution >= resolution
+
+
 async def test_a_span_holds_its_seconds_alone(parts):
     parts.track_every_second(10)
     assert parts.database.flush(PATIENCE)
