@@ -4,13 +4,24 @@ import difflib
 from collections.abc import Iterable
 
 _MOST_NEAREST, _SIMILAR = 2, 0.6  # names in a hint, and their least similarity to the given one
-_LONGEST = 80  # characters of it that are compared
+_LONGEST = 80  # characters of it that are compared, and of a name or value that an error shows
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """The known names that a mistyped one resembles, to be added to a message; empty: none does."""
     found = difflib.get_close_matches(str(name)[:_LONGEST], map(str, known), _MOST_NEAREST, _SIMILAR)
     return f"; did you mean {' or '.join(found)}?" if found else ""
+
+
+def shown(value: object) -> str:
+    """A value as a short text of one line."""
+    text = repr(value)
+    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+
+
+def shown_name(name: object) -> str:
+    """A name as a short text of one line, without quotes."""
+    return shown(str(name)[:_LONGEST]).strip("'\"")
 
 
 class DdakfError(Exception):

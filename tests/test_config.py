@@ -104,6 +104,29 @@ def test_unknown_names_and_types_are_refused_by_name(values, field):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("text", ["k" * 5000, "two\nlines", "\ud800", "'" * 5000, "\n" * 5000], ids=range(5))
+@pytest.mark.parametrize(
+    "values",
+    [
+        lambda text: {text: {}},
+        lambda text: {"preset": text},
+        lambda text: {"predict": {text: 1}},
+        lambda text: {"predict": {"type": text}},
+        lambda text: {"predict": {"damping": text}},
+        lambda text: {"start": {"search": text}},
+        lambda text: {"physics": {"fabric": text}},
+        lambda text: {"physics": {"fabric": {text: 1.0}}},
+        lambda text: {"physics": {"fabric": {"stretch": text}}},
+    ],
+)
+def test_a_refusal_is_one_short_line_whatever_came(values, text):
+    with pytest.raises(InvalidConfig) as refusal:
+        Config.from_dict(values(text))
+    for part in (str(refusal.value), refusal.value.field):
+        assert len(part.encode()) < 1000
+        assert part.isprintable()
+
+
 @pytest.mark.parametrize("value", [[], {}, None, b"GridFilter", 3.0])
 def test_a_variants_name_that_is_no_text_is_refused(value):
     with pytest.raises(InvalidConfig):

@@ -40,7 +40,7 @@ from ddakf.config.stages import (
     Tukey,
     Uncertainty,
 )
-from ddakf.errors import InvalidConfig, nearest
+from ddakf.errors import InvalidConfig, nearest, shown, shown_name
 from ddakf.physics.fabric import Fabric
 
 __all__ = [
@@ -196,14 +196,14 @@ class Config:
         preset = values.pop("preset", "default")
         presets = {"default": cls, "fast": cls.fast, "paper": cls.paper}
         if not isinstance(preset, str) or preset not in presets:
-            raise InvalidConfig("config.preset", "default, fast or paper", repr(preset))
+            raise InvalidConfig("config.preset", "default, fast or paper", shown(preset))
         base = presets[preset]()
         variants = typing.get_type_hints(cls)
         changes = {}
         for stage, fields in values.items():
             if stage not in variants:
                 hint = nearest(stage, variants)
-                raise InvalidConfig(f"config.{stage}", f"one of {', '.join(variants)}", f"an unknown stage{hint}")
+                raise InvalidConfig(f"config.{shown_name(stage)}", f"one of {', '.join(variants)}", f"an unknown stage{hint}")
             changes[stage] = _stage(f"config.{stage}", fields, getattr(base, stage), variants[stage])
         return dataclasses.replace(base, **changes)
 
@@ -224,11 +224,12 @@ def _stage(name: str, fields, base, variants):
     allowed = {t.__name__: t for t in (typing.get_args(variants) or (variants,))}
     kind = fields.pop("type", type(base).__name__)
     if not isinstance(kind, str) or kind not in allowed:
-        raise InvalidConfig(f"{name}.type", f"one of {', '.join(allowed)}", repr(kind))
+        raise InvalidConfig(f"{name}.type", f"one of {', '.join(allowed)}", shown(kind))
     known = {f.name for f in dataclasses.fields(allowed[kind])}
     for key in fields:
         if key not in known:
-            raise InvalidConfig(f"{name}.{key}", f"one of {', '.join(sorted(known))}", f"an unknown field{nearest(key, known)}")
+            hint = nearest(key, known)
+            raise InvalidConfig(f"{name}.{shown_name(key)}", f"one of {', '.join(sorted(known))}", f"an unknown field{hint}")
     try:
         if "fabric" in fields and not isinstance(fields["fabric"], Fabric):
             fields["fabric"] = _fabric(fields["fabric"])
@@ -245,5 +246,6 @@ def _fabric(value) -> Fabric:
         raise InvalidConfig("fabric", "a fabric's name or a mapping", type(value).__name__)
     known = [f.name for f in dataclasses.fields(Fabric)]
     if unknown := [key for key in value if key not in known]:
-        raise InvalidConfig(f"fabric.{unknown[0]}", f"one of {', '.join(known)}", f"an unknown field{nearest(unknown[0], known)}")
+        hint = nearest(unknown[0], known)
+        raise InvalidConfig(f"fabric.{shown_name(unknown[0])}", f"one of {', '.join(known)}", f"an unknown field{hint}")
     return Fabric(**value)

@@ -6,7 +6,7 @@ import dataclasses
 import typing
 from dataclasses import field
 
-from ddakf.errors import InvalidConfig
+from ddakf.errors import InvalidConfig, shown
 
 C = typing.TypeVar("C")
 
@@ -25,15 +25,15 @@ class Checked:
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
             if isinstance(f.default, bool) and not isinstance(getattr(self, f.name), bool):
-                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "true or false", repr(getattr(self, f.name)))
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "true or false", shown(getattr(self, f.name)))
             if "range" not in f.metadata:
                 continue
             low, high = f.metadata["range"]
             value = getattr(self, f.name)
             if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
-                raise InvalidConfig(f"{type(self).__name__}.{f.name}", f"a number in [{low:g}, {high:g}]", repr(value))
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", f"a number in [{low:g}, {high:g}]", shown(value))
             if isinstance(f.default, int) and not isinstance(value, int):
-                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "an integer", repr(value))
+                raise InvalidConfig(f"{type(self).__name__}.{f.name}", "an integer", shown(value))
             if isinstance(f.default, float):
                 object.__setattr__(self, f.name, float(value))
 

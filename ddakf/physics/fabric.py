@@ -27,7 +27,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
-from ddakf.errors import InvalidConfig
+from ddakf.errors import InvalidConfig, shown
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Fabric:
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < math.inf:
-                raise InvalidConfig(f"fabric.{field.name}", "a finite number of at least 0", repr(value))
+                raise InvalidConfig(f"fabric.{field.name}", "a finite number of at least 0", shown(value))
 
     @classmethod
     def named(cls, name: str) -> Fabric:
@@ -69,7 +69,7 @@ class Fabric:
         """
         preset = PRESETS.get(name.lower()) if isinstance(name, str) else None
         if preset is None:
-            raise InvalidConfig("fabric", "one of " + ", ".join(PRESETS), repr(name))
+            raise InvalidConfig("fabric", "one of " + ", ".join(PRESETS), shown(name))
         return preset
 
 
