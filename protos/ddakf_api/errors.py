@@ -14,6 +14,7 @@ from grpc import StatusCode
 from ddakf_api.v1 import tracking_pb2 as pb
 
 ERROR_METADATA_KEY = "ddakf-error-bin"
+_LONGEST_TEXT = 4000  # characters of each text of an error
 
 ERRORS: dict[str, type[ServiceError]] = {}
 """Error classes by wire name, in the order of this file. The first class of a gRPC code is the default for that code."""
@@ -172,16 +173,19 @@ def class_of(error: BaseException) -> type[ServiceError]:
 
 
 def to_detail(error: BaseException) -> pb.ErrorDetail:
-    """The message of an exception. An unexpected exception gives only its type, because its text may contain private data."""
+    """The message of an exception. An unexpected exception gives only its type, because its text may contain private data.
+
+    Texts of any origin can be sent: long ones are cut, lone surrogates are replaced.
+    """
     cls = class_of(error)
     if cls is Internal and not isinstance(error, Internal):
         return pb.ErrorDetail(name=cls.__name__, message=f"internal error ({type(error).__name__})")
     return pb.ErrorDetail(
         name=cls.__name__,
-        field=getattr(error, "field", ""),
-        expected=getattr(error, "expected", ""),
-        got=getattr(error, "got", ""),
-        message=str(error),
+        field=_sendable(getattr(error, "field", "")),
+        expected=_sendable(getattr(error, "expected", "")),
+        got=_sendable(getattr(error, "got", "")),
+        message=_sendable(str(error)),
         retry_after=getattr(error, "retry_after", 0.0),
     )
 
@@ -214,6 +218,11 @@ def from_rpc_error(error: grpc.RpcError) -> ServiceError:
 def first_line(error: BaseException) -> str:
     """First line of another library's error message, at most 120 characters."""
     return (str(error).splitlines() or [type(error).__name__])[0][:120]
+
+
+def _sendable(text: str) -> str:
+    short = text if len(text) <= _LONGEST_TEXT else f"{text[:_LONGEST_TEXT]}..."
+    return short.encode(errors="replace").decode()
 
 
 def _from_state(cls: type[ServiceError], message: str, state: dict) -> ServiceError:

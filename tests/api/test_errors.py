@@ -53,6 +53,14 @@ def test_errors_survive_the_wire_and_pickling(name):
         assert back.retry_after == 2.5
 
 
+def test_an_error_with_any_text_can_be_sent():
+    for text in ("\ud800", "long " * 100_000):
+        detail = to_detail(library.InvalidConfig(text, text, text))
+        assert detail.name == "InvalidConfig"
+        assert len(detail.SerializeToString()) < 20_000
+        assert len(to_detail(errors.InvalidArgument(text)).message) < 5000
+
+
 def test_the_default_message_contains_field_expected_and_got():
     assert str(errors.InvalidMesh(field="faces", expected="three", got="two")) == "faces: expected three, got two"
 
