@@ -13,7 +13,7 @@ from ddakf_api.arrays import pack_mesh
 from ddakf_api.errors import ERRORS
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ..conftest import Sheet, frame_of, make_sheet, request_of
+from ..conftest import Sheet, frame_of, make_sheet, request_of, workers
 
 SHEET = make_sheet()
 V = len(SHEET.vertices)
@@ -242,6 +242,7 @@ BAD_BODIES = {
         "garment.vertices.data",
     ),
     "unknown stage": ({"garment": GARMENT, "config": {"magic": {}}}, 422, "config.magic"),
+    "half a character": ({"garment": GARMENT, "config": {"\ud800": {}}}, 422, "config_json"),
     "value out of range": ({"garment": GARMENT, "config": {"predict": {"damping": -1}}}, 422, "config.predict.damping"),
     "unknown fabric": ({"garment": GARMENT, "fabric": "steel"}, 422, "fabric"),
     "bad id": ({"garment": GARMENT, "session_id": "../etc"}, 422, "session_id"),
@@ -311,6 +312,23 @@ def test_a_bad_configuration_over_grpc(api, sheet):
         api.create(sheet, config_json="{not json")
     with pytest.raises(ERRORS["InvalidConfig"], match="JSON"):
         api.create(sheet, config_json="[" * 60_000)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [r'{"\ud800":{}}', r'{"physics":{"\ud800":1}}', r'{"preset":"\ud800"}', '{"start":' + "1" * 5000 + "}"],
+    ids=["stage", "field", "preset", "digits"],
+)
+def test_a_configuration_that_is_no_text_harms_no_worker(api, http, service, session, sheet, text):
+    before = workers(service.pid)
+    with pytest.raises(ERRORS["InvalidConfig"], match="config_json"):
+        api.create(sheet, config_json=text)
+    with pytest.raises(ERRORS["InvalidConfig"], match="config_json"):
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=session, config_json=text)))
+    created = http.post("/v1/sessions", json={"session": {"garment": GARMENT, "config_json": text}})
+    for answer in (created, http.patch(f"/v1/{session}", json={"config_json": text})):
+        assert (answer.status_code, answer.json()["error"]["field"]) == (422, "config_json")
+    assert workers(service.pid) == before
 
 
 @pytest.mark.parametrize("labels", [{"a" * 300: ""}, {str(i): "" for i in range(65)}], ids=["long", "many"])

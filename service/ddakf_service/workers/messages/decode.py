@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 from ddakf_api import codec
 from ddakf_api.arrays import FLOATS, unpack, unpack_mesh
-from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidMesh, InvalidSnapshot
+from ddakf_api.errors import InvalidConfig, InvalidFrame, InvalidMesh, InvalidSnapshot, first_line
 from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
@@ -51,9 +51,11 @@ def config(session: pb.Session) -> ddakf.Config:
     if len(text) > _MAX_CONFIG_CHARACTERS:
         raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
     try:
-        configuration = ddakf.Config.from_dict(json.loads(text)) if text else ddakf.Config()
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise InvalidConfig(field="config_json", expected="a JSON object", got=str(error)) from None
+        values = json.loads(text) if text else {}
+        json.dumps(values, ensure_ascii=False).encode()  # a lone surrogate is no text
+    except (ValueError, RecursionError) as error:
+        raise InvalidConfig(field="config_json", expected="a JSON object", got=first_line(error)) from None
+    configuration = ddakf.Config.from_dict(values)
     return configuration.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else configuration
 
 
