@@ -45,6 +45,7 @@ class Streams:
         """Opens the stream of a session; the caller ends it with :meth:`leave`."""
         require_compatible(start.api_version, peer="client")
         require_known_encodings(start.result_options)
+        mode = self._admission.flow_mode(start.flow_mode)
         self._admission.require_running("streams")
         session = await self._ownership.obtain(start.name, takeover=start.takeover)
         self._require_room(replaced=session.stream)
@@ -57,7 +58,6 @@ class Streams:
         session = self._catalog.changeable(start.name)  # another key may own the name by now
         if session.stream is not None:
             raise _busy(session)
-        mode = self._admission.flow_mode(start.flow_mode)
         async with self._tracker_access.exclusive(session):
             self._catalog.changeable(start.name)  # the key may have been revoked meanwhile
             if session.stream is not None:  # opened meanwhile

@@ -144,6 +144,17 @@ def test_a_second_stream_is_refused_or_takes_over(api, session, sheet):
             list(first.answers)
 
 
+def test_a_refused_takeover_leaves_the_stream(api, session, sheet):
+    with Talk(api, session) as first:
+        first.ask(frame_of(sheet, 1))
+        with pytest.raises(InvalidArgument, match="flow_mode"):
+            list(api.track(session, [], flow=99, takeover=True))
+        with pytest.raises(InvalidArgument, match="vertex_encoding"):
+            list(api.track(session, [], result_options=pb.ResultOptions(vertex_encoding=99), takeover=True))
+        assert first.ask(frame_of(sheet, 2))[-1].result.sequence_number == 2
+        first.end()
+
+
 def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, session, sheet):
     """The caller gives up while the old stream's frame is in the worker."""
     with Talk(api, session) as first:
