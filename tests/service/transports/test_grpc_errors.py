@@ -14,6 +14,7 @@ from ..conftest import TIMEOUT, make_sheet
 from .test_bad_input import create_request
 
 MOST_BYTES = 8192  # of the headers of an answer, which is where gRPC stops
+SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
 KINDS = (error_details_pb2.ErrorInfo, error_details_pb2.BadRequest, error_details_pb2.RetryInfo)
 
 
@@ -45,6 +46,28 @@ def test_a_bad_field_is_a_field_violation(api):
     info = details["ErrorInfo"]
     assert (info.reason, info.domain) == ("INVALID_MESH", "ddakf")
     assert dict(info.metadata) == {"field": ours.field, "expected": ours.expected, "got": ours.got}
+
+
+@pytest.mark.parametrize("method", [method.name for method in SERVICE.methods])
+def test_bytes_of_another_kind_are_an_invalid_argument(api, method):
+    """In a unary call, and as the first message of a stream."""
+    described = SERVICE.methods_by_name[method]
+    call = api.channel.stream_stream(f"/{SERVICE.full_name}/{method}")
+    with pytest.raises(grpc.RpcError) as caught:
+        list(call(iter([b"\xff\xff\xff"]), timeout=TIMEOUT))
+    error = from_rpc_error(caught.value)
+    assert caught.value.code() is grpc.StatusCode.INVALID_ARGUMENT
+    assert str(error) == f"message: expected a serialised {described.input_type.name}, got 3 bytes of another kind"
+
+
+def test_bytes_of_another_kind_end_a_stream(api, session):
+    begin = pb.TrackRequest(start=pb.Start(name=session, api_version="1.0"))
+    ping = pb.TrackRequest(ping=pb.Ping(token=1))
+    requests = [begin.SerializeToString(), ping.SerializeToString(), b"\xff\xff\xff"]
+    call = api.channel.stream_stream(f"/{SERVICE.full_name}/Track")
+    with pytest.raises(grpc.RpcError) as caught:
+        list(call(iter(requests), timeout=TIMEOUT))
+    assert str(from_rpc_error(caught.value)).startswith("message: expected a serialised TrackRequest")
 
 
 def test_a_missing_session_is_no_fault_of_a_field(api):

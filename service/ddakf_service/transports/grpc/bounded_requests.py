@@ -4,24 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import functools
-from collections.abc import Callable
-from typing import TypeVar
 
 import grpc
 from ddakf_api.errors import (
     DeadlineExceeded,
     InvalidArgument,
     MessageTooLarge,
+    ServiceError,
 )
 from ddakf_api.v1 import tracking_pb2 as pb
+from google.protobuf.message import DecodeError, Message
 from google.protobuf.message_factory import GetMessageClass
 
 from ...sessions.responses.response import Response
+from ...streaming.frame_message import TrackRequest
 from ..bounded_parsing import parse
 from ..track_requests import read_track_request
 from .errors import abort
-
-Request = TypeVar("Request")
 
 _SERVICE = pb.DESCRIPTOR.services_by_name["TrackingService"]
 
@@ -47,8 +46,7 @@ class BoundedRequests(grpc.aio.ServerInterceptor):
         if service == f"/{_SERVICE.full_name}":
             method = _SERVICE.methods_by_name[name]
             kind = GetMessageClass(method.input_type)
-            read = read_track_request if kind is pb.TrackRequest else functools.partial(parse, kind)
-            handler = handler._replace(request_deserializer=functools.partial(_or_refusal, read))
+            handler = handler._replace(request_deserializer=functools.partial(_read_or_refuse, kind))
             if method.output_type is pb.TrackResponse.DESCRIPTOR:
                 handler = handler._replace(response_serializer=Response.serialised)
         return handler if handler.request_streaming else _read_in_time(handler, self._patience)
@@ -77,8 +75,12 @@ def _read_in_time(handler: grpc.RpcMethodHandler, patience: float) -> grpc.RpcMe
     return handler._replace(request_streaming=True, unary_unary=None, unary_stream=None, **{method_kind: read_and_call})
 
 
-def _or_refusal(read: Callable[[bytes], Request], data: bytes) -> Request | MessageTooLarge:
+def _read_or_refuse(kind: type[Message], data: bytes) -> Message | TrackRequest | ServiceError:
+    """The request of these bytes, or the error: gRPC would answer an exception raised here with UNKNOWN."""
     try:
-        return read(data)
-    except MessageTooLarge as error:  # gRPC would answer an exception raised here with UNKNOWN
+        return read_track_request(data) if kind is pb.TrackRequest else parse(kind, data)
+    except MessageTooLarge as error:
         return error
+    except DecodeError:
+        expected = f"a serialised {kind.DESCRIPTOR.name}"
+        return InvalidArgument(field="message", expected=expected, got=f"{len(data)} bytes of another kind")

@@ -71,6 +71,7 @@ class TrackingService(rpc.TrackingServiceServicer):
     def __init__(self, sessions: Sessions, streams: Streams, settings: Settings):
         self._sessions, self._streams, self._settings = sessions, streams, settings
 
+    @_answering_errors
     async def GetServerInfo(self, request, context):
         return server_info(self._settings, self._sessions.draining)
 
