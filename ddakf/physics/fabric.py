@@ -72,6 +72,11 @@ class Fabric:
             raise InvalidConfig("fabric", "one of " + ", ".join(PRESETS), shown(name))
         return preset
 
+    @property
+    def name(self) -> str:
+        """The preset with these multipliers; empty for the default, and where there is none."""
+        return "" if self == Fabric() else next((name for name, preset in PRESETS.items() if preset == self), "")
+
 
 PRESETS = {
     "cotton": Fabric(stretch=1.4, shear=1.4, bend=0.6),

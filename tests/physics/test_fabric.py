@@ -1,3 +1,5 @@
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,13 @@ from ddakf.physics.fabric import PRESETS, Fabric
 def test_presets_by_attribute_and_by_name(name):
     assert Fabric.named(name) is getattr(Fabric, name.upper())
     assert Fabric.named(name.capitalize()) is PRESETS[name]
+
+
+def test_a_preset_is_known_by_its_values():
+    assert {name: Fabric(*dataclasses.astuple(preset)).name for name, preset in PRESETS.items()} == {
+        name: "" if name == "normalised" else name for name in PRESETS
+    }
+    assert Fabric(bend=4.8).name == ""
 
 
 def test_normalised_is_the_default_and_changes_nothing():

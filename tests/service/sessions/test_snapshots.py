@@ -25,6 +25,20 @@ def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
         api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=snapshot.data[:-9]))
 
 
+def test_a_restored_session_keeps_its_fabric(api, sheet):
+    name = api.create(sheet, fabric="denim").name
+    data = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=name)).data
+    copy = api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=data))
+    assert copy.fabric == "denim"
+    change = {"config_json": '{"associate": {"wide_gate": 0.3}}'}
+    original, restored = [
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=one, **change))) for one in (name, copy.name)
+    ]
+    assert (restored.fabric, restored.config_json) == (original.fabric, original.config_json)
+    for one in (name, copy.name):
+        api.delete(one)
+
+
 @pytest.fixture(scope="module")
 def small_service(tmp_path_factory):
     """A service whose limits the sheet just meets as garment and as body."""

@@ -76,7 +76,7 @@ class TrackerHost:
         data = pb.RestoreSessionRequest.FromString(request).data
         tracker = decode.tracker_from_snapshot(data, self._limits, self._tracker_of)
         self._add(session_id, tracker)
-        return encode.session_message(tracker).SerializeToString()
+        return encode.session_message(tracker, tracker.config.physics.fabric.name).SerializeToString()
 
     def frame(self, session_id: str, request: bytes) -> bytes:
         """FrameRequest in, Result out in two parts."""
