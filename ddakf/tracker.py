@@ -73,6 +73,11 @@ class Tracker:
         """Number of vertices that are tracked; the garment's others are carried along."""
         return self._working.mesh.n_vertices
 
+    @property
+    def timestamp(self) -> float | None:
+        """Of the last frame, seconds of the sensor's clock; None before the first, and after a reset."""
+        return self._track.time
+
     def reset(self, vertices=None, *, velocities=None) -> None:
         """Starts again from these vertices; rest lengths stay the garment's, the body is in its first pose.
 

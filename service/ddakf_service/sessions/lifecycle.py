@@ -133,6 +133,7 @@ class Lifecycle:
             take_meshes(opened),
             limits,
             labels=labels,
+            statistics=pb.SessionStatistics(last_capture_time=opened.statistics.last_capture_time),
             owner=owner,
             request_id=request.request_id,
             uid=identity.uid,

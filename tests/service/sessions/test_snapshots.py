@@ -10,7 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 import ddakf
 
-from ..conftest import Api, frame_of, make_sheet, request_of, running
+from ..conftest import Api, Talk, frame_of, make_sheet, request_of, running
 
 
 def test_a_snapshot_restores_into_a_new_session(api, session, sheet):
@@ -37,6 +37,19 @@ def test_a_restored_session_keeps_its_fabric(api, sheet):
     assert (restored.fabric, restored.config_json) == (original.fabric, original.config_json)
     for one in (name, copy.name):
         api.delete(one)
+
+
+def test_a_restored_session_tells_the_time_that_frames_have_to_follow(api, session, sheet):
+    list(api.track(session, [request_of(frame_of(sheet, 30))]))
+    data = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=session)).data
+    name = api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=data)).name
+    with Talk(api, name) as talk:
+        assert (talk.started.last_sequence_number, talk.started.last_capture_time) == (0, 1.0)
+        assert "last frame's 1.0" in talk.ask(frame_of(sheet, 29))[-1].frame_error.error.message
+        assert talk.ask(frame_of(sheet, 31))[-1].result.sequence_number == 31
+        talk.end()
+    assert api.get(name).statistics.last_capture_time == frame_of(sheet, 31).capture_time
+    api.delete(name)
 
 
 @pytest.fixture(scope="module")

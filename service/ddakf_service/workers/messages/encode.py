@@ -28,7 +28,7 @@ RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_
 
 
 def session_message(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:
-    """Description of a new session for the server: configuration, meshes, counts, vertex map."""
+    """Description of a new session for the server: configuration, meshes, counts, vertex map, time of its last frame."""
     garment, body = tracker.garment, tracker.body
     session = pb.Session(
         config_json=json.dumps(tracker.config.to_dict()),
@@ -36,6 +36,7 @@ def session_message(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.nda
         garment=pack_mesh(garment.vertices, garment.faces),
         garment_vertex_count=garment.n_vertices,
         garment_face_count=garment.n_faces,
+        statistics=pb.SessionStatistics(last_capture_time=tracker.timestamp or 0.0),
     )
     if body is not None:
         session.body.CopyFrom(pack_mesh(body.vertices, body.faces))
