@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import math
 from time import monotonic
+from weakref import WeakKeyDictionary
 
 from ddakf_api.errors import DeadlineExceeded, FrameTooCostly, Internal, ServiceError, WorkerLost, to_detail
 from ddakf_api.v1 import tracking_pb2 as pb
@@ -18,12 +20,15 @@ from .mailbox import QueuedFrame
 
 log = logging.getLogger(__name__)
 
+_LOG_INTERVAL = 1.0  # seconds between two lines about refused frames of a session; a client may send thousands per second
+
 
 class FrameRecorder:
     """Records frames by outcome: applied, dropped, late, rejected, costly or failed."""
 
     def __init__(self, metrics: Metrics, history: History, tracer: Tracer):
         self._metrics, self._history, self._tracer = metrics, history, tracer
+        self._logged: WeakKeyDictionary[Session, tuple[float, int]] = WeakKeyDictionary()  # time and refusals, at its last line
 
     def applied(self, session: Session, result: pb.Result, queued: QueuedFrame, started: float, mode: pb.FlowMode) -> None:
         """Records a tracked frame and completes its result with counters and timings.
@@ -64,7 +69,7 @@ class FrameRecorder:
         else:
             statistics.frames_rejected += 1
             self._metrics.frames.labels(_outcome(error)).inc()
-            log.info("a frame was rejected: %s", error, extra={"session": session.id, "sequence": frame.sequence_number})
+            self._log_refusal(session, frame, error)
         self._tracer.refused(session.id, frame, error, monotonic() - arrived)
         frame_error = pb.FrameError(
             sequence_number=frame.sequence_number,
@@ -75,6 +80,15 @@ class FrameRecorder:
             frames_late=statistics.frames_late,
         )
         return Response(pb.TrackResponse(frame_error=frame_error))
+
+    def _log_refusal(self, session: Session, frame: FrameMessage, error: ServiceError) -> None:
+        """Logs a refused frame, with the number of those since the session's last line, if a line is due."""
+        now, count = monotonic(), session.statistics.frames_rejected
+        logged_at, logged = self._logged.get(session, (-math.inf, count - 1))
+        if now - logged_at >= _LOG_INTERVAL:
+            self._logged[session] = now, count
+            fields = {"session": session.id, "sequence": frame.sequence_number, "frames": count - logged}
+            log.info("a frame was rejected: %s", error, extra=fields)
 
 
 def _outcome(error: ServiceError) -> str:
