@@ -34,6 +34,9 @@ class Mailbox(Protocol):
     def close(self) -> None:
         """Closes the mailbox to new frames. Queued frames can still be taken."""
 
+    def clear(self) -> int:
+        """Removes the queued frames; returns their number."""
+
     def __len__(self) -> int:
         """Number of queued frames."""
 
@@ -67,6 +70,11 @@ class LosslessMailbox:
         self._filled.set()
         self._room.set()
 
+    def clear(self) -> int:
+        count = len(self._frames)
+        self._frames.clear()
+        return count
+
     def __len__(self) -> int:
         return len(self._frames)
 
@@ -95,6 +103,10 @@ class RealtimeMailbox:
     def close(self) -> None:
         self._closed = True
         self._filled.set()
+
+    def clear(self) -> int:
+        count, self._newest = len(self), None
+        return count
 
     def __len__(self) -> int:
         return int(self._newest is not None)

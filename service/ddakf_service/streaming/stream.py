@@ -69,6 +69,7 @@ class Stream:
         self._repeated = self._answers_to_repeat(start)
         self._rate_limit, self._overload, self._arrivals = rate_limit, Overload(), ArrivalRate()
         self._displaced = 0  # frames, by newer ones since the last frame was taken
+        self._held = 0  # frames that were taken and wait for the frame rate
         self.ending, self.session_free = asyncio.Event(), asyncio.Event()
         self._tracking_task = asyncio.create_task(self._run())
 
@@ -131,7 +132,11 @@ class Stream:
         queued = await self._mailbox.get()
         if queued is None or self._mode == pb.FLOW_MODE_LOSSLESS:
             return queued
+        self._held = 1
         rate = await self._pause_for_frame_rate()
+        if self.ending.is_set():
+            return None
+        self._held = 0
         if len(self._mailbox):
             queued = await self._mailbox.get()
             self._recorder.dropped(self.session, 1)
@@ -219,16 +224,17 @@ class Stream:
         self._outbox.discard_error()
 
     def end(self, error: Exception | None) -> None:
-        """Ends the stream from the server's side. The client receives the error."""
+        """Ends the stream from the server's side and drops waiting frames. The client receives the error."""
         self.ending.set()
         self._outbox.close(error)
         self._mailbox.close()
+        if waiting := self._mailbox.clear() + self._held:
+            self._recorder.dropped(self.session, waiting)
+        self._held = 0
 
     async def close(self) -> None:
         """Drops queued frames and returns when the frame in the worker, if any, has been counted."""
         self.end(None)
-        while await self._mailbox.get() is not None:
-            self._recorder.dropped(self.session, 1)
         # Not the task itself: a cancelled caller must not cancel it, so that the frame in the worker is still counted.
         await asyncio.wait({self._tracking_task})
 

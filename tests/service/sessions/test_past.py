@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from ddakf_api.errors import SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import connect
 
-from ..conftest import eventually, frame_of, request_of
+from ..conftest import Talk, eventually, frame_of, held, request_of, workers
 
 ENDED = [pb.SESSION_STATE_EXPIRED, pb.SESSION_STATE_CLOSED]
 
@@ -35,6 +39,44 @@ def test_a_deleted_session_stays_in_the_list_of_ended_ones_with_what_it_did(api,
     assert ended(api, {"test": "past"}, size=1) == found
     assert ended(api, {"test": "past"}, states=[pb.SESSION_STATE_EXPIRED]) == []
     api.delete(names[2])
+
+
+@pytest.mark.parametrize("flow", [pb.FLOW_MODE_REALTIME, pb.FLOW_MODE_LOSSLESS])
+def test_frames_that_wait_when_their_session_is_deleted_count_as_dropped(service, api, sheet, flow):
+    label = {"test": f"past-waiting-{flow}"}
+    name = api.create(sheet, labels=label).name
+    with Talk(api, name, flow=flow) as talk, ThreadPoolExecutor(1) as aside:
+        talk.ask(frame_of(sheet, 1))
+        with held(workers(service.pid)):
+            talk.send(frame_of(sheet, 2))
+            talk.await_arrival()
+            for number in (3, 4, 5):
+                talk.send(frame_of(sheet, number))
+            talk.await_arrival()
+            deleting = aside.submit(api.delete, name)  # waits for the worker
+            with pytest.raises(SessionNotFound):
+                list(talk.answers)
+        deleting.result()
+    assert dropped(api, name, label) == (3, 3)
+
+
+def test_a_frame_that_waits_for_its_rate_when_its_session_is_deleted_counts_as_dropped(api, sheet):
+    label = {"test": "past-rate"}
+    name = api.create(sheet, labels=label, limits=pb.SessionLimits(max_frame_rate=0.01)).name
+    with Talk(api, name, flow=pb.FLOW_MODE_REALTIME) as talk:
+        talk.ask(frame_of(sheet, 1))
+        for number in (2, 3):
+            talk.send(frame_of(sheet, number))
+            talk.await_arrival()
+        api.delete(name)
+    assert dropped(api, name, label) == (2, 2)
+
+
+def dropped(api, name: str, labels: dict[str, str]) -> tuple[int, int]:
+    """Dropped frames of an ended session, by its statistics and by its history."""
+    (found,) = eventually(lambda: ended(api, labels))
+    history = api.call("GetSessionHistory", pb.GetSessionHistoryRequest(name=name))
+    return found.statistics.frames_dropped, sum(sample.frames_dropped for sample in history.samples)
 
 
 def test_the_list_over_http_and_from_the_client_is_the_same(service, api, http, sheet):

@@ -37,6 +37,15 @@ async def test_lossless_keeps_all_in_order_and_holds_the_sender_back():
 
 
 @pytest.mark.parametrize("mode", [pb.FLOW_MODE_REALTIME, pb.FLOW_MODE_LOSSLESS])
+async def test_what_waits_can_be_removed_and_is_counted(mode):
+    mailbox = mailbox_for(mode, 3)
+    await mailbox.put(frame(1), 0.0)
+    assert [mailbox.clear(), mailbox.clear(), len(mailbox)] == [1, 0, 0]
+    await mailbox.put(frame(2), 0.0)
+    assert await take(mailbox) == 2
+
+
+@pytest.mark.parametrize("mode", [pb.FLOW_MODE_REALTIME, pb.FLOW_MODE_LOSSLESS])
 async def test_after_closing_what_waits_is_still_handed_out(mode):
     mailbox = mailbox_for(mode, 4)
     await mailbox.put(frame(7), 0.0)
