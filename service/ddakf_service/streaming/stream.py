@@ -29,6 +29,8 @@ from .rate_limit import ArrivalRate, Overload, RateLimit
 
 log = logging.getLogger(__name__)
 
+_SEQUENCE_NUMBERS = 1 << 63
+
 
 class Stream:
     """A session's stream of requests and responses.
@@ -109,6 +111,8 @@ class Stream:
 
     def _check(self, frame: FrameMessage) -> None:
         """Rejects an invalid frame before it takes memory in the mailbox."""
+        if frame.sequence_number >= _SEQUENCE_NUMBERS:  # such a number would leave none to the frames that follow
+            raise InvalidFrame(field="sequence_number", expected="less than 2^63", got=str(frame.sequence_number))
         require_frame_within_bounds(frame, self.session.limits.max_points, self._max_image_pixels)
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")

@@ -113,6 +113,10 @@ BAD_FRAMES = {
     "step that is not finite": Bad(lambda f: cloud(f, step=float("nan")), "CodecError", "point_cloud.step"),
     "time going backwards": Bad(lambda f: at(f, 0.01), "InvalidFrame", "capture_time", ("0.01",)),
     "sequence number twice": Bad(lambda f: setattr(f, "sequence_number", 1), "InvalidFrame", "sequence_number"),
+    "the last number of all": Bad(
+        lambda f: setattr(f, "sequence_number", 2**64 - 1), "InvalidFrame", "sequence_number", ("2^63", str(2**64 - 1))
+    ),
+    "a number of 64 bits": Bad(lambda f: setattr(f, "sequence_number", 2**63), "InvalidFrame", "sequence_number"),
     "body of another size": Bad(lambda f: body(f, V + 1), "InvalidFrame", "body_vertices", (str(V), str(V + 1))),
     "body of half a vertex": Bad(lambda f: setattr(f, "body_vertices", b"\0" * 18), "InvalidFrame", "body_vertices"),
     "sensor without a place": Bad(lambda f: f.sensors.append(pb.Sensor()), "InvalidFrame", "sensors[0]"),
