@@ -30,6 +30,7 @@ from .rate_limit import ArrivalRate, Overload, RateLimit
 log = logging.getLogger(__name__)
 
 _SEQUENCE_NUMBERS = 1 << 63
+_LOOK_INTERVAL = 0.5  # seconds between looks at the frame rate, which may change while a frame waits for it
 
 
 class Stream:
@@ -127,7 +128,7 @@ class Stream:
                 return waited_for
             waited_for = rate
             with suppress(TimeoutError):
-                await asyncio.wait_for(self.ending.wait(), pause)
+                await asyncio.wait_for(self.ending.wait(), min(pause, _LOOK_INTERVAL))
                 return waited_for
 
     async def _next_frame(self) -> QueuedFrame | None:

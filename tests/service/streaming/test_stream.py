@@ -170,6 +170,21 @@ def test_a_takeover_that_was_given_up_leaves_the_session_usable(service, api, se
         assert next(api.track(session, [])).started.last_sequence_number == 2
 
 
+@pytest.mark.parametrize("flow", [pb.FLOW_MODE_REALTIME, pb.FLOW_MODE_LOSSLESS])
+@pytest.mark.parametrize("rate", [100.0, 0.0])
+def test_a_frame_that_waits_for_its_rate_goes_on_when_the_rate_is_raised(api, sheet, flow, rate):
+    """At the first rate it would wait longer than any call of these tests."""
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=1e-3)).name
+    with Talk(api, name, flow=flow) as talk:
+        talk.ask(frame_of(sheet, 1))
+        talk.send(frame_of(sheet, 2))
+        change = pb.Session(name=name, limits=pb.SessionLimits(max_frame_rate=rate))
+        api.call("UpdateSession", pb.UpdateSessionRequest(session=change, update_mask={"paths": ["limits"]}))
+        assert next(answer for answer in talk.answers if answer.HasField("result")).result.sequence_number == 2
+        talk.end()
+    api.delete(name)
+
+
 def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet):
     """The worker hangs; the client must not take the wait for a dead connection."""
     with Talk(api, session) as talk:
