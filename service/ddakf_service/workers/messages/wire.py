@@ -27,7 +27,6 @@ class Kind(enum.IntEnum):
 
     RESULT = 16
     ERROR = 17
-    PROGRESS = 18
     READY = 19
     ASIDE = 20  # a request goes on beside the next one; its answer comes later. With content if it has used its slice
 
