@@ -310,8 +310,8 @@ class Stream:
                         session.id, frame.data, self._options, max_points=max_points, start_by=start_by, rate=self._due_rate
                     )
                     await self._durability.may_answer(session)
-            except WorkerLost:
-                self._durability.record_worker_loss(session)
+            except WorkerLost as error:
+                self._durability.record_worker_loss(session, error)
                 raise
             response = Response.of_result(*answer)
             self._recorder.applied(session, response.message.result, queued, started, self._mode)

@@ -199,7 +199,7 @@ class LocalPool:
         except TimeoutError:
             log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout)
             worker.process.kill()
-            raise worker_lost(session_id) from None
+            raise worker_lost(session_id, suspected=True) from None
         finally:
             del answer  # the traceback of its error refers to this Python frame: a reference cycle
 

@@ -83,9 +83,20 @@ class Health(NamedTuple):
     recycled: int = 0
 
 
-def worker_lost(session_id: str) -> WorkerLost:
-    """The error of a call for a session whose worker was lost."""
-    return WorkerLost(f"the worker of sessions/{session_id} was lost", retry_after=RETRY_AFTER)
+def worker_lost(session_id: str, *, suspected: bool = False) -> WorkerLost:
+    """The error of a call for a session whose worker was lost.
+
+    Args:
+        suspected: the call's request may have been the cause, see :func:`may_be_cause`.
+    """
+    error = WorkerLost(f"the worker of sessions/{session_id} was lost", retry_after=RETRY_AFTER)
+    error.suspected = suspected
+    return error
+
+
+def may_be_cause(error: WorkerLost) -> bool:
+    """Whether the call that raised this error had its request in the worker, and no other session had one but for frames."""
+    return getattr(error, "suspected", False)
 
 
 class WorkerPool(Protocol):

@@ -25,12 +25,15 @@ log = logging.getLogger(__name__)
 
 EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
 _FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
+# Requests of clients that are rarer than frames and do more. Restores follow each loss, and are no sign of its cause.
+_CHANGES = {wire.Kind.OPEN, wire.Kind.CONFIGURE, wire.Kind.RESET}
 _GIVING_WAY = 10  # added to the nice value, which Ray may have raised already
 
 
 class _Call(NamedTuple):
     """A request without an answer."""
 
+    kind: wire.Kind
     session_id: str
     answer: asyncio.Future[bytes]
     turn_over: Callable[[bool], None]
@@ -138,7 +141,7 @@ class Worker:
             raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = _Call(session_id, answer, turn_over)
+        self._waiting[number] = _Call(kind, session_id, answer, turn_over)
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))
         self._writer.writelines((wire.head(kind, number, session_id, sum(map(len, content))), *content))
         return answer
@@ -178,7 +181,9 @@ class Worker:
 
     async def _lose(self) -> None:
         self.gone.set()
+        suspects = {call.session_id for call in self._waiting.values() if call.kind in _CHANGES}
         for call in list(self._waiting.values()):
             if not call.answer.done():
-                call.answer.set_exception(worker_lost(call.session_id))
+                suspected = suspects <= {call.session_id}
+                call.answer.set_exception(worker_lost(call.session_id, suspected=suspected))
         await self.end(patience=0)

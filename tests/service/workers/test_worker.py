@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from ddakf_api.errors import WorkerLost
 from ddakf_service.workers.messages import wire
+from ddakf_service.workers.pool import may_be_cause
 from ddakf_service.workers.template import Connected
 from ddakf_service.workers.worker import Worker
 
@@ -99,3 +100,29 @@ async def test_what_is_no_message_costs_the_worker_and_is_logged(caplog):
     await asyncio.wait_for(worker.gone.wait(), 10)
     assert "invalid message" in caplog.text
     source.far.close()
+
+
+@pytest.mark.parametrize(
+    ("kind", "owner", "suspected"),
+    [
+        (None, "", True),
+        (wire.Kind.FRAME, "other", True),
+        (wire.Kind.RESTORE, "other", True),
+        (wire.Kind.CONFIGURE, "other", False),
+        (wire.Kind.OPEN, "other", False),
+        (wire.Kind.RESET, "some", True),
+    ],
+    ids=str,
+)
+async def test_a_frame_is_no_suspect_where_the_worker_had_a_rarer_request_of_another_session(kind, owner, suspected):
+    source = Source(Process())
+    worker = await Worker.start(source, 1.0, lambda *_: None)
+    answers = [worker.send(wire.Kind.FRAME, "some")]
+    if kind:
+        answers.append(worker.send(kind, owner))
+    source.far.close()
+    errors = await asyncio.gather(*answers, return_exceptions=True)
+    assert may_be_cause(errors[0]) is suspected
+    with pytest.raises(WorkerLost) as later:
+        await worker.send(wire.Kind.FRAME, "some")
+    assert not may_be_cause(later.value)

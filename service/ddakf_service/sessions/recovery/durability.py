@@ -14,7 +14,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ...observability.metrics import Metrics
 from ...store.files.checkpoints import Checkpoint
-from ...workers.pool import WorkerPool, worker_lost
+from ...workers.pool import WorkerPool, may_be_cause, worker_lost
 from ..session import Session, take_meshes
 from .tenure import Tenure
 
@@ -137,13 +137,15 @@ class Durability:
 
     # Recovery -------------------------------------------------------------------------------------------------------
 
-    def record_worker_loss(self, session: Session) -> None:
-        """Records that a worker was lost while it tracked a frame of this session.
+    def record_worker_loss(self, session: Session, error: WorkerLost) -> None:
+        """Records that a frame of this session was lost with its worker; counts the loss if the frame may be the cause.
 
         Raises:
             Irrecoverable: too many workers were lost; the session has ended, before it takes down every worker.
         """
         session.has_worker = False
+        if not may_be_cause(error):
+            return
         now = monotonic()
         session.worker_losses.append(now)
         if sum(now - moment < _WORKER_LOSS_SPAN for moment in session.worker_losses) > _MAX_WORKER_LOSSES:

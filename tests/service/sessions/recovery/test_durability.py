@@ -20,6 +20,7 @@ from ddakf_service.sessions.recovery.durability import Durability, Irrecoverable
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.sessions.session import Session
 from ddakf_service.store.files.checkpoints import unpack
+from ddakf_service.workers.pool import worker_lost
 from ports import lasting_port
 
 from ...conftest import TIMEOUT, Api, Talk, eventually, frame_of, request_of, running, template, workers
@@ -181,13 +182,22 @@ def test_a_session_that_takes_worker_after_worker_down_ends():
     durability = Durability(None, None, Metrics(), 30, lambda session, reason: given_up.append((session.name, reason)), Tenure())
     session = Session("deadly", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
     for _ in range(3):
-        durability.record_worker_loss(session)
+        durability.record_worker_loss(session, worker_lost("deadly", suspected=True))
     assert not session.has_worker
     with pytest.raises(Irrecoverable, match="4 workers were lost over its frames"):
-        durability.record_worker_loss(session)
+        durability.record_worker_loss(session, worker_lost("deadly", suspected=True))
     ((name, reason),) = given_up
     assert name == "sessions/deadly"
     assert isinstance(reason, WorkerLost)
+
+
+def test_a_session_whose_workers_others_take_down_goes_on():
+    durability = Durability(None, None, Metrics(), 30, None, Tenure())
+    session = Session("neighbour", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
+    for _ in range(10):
+        durability.record_worker_loss(session, worker_lost("neighbour"))
+    assert not session.has_worker
+    assert not session.worker_losses
 
 
 def test_sessions_of_a_killed_server_go_on_after_its_restart(restartable, sheet):
