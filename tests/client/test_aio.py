@@ -201,3 +201,41 @@ async def test_a_reconnect_notice_redirects_the_client(outage, service, mesh, fr
         results = await collected(session.track(frames(6), on_notice=lambda _: None))
         assert client.target == service.target
     assert [result.sequence for result in results] == [1, 2, 3, 4, 5, 6]
+
+
+async def test_a_closed_client_says_so(service, mesh, frames):
+    client = await aconnect(service.target)
+    session = await client.create_session(*mesh, flow="lossless")
+    await client.close()
+    for call in (lambda: collected(session.track(frames(3))), lambda: collected(session.watch()), session.info):
+        with pytest.raises(errors.FailedPrecondition, match=r"^the client is closed$"):
+            await call()
+
+
+async def test_closing_a_client_ends_its_calls_with_an_error_and_cancels_no_task(service, mesh, frames):
+    async def closing():
+        await asyncio.sleep(0.1)
+        await client.close()
+
+    client = await aconnect(service.target)
+    stream = (await client.create_session(*mesh, flow="lossless")).track(frames(5))
+    assert (await anext(stream)).sequence == 1
+    await client.close()
+    with pytest.raises(errors.Cancelled, match=r"^the client is closed$"):
+        await collected(stream)
+    client, service.delay = await aconnect(service.target), 0.5
+    closer = asyncio.create_task(closing())
+    with pytest.raises(errors.Cancelled, match=r"^the client is closed$"):
+        await client.server_info()
+    await closer
+
+
+async def test_an_error_inside_a_context_precedes_that_of_a_closed_client(service, mesh):
+    async def leave_with_an_error():
+        client = await aconnect(service.target)
+        async with client.create_session(*mesh):
+            await client.close()
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        await leave_with_an_error()

@@ -141,11 +141,37 @@ def test_a_server_that_does_not_answer_runs_into_the_timeout(service):
         connect(service.target, timeout=0.2)
 
 
-def test_an_error_inside_a_context_precedes_one_of_its_exit(service, mesh):
+@pytest.mark.parametrize("closed", [False, True])
+def test_an_error_inside_a_context_precedes_one_of_its_exit(service, mesh, closed):
     def leave_with_an_error():
         with connect(service.target) as client, client.create_session(*mesh):
             service._find = None  # every later call fails in the server
+            if closed:
+                client.close()
             raise ZeroDivisionError
 
     with pytest.raises(ZeroDivisionError):
         leave_with_an_error()
+
+
+def test_a_closed_client_says_so(service, mesh):
+    client = connect(service.target)
+    session = client.create_session(*mesh)
+    client.close()
+    for call in (
+        lambda: list(session.track([(mesh[0], 1.0)])),
+        lambda: list(session.watch()),
+        session.info,
+        lambda: client.create_session(*mesh),
+    ):
+        with pytest.raises(errors.FailedPrecondition, match=r"^the client is closed$"):
+            call()
+
+
+def test_closing_a_client_ends_its_stream_with_an_error(service, mesh, frames):
+    client = connect(service.target)
+    stream = client.create_session(*mesh, flow="lossless").track(frames(5))
+    assert next(stream).sequence == 1
+    client.close()
+    with pytest.raises(errors.Cancelled, match=r"^the client is closed$"):
+        list(stream)

@@ -10,7 +10,7 @@ import grpc
 import numpy as np
 from ddakf_api import API_VERSION
 from ddakf_api.codec import DEFAULT_CODEC, DEFAULT_STEP
-from ddakf_api.errors import ServiceError, SessionNotFound
+from ddakf_api.errors import FailedPrecondition, ServiceError, SessionNotFound
 from ddakf_api.transport import MAX_MESSAGE_BYTES, client_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
@@ -92,6 +92,7 @@ class AsyncClient:
     ):
         self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
         self._channels: dict[str, grpc.aio.Channel] = {}  # by target
+        self._closed = False
         self._metadata = calls.metadata_for(api_key)
         self.move(targets[0])
 
@@ -103,6 +104,7 @@ class AsyncClient:
 
     async def close(self) -> None:
         """Closes the connection and its calls. Sessions stay on the server until they expire."""
+        self._closed = True
         for channel in self._channels.values():
             await channel.close()
 
@@ -211,7 +213,8 @@ class AsyncClient:
         for _ in self._targets:
             target = self.target
             try:
-                return await getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
+                with calls.closing_is_an_error():
+                    return await getattr(self._open_stub(), method)(request, timeout=timeout, metadata=self._metadata)
             except grpc.RpcError as error:
                 failed = calls.failure(error, target, timeout)
                 if not calls.may_call_elsewhere(error, failed, method):
@@ -220,10 +223,15 @@ class AsyncClient:
         raise failed
 
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
-        return self._stub.Track(requests, metadata=self._metadata)
+        return self._open_stub().Track(requests, metadata=self._metadata)
 
     def open_watch(self, request: pb.WatchSessionRequest) -> grpc.aio.UnaryStreamCall:
-        return self._stub.WatchSession(request, metadata=self._metadata)
+        return self._open_stub().WatchSession(request, metadata=self._metadata)
+
+    def _open_stub(self) -> TrackingServiceStub:
+        if self._closed:
+            raise FailedPrecondition(calls.CLOSED)
+        return self._stub
 
 
 class AsyncSession:

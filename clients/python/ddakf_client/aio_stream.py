@@ -8,10 +8,10 @@ from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, I
 from typing import Protocol
 
 import grpc
-from ddakf_api.errors import ServiceError, Unavailable
+from ddakf_api.errors import Cancelled, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import failure
+from ddakf_client.calls import CLOSED, failure
 from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
 from ddakf_client.results import FrameError, Notice, Result
 
@@ -69,10 +69,12 @@ async def track(
                 if not stream.may_resume(failed):
                     raise failed from None
                 connection.move_on(target)
-            except asyncio.CancelledError:  # a read raises this when this side cancelled the call
-                is_silent = stream.silence is not None and not asyncio.current_task().cancelling()
-                if not (is_silent and stream.may_resume(stream.silence)):
-                    raise (stream.failure or stream.silence if is_silent else stream.failure) or asyncio.CancelledError from None
+            except asyncio.CancelledError:  # a read raises this also when this side cancelled the call, or closed the client
+                if asyncio.current_task().cancelling():
+                    raise
+                failed = stream.failure or stream.silence or Cancelled(CLOSED)
+                if not stream.may_resume(failed):
+                    raise failed from None
                 connection.move_on(target)
             await stream.pause()
     except asyncio.CancelledError:

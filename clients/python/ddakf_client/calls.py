@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 import grpc
 import numpy as np
@@ -12,6 +14,7 @@ from ddakf_api import API_VERSION
 from ddakf_api.arrays import checked_array, pack, pack_mesh
 from ddakf_api.errors import (
     ERROR_METADATA_KEY,
+    Cancelled,
     CodecError,
     DeadlineExceeded,
     Draining,
@@ -30,6 +33,8 @@ from ddakf_client.results import Limits, ServerInfo, server_info_from
 
 TIMEOUT = 10.0
 """Default timeout in seconds of a call, and of the answer to a frame."""
+
+CLOSED = "the client is closed"
 
 
 def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
@@ -79,7 +84,20 @@ def failure(error: grpc.RpcError, target: str, timeout: float) -> ServiceError:
         return Unavailable(f"{target} does not answer: {failed.message}", retry_after=failed.retry_after)
     if type(failed) is DeadlineExceeded:
         return DeadlineExceeded(f"{target} gave no answer within {timeout:g} s")
+    if type(failed) is Cancelled and "Channel closed!" in failed.message:  # words of gRPC when this side closes
+        return Cancelled(CLOSED)
     return failed
+
+
+@contextmanager
+def closing_is_an_error() -> Iterator[None]:
+    """Raises :class:`Cancelled` where grpc.aio raises CancelledError because the client was closed, not the task cancelled."""
+    try:
+        yield
+    except asyncio.CancelledError:
+        if asyncio.current_task().cancelling():
+            raise
+        raise Cancelled(CLOSED) from None
 
 
 def checked_server(message: pb.ServerInfo) -> ServerInfo:

@@ -11,7 +11,7 @@ import grpc
 import numpy as np
 from ddakf_api import API_VERSION
 from ddakf_api.codec import DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP
-from ddakf_api.errors import ServiceError, SessionNotFound
+from ddakf_api.errors import FailedPrecondition, ServiceError, SessionNotFound
 from ddakf_api.transport import MAX_MESSAGE_BYTES, client_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
@@ -91,6 +91,7 @@ class Client:
     ):
         self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
         self._channels: dict[str, grpc.Channel] = {}  # by target
+        self._closed = False
         self._metadata = calls.metadata_for(api_key)
         self.move(targets[0])
 
@@ -102,6 +103,7 @@ class Client:
 
     def close(self) -> None:
         """Closes the connection and its calls. Sessions stay on the server until they expire."""
+        self._closed = True
         for channel in self._channels.values():
             channel.close()
 
@@ -275,7 +277,7 @@ class Client:
         for _ in self._targets:
             target = self.target
             try:
-                return getattr(self._stub, method)(request, timeout=timeout, metadata=self._metadata)
+                return getattr(self._open_stub(), method)(request, timeout=timeout, metadata=self._metadata)
             except grpc.RpcError as error:
                 failed = calls.failure(error, target, timeout)
                 if not calls.may_call_elsewhere(error, failed, method):
@@ -284,10 +286,15 @@ class Client:
         raise failed
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
-        return self._stub.Track(requests, metadata=self._metadata)
+        return self._open_stub().Track(requests, metadata=self._metadata)
 
     def open_watch(self, request: pb.WatchSessionRequest) -> grpc.Call:
-        return self._stub.WatchSession(request, metadata=self._metadata)
+        return self._open_stub().WatchSession(request, metadata=self._metadata)
+
+    def _open_stub(self) -> TrackingServiceStub:
+        if self._closed:
+            raise FailedPrecondition(calls.CLOSED)
+        return self._stub
 
 
 class Session:

@@ -103,7 +103,8 @@ class _Stream:
     def close(self) -> None:
         with self._change():
             self._closed.set()
-        self._call.cancel()
+        if self._call:  # else the client was closed before
+            self._call.cancel()
         # The caller may then reuse the iterator; an iterator that waits for a camera cannot be interrupted.
         for thread in self._threads:
             thread.join(_JOIN_SECONDS)

@@ -9,7 +9,7 @@ import grpc
 from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import failure, require_every_nth
+from ddakf_client.calls import closing_is_an_error, failure, require_every_nth
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
 
@@ -39,9 +39,10 @@ async def awatch(
 ) -> AsyncIterator[Result | FrameError]:
     """As :func:`watch`."""
     try:
-        async for response in call:
-            for answer in _answers(response, on_notice):
-                yield answer
+        with closing_is_an_error():
+            async for response in call:
+                for answer in _answers(response, on_notice):
+                    yield answer
     except grpc.RpcError as error:
         raise failure(error, target, math.inf) from None
     finally:
