@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ddakf_client import CODECS, Limits, connect, errors
+from ddakf_client import CODECS, Limits, aconnect, connect, errors
 
 from .fake_server import CREATED
 
@@ -120,6 +120,22 @@ def test_another_major_version_is_refused(service):
     service.api_version = "2.3"
     with pytest.raises(errors.VersionMismatch, match=r"this client speaks ddakf API 1\.\d+, the server '2\.3'"):
         connect(service.target)
+
+
+@pytest.mark.parametrize("key", ["abc\n", "\tabc \r\n"])
+def test_a_key_as_its_file_has_it_is_sent_without_the_end_of_the_line(service, key):
+    with connect(service.target, api_key=key):
+        assert set(service.keys) == {"Bearer abc"}
+
+
+@pytest.mark.parametrize("key", ["\u00fcber", "two\nlines", "\x1b[1m", b"abc", 5])
+async def test_a_key_that_no_header_can_have_is_refused_and_not_shown(service, key):
+    with pytest.raises(errors.InvalidArgument, match=r"^api_key: expected printable") as refusal:
+        connect(service.target, api_key=key)
+    with pytest.raises(errors.InvalidArgument, match=r"^api_key: expected printable"):
+        await aconnect(service.target, api_key=key)
+    assert str(key) not in str(refusal.value)
+    assert service.keys == []
 
 
 @pytest.mark.parametrize("target", ["here", "127.0.0.1:99999", "[::1]", "dns:///here", "http://127.0.0.1:7702", ":7701"])

@@ -38,7 +38,21 @@ CLOSED = "the client is closed"
 
 
 def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
-    return (("authorization", f"Bearer {api_key}"),) if api_key else ()
+    """The metadata of every call: the key, without the white space around it that a file has.
+
+    Raises:
+        InvalidArgument: the key cannot be sent in a header; the error does not show it.
+    """
+    if api_key is None:
+        return ()
+    expected = "printable characters of ASCII, which a header can have"
+    if not isinstance(api_key, str):
+        raise InvalidArgument(field="api_key", expected=expected, got=type(api_key).__name__)
+    key = api_key.strip()
+    for character in key:
+        if not (character.isascii() and character.isprintable()):
+            raise InvalidArgument(field="api_key", expected=expected, got=f"{ascii(character)} among {len(key)}")
+    return (("authorization", f"Bearer {key}"),) if key else ()
 
 
 def targets_of(target: str | Sequence[str]) -> tuple[str, ...]:

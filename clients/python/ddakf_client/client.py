@@ -50,11 +50,11 @@ def connect(
             one that answers is used, and the next one when it stops to, or when a stream gets no answer within the timeout.
         timeout: seconds per call, and per answer to a frame.
         credentials: TLS credentials, see :func:`~ddakf_client.tls_credentials`; None: no encryption.
-        api_key: sent with every call.
+        api_key: sent with every call, without white space around it.
         max_message_bytes: limit of one message in either direction.
 
     Raises:
-        InvalidArgument: the target has no port.
+        InvalidArgument: the target has no port, or the key cannot be sent.
         Unavailable, DeadlineExceeded: no server answers at this address.
         VersionMismatch: client and server have incompatible versions.
     """
