@@ -100,6 +100,7 @@ async def test_invalid_arguments_are_refused_before_sending(service, mesh):
             (lambda: client.create_session(*mesh, labels={"a": 1}), "labels['a']"),
             (lambda: client.restore_session("abc"), "snapshot"),
             (lambda: client.open_session(5), "session_id"),
+            (lambda: client.delete_mesh(5), "name"),
         ]:
             with pytest.raises(errors.InvalidArgument, match="expected") as refusal:
                 await call()
@@ -107,6 +108,11 @@ async def test_invalid_arguments_are_refused_before_sending(service, mesh):
         session = await client.create_session(*mesh)
         with pytest.raises(errors.InvalidArgument, match=r"^vertices: expected"):
             await session.reset([[0, 0, 0], [1, 0]])
+
+
+async def test_the_longest_timeout_is_none_that_expires(service, mesh):
+    async with aconnect(service.target, timeout=1e9) as client, client.create_session(*mesh, flow="lossless") as session:
+        assert [result.sequence for result in await collected(session.track([(mesh[0], 1.0)]))] == [1]
 
 
 async def test_a_silent_server_runs_into_the_timeout(service, mesh, frames):

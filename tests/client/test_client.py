@@ -101,6 +101,7 @@ def test_invalid_arguments_are_refused_before_sending(service, mesh):
             (lambda: client.restore_session(b"", labels={"a": 1}), "labels['a']"),
             (lambda: client.restore_session(b"", session_id=5), "session_id"),
             (lambda: client.open_session(5), "session_id"),
+            (lambda: client.delete_mesh(5), "name"),
             (lambda: list(client.sessions(labels={"a": 1})), "labels['a']"),
             (lambda: list(client.sessions(state=["idle"])), "state"),
         ]:
@@ -143,6 +144,30 @@ def test_a_target_without_a_port_is_refused(target):
     """gRPC would take its own default port, or another one than was written."""
     with pytest.raises(errors.InvalidArgument, match="target: expected HOST:PORT"):
         connect(target)
+
+
+@pytest.mark.parametrize("target", [None, 5, b"127.0.0.1:7701", [5], {"127.0.0.1:7701": 1}])
+def test_a_target_that_is_no_text_is_refused(target):
+    with pytest.raises(errors.InvalidArgument, match=r"target: expected HOST:PORT of gRPC, or a list of such, got "):
+        connect(target)
+
+
+@pytest.mark.parametrize("timeout", [float("inf"), float("nan"), 1e12, 10**400, 0, -1, "a", None, True, [1]])
+def test_a_timeout_that_is_no_number_of_seconds_is_refused(service, mesh, timeout):
+    said = r"timeout: expected seconds above 0, at most 1e\+09, got "
+    with pytest.raises(errors.InvalidArgument, match=said):
+        connect(service.target, timeout=timeout)
+    with pytest.raises(errors.InvalidArgument, match=said):
+        aconnect(service.target, timeout=timeout)
+    with connect(service.target) as client, client.create_session(*mesh) as session:
+        if timeout is not None:  # else that of the client
+            with pytest.raises(errors.InvalidArgument, match=said):
+                session.track([], timeout=timeout)
+
+
+def test_the_longest_timeout_is_none_that_expires(service, mesh):
+    with connect(service.target, timeout=1e9) as client, client.create_session(*mesh, flow="lossless") as session:
+        assert [result.sequence for result in session.track([(mesh[0], 1.0)])] == [1]
 
 
 def test_a_missing_server_is_an_immediate_error():

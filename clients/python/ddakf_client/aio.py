@@ -63,6 +63,7 @@ def aconnect(
     """As :func:`ddakf_client.connect`: ``async with aconnect(...) as client``, or ``client = await aconnect(...)``."""
 
     targets = calls.targets_of(target)
+    calls.require_timeout(timeout)
     options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.aio.Channel:
@@ -191,7 +192,7 @@ class AsyncClient:
 
     async def delete_mesh(self, name: str) -> None:
         """As :meth:`ddakf_client.Client.delete_mesh`."""
-        await self.call("DeleteMesh", pb.DeleteMeshRequest(name=name))
+        await self.call("DeleteMesh", calls.delete_mesh_request(name))
 
     async def history(self, session_id: str, **span: Any) -> History:
         """As :meth:`ddakf_client.Client.history`, with the same arguments."""

@@ -34,6 +34,9 @@ from ddakf_client.results import Limits, ServerInfo, server_info_from
 TIMEOUT = 10.0
 """Default timeout in seconds of a call, and of the answer to a frame."""
 
+LONGEST_TIMEOUT = 1e9
+"""Largest timeout in seconds; with a much larger one, a call of gRPC fails at once."""
+
 CLOSED = "the client is closed"
 
 
@@ -51,7 +54,7 @@ def metadata_for(api_key: str | None) -> tuple[tuple[str, str], ...]:
     key = api_key.strip()
     for character in key:
         if not (character.isascii() and character.isprintable()):
-            raise InvalidArgument(field="api_key", expected=expected, got=f"{ascii(character)} among {len(key)}")
+            raise InvalidArgument(field="api_key", expected=expected, got=f"{character!a} among {len(key)}")
     return (("authorization", f"Bearer {key}"),) if key else ()
 
 
@@ -59,9 +62,13 @@ def targets_of(target: str | Sequence[str]) -> tuple[str, ...]:
     """The addresses of ``connect``: one or several, with commas between them or as a list.
 
     Raises:
-        InvalidArgument: there is none, or one has no port.
+        InvalidArgument: there is none, one has no port, or one is no text.
     """
-    targets = tuple(part.strip() for part in target.split(",")) if isinstance(target, str) else tuple(target)
+    if isinstance(target, str):
+        target = [part.strip() for part in target.split(",")]
+    if not isinstance(target, Sequence) or not all(isinstance(each, str) for each in target):
+        raise InvalidArgument(field="target", expected="HOST:PORT of gRPC, or a list of such", got=repr(target)[:80])
+    targets = tuple(target)
     if not targets:
         raise InvalidArgument(field="target", expected="HOST:PORT of gRPC", got="an empty list")
     for each in targets:
@@ -131,6 +138,14 @@ def require_codec(codec: str, server: ServerInfo) -> None:
         raise CodecError(field="codec", expected=expected, got=repr(codec))
 
 
+def require_timeout(timeout: object) -> None:
+    """Raises :class:`InvalidArgument` unless it is a number of seconds above 0, at most :data:`LONGEST_TIMEOUT`."""
+    is_number = isinstance(timeout, (int, float, np.integer, np.floating)) and not isinstance(timeout, bool)
+    if not is_number or not 0 < timeout <= LONGEST_TIMEOUT:
+        expected = f"seconds above 0, at most {LONGEST_TIMEOUT:g}"
+        raise InvalidArgument(field="timeout", expected=expected, got=repr(timeout)[:80])
+
+
 def require_every_nth(every_nth: object) -> None:
     """Raises :class:`InvalidArgument` unless it is an integer of at least 1."""
     if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:
@@ -175,6 +190,10 @@ def create_request(
 def mesh_request(mesh: object, faces: np.ndarray | None) -> pb.CreateMeshRequest:
     """The request of ``upload_mesh``, which describes the arguments."""
     return pb.CreateMeshRequest(api_version=API_VERSION, mesh=_mesh(mesh, faces, "mesh"))
+
+
+def delete_mesh_request(name: str) -> pb.DeleteMeshRequest:
+    return pb.DeleteMeshRequest(name=_text("name", name))
 
 
 def restore_request(

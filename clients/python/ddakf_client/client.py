@@ -48,17 +48,18 @@ def connect(
     Args:
         target: "host:port"; or several of servers that share their sessions, as a list or with commas between them. The first
             one that answers is used, and the next one when it stops to, or when a stream gets no answer within the timeout.
-        timeout: seconds per call, and per answer to a frame.
+        timeout: seconds per call, and per answer to a frame; above 0, at most 1e9.
         credentials: TLS credentials, see :func:`~ddakf_client.tls_credentials`; None: no encryption.
         api_key: sent with every call, without white space around it.
         max_message_bytes: limit of one message in either direction.
 
     Raises:
-        InvalidArgument: the target has no port, or the key cannot be sent.
+        InvalidArgument: the target has no port, the timeout is out of range, or the key cannot be sent.
         Unavailable, DeadlineExceeded: no server answers at this address.
         VersionMismatch: client and server have incompatible versions.
     """
     targets = calls.targets_of(target)
+    calls.require_timeout(timeout)
     options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.Channel:
@@ -240,7 +241,7 @@ class Client:
 
     def delete_mesh(self, name: str) -> None:
         """Deletes an uploaded mesh. Sessions that use it go on. Raises NotFound: the key has no mesh of this name."""
-        self.call("DeleteMesh", pb.DeleteMeshRequest(name=name))
+        self.call("DeleteMesh", calls.delete_mesh_request(name))
 
     def history(
         self,
