@@ -5,14 +5,16 @@ from __future__ import annotations
 import base64
 import json
 import threading
+import time
 
 import numpy as np
 import pytest
-from ddakf_api.errors import InvalidArgument, SessionNotFound
+from ddakf_api.errors import DeadlineExceeded, InvalidArgument, SessionNotFound
 from ddakf_client import Frame, connect, recordings
 from mcap.reader import make_reader
 
 from ..service.conftest import TIMEOUT, make_sheet, running
+from . import fake_server
 
 FRAMES = 6
 
@@ -95,11 +97,53 @@ def test_the_file_has_clouds_meshes_and_numbers_in_the_schemas_of_foxglove(recor
     assert by_topic["/cloud"][-1].publish_time == pytest.approx(1e9 * results[-1].timestamp)
 
 
-def test_a_file_that_is_no_recording_is_refused(tmp_path):
+@pytest.mark.parametrize("content", [b"", b"junk", b"nothing of the kind", b"\x89MCAP0\r\n" + bytes(range(60))])
+def test_a_file_that_is_no_recording_is_refused(tmp_path, content):
     path = tmp_path / "no.mcap"
-    path.write_bytes(b"nothing of the kind")
-    with pytest.raises(InvalidArgument, match=r"no\.mcap"):
+    path.write_bytes(content)
+    with pytest.raises(InvalidArgument, match=r"^path: expected an MCAP file, got no\.mcap: ."):
         recordings.load(path)
+
+
+def test_a_damaged_recording_is_refused_or_read(recorded, tmp_path):
+    whole, path, rng = recorded[0].read_bytes(), tmp_path / "damaged.mcap", np.random.default_rng(0)
+    refused = 0
+    for number in range(60):
+        damaged = np.frombuffer(whole, np.uint8)[: rng.integers(len(whole)) if number % 2 else None].copy()
+        damaged[rng.integers(len(damaged), size=20)] = rng.integers(256, size=20)
+        path.write_bytes(damaged.tobytes())
+        try:
+            recordings.load(path)
+        except InvalidArgument:
+            refused += 1
+    assert refused > 30
+
+
+@pytest.mark.parametrize("limit", [{"seconds": -1.0}, {"seconds": float("nan")}, {"seconds": 0}, {"frames": 0}, {"frames": -3}])
+def test_a_limit_that_leaves_nothing_to_record_is_refused(service, tmp_path, limit):
+    path = tmp_path / "none.mcap"
+    said = rf"^{next(iter(limit))}: expected a number above 0, got "
+    with (
+        connect(service.grpc) as client,
+        client.create_session(*make_sheet()) as session,
+        pytest.raises(InvalidArgument, match=said),
+    ):
+        recordings.record(session, path, **limit)
+    assert not path.exists()
+
+
+def test_a_server_that_does_not_begin_in_the_time_of_the_recording_is_named(mesh, tmp_path):
+    class Silent(fake_server.FakeService):
+        def WatchSession(self, request, context):
+            while context.is_active():
+                time.sleep(0.01)
+            yield from ()
+
+    server, target = fake_server.start(Silent())
+    said = rf"^{target} gave no answer within 0\.2 s$"
+    with connect(target) as client, client.create_session(*mesh) as session, pytest.raises(DeadlineExceeded, match=said):
+        recordings.record(session, tmp_path / "none.mcap", seconds=0.2)
+    server.stop(0).wait()
 
 
 def test_a_recording_ends_in_time_although_no_frame_comes(service, tmp_path):

@@ -24,7 +24,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 from ddakf_api import API_VERSION
-from ddakf_api.errors import InvalidArgument, PermissionDenied
+from ddakf_api.errors import Cancelled, DeadlineExceeded, InvalidArgument, PermissionDenied, first_line
 from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -66,8 +66,13 @@ def record(
 
     Raises:
         ImportError: mcap is not installed.
+        InvalidArgument: ``seconds`` or ``frames`` is not above 0.
         SessionNotFound, Unavailable: no such session, or no server.
+        DeadlineExceeded: the server did not begin within ``seconds``.
     """
+    for name, value in (("seconds", seconds), ("frames", frames)):
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not value > 0:
+            raise InvalidArgument(field=name, expected="a number above 0", got=repr(value)[:80])
     client = session._client
     call = client.open_watch(pb.WatchSessionRequest(name=session.name, api_version=API_VERSION, include_frames=True))
     end = time.monotonic() + seconds
@@ -81,7 +86,10 @@ def record(
             on_start()
             return _write_frames(_pairs(call, after), writer, end, frames, on_result)
     except grpc.RpcError as error:
-        raise failure(error, client.target, _NO_LIMIT) from None
+        failed = failure(error, client.target, _NO_LIMIT)
+        if type(failed) is Cancelled and time.monotonic() >= end:  # by the timer
+            failed = DeadlineExceeded(f"{client.target} gave no answer within {seconds:g} s")
+        raise failed from None
     finally:
         timer.cancel()
         call.cancel()
@@ -169,9 +177,12 @@ def load(path: str | PathLike) -> Recording:
             reader = reading.make_reader(file)
             messages = [(channel.topic, message.data) for _, channel, message in reader.iter_messages(list(_MESSAGES))]
             attachments = {each.name: each.data for each in reader.iter_attachments()}
-        except _mcap("exceptions").McapError as error:
-            raise InvalidArgument(field="path", expected="an MCAP file", got=f"{Path(path).name}: {error}") from None
-    read = {topic: [kind.FromString(data) for at, data in messages if at == topic] for topic, kind in _MESSAGES.items()}
+            read = {topic: [kind.FromString(data) for at, data in messages if at == topic] for topic, kind in _MESSAGES.items()}
+        except Exception as error:  # errors of mcap, struct, a compression, protobuf: any damage of the file
+            raise InvalidArgument(field="path", expected="an MCAP file", got=f"{Path(path).name}: {first_line(error)}") from None
+    if len(read[FRAME]) != len(read[RESULT]):
+        got = f"{len(read[FRAME])} frames and {len(read[RESULT])} results in {Path(path).name}"
+        raise InvalidArgument(field="path", expected="a result of every frame", got=got)
     if not read[SESSION]:
         raise InvalidArgument(field="path", expected="a recording of a session", got=f"{Path(path).name} without {SESSION}")
     known = read[SESSION][0].statistics.last_sequence_number if SNAPSHOT in attachments else 0
