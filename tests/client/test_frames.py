@@ -80,6 +80,9 @@ def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
     assert (sent.display_time, sent.deadline, sent.point_cloud.point_count) == (0.0, 0.0, 3)
 
 
+SCALES = [1000, 1.001, 0, -0.001, float("nan"), float("inf"), "0.001", None]  # none of them metres per unit
+
+
 @pytest.mark.parametrize(
     ("frame", "error", "field"),
     [
@@ -89,6 +92,7 @@ def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
         (Frame(None, 1.0, np.zeros(3), depth=DEPTH, intrinsics=LENS), InvalidFrame, "sensor_origin"),
         (Frame(timestamp=1.0, depth=DEPTH), CodecError, "intrinsics"),
         (Frame(timestamp=1.0, depth=DEPTH[0], intrinsics=LENS), CodecError, "depth"),
+        *((Frame(timestamp=1.0, depth=DEPTH, intrinsics=LENS, depth_scale=s), InvalidFrame, "depth_scale") for s in SCALES),
         (Frame(np.zeros((1, 3)), 1.0, display_time=float("nan")), InvalidFrame, "display_time"),
         (Frame(np.zeros((1, 3)), 1.0, display_time="soon"), InvalidFrame, "display_time"),
         (Frame(np.zeros((1, 3)), 1.0, deadline=0.0), InvalidFrame, "deadline"),

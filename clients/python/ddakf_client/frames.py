@@ -33,7 +33,7 @@ class Frame:
         confidence: (H, W) uint8, 255 is the highest, 0 unusable; None: unknown.
         min_confidence: pixels of lower confidence are ignored.
         colors: uint8 red, green, blue of the points (N, 3), or of what the pixels of the depth see (H, W, 3); None: unknown.
-        depth_scale: metres per unit of uint16 depth.
+        depth_scale: metres per unit of uint16 depth, at most 1: 0.001 for millimetres.
         display_time: time of display, seconds of the caller's clock, at most 0.5 s after `timestamp`; the result is predicted to
             this time. None: the time of capture.
         deadline: seconds after the arrival at the server within which tracking has to begin. A later frame is refused
@@ -108,6 +108,9 @@ def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
     for name in ("points", "sensor_origin"):
         if getattr(frame, name) is not None:
             raise InvalidFrame(field=name, expected="none beside a depth image", got=type(getattr(frame, name)).__name__)
+    scale = frame.depth_scale
+    if not isinstance(scale, (int, float, np.integer, np.floating)) or not 0 < scale <= 1:
+        raise InvalidFrame(field="depth_scale", expected="metres per unit, above 0 and at most 1", got=repr(scale)[:40])
     image = encode_depth(
         frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _IMAGE_OPTIONS}
     )
