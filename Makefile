@@ -66,7 +66,7 @@ $(LOCK): uv.lock | $(UV)
 
 $(SERVICE): pyproject.toml protos/pyproject.toml clients/python/pyproject.toml $(LOCK_NEEDED) | $(BIN)/python
 	@echo "installing into $(VENV) ..."
-	@$(PIP) install --quiet $(CONSTRAINTS) -e protos -e clients/python -e '.[service]'
+	@$(PIP) install --quiet $(CONSTRAINTS) -e protos -e 'clients/python[recording]' -e '.[service]'
 	@touch $@
 
 $(DEV): $(SERVICE)
