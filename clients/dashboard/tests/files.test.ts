@@ -154,8 +154,14 @@ describe("what files are", () => {
   test("depth images need a camera; masks are told apart", async () => {
     const images = [file("a/depth/1.png"), file("a/depth/2.png"), file("a/mask/1.png"), file("a/mask/2.png")];
     expect((await recognise(images)).problems.join()).toContain("no camera.json");
-    const { source } = await recognise([...images, file("a/camera.json", "{}")]);
-    expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 2]);
+    const camera = file("a/camera.json", "{}");
+    const colors = [file("a/color/1.png"), file("a/color/2.png"), file("a/preview.png")];
+    for (const others of [[], colors]) {
+      const { source } = await recognise([...others, ...images, camera]);
+      expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 2]);
+    }
+    const { source } = await recognise([file("a/1.png"), file("a/2.png"), camera]);
+    expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 0]);
   });
 
   test("what is neither is said", async () => {

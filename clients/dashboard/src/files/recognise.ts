@@ -103,12 +103,13 @@ async function npzFile(file: File): Promise<Partial<Recognised>> {
   return { mesh: { name, vertices: Float32Array.from(numbers(positions)), faces: Uint32Array.from(numbers(corners)) } };
 }
 
-/** Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`. */
+/** Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`; without such a folder, all images beside the masks. */
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
   const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
   if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
   const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
-  const frames = images.filter((each) => !masks.includes(each));
+  const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));
+  const frames = inDepth.length > 0 ? inDepth : images.filter((each) => !masks.includes(each));
   const files = (chosen: Placed[]) => byNumber(chosen.map(({ file }) => file));
   const name = folderOf(frames).replace(/\/?depth$/, "") || `${frames.length} depth images`;
   return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks) } };
