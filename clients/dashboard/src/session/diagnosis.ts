@@ -53,7 +53,7 @@ function stateSigns({ state, reliability }: Moment): Sign[] {
       {
         severity: "poor",
         title: "Recovering",
-        text: `Reliability is ${percent(reliability)}: cloth physics weighs more until measurements agree again.`,
+        text: `Reliability is ${percent(reliability)}: the shape is doubtful until measurements agree again.`,
       },
     ];
   if (state === "initializing")
