@@ -169,7 +169,7 @@ fuzz: $(DEV)
 evaluate: $(DEV)
 	@$(BIN)/ddakf evaluate --paper --results results $(ARGS)
 
-# the untouched study with one seed, and without what takes longer than a frame
+# the untouched study, without what takes longer than a frame
 SYSTEMS := still,carried,kf,icp,pf,opt-ed,nicp,printed,ddakf
 headline: $(DEV)
 	@$(BIN)/ddakf evaluate --paper --only untouched --runs 5 --no-surfaces --methods $(SYSTEMS) --results results $(ARGS)
