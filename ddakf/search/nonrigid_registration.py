@@ -1,9 +1,9 @@
 """Non-rigid registration: a garment in a candidate pose follows the cloud as an as-rigid-as-possible graph of its clusters.
 
-Each cluster has a position and a rotation. Vertices and points correspond softly and about one to one: at first over a third of
-a metre, then ever more closely, while the graph becomes softer. With nearest neighbours instead, a sleeve that lies elsewhere
-would get no points of its own (Chui and Rangarajan 2003, "A new point matching algorithm for non-rigid registration"). Local and
-global steps alternate (Sorkine and Alexa 2007, "As-rigid-as-possible surface modeling").
+Each cluster has a position and a rotation. Vertices and points correspond softly and about one to one: at first over 0.2 m, or
+0.3 m while a found garment settles, then ever more closely, while the graph becomes softer. With nearest neighbours instead, a
+sleeve that lies elsewhere would get no points of its own (Chui and Rangarajan 2003, "A new point matching algorithm for
+non-rigid registration"). Local and global steps alternate (Sorkine and Alexa 2007, "As-rigid-as-possible surface modeling").
 """
 
 from __future__ import annotations
