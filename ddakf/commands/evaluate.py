@@ -32,7 +32,7 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 3 conditions, 2 seeds, 30 frames")
     parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
-    what = "of --paper: neither Hausdorff distances nor silhouettes, which take longer than a frame"
+    what = "neither Hausdorff distances nor silhouettes, which take longer than a frame"
     parser.add_argument("--no-surfaces", action="store_true", help=what)
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
     what = "default: ddakf,paper,kf,icp,pf,clothfit,opt-ed,nicp; with --paper: those of each study"
@@ -79,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not arguments.json.parent.is_dir():
         raise InvalidArgument("json", "a file in a folder that exists", str(arguments.json))
     sensor = asdict(sensor_options.sensor(arguments, view="ring4"))  # the plan sets the view, and checks the sensor with it
-    settings = Trial("", **sensor, surfaces=True)
+    settings = Trial("", **sensor, surfaces=not arguments.no_surfaces)
     methods = (*(tuple(_names(arguments.methods)) or (("ddakf",) if arguments.submit else SYSTEMS)), *arguments.submit)
     sequences, views = tuple(arguments.sequences), tuple(_names(arguments.view))
     plan = StudyPlan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)

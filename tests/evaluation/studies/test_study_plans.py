@@ -144,6 +144,16 @@ def test_a_view_with_a_body_does_not_apply_to_a_sequence_without(tmp_path, syste
     assert "no body" in result["results"][1]["not_applicable"]
 
 
+@pytest.mark.parametrize("options", [[], ["--no-surfaces"]])
+def test_surfaces_are_measured_unless_told_otherwise(tmp_path, capsys, options):
+    out = tmp_path / "out.json"
+    command = ["evaluate", "sample", "--methods", "still", "--view", "full", "--runs", "1", "--frames", "0:6", "--procs", "1"]
+    assert cli.main([*command, "--json", str(out), *options]) == 0
+    result = json.loads(out.read_text())
+    measured = [cell["mean"].get("hausdorff_mm") is not None for cell in result["results"]]
+    assert (measured, result["meta"]["surfaces"]) == ([not options], not options)
+
+
 @pytest.mark.recordings
 @pytest.mark.parametrize(
     ("options", "field"),
