@@ -52,12 +52,6 @@ def clips(count: int, length: int = CLIP) -> list[slice]:
     return [slice(first, last) for first, last in pairwise([*starts, count])]
 
 
-def clip_means(values: Sequence[float | None], length: int = CLIP) -> np.ndarray:
-    """(n,) mean of a score per frame over each of :func:`clips`; NaN where no frame has the score."""
-    parts = [_finite(values[part]) for part in clips(len(values), length)]
-    return np.array([part.mean() if len(part) else np.nan for part in parts])
-
-
 def _finite(values: Iterable[float | None]) -> np.ndarray:
     array = np.array([np.nan if value is None else value for value in values], np.float64)
     return array[np.isfinite(array)]

@@ -4,15 +4,6 @@ from numba import njit
 
 
 @njit(nogil=True, cache=True)
-def energy(residual, weight):
-    """Sum of w r^2 / 2."""
-    total = 0.0
-    for c in range(residual.shape[0]):
-        total += weight[c] * residual[c] * residual[c]
-    return 0.5 * total
-
-
-@njit(nogil=True, cache=True)
 def add_gradient(stencil, residual, jacobian, weight, gradient):
     """gradient[i] += w r J_i for every vertex i of every constraint."""
     for c in range(stencil.shape[0]):

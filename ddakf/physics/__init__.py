@@ -17,7 +17,7 @@ import numpy as np
 
 from ddakf.physics.fabric import Fabric
 
-__all__ = ["Fabric", "Linearization", "allocate", "diagonal_blocks", "energy", "gradient"]
+__all__ = ["Fabric", "Linearization", "allocate", "diagonal_blocks", "gradient"]
 
 
 class Linearization(NamedTuple):
@@ -33,13 +33,6 @@ def allocate(stencil: np.ndarray, weight: np.ndarray) -> Linearization:
     """A Linearization to be written into; the constant arrays are shared, not copied."""
     count, size = stencil.shape
     return Linearization(stencil, np.zeros(count), np.zeros((count, size, 3)), weight)
-
-
-def energy(linearization: Linearization) -> float:
-    """E = 1/2 sum w r^2, for unit stiffness."""
-    from ddakf.kernels import assembly
-
-    return float(assembly.energy(linearization.residual, linearization.weight))
 
 
 def gradient(linearization: Linearization, n_vertices: int, out: np.ndarray | None = None) -> np.ndarray:

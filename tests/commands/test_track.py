@@ -16,11 +16,11 @@ from scipy.io import savemat
 import ddakf
 from ddakf.commands import cli
 from ddakf.data import SAMPLE, sample
-from ddakf.evaluation.datasets import KINECT
+from ddakf.evaluation.datasets import KINECT, open_dataset
 from ddakf.evaluation.sensors import Camera, Sensor
 from ddakf.evaluation.tracking import replay
 from ddakf.evaluation.tracking.server import Server
-from ddakf.evaluation.tracking.sources import open_source
+from ddakf.evaluation.tracking.sources import source_of
 from ddakf.files import io
 
 pytestmark = pytest.mark.slow
@@ -206,7 +206,7 @@ def _tracker(garment, body, config):
 def test_a_server_gets_the_same_frames_one_at_a_time(monkeypatch):
     client, log = _fake_client(_tracker)
     monkeypatch.setitem(sys.modules, "ddakf_client", client)
-    source = open_source(SAMPLE, Sensor(points=2000), frames="0:5")
+    source = source_of(open_dataset(SAMPLE), Sensor(points=2000), frames="0:5")
     here = [result.vertices.copy() for _, result, _ in replay.local(source)]
     there = [(frame.number, result.vertices.copy(), seconds) for frame, result, seconds in replay.remote(source, Server("x:1"))]
     assert [number for number, _, _ in there] == [1, 2, 3, 4]
@@ -244,6 +244,6 @@ def test_without_the_client_a_server_cannot_be_used(monkeypatch, capsys):
 
 
 def test_a_search_finds_the_garment(capsys):
-    source = replace(open_source(SAMPLE, Sensor("full", points=4000), frames="0:12"), start_at="search")
+    source = replace(source_of(open_dataset(SAMPLE), Sensor("full", points=4000), frames="0:12"), start_at="search")
     *_, (frame, result, _) = replay.local(source)
     assert np.linalg.norm(result.vertices.mean(axis=0) - frame.truth.mean(axis=0)) < 0.05

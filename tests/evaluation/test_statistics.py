@@ -26,12 +26,6 @@ def test_clips_are_disjoint_and_lose_no_frame():
     assert statistics.clips(0) == []
 
 
-def test_clip_means_by_hand():
-    values = [*range(60), *[None] * 30, *[7.0] * 30]
-    assert statistics.clip_means(values) == pytest.approx([29.5, 7])
-    assert np.isnan(statistics.clip_means([None] * 60)).all()
-
-
 # The test -----------------------------------------------------------------------------------------------------------
 
 

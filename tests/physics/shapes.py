@@ -1,4 +1,4 @@
-"""Small meshes for the tests of the energies and of the body."""
+"""Small meshes for the tests of the energies and of the body, and the energy of a linearization."""
 
 import numpy as np
 
@@ -42,3 +42,8 @@ def rotation(seed: int) -> np.ndarray:
     """(3, 3) a random rotation."""
     q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
     return q * np.linalg.det(q)
+
+
+def energy(linearization) -> float:
+    """E = 1/2 sum w r^2, for unit stiffness."""
+    return 0.5 * float(linearization.residual @ (linearization.weight * linearization.residual))

@@ -7,7 +7,7 @@ from ddakf import physics
 from ddakf.body import proximity
 from ddakf.errors import InvalidConfig
 from ddakf.physics import collision
-from tests.physics.shapes import ball, sheet
+from tests.physics.shapes import ball, energy, sheet
 
 MESH, BODY, RADIUS = sheet(), ball(3), 0.2
 THICKNESS = 0.004
@@ -36,8 +36,8 @@ def test_gradient_is_the_derivative_of_the_energy_and_points_inward():
     constants, contact, step = collision.build(MESH, THICKNESS), contact_of(x), 1e-8
     gradient = physics.gradient(collision.linearize(x, constants, contact), len(x))
     for moved in rng.normal(size=(5, *x.shape)):
-        ahead = physics.energy(collision.linearize(x + step * moved, constants, contact))
-        behind = physics.energy(collision.linearize(x - step * moved, constants, contact))
+        ahead = energy(collision.linearize(x + step * moved, constants, contact))
+        behind = energy(collision.linearize(x - step * moved, constants, contact))
         assert np.sum(gradient * moved) == pytest.approx((ahead - behind) / (2 * step), rel=1e-4)
     assert np.einsum("va,va->v", gradient, directions).max() <= 0.0
 
@@ -51,7 +51,7 @@ def test_weights_share_out_the_area_of_the_garment():
 def test_no_body_within_reach_means_no_constraint():
     x = MESH.vertices + np.array([5.0, 0.0, 0.0])
     lin = collision.linearize(x, collision.build(MESH), contact_of(x))
-    assert physics.energy(lin) == 0.0
+    assert energy(lin) == 0.0
     assert all(np.isfinite(array).all() for array in lin)
 
 

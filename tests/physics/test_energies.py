@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from ddakf import physics
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, shear, stretch
-from tests.physics.shapes import rotation, sheet
+from tests.physics.shapes import energy, rotation, sheet
 
 MESH = sheet()
 ENERGIES = pytest.mark.parametrize("module", [stretch, shear, bend], ids=lambda module: module.__name__.split(".")[-1])
@@ -52,8 +52,8 @@ def _moved(module, constants, x, slot, axis, step):
 def test_gradient_is_the_derivative_of_the_energy(module, seed):
     constants, x, step = module.build(MESH), deformed(seed), 1e-7
     direction = np.random.default_rng(seed).normal(size=x.shape)
-    ahead = physics.energy(module.linearize(x + step * direction, constants))
-    behind = physics.energy(module.linearize(x - step * direction, constants))
+    ahead = energy(module.linearize(x + step * direction, constants))
+    behind = energy(module.linearize(x - step * direction, constants))
     along = np.sum(physics.gradient(module.linearize(x, constants), len(x)) * direction)
     scale = np.linalg.norm(physics.gradient(module.linearize(x, constants), len(x))) * np.linalg.norm(direction)
     assert along == pytest.approx((ahead - behind) / (2 * step), abs=1e-5 * scale)
@@ -69,7 +69,6 @@ def test_sums_agree_with_dense_algebra(module):
             dense[c, lin.stencil[c, s]] += lin.jacobian[c, s]
     J = dense.reshape(len(dense), 3 * v)
     hessian = (J.T @ np.diag(lin.weight) @ J).reshape(v, 3, v, 3)
-    assert physics.energy(lin) == pytest.approx(0.5 * lin.residual @ (lin.weight * lin.residual))
     np.testing.assert_allclose(physics.gradient(lin, v).ravel(), J.T @ (lin.weight * lin.residual), atol=1e-12)
     np.testing.assert_allclose(physics.diagonal_blocks(lin, v), hessian[np.arange(v), :, np.arange(v)], atol=1e-9)
 
@@ -80,7 +79,7 @@ def test_sums_agree_with_dense_algebra(module):
 def test_rest_shape_has_no_energy_wherever_it_is(module, seed):
     x = MESH.vertices @ rotation(seed).T + np.random.default_rng(seed).normal(size=3)
     lin = module.linearize(x, module.build(MESH))
-    assert physics.energy(lin) < 1e-20
+    assert energy(lin) < 1e-20
     assert np.abs(physics.gradient(lin, len(x))).max() < 1e-8
 
 
@@ -91,7 +90,7 @@ def test_rigid_motion_turns_the_gradient_and_keeps_the_energy(module, seed):
     constants, x, R = module.build(MESH), deformed(seed), rotation(seed)
     here = module.linearize(x, constants)
     there = module.linearize(x @ R.T + [1.0, -2.0, 0.5], constants)
-    assert physics.energy(there) == pytest.approx(physics.energy(here), rel=1e-9)
+    assert energy(there) == pytest.approx(energy(here), rel=1e-9)
     expected = physics.gradient(here, len(x)) @ R.T
     np.testing.assert_allclose(physics.gradient(there, len(x)), expected, atol=1e-9 * np.abs(expected).max())
 
@@ -112,7 +111,7 @@ def test_vertex_numbering_does_not_matter(module):
     x = deformed(3)
     here = module.linearize(x, module.build(MESH))
     there = module.linearize(x[np.argsort(order)], module.build(renamed))
-    assert physics.energy(there) == pytest.approx(physics.energy(here), rel=1e-12)
+    assert energy(there) == pytest.approx(energy(here), rel=1e-12)
     expected = physics.gradient(here, len(x))
     np.testing.assert_allclose(physics.gradient(there, len(x))[order], expected, atol=1e-9 * np.abs(expected).max())
 

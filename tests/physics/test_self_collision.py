@@ -8,6 +8,7 @@ import pytest
 from ddakf import Config, Mesh, Tracker, physics
 from ddakf.evaluation import metrics
 from ddakf.physics import collision, self_collision
+from tests.physics import shapes
 from tests.physics.shapes import grid_faces
 
 ROWS, SPACING, THICKNESS = 9, 0.02, 0.004
@@ -64,7 +65,7 @@ def test_gradient_and_blocks_are_the_derivatives_of_the_energy():
     rng, step = np.random.default_rng(0), 1e-6
 
     def energy(x):
-        return physics.energy(self_collision.linearize(x, layers))
+        return shapes.energy(self_collision.linearize(x, layers))
 
     gradient, blocks = physics.gradient(lin, len(now)), physics.diagonal_blocks(lin, len(now))
     for moved in rng.normal(size=(5, *now.shape)):

@@ -11,7 +11,7 @@ import numpy as np
 
 from ddakf.data.rotation import rotation_matrices
 from ddakf.errors import InvalidArgument
-from ddakf.evaluation.datasets import Pair, Recording, open_dataset
+from ddakf.evaluation.datasets import Pair, Recording
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.files.io import read_mesh
@@ -179,20 +179,6 @@ class RecordingSource:
         for k in self._tracked:
             cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]), k)
             yield CapturedFrame(k, self.recording.timestamp(k), *cloud)
-
-
-def open_source(path, sensor: Sensor | None = None, *, fps: float = 30.0, **options) -> Source:
-    """The source of the sequence or recording at a path, see :func:`source_of`.
-
-    Args:
-        path: see :func:`ddakf.evaluation.datasets.open_dataset`.
-        fps: frames per second of a recording that does not state them.
-        sensor, options: see :func:`source_of`.
-
-    Raises:
-        InvalidFile, InvalidArgument, InvalidMesh: a file, an argument or a template that is not valid.
-    """
-    return source_of(open_dataset(path, fps=fps), sensor, **options)
 
 
 def source_of(

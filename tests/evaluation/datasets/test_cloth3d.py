@@ -11,7 +11,7 @@ from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets import cloth3d, open_dataset
 from ddakf.evaluation.datasets.cloth3d import load_cloth3d
 from ddakf.evaluation.datasets.formats import smpl
-from ddakf.evaluation.datasets.formats.point_cache import read_point_cache, write_point_cache
+from ddakf.evaluation.datasets.formats.point_cache import FLOATS, HEADER, SIGNATURE, read_point_cache
 
 FRAMES, ZROT = 5, 0.7
 QUADS = [[0, 1, 4, 3], [1, 2, 5, 4]]  # a sheet of two squares
@@ -23,6 +23,12 @@ POSES = 0.2 * np.random.default_rng(0).normal(size=(FRAMES, 72))
 def relative(frame):
     """The sheet in a frame, relative to the root joint, z up."""
     return Rotation.from_euler("x", 90 + 5 * frame, degrees=True).apply(REST)
+
+
+def write_point_cache(path, vertices: np.ndarray) -> None:
+    """Writes (T, V, 3) vertices in the floats of the path's suffix."""
+    header = HEADER.pack(SIGNATURE, 1, vertices.shape[1], 0.0, 1.0, vertices.shape[0])
+    path.write_bytes(header + np.ascontiguousarray(vertices, FLOATS[path.suffix.lower()]).tobytes())
 
 
 @pytest.fixture

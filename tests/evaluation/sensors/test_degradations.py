@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ddakf.data import SAMPLE
+from ddakf.evaluation.datasets import open_dataset
 from ddakf.evaluation.sensors.degradations import (
     DISTURBANCES,
     FRAMES,
@@ -20,11 +21,11 @@ from ddakf.evaluation.sensors.degradations import (
     degraded_runs,
 )
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
-from ddakf.evaluation.tracking.sources import open_source
+from ddakf.evaluation.tracking.sources import source_of
 
-FRONT = list(open_source(SAMPLE, Sensor(view="front", points=2000), frames="0:13"))
-RING = list(open_source(SAMPLE, Sensor(view="ring4", points=2000), frames="0:4"))
-FULL = list(open_source(SAMPLE, Sensor(view="full", points=2000), frames="0:13"))
+FRONT = list(source_of(open_dataset(SAMPLE), Sensor(view="front", points=2000), frames="0:13"))
+RING = list(source_of(open_dataset(SAMPLE), Sensor(view="ring4", points=2000), frames="0:4"))
+FULL = list(source_of(open_dataset(SAMPLE), Sensor(view="full", points=2000), frames="0:13"))
 
 
 def played(*events, frames=FULL, seed=1):

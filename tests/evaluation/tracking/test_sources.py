@@ -5,8 +5,9 @@ import pytest
 
 from ddakf.data import SAMPLE, sample
 from ddakf.errors import InvalidArgument, InvalidFile
+from ddakf.evaluation.datasets import open_dataset
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
-from ddakf.evaluation.tracking.sources import chosen_frames, open_source
+from ddakf.evaluation.tracking.sources import chosen_frames, source_of
 from ddakf.files import io
 
 
@@ -25,7 +26,7 @@ def test_ranges_that_are_none(text):
 
 
 def test_started_at_the_truth_the_first_frame_is_given_away():
-    source, sequence = open_source(SAMPLE, frames="3:6"), sample()
+    source, sequence = source_of(open_dataset(SAMPLE), frames="3:6"), sample()
     frames = list(source)
     assert [frame.number for frame in frames] == [4, 5]
     assert len(source) == 2
@@ -38,14 +39,15 @@ def test_started_at_the_truth_the_first_frame_is_given_away():
 
 def test_other_starts_track_every_frame():
     for start in ("rest", "search"):
-        source = open_source(SAMPLE, frames="0:2", start=start)
+        source = source_of(open_dataset(SAMPLE), frames="0:2", start=start)
         assert [frame.number for frame in source] == [0, 1]
         assert source.start is None
 
 
 def test_a_search_begins_with_the_same_shape_somewhere_else():
     rest, search, other = (
-        open_source(SAMPLE, start=start, seed=seed).garment for start, seed in (("rest", 1), ("search", 1), ("search", 2))
+        source_of(open_dataset(SAMPLE), start=start, seed=seed).garment
+        for start, seed in (("rest", 1), ("search", 1), ("search", 2))
     )
     edge_lengths = [np.diff(mesh.vertices[mesh.edges], axis=1) for mesh in (rest, search)]
     assert np.allclose(*(np.linalg.norm(edges, axis=2) for edges in edge_lengths), atol=1e-6)
@@ -55,7 +57,7 @@ def test_a_search_begins_with_the_same_shape_somewhere_else():
 
 
 def test_the_body_is_for_the_picture_and_for_the_tracker_only_when_told():
-    kept, given = (open_source(SAMPLE, frames="0:2", give_body=give) for give in (False, True))
+    kept, given = (source_of(open_dataset(SAMPLE), frames="0:2", give_body=give) for give in (False, True))
     assert kept.body is None
     assert next(iter(kept)).body_vertices is None
     assert next(iter(kept)).body is not None
@@ -65,16 +67,16 @@ def test_the_body_is_for_the_picture_and_for_the_tracker_only_when_told():
 
 def test_a_range_sees_what_the_whole_sees_and_seeds_differ():
     sensor = Sensor("ring4", points=500)
-    whole = list(open_source(SAMPLE, sensor, frames="0:4"))
-    part = list(open_source(SAMPLE, sensor, frames="2:4"))
-    other = list(open_source(SAMPLE, sensor, frames="2:4", seed=2))
+    whole = list(source_of(open_dataset(SAMPLE), sensor, frames="0:4"))
+    part = list(source_of(open_dataset(SAMPLE), sensor, frames="2:4"))
+    other = list(source_of(open_dataset(SAMPLE), sensor, frames="2:4", seed=2))
     assert np.array_equal(whole[-1].points, part[0].points)
     assert not np.array_equal(part[0].points, other[0].points)
 
 
 def test_a_slower_sensor_sees_the_same_in_the_frames_that_it_takes():
-    whole = list(open_source(SAMPLE, Sensor(points=500), frames="0:8"))
-    slow = open_source(SAMPLE, Sensor(points=500, every=3), frames="0:8")
+    whole = list(source_of(open_dataset(SAMPLE), Sensor(points=500), frames="0:8"))
+    slow = source_of(open_dataset(SAMPLE), Sensor(points=500, every=3), frames="0:8")
     frames = list(slow)
     assert [frame.number for frame in frames] == [3, 6]
     assert len(slow) == 2
@@ -86,10 +88,10 @@ def test_a_slower_sensor_sees_the_same_in_the_frames_that_it_takes():
 def test_without_a_rest_shape_the_first_chosen_frame_is_the_template(tmp_path):
     s = sample()
     np.savez(tmp_path / "s.npz", garment_V=s.garment_vertices[:5], garment_F=s.garment_faces, fps=30)
-    source = open_source(tmp_path / "s.npz", frames="2:5")
+    source = source_of(open_dataset(tmp_path / "s.npz"), frames="2:5")
     assert np.array_equal(source.garment.vertices, s.garment_vertices[2])
     with pytest.raises(InvalidArgument, match="body"):
-        open_source(tmp_path / "s.npz", give_body=True)
+        source_of(open_dataset(tmp_path / "s.npz"), give_body=True)
 
 
 def test_a_folder_of_clouds_with_a_template(tmp_path):
@@ -99,25 +101,25 @@ def test_a_folder_of_clouds_with_a_template(tmp_path):
     for k in range(3):
         io.write_points(folder / f"{k}.ply", rng.permutation(s.garment_vertices[k])[:900])
     io.write_mesh(tmp_path / "template.obj", s.garment_rest, s.garment_faces)
-    source = open_source(folder, Sensor(points=500, noise=0), template=tmp_path / "template.obj", fps=10)
+    source = source_of(open_dataset(folder, fps=10), Sensor(points=500, noise=0), template=tmp_path / "template.obj")
     frames = list(source)
     assert [len(frame.points) for frame in frames] == [500] * 3
     assert frames[2].timestamp == pytest.approx(0.2)
     assert frames[0].truth is None
     assert source.start is None
     assert source.garment.n_vertices == len(s.garment_rest)
-    hidden = list(open_source(folder, Sensor(points=900, occlude=(1, 2)), template=tmp_path / "template.obj", fps=10))
+    hidden = list(source_of(open_dataset(folder, fps=10), Sensor(points=900, occlude=(1, 2)), template=tmp_path / "template.obj"))
     assert [len(frame.points) for frame in hidden] == [900, 540, 900]
     with pytest.raises(InvalidArgument, match="errors of its own"):
-        open_source(folder, Sensor(fliers=0.1), template=tmp_path / "template.obj")
+        source_of(open_dataset(folder), Sensor(fliers=0.1), template=tmp_path / "template.obj")
 
 
 def test_what_cannot_be_opened(tmp_path):
     with pytest.raises(InvalidFile, match="nothing there"):
-        open_source(tmp_path / "none.npz")
+        source_of(open_dataset(tmp_path / "none.npz"))
     with pytest.raises(InvalidArgument, match="template"):
-        open_source(SAMPLE, template="x.obj")
+        source_of(open_dataset(SAMPLE), template="x.obj")
     io.write_mesh(tmp_path / "0.ply", np.eye(3), np.array([[0, 1, 2]]))
     io.write_mesh(tmp_path / "1.ply", np.eye(3), np.array([[0, 1, 2]]))
     with pytest.raises(InvalidArgument, match="body"):
-        open_source(tmp_path, give_body=True)
+        source_of(open_dataset(tmp_path), give_body=True)

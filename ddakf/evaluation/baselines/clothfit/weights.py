@@ -78,16 +78,6 @@ def committee(labels: RecordingLabels, settings: TrainingSettings = DEFAULT, amo
     return _checked(path, arrays)
 
 
-def load(path: Path) -> Committee:
-    """Reads weights.
-
-    Raises:
-        InvalidFile: weights of another network.
-    """
-    with np.load(path, allow_pickle=False) as archive:
-        return _checked(path, {name: archive[name] for name in archive.files})
-
-
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> Committee:
     trained = Committee.from_arrays(arrays)
     for member in trained.members:

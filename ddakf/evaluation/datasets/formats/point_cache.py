@@ -42,10 +42,3 @@ def read_point_cache(path) -> np.ndarray:
     if not np.isfinite(values).all():
         raise InvalidFile(path.name, "finite numbers", f"{(~np.isfinite(values)).sum()} non-finite")
     return values
-
-
-def write_point_cache(path, vertices: np.ndarray) -> None:
-    """Writes (T, V, 3) vertices: .pc2 in 32-bit, .pc16 in 16-bit floats."""
-    path = Path(path)
-    header = HEADER.pack(SIGNATURE, 1, vertices.shape[1], 0.0, 1.0, vertices.shape[0])
-    path.write_bytes(header + np.ascontiguousarray(vertices, FLOATS[path.suffix.lower()]).tobytes())
