@@ -8,9 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import httpx
@@ -19,13 +17,13 @@ from ddakf_api.errors import ServiceError
 from ddakf_client import Frame, connect
 
 from ..conftest import TIMEOUT, eventually, make_sheet, running
+from ..lossless_stream import RATE, LosslessStream
 from .ray_cluster import RayCluster
 
 pytestmark = pytest.mark.slow
 
 SHEET = make_sheet()
 PROCESSORS = 0  # of the head
-RATE = 20  # frames per second
 PATIENCE = 120.0  # seconds for the next answer
 
 
@@ -44,38 +42,10 @@ def service(cluster, tmp_path_factory):
         yield service
 
 
-class Stream(threading.Thread):
-    """A lossless stream; the numbers of its answers, the kinds of its notices, and the longest time between two answers."""
-
-    def __init__(self, address: str):
-        super().__init__()
-        self._address, self._wanted = address, threading.Event()
-        self._wanted.set()
-        self.sent, self.answered, self.notices, self.longest = 0, [], [], 0.0
-
-    def run(self) -> None:
-        with connect(self._address, timeout=PATIENCE) as client, client.create_session(*SHEET, flow="lossless") as session:
-            last = time.monotonic()
-            for result in session.track(self._frames(), on_notice=lambda notice: self.notices.append(notice.kind)):
-                self.longest, last = max(self.longest, time.monotonic() - last), time.monotonic()
-                self.answered.append(result.sequence)
-
-    def _frames(self) -> Iterator[Frame]:
-        while self._wanted.is_set():
-            self.sent += 1
-            yield Frame(SHEET.vertices + [0.001 * self.sent, 0, 0], self.sent / RATE)
-            time.sleep(1 / RATE)
-
-    def end(self) -> None:
-        self._wanted.clear()
-        self.join(PATIENCE)
-        assert not self.is_alive()
-
-
 @pytest.fixture
 def stream(service):
     """A stream with its first answers; every frame has an answer at its end."""
-    stream = Stream(service.grpc)
+    stream = LosslessStream(service.grpc, patience=PATIENCE)
     stream.start()
     try:
         eventually(lambda: len(stream.answered) >= 10, PATIENCE)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import threading
-import time
 import uuid
 from collections.abc import Iterator
 
@@ -14,16 +12,15 @@ import httpx
 import pytest
 from ddakf_api.errors import SessionBusy, SessionExists, SessionExpired, SessionNotFound, StreamTakenOver
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import Frame, connect
 from ddakf_service.commands.service_process import ServiceProcess
 from ports import lasting_port
 
 from ...conftest import TIMEOUT, Api, Talk, eventually, frame_of, held, make_sheet, request_of
+from ...lossless_stream import LosslessStream
 
 pytestmark = pytest.mark.slow
 
 SHEET = make_sheet()
-RATE = 20  # frames per second
 EVERY = 5  # frames between two checkpoints
 SPAN = 2.0  # seconds of a lease
 LOSSLESS = pb.FLOW_MODE_LOSSLESS
@@ -112,44 +109,10 @@ def asked(gateway: Gateway, name: str, numbers: range, **start) -> list[pb.Resul
     return [response.result for response in responses if response.HasField("result")]
 
 
-class Stream(threading.Thread):
-    """A lossless stream of a client that knows both gateways, until it is told to end."""
-
-    def __init__(self, *addresses: str):
-        super().__init__()
-        self._addresses, self._wanted = addresses, threading.Event()
-        self._wanted.set()
-        self.sent, self.answered, self.notices, self.longest, self.forgotten = 0, [], [], 0.0, 0.0
-
-    def run(self) -> None:
-        with connect(self._addresses, timeout=TIMEOUT) as client:
-            session = client.create_session(SHEET.vertices, SHEET.faces, flow="lossless")
-            self.name, last = session.name, time.monotonic()
-            for result in session.track(self._frames(), on_notice=self._note, resume=TIMEOUT):
-                self.longest, last = max(self.longest, time.monotonic() - last), time.monotonic()
-                self.answered.append(result.sequence)
-            session.delete()
-
-    def _note(self, notice) -> None:
-        self.notices.append(notice.kind)
-        self.forgotten += notice.value if notice.kind == "resumed" else 0
-
-    def _frames(self) -> Iterator[Frame]:
-        while self._wanted.is_set():
-            self.sent += 1
-            yield Frame(SHEET.vertices + [0.001 * self.sent, 0, 0], self.sent / RATE)
-            time.sleep(1 / RATE)
-
-    def end(self) -> None:
-        self._wanted.clear()
-        self.join(TIMEOUT)
-        assert not self.is_alive()
-
-
 @contextlib.contextmanager
-def streaming(*addresses: str) -> Iterator[Stream]:
+def streaming(*addresses: str) -> Iterator[LosslessStream]:
     """A stream with its first answers; every frame has an answer at its end."""
-    stream = Stream(*addresses)
+    stream = LosslessStream(*addresses)
     stream.start()
     try:
         eventually(lambda: len(stream.answered) >= 3 * EVERY)
@@ -160,7 +123,7 @@ def streaming(*addresses: str) -> Iterator[Stream]:
     assert sorted(set(stream.answered)) == list(range(1, stream.sent + 1))
 
 
-def goes_on(stream: Stream) -> None:
+def goes_on(stream: LosslessStream) -> None:
     before = len(stream.answered)
     eventually(lambda: len(stream.answered) >= before + 3 * EVERY)
 
