@@ -13,7 +13,7 @@ from tests.tracker_runs import ARRAYS, SAMPLE, SHIRT, TUBE, WEARER, assert_same,
 NUMBERS = Config().discretisation
 FINE = remeshing.subdivided(SHIRT, 0.012)
 UNEVEN = centre_split(SHIRT)
-FINE_TUBE, PLACE = remeshing.subdivided(TUBE, 0.012)
+FINE_TUBE, _ = remeshing.subdivided(TUBE, 0.012)
 
 
 @pytest.fixture(scope="module")
