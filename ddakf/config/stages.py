@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 from ddakf.config.checked import Checked, bounded
 
+USUAL_RATE = 30.0  # frames per second up to which a frame makes its usual passes
+
 # A. Prediction ------------------------------------------------------------------------------------------------------
 
 
@@ -108,6 +110,11 @@ class PlaneAssociation(Checked):
     hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below; another layer is farther away
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane
+
+    def most_passes(self, dt: float) -> int:
+        """Passes at most, ``dt`` seconds after the last frame: the more, the farther the garment has moved."""
+        slow = max(self.slow_iterations, self.iterations)
+        return min(slow, max(self.iterations, round(self.iterations * USUAL_RATE * dt)))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import PlaneAssociation
+from ddakf.config.stages import USUAL_RATE
 from ddakf.kernels import cluster_alignment as kernels
 from ddakf.kernels.cluster_alignment import ClusterFrames, SampleNoise, SamplePlanes, SeamStiffness
 from ddakf.physics import rigidity
@@ -91,7 +92,7 @@ def _needed(problem: Problem, estimate: Estimate) -> bool:
 def _prior_sd(problem: Problem) -> float:
     """Standard deviation of the prediction of a vertex, metres: it misses more, the longer ago the last frame was."""
     coarse = problem.config.coarse
-    later = coarse.prior_sd * associate.USUAL_RATE * problem.dt
+    later = coarse.prior_sd * USUAL_RATE * problem.dt
     return max(coarse.prior_sd, min(later, coarse.longest_prior_sd))
 
 

@@ -26,7 +26,7 @@ def omitted(problem: Problem, estimate: Estimate) -> Omitted:
     """
     rule = problem.config.associate
     unsettled = problem.effort.planned and isinstance(rule, PlaneAssociation) and not estimate.settled
-    more = unsettled and not problem.cloud.empty and estimate.passes < rule.iterations
+    more = unsettled and not problem.cloud.empty and estimate.passes < rule.most_passes(problem.dt)
     return Omitted(-math.log2(problem.effort.points), int(estimate.work.unaligned), int(more))
 
 

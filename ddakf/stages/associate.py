@@ -15,7 +15,6 @@ from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.visibility import VisibilityLimits, mark_visible
 from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
-USUAL_RATE = 30.0  # frames per second up to which a frame makes its usual passes
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
@@ -23,17 +22,11 @@ def gates(problem: Problem) -> Iterator[float]:
     """Search radius of each pass that the budget allows, one at least, metres: wide, then narrowing. The paper makes one."""
     match problem.config.associate:
         case PlaneAssociation() as config:
-            passes = 1 if problem.cloud.empty else _most_passes(problem.dt, config)
+            passes = 1 if problem.cloud.empty else config.most_passes(problem.dt)
             for k in range(int(min(passes, max(problem.effort.passes, 1)))):
                 yield max(config.narrow_gate, config.wide_gate * config.narrowing**k)
         case NearestPoint(gate=gate):
             yield gate
-
-
-def _most_passes(dt: float, config: PlaneAssociation) -> int:
-    """Passes at most, ``dt`` seconds after the last frame: the more, the farther the garment has moved."""
-    slow = max(config.slow_iterations, config.iterations)
-    return min(slow, max(config.iterations, round(config.iterations * USUAL_RATE * dt)))
 
 
 def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarray | None = None) -> Measurement:

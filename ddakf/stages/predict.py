@@ -47,11 +47,11 @@ def predict(
 ) -> State:
     """The prior of the next frame.
 
-    x = F x, P = F P F' + Q with F = [[I, dt I], [0, g I]], g = exp(-damping dt), and Q of accelerations that each last
-    ``acceleration_time``: of one in a short step, of white ones in a long step. One acceleration over a long step would set the
-    velocity to twice the innovation over dt, which makes it ring. A gap longer than ``longest_step`` moves the mean no further
-    than that step, while P grows with all of it. A known acceleration is an input: it moves the mean and leaves P as it is.
-    Without a body the rigid part of the velocities turns the garment, and is damped less, the larger its share of them.
+    x = F x, P = F P F' + Q with F = [[I, s I], [0, g I]], g = exp(-damping dt), s = (1 - g) / damping, and Q of accelerations
+    that each last ``acceleration_time``: of one in a short step, of white ones in a long step. One acceleration over a long step
+    would set the velocity to twice the innovation over dt, which makes it ring. A gap longer than ``longest_step`` moves the mean
+    no further than that step, while P grows with all of it. A known acceleration is an input: it moves the mean and leaves P as
+    it is. Without a body the rigid part of the velocities turns the garment, and is damped less, the larger its share of them.
 
     Args:
         state: posterior of the last frame.

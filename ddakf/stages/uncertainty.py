@@ -32,7 +32,8 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     covariance, drift = marginals(problem, estimate, state)
     tangential2 = colour.conditioned(problem, estimate, covariance)
     if problem.blind:
-        covariance = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
+        blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
+        covariance = _capped(blind, problem.config.uncertainty)
     widening = omission.widening(problem, estimate)
     if widening > 1.0:
         covariance = _capped(widening**2 * covariance, problem.config.uncertainty)

@@ -15,10 +15,10 @@ NOTHING = Work()
 class Finished:
     """A problem and an estimate, as far as the omission reads them."""
 
-    def __init__(self, points=1.0, work=NOTHING, passes=8, settled=True, empty=False):
+    def __init__(self, points=1.0, work=NOTHING, passes=8, settled=True, empty=False, dt=1 / 30):
         self.config, self.effort, self.work = Config(), Effort(planned=True, points=points), work
         self.passes, self.settled, self.cloud = passes, settled, self
-        self.empty = empty
+        self.empty, self.dt = empty, dt
 
 
 @pytest.mark.parametrize(
@@ -29,6 +29,7 @@ class Finished:
         (Finished(work=Work(clusters=1, unaligned=True)), {"clusters": 1}),
         (Finished(passes=3, settled=False), {"passes": 1}),
         (Finished(passes=8, settled=False), {}),
+        (Finished(passes=8, settled=False, dt=0.1), {"passes": 1}),
         (Finished(passes=1, settled=False, empty=True), {}),
     ],
 )

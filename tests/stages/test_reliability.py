@@ -1,6 +1,7 @@
 """Stage G: s_k by its formula, the product's score, and when a track is poor or lost."""
 
 import dataclasses
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -284,13 +285,13 @@ def test_an_unfinished_start_is_lost_too_after_half_a_second():
 def test_recovery_has_hysteresis_and_stiffens_the_cloth():
     between = 0.5 * (CONFIG.recovery_below + CONFIG.recovery_above)
     assert CONFIG.recovery_below < between < CONFIG.recovery_above
-    low = CONFIG.recovery_below - 0.01
-    assert run(TRACKING, 1.0, score=between).state == "tracking"
-    recovering = run(TRACKING, DT, score=low)
+    low, stiff = CONFIG.recovery_below - 0.01, replace(CONFIG, recovery_lambda=2.0)
+    assert run(TRACKING, 1.0, score=between, config=stiff).state == "tracking"
+    recovering = run(TRACKING, DT, score=low, config=stiff)
     assert recovering.state == "recovering"
-    assert recovering.physics_lambda == CONFIG.recovery_lambda
-    assert run(recovering, 1.0, score=between).state == "recovering"
-    calm = run(recovering, DT, score=CONFIG.recovery_above + 0.01)
+    assert recovering.physics_lambda == 2.0
+    assert run(recovering, 1.0, score=between, config=stiff).state == "recovering"
+    calm = run(recovering, DT, score=CONFIG.recovery_above + 0.01, config=stiff)
     assert calm.state == "tracking"
     assert calm.physics_lambda == 1.0
 
@@ -322,7 +323,7 @@ def test_the_papers_recovery_is_a_threshold_on_s_k():
 )
 @settings(max_examples=50, deadline=None, derandomize=True)
 def test_any_sequence_of_frames_leaves_a_known_state_and_stiffness(frames):
-    for config in (CONFIG, PAPER):
+    for config in (replace(CONFIG, recovery_lambda=2.0), PAPER):
         health = Health()
         for quality, coverage, points, rejected, dt in frames:
             health = advance(health, Outcome(quality, coverage, points, rejected), dt, config)

@@ -12,7 +12,7 @@ def ablations() -> dict[str, Config]:
     default = Config()
     association = default.associate
     blind = replace(association, facing_cosine=-1.0, normal_cosine=-1.0, hidden_depth=100.0)
-    once = replace(association, iterations=1, least_iterations=1)
+    once = replace(association, iterations=1, slow_iterations=1, least_iterations=1)
     alone = replace(default.physics, motion_rigidity=0.0, rest_rigidity=0.0, uneven_rigidity=0.0)
     return {
         "no-planes": replace(default, associate=replace(association, tangential_sd=default.adapt.initial_sd)),
