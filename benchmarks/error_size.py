@@ -262,7 +262,7 @@ def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str =
         found["tables"][f"{name}, present laws"] = table(f"{name}, by the present laws", today, part, runs)
         found["levels"][f"{name}, present laws"] = curves(today, part)
     if fit:
-        training = Rows(*map(np.concatenate, zip(*(of[name] for name in splits if name != collection.HELD_OUT), strict=True)))
+        training = of[collection.TRAINING]
         powers, usual = None if preset == "default" else present(preset).powers, _undisturbed(runs)
         laws = fitted(training, usual, powers)
         others, gained = left_out(training, runs, powers)
