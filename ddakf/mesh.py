@@ -23,7 +23,8 @@ class Mesh:
 
     Raises:
         InvalidMesh: wrong shape or dtype, an index out of range, a non-finite vertex, no area; or unreferenced vertices,
-            duplicate faces, degenerate faces, edges with more than two faces, which :meth:`cleaned` repairs.
+            duplicate faces, degenerate faces, edges with more than two faces, faces wound against their neighbours, or a
+            coincident twin of every other vertex, as triangles that share none have; which :meth:`cleaned` repairs.
     """
 
     vertices: np.ndarray
@@ -44,8 +45,8 @@ class Mesh:
     def cleaned(cls, vertices, faces) -> tuple[Mesh, np.ndarray]:
         """Repairs what exported garments often have, and says which vertices remain.
 
-        Removes degenerate and duplicate faces, at every edge with more than two faces the smallest surplus ones, and then
-        the vertices that no face uses.
+        Joins triangles that share no vertices, removes degenerate and duplicate faces, at every edge with more than two
+        faces the smallest surplus ones, and then the vertices that no face uses. Winds all faces of a piece as most of them.
 
         Args:
             vertices: (V, 3) metres.
@@ -58,11 +59,16 @@ class Mesh:
             InvalidMesh: what cannot be repaired: shapes, indices, non-finite vertices, nothing left.
         """
         vertices, faces = _checked_arrays(vertices, faces)
+        first = _first_alike(vertices)
+        if _apart(first):
+            faces = first[faces]
         faces = faces[~_degenerate(vertices, faces)]
         faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
         if len(faces) == 0:
             raise InvalidMesh("mesh.faces", "at least one face with an area", "none after cleaning")
+        if _wound_apart(faces, len(vertices)):
+            faces = _wound_alike(faces, len(vertices))
         used = _used(faces, len(vertices))
         kept, number = np.flatnonzero(used), np.cumsum(used) - 1
         return cls(vertices[kept], number[faces]), kept
@@ -154,7 +160,60 @@ def _defects(vertices: np.ndarray, faces: np.ndarray) -> dict[str, int]:
         "duplicate faces": np.count_nonzero(_repeated(faces, n)),
         "degenerate faces": np.count_nonzero(_degenerate(vertices, faces)),
         "non-manifold edges": np.count_nonzero(_edges(faces, n)[1] > 2),
+        "edges between faces of opposite winding": _needlessly_wound_apart(faces, n),
+        "vertices at the place of another": _apart(_first_alike(vertices)),
     }
+
+
+def _first_alike(vertices: np.ndarray) -> np.ndarray:
+    """(V,) the first vertex at the place of each."""
+    order = np.lexsort(vertices.T)  # stable: of vertices at one place the first comes first
+    new = np.append(True, (np.diff(vertices[order], axis=0) != 0.0).any(axis=1))
+    first = np.empty(len(vertices), np.int64)
+    first[order] = order[new][np.cumsum(new) - 1]
+    return first
+
+
+def _apart(first: np.ndarray) -> int:
+    """Number of vertices at the place of another, where they are half of all or more; seams may lie on each other."""
+    twins = np.count_nonzero(first != np.arange(len(first)))
+    return twins if 2 * twins >= len(first) else 0
+
+
+def _wound_apart(faces: np.ndarray, n: int) -> int:
+    """Number of edges that two faces run through in the same direction."""
+    count = np.unique(faces.T.ravel() * n + faces[:, [1, 2, 0]].T.ravel(), return_counts=True)[1]
+    return int(np.count_nonzero(count == 2))
+
+
+def _needlessly_wound_apart(faces: np.ndarray, n: int) -> int:
+    """The same number, less that of edges which stay so however the faces are wound: a surface with one side has some."""
+    apart = _wound_apart(faces, n)
+    return max(0, apart - _wound_apart(_wound_alike(faces, n), n)) if apart else 0
+
+
+def _wound_alike(faces: np.ndarray, n: int) -> np.ndarray:
+    """The faces of each piece wound as most of them; of a surface with one side some edges stay as they are."""
+    key, forward = _edge_keys(faces, n), (faces < faces[:, [1, 2, 0]]).T.ravel()
+    order = np.argsort(key, kind="stable")
+    pairs = order[np.flatnonzero(key[order[1:]] == key[order[:-1]])[:, None] + [0, 1]]
+    beside: list[list[tuple[int, bool]]] = [[] for _ in faces]
+    for a, b in pairs.tolist():
+        other = bool(forward[a] == forward[b])
+        beside[a % len(faces)].append((b % len(faces), other))
+        beside[b % len(faces)].append((a % len(faces), other))
+    turned, seen = np.zeros(len(faces), bool), np.zeros(len(faces), bool)
+    for begin in range(len(faces)):
+        piece = [] if seen[begin] else [begin]
+        seen[begin] = True
+        for face in piece:
+            for near, other in beside[face]:
+                if not seen[near]:
+                    seen[near], turned[near] = True, turned[face] != other
+                    piece.append(near)
+        if 2 * np.count_nonzero(turned[piece]) > len(piece):
+            turned[piece] = ~turned[piece]
+    return np.where(turned[:, None], faces[:, ::-1], faces)
 
 
 def _areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -40,7 +40,7 @@ class Tracker:
         config: ``Config()`` or ``Config.paper()``, or a variation of them.
 
     Raises:
-        InvalidMesh: not meshes, metres beyond 10 km, or a garment ten times as large as its body.
+        InvalidMesh: not meshes, metres beyond 10 km, or a garment beyond 10 m, or ten times as large as its body.
         InvalidConfig: no configuration.
     """
 
@@ -51,8 +51,7 @@ class Tracker:
             raise InvalidMesh("body", "a ddakf.Mesh or None", type(body).__name__)
         if config is not None and not isinstance(config, Config):
             raise InvalidConfig("config", "a ddakf.Config or None", type(config).__name__)
-        if body is not None:
-            units.require_like_sizes(garment, body)
+        units.require_size(garment, body)
         self.config = Config() if config is None else config
         self.garment, self.body = garment, body
         self._discretised = _constants(garment, body, self.config)

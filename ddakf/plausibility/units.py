@@ -18,6 +18,7 @@ CENTRAL = 0.8  # share of the points, and of the extent of an even cloud, that i
 NEAR = 0.01  # share of the points about the garment with which a large cloud is a scene that contains it
 LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
 LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
+LARGEST = 10.0  # m: no garment is
 LIKE = 3.0  # ratio of two time steps that are alike
 POSE = 1.6  # a pose, or a view, changes a size by less
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches"}  # in a metre
@@ -61,13 +62,16 @@ def edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.linalg.norm(vertices[chosen[:, 1]] - vertices[chosen[:, 0]], axis=1)
 
 
-def require_like_sizes(garment: Mesh, body: Mesh) -> None:
-    """Refuses a garment that is ten times as large as its body.
+def require_size(garment: Mesh, body: Mesh | None) -> None:
+    """Refuses a garment whose unit cannot be metres.
 
     Raises:
-        InvalidMesh: it is.
+        InvalidMesh: larger than 10 m, or ten times as large as its body.
     """
-    if garment.size > SCALE * body.size:
+    if garment.size > LARGEST:
+        unit = "millimetres" if garment.size > 10.0 * LARGEST else "centimetres or inches"
+        raise InvalidMesh("garment", f"metres, at most {LARGEST:g} in size", f"{garment.size:.3g}, which looks like {unit}")
+    if body is not None and garment.size > SCALE * body.size:
         expected = f"a garment for the body, which is {body.size:.2g} m in size"
         raise InvalidMesh("garment", expected, f"{garment.size:.3g} m{_as_if(garment.size / body.size)}")
 

@@ -83,6 +83,13 @@ def test_another_scale_after_the_start_is_told():
     assert "millimetres" in told.message
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "millimetres"), (100.0, "centimetres"), (39.37, "inches")])
+def test_a_garment_that_no_person_wears_is_refused_with_the_unit_it_looks_like(factor, unit):
+    with pytest.raises(InvalidMesh, match=unit) as refused:
+        Tracker(Mesh(factor * TUBE.vertices, TUBE.faces))
+    assert refused.value.field == "garment"
+
+
 def test_a_garment_in_another_unit_than_its_body_is_refused():
     with pytest.raises(InvalidMesh, match="millimetres") as refused:
         Tracker(Mesh(1000 * TUBE.vertices, TUBE.faces), body=BODY)
