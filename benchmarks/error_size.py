@@ -245,8 +245,10 @@ def present(preset: str) -> Fit:
     return Fit(bases, np.array([[getattr(law, f"{field}_power") for field in fields] for law in laws]))
 
 
-def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str = "default") -> dict:
-    """Prints the tables of all splits; with ``fit``, those of fitted laws and the laws."""
+def report(
+    runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str = "default", keep_powers: bool = False
+) -> dict:
+    """Prints the tables of all splits; with ``fit``, those of fitted laws and the laws. Only the default's powers are fitted."""
     found = {"machine": machine.describe(), "commit": machine.commit(), "preset": preset}
     found |= {"tables": {}, "levels": {}, "rankings": {}, "said": {}}
     split = np.array([run.listed.split for run in runs])
@@ -263,7 +265,7 @@ def report(runs: list[Run], rows: Rows, frames: Frames, fit: bool, preset: str =
         found["levels"][f"{name}, present laws"] = curves(today, part)
     if fit:
         training = of[collection.TRAINING]
-        powers, usual = None if preset == "default" else present(preset).powers, _undisturbed(runs)
+        powers, usual = present(preset).powers if keep_powers or preset != "default" else None, _undisturbed(runs)
         laws = fitted(training, usual, powers)
         others, gained = left_out(training, runs, powers)
         found["log_likelihood_gained"] = gained
@@ -312,6 +314,7 @@ def written(fit: Fit) -> dict[str, dict[str, float]]:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--fit", action="store_true", help="fit the laws to the training recordings")
+    parser.add_argument("--keep-powers", action="store_true", help="with --fit: the bases alone")
     parser.add_argument("--preset", choices=PRESETS, default="default")
     parser.add_argument("--frames", type=int, default=60, help="per recording (default 60)")
     parser.add_argument("--procs", type=int, default=2, help="processes (default 2)")
@@ -327,7 +330,7 @@ def main(argv: list[str] | None = None) -> int:
         rows, frames = play(runs, arguments.frames, arguments.procs, arguments.preset)
         if arguments.rows:
             save(arguments.rows, runs, rows, frames)
-    found = report(runs, rows, frames, arguments.fit, arguments.preset)
+    found = report(runs, rows, frames, arguments.fit, arguments.preset, arguments.keep_powers)
     shown = [name for name in ("held-out, fitted", "each garment left out", *found["levels"]) if name in found["levels"]][:2]
     lines = {f"{name}: {group}": curve for name in shown for group, curve in found["levels"][name].items()}
     diagrams.reliability_diagram(arguments.diagram, lines)

@@ -234,8 +234,8 @@ class NormalError(EvidenceScales):
     """Size of a vertex's error along its normal: a base times the product of (1 + evidence / scale)^power."""
 
     seen: float = bounded(0.00072, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00076, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00107, 1e-6, 1)  # m, of others without one
+    on_body: float = bounded(0.00068, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00099, 1e-6, 1)  # m, of others without one
     claimed_power: float = bounded(0.388, 0, 2)  # of the claimed error over 5 mm
     unmatched_power: float = bounded(0.006, 0, 10)
     hem_power: float = bounded(0.166, 0, 10)
@@ -257,9 +257,9 @@ class NormalError(EvidenceScales):
 class TangentialError(EvidenceScales):
     """The same across its normal."""
 
-    seen: float = bounded(0.00081, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00071, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00078, 1e-6, 1)  # m, of others without one
+    seen: float = bounded(0.00072, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.0005, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00074, 1e-6, 1)  # m, of others without one
     claimed_power: float = bounded(0.417, 0, 2)  # of the claimed error over 5 mm
     unmatched_power: float = bounded(0.036, 0, 10)
     hem_power: float = bounded(0.288, 0, 10)

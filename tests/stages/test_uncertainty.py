@@ -93,7 +93,8 @@ def without_clearance(config: Config) -> Config:
 def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     """Everywhere: each frame, or each five by the default, whose laws know the strain: it relaxes meanwhile.
 
-    By the default in the mean at first: strain goes in the first frame without measurements, the angle to the planes too.
+    By the default in the mean at first: strain goes in the first frame without measurements, the angle to the planes too. On a
+    body from then on: what the body holds is known better along the cloth than what a cloud shows of a tube.
     """
     body = inner_body(GARMENT) if worn else None
     tracker = Tracker(GARMENT, body=body, config=without_clearance(CONFIGS[preset]))
@@ -112,7 +113,8 @@ def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     before, after = np.array(sizes[:-stride]), np.array(sizes[stride:])
     growing = np.array(sizes[:-stride]) < 0.9 * 3 * CONFIGS[preset].uncertainty.ceiling_sd ** 2
     assert growing.mean() > 0.5
-    assert (after.mean(axis=1) > before.mean(axis=1))[growing.all(axis=1)].all()
+    first = 1 if worn and preset == "default" else 0
+    assert (after.mean(axis=1) > before.mean(axis=1))[first:][growing.all(axis=1)[first:]].all()
     assert (after > before)[1:][growing[1:]].all()
     if preset == "paper":
         assert (after > before)[0][growing[0]].all()
