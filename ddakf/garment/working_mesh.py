@@ -16,6 +16,7 @@ from ddakf.results import FrameResult
 from ddakf.types import variances
 
 TRIES = 3  # with ever shorter edges, until pieces, openings and handles of the template are kept
+SHORTEST = 1e-6  # m: the square of less may be 0
 SHORTER = 0.8  # edges of the next try
 
 
@@ -100,10 +101,11 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
 
 def working_edge(template: Mesh, config: Discretisation) -> float:
     """Metres: the configured edge, shorter for a small garment and longer for a large one, by the bounds of the vertices."""
-    per_vertex = 0.5 * math.sqrt(3.0) * config.working_edge**2  # area, in a mesh of equilateral triangles
+    edge = max(config.working_edge, SHORTEST)
+    per_vertex = 0.5 * math.sqrt(3.0) * edge**2  # area, in a mesh of equilateral triangles
     area = float(remeshing.areas(template).sum())
     count = min(max(area / per_vertex, config.working_vertices_least), config.working_vertices_most)
-    return config.working_edge * math.sqrt(area / per_vertex / count)
+    return edge * math.sqrt(area / per_vertex / count)
 
 
 def unevenness(mesh: Mesh) -> float:

@@ -69,7 +69,7 @@ def require_size(garment: Mesh, body: Mesh | None) -> None:
         InvalidMesh: larger than 10 m, or ten times as large as its body.
     """
     if garment.size > LARGEST:
-        unit = "millimetres" if garment.size > 10.0 * LARGEST else "centimetres or inches"
+        unit = "millimetres" if garment.size > 20.0 * LARGEST else "centimetres or inches"
         raise InvalidMesh("garment", f"metres, at most {LARGEST:g} in size", f"{garment.size:.3g}, which looks like {unit}")
     if body is not None and garment.size > SCALE * body.size:
         expected = f"a garment for the body, which is {body.size:.2g} m in size"

@@ -1,5 +1,7 @@
 """Working mesh: the template rides on it, and the tracker's error does not depend on the template's triangles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,8 @@ def test_a_body_carries_a_fine_template():
         errors.append(rms(result.vertices - fine_vertices(k)))
     assert np.mean(errors) < 0.02
     assert result.state == "tracking"
+
+
+def test_edges_of_next_to_nothing_give_as_many_vertices_as_there_may_be():
+    shortest = replace(NUMBERS, working_edge=1e-300, working_vertices_most=3000)
+    assert 2000 < working_mesh.build(FINE_TUBE, shortest).mesh.n_vertices < 4500
