@@ -262,7 +262,7 @@ REASONS = {
     "ErrorEvidence.clump_points": "chosen: stray points are alone",
     "ErrorEvidence.clump_size": "chosen: of the order of a limb",
     "ErrorEvidence.memory": "chosen: 15 frames at 30 per second",
-    "FrameError.sigma_share": "fitted: python benchmarks/error_size.py --fit (0.79 with the power below), a little wider",
+    "FrameError.sigma_share": "fitted: python benchmarks/error_size.py --fit (0.76 with the power below), a little wider",
     "FrameError.unexplained_scale": "chosen: less than that says nothing",
     "FrameError.unexplained_power": "kept at an earlier fit: by a new one a frame of a hollow cube is followed",
     "Follow.reach": "training recordings, one camera: 0.1 and 0.2 within 1 %",
