@@ -1,4 +1,4 @@
-"""What stretch and shear measure, and along which threads."""
+"""Stretch and shear: what they measure, and along which threads."""
 
 import numpy as np
 import pytest
