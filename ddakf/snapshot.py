@@ -34,7 +34,7 @@ LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = (
     ("evidence", "free_clearance"),
     ("reliability", "sigma_share"),
-    ("predict", "worn_tangential_sd"),
+    *(("predict", f"worn_{name}") for name in ("tangential_sd", "sd")),
     *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
     ("predict", "anchor_slippage"),
     ("predict", "anchor_slippage_power"),

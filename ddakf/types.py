@@ -225,7 +225,7 @@ class BodyAnchor(NamedTuple):
     seen: np.ndarray  # (L,) share of a patch's vertices that was measured lately
     squares: np.ndarray  # (L,) m^2, squared deviation of these along the normal, times that share
     measured: np.ndarray  # (V,) bool, in the last frame
-    guess: np.ndarray  # (L,) m^2, as squares of patches of which all is measured: before anything is
+    guess: np.ndarray  # (L,) m^2, the same of a patch of which all is measured, as guessed before anything is
     slip: np.ndarray  # (L,) m^2, squared deviation along either tangent
 
 

@@ -1,8 +1,9 @@
 """Body anchor: the garment's place on the body as a pseudo-measurement of its unseen vertices.
 
 Prediction rides on the body from frame to frame, and unseen cloth adds up the errors of all frames. Its place on the body since
-the start does not. How far it deviates along its normal is learned where the garment is seen, as stage D learns R: a shirt that
-fits tightly is held, a skirt that swings is not.
+the start does not. Along the normal it deviates the more, the wider the cloth hangs around the body and the farther below its
+top. By how much more or less than that a garment does is learned where it is seen, as stage D learns R: a shirt that fits tightly
+is held, a skirt that swings is not.
 
 Across the normal cloth slips on the body. A garment hangs by its top, a waistband or a collar, which goes with the body; the
 farther below, the more the cloth goes with itself: shorts turn as their waistband does, and not as the thighs inside. What the
@@ -30,11 +31,11 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
 
 
 def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:
-    """(L,) m^2 of the deviations in a patch along the normal, which grow with its clearance."""
-    config, (face, distance) = setup.config.predict, (bound.contact.face, bound.contact.distance)
+    """(L,) m^2 of the deviations in a patch along the normal, which grow with its clearance and with the cloth above it."""
+    model, config, (face, distance) = setup.model, setup.config.predict, (bound.contact.face, bound.contact.distance)
     clearance = np.where(face < 0, config.anchor_reach, np.clip(distance, 0.0, config.anchor_reach))
-    guess = config.worn_normal_sd + config.worn_slope * _patch_means(setup.model, clearance)
-    return np.square(np.minimum(guess, config.worn_sd))
+    wide, below = _patch_means(model, clearance), _patch_means(model, model.hanging)
+    return np.square(config.worn_normal_sd + config.worn_slope * wide + config.worn_hanging * below)
 
 
 def _patch_means(model: Model, values: np.ndarray) -> np.ndarray:
@@ -51,7 +52,7 @@ def measure(problem: Problem) -> Problem:
     """The problem with the pseudo-measurements of the vertices that were not measured in the last frame.
 
     There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
-    count as one. A patch of which nothing was seen has the variance of the patches around it along the normal.
+    count as one. A patch of which nothing was seen deviates along the normal as the patches around it do, each measured by its first guess.
     """
     anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.predict
     if anchor is None or body is None or problem.health.settling:
@@ -80,9 +81,9 @@ def slack(problem: Problem) -> np.ndarray | None:
 
 def _along(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.ndarray:
     """(L,) m^2 of the deviations in a patch along the normal."""
-    squares, seen = (model.likeness @ np.column_stack([anchor.squares, anchor.seen])).T
+    relative, seen = (model.likeness @ np.column_stack([anchor.squares / anchor.guess, anchor.seen])).T
     first = config.anchor_first_share
-    return np.maximum((squares + first * anchor.guess) / (seen + first), config.anchor_least_sd**2)
+    return np.maximum(anchor.guess * (relative + first) / (seen + first), config.anchor_least_sd**2)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:

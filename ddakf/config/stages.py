@@ -22,14 +22,14 @@ class ConstantVelocity(Checked):
     friction: float = bounded(8.0, 0, 1e3)  # 1/s: added to damping where the body carries a vertex, of its motion on the body
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: a longer gap moves the garment no further
     worn_memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the deviation from the body anchor; 0: no anchor
-    worn_normal_sd: float = bounded(0.003, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
-    worn_slope: float = bounded(0.12, 0, 10)  # m more per m from the body
-    worn_sd: float = bounded(0.05, 1e-3, 10)  # m, first guess at most
+    worn_normal_sd: float = bounded(0.001, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
+    worn_slope: float = bounded(0.4, 0, 10)  # m more per m from the body
+    worn_hanging: float = bounded(0.02, 0, 10)  # m more per m of cloth from the garment's top
     slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top
-    slip_slope: float = bounded(0.12, 0, 10)  # m more per m of cloth from there
+    slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
     anchor_reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
     anchor_least_sd: float = bounded(0.001, 1e-4, 1)  # m, deviation from the body anchor along the normal, at least
-    anchor_first_share: float = bounded(0.6, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
+    anchor_first_share: float = bounded(0.05, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from ddakf.data.body_shape import random_shape, shaped
 from ddakf.errors import InvalidArgument, InvalidFile, PoorQuality
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.simulation import garments, motions, simulated_recording, solver
-from ddakf.evaluation.simulation.collection_plan import ATTEMPTS, SEEDS, Entry, entries
+from ddakf.evaluation.simulation.collection_plan import ATTEMPTS, BALANCED, SEEDS, Entry, entries
 from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.files.sequence import Sequence, load_sequence
 
@@ -52,7 +52,7 @@ def run(folder, *words):
 
 
 def test_the_plan_has_every_garment_in_two_fits_every_motion_and_every_fabric_in_balance():
-    plan = entries()
+    plan = entries()[:BALANCED]
     orders = [entry.order for entry in plan]
     assert len(plan) >= 60
     assert {order.n_frames for order in orders} == {120}
@@ -73,6 +73,13 @@ def test_a_part_of_the_plan_is_in_balance_too(done):
         assert max(count.values()) - min(count.values()) <= 1
     assert max(Counter(entry.order.motion for entry in part).values()) <= done // 13 + 1
     assert sum(entry.split == collection.HELD_OUT for entry in part) / done == pytest.approx(1 / 3, abs=0.04)
+
+
+def test_recordings_added_to_the_plan_are_for_training():
+    added = entries()[BALANCED:]
+    assert added
+    assert {entry.split for entry in added} == {collection.TRAINING}
+    assert len({entry.seed for entry in entries()}) == len({entry.name for entry in entries()}) == len(entries())
 
 
 def test_held_out_recordings_have_seeds_of_their_own():
