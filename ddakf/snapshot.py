@@ -25,20 +25,20 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 16
+VERSION = 17
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
-# size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well.
-READ = (11, 12, 13, 14, 15, VERSION)
+# size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
+# another guess of how far it deviates along the normal, which is not read.
+READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = (
     ("evidence", "free_clearance"),
     ("reliability", "sigma_share"),
-    *(("predict", f"worn_{name}") for name in ("tangential_sd", "sd")),
+    *(("predict", f"worn_{name}") for name in ("normal_sd", "slope", "sd", "tangential_sd")),
     *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
-    ("predict", "anchor_slippage"),
-    ("predict", "anchor_slippage_power"),
-)  # parts and fields of earlier configurations
+    *(("predict", f"anchor_{name}") for name in ("first_share", "slippage", "slippage_power")),
+)  # parts and fields of earlier configurations, which are not read
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
 

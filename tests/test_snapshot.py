@@ -93,12 +93,14 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
-@pytest.mark.parametrize("version", [11, 12, 13, 15])
+@pytest.mark.parametrize("version", [11, 12, 13, 15, 16])
 def test_a_snapshot_of_an_earlier_version_goes_on_without_what_it_lacks(version):
     tracker = tracked(5, BODY)
     numbers, arrays = snapshot.parts(tracker)
-    arrays["worn_squares"] = np.column_stack([arrays["worn_squares"], np.ones_like(arrays["worn_squares"])])
-    numbers["config"]["predict"] |= {"worn_tangential_sd": 0.01, "anchor_seen_samples": 2.3}
+    numbers["config"]["predict"] |= {"worn_sd": 0.05, "worn_slope": 0.12, "anchor_first_share": 0.6}
+    if version < 16:
+        arrays["worn_squares"] = np.column_stack([arrays["worn_squares"], np.ones_like(arrays["worn_squares"])])
+        numbers["config"]["predict"] |= {"worn_tangential_sd": 0.01, "anchor_seen_samples": 2.3}
     if version < 13:
         numbers["config"]["vertex_error"] = {"type": "VertexError", "base": 1.0}
         numbers["config"]["evidence"]["free_clearance"] = 0.05

@@ -52,7 +52,8 @@ def measure(problem: Problem) -> Problem:
     """The problem with the pseudo-measurements of the vertices that were not measured in the last frame.
 
     There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
-    count as one. A patch of which nothing was seen deviates along the normal as the patches around it do, each measured by its first guess.
+    count as one. A patch of which nothing was seen deviates along the normal as the patches around it do, each over its first
+    guess.
     """
     anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.predict
     if anchor is None or body is None or problem.health.settling:

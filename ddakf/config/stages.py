@@ -324,9 +324,9 @@ class ErrorEvidence(Checked):
 class FrameError(Checked):
     """Predicted error of a frame: sigma_share times the RMS sigma times (1 + unexplained / scale)^power."""
 
-    sigma_share: float = bounded(0.81, 0, 10)  # three of four frames have less error
+    sigma_share: float = bounded(0.77, 0, 10)  # three of four frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
-    unexplained_power: float = bounded(0.251, 0, 10)
+    unexplained_power: float = bounded(0.337, 0, 10)
 
 
 # H. Output -----------------------------------------------------------------------------------------------------------
