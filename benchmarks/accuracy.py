@@ -14,6 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 from rich.console import Console
 
 from ddakf.evaluation import machine
@@ -35,9 +36,7 @@ VARIANTS = ("default", *BASELINES, "paper", *ablations(), *refinements())
 
 def main(argv: list[str] | None = None) -> int:
     """Runs the missing trials; returns the exit status."""
-    arguments = _parser().parse_args(argv)
-    if arguments.summary:
-        machine.require_committed(arguments.summary, arguments.allow_dirty)
+    arguments = parsed(_parser(), argv, target="summary")
     if arguments.table:
         print(accuracy_tables.report(read(arguments.out)))
         return 0
@@ -127,8 +126,6 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--procs", type=int, default=1, help="processes")
     parser.add_argument("--again", nargs="+", default=[], metavar="VARIANT",
                         help="run these, or all, again if their rows are of another commit")  # fmt: skip
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--out", type=Path, default=OUT, help=f"file of the rows (default {OUT.relative_to(ROOT)})")
     ending = parser.add_mutually_exclusive_group()
     ending.add_argument("--table", action="store_true", help="print the tables of --out, and run nothing")

@@ -15,6 +15,8 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from committed import parsed
+
 RESULTS = Path(__file__).parent / "results"
 PARTS = ("frame", "changes", "open3d", "icp", "scaling", "outliers", "memory", "cold", "growth", "codecs", "images", "service")
 ALL_CORES = ("service",)  # parts that are about several processes
@@ -79,8 +81,8 @@ QUICK = Settings(
 
 def main(argv: list[str] | None = None) -> int:
     """Measures, prints and writes; returns the exit status."""
-    arguments = _parser().parse_args(argv)
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))  # before numpy, numba and Open3D are imported
+    arguments = parsed(_parser(), argv)
     from report import show
 
     from ddakf.evaluation import machine

@@ -34,6 +34,7 @@ import hostile
 import inputs
 import numpy as np
 import traffic
+from committed import parsed
 from ddakf_client import Frame, Notice, Result, aconnect
 from ddakf_service.commands.service_process import ServiceFailed, ServiceProcess
 from ports import lasting_port
@@ -56,7 +57,7 @@ console = Console(stderr=True, highlight=False)
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv)
     try:
         part = _measured(a)
     except (PostgresFailed, HarnessFailed) as failure:

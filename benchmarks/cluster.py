@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 import fleet_tables
 import numpy as np
+from committed import parsed
 from ddakf_client import Frame, connect
 from ddakf_service.commands.service_process import ServiceProcess
 from ports import lasting_port
@@ -213,7 +214,7 @@ EVENTS = {
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv)
     with_ray = a.worker_kind == "ray"
     report = {"name": "cluster", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
     report |= {"worker_kind": a.worker_kind, "streams": a.streams, "rate": a.rate, "points": a.points, "lease_s": LEASE}

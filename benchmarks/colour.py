@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 from conditions import FIRST, INSIDE, add_recordings, garment_of, geometric, recordings
 
 import ddakf
@@ -155,7 +156,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=1)
     parser.add_argument("--out", type=Path, metavar="JSON", help="file for the rows, beside those of the other split")
     parser.add_argument("--show", type=Path, metavar="JSON", help="print the tables of such a file, and track nothing")
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv)
     if arguments.show:
         for split, found in json.loads(arguments.show.read_text()).items():
             print(f"\n{split}, {found['commit']}\n")

@@ -4,7 +4,8 @@ Each recording is tracked from one camera and from all around, with and without 
 with 1,000 points, with 10 mm of noise, and with a side that is never seen; with ``--seeds`` several times. Printed are RMSE,
 reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against`` the change of
 the error since other rows, which another version of the tracker has left with ``--out``. Changes are chosen here, so held-out
-recordings are not among these; ``--held-out`` tracks them instead, for a final score.
+recordings are not among these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors by garment
+into benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md.
 """
 
 from __future__ import annotations
@@ -20,16 +21,20 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 
 import ddakf
 from ddakf.body import contact
+from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.files.sequence import Sequence
 
+RESULT = Path(__file__).parent / "results/conditions.json"
 FIRST, FRAMES = 30, 48  # frame of the start, when all are in motion, and frames of the clip
 INSIDE = 6.251  # squared Mahalanobis distance of the 90 % ellipsoid
 VIEWS = ("full", "front", "front+body")
+TITLES = {"full": "all around", "front+body": "one camera, body", "front": "one camera alone"}
 CONDITIONS = {
     "plain": {},
     "10 fps": {"every": 3},
@@ -149,6 +154,30 @@ def report(rows: list[dict]) -> None:
     print(f"{cost:.1f} ms of processor time a frame; reliable and over 50 mm wrong: {wrong:.1%} of the frames")
 
 
+def summary(rows: list[dict]) -> list[dict]:
+    """Rows by garment, of all garments at the end, view and condition: geometric mean of the RMSE, and means."""
+    found = []
+    for view, name in dict.fromkeys((row["view"], row["condition"]) for row in rows):
+        mine = [row for row in rows if (row["view"], row["condition"]) == (view, name)]
+        for garment in [*sorted({garment_of(row) for row in mine}), "all"]:
+            chosen = [row for row in mine if garment in (garment_of(row), "all")]
+            scored = {"rmse_mm": round(geometric(chosen, "rmse_mm"), 2), "runs": len(chosen)}
+            scored |= {field: round(float(np.mean([row[field] for row in chosen])), 3) for field in ("reliability", "coverage")}
+            found.append({"garment": garment, "view": view, "condition": name, **scored})
+    return found
+
+
+def tables(rows: list[dict]) -> None:
+    """Prints the tables of a :func:`summary` in Markdown."""
+    error = {(row["view"], row["garment"], row["condition"]): row["rmse_mm"] for row in rows}
+    for view, title in TITLES.items():
+        names = [name for name in CONDITIONS if (view, "all", name) in error]
+        print(f"| RMSE mm, {title} | {' | '.join(names)} |\n|---{'|---' * len(names)}|")
+        for garment in dict.fromkeys(row["garment"] for row in rows):
+            print(f"| {garment} | {' | '.join(f'{error[view, garment, name]:.1f}' for name in names)} |")
+        print()
+
+
 def compare(rows: list[dict], others: list[dict]) -> None:
     """Prints the errors over those of other rows, and the runs that changed most."""
     before = {key_of(row): row for row in others}
@@ -192,7 +221,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=1)
     parser.add_argument("--out", type=Path, metavar="JSON", help="file for the rows")
     parser.add_argument("--against", type=Path, metavar="JSON", help="rows of another version")
-    arguments = parser.parse_args(argv)
+    parser.add_argument("--json", type=Path, nargs="?", const=RESULT, metavar="FILE", help="file for the errors by garment")
+    parser.add_argument("--table", action="store_true", help="print that file in Markdown, and track nothing")
+    arguments = parsed(parser, argv, target="json")
+    if arguments.table:
+        tables(json.loads((arguments.json or RESULT).read_text())["rows"])
+        return 0
     chosen, seeds = recordings(parser, arguments), range(1, arguments.seeds + 1)
     jobs = [
         (name, view, condition, arguments.frames, arguments.config, seed)
@@ -207,6 +241,10 @@ def main(argv: list[str] | None = None) -> int:
             print(f"{', '.join(map(str, key_of(row)))}: {scores([row])}", file=sys.stderr, flush=True)
     if arguments.out:
         arguments.out.write_text(json.dumps(rows, indent=1) + "\n")
+    if arguments.json:
+        head = {"commit": machine.commit(), "held_out": arguments.held_out, "seeds": arguments.seeds, "frames": arguments.frames}
+        lines = ",\n".join(f"  {json.dumps(row)}" for row in summary(rows))
+        arguments.json.write_text(f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n')
     report(rows)
     if arguments.against:
         compare(rows, json.loads(arguments.against.read_text()))

@@ -19,6 +19,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from unittest import mock
 
+from committed import parsed
+
 OUT = Path(__file__).parent / "results" / "cost.json"
 SIZES = ("2500:10000", "2500:80000", "20000:200000")
 FRAMES, REPEATS, LEAST, LIMIT = 6, 2, 0.05, 3.0
@@ -35,7 +37,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="SCENE")
     parser.add_argument("--repeats", type=int, default=REPEATS)
     parser.add_argument("--out", type=Path, default=OUT)
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv)
     from ddakf.commands import warmup
     from ddakf.evaluation import machine
 

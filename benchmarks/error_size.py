@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from committed import parsed
 from error_runs import CAPTURED, GROUPS, PRESETS, Frames, Rows, Run, load, planned, play, save
 from scipy.optimize import brentq, minimize
 from scipy.stats import chi2
@@ -322,7 +323,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--rows", type=Path, metavar="FILE", help=".npz of the runs: read if it is there, else written")
     parser.add_argument("--json", type=Path, metavar="FILE", help="of the tables and the laws")
     parser.add_argument("--diagram", type=Path, default=DIAGRAM, help="picture of the levels (default out/error_size.png)")
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv, target="json")
     runs = planned(arguments.recordings)
     if arguments.rows and arguments.rows.is_file():
         rows, frames = load(arguments.rows, runs)

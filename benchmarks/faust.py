@@ -15,6 +15,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import load_faust
@@ -96,12 +97,8 @@ def main() -> int:
     default = Path(os.environ.get("DDAKF_DATA", "."), "faust", "registrations_s0-s7.npz")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("path", nargs="?", default=default, type=Path)
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path)
-    arguments = parser.parse_args()
-    if arguments.json:
-        machine.require_committed(arguments.json, arguments.allow_dirty)
+    arguments = parsed(parser, target="json")
     faust, rows = load_faust(arguments.path), []
     print(f"subjects {', '.join(map(str, faust.subjects))}; neutral pose {NEUTRAL}")
     for part in faust.clips:

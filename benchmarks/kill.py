@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import restarts
 import traffic
+from committed import parsed
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_service.commands.service_process import ServiceProcess
 from rich.console import Console
@@ -41,7 +42,7 @@ console = Console(stderr=True, highlight=False)
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv)
     report = {"name": "kill", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
     limits = {"limit_s": LIMIT, "server_limit_s": SERVER_LIMIT, "ready_limit_s": READY_LIMIT}
     part = {"rate": a.rate, "points": a.points, "body": a.body, **limits, "rows": [], "failed": []}

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import inputs
 import numpy as np
+from committed import parsed
 from threadpoolctl import threadpool_limits
 
 import ddakf
@@ -30,11 +31,10 @@ CHI2_90 = 6.2514  # of three degrees of freedom
 
 def main(argv: list[str] | None = None) -> int:
     """Measures, prints and writes; returns the exit status."""
-    arguments = _parser().parse_args(argv)
+    arguments = parsed(_parser(), argv)
     if arguments.write:
         DOCUMENT.write_text(fresh(json.loads(arguments.out.read_text())))
         return 0
-    machine.require_committed(arguments.out, arguments.allow_dirty)
     threadpool_limits(1)
     warmup.warm()
     rows = []
@@ -108,8 +108,6 @@ def fresh(report: dict) -> str:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=60, help="of each recording (default 60)")
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--out", type=Path, default=RESULT, help="result file")
     parser.add_argument("--write", action="store_true", help="write the table of docs/protocol.md from the result file")
     return parser

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import traffic
+from committed import parsed
 from ddakf_api.codec import CODECS, DEFAULT_CODEC
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
@@ -34,7 +35,7 @@ WARM = 1.0  # seconds at the beginning whose latencies are left out
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status: 0 if no stream ended with an error, even with dropped frames; otherwise 1."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv)
     script = traffic.Script(a.vertices, a.points, view=a.view, codec_name=a.codec, body=a.body)
     rows = [_run(a, script, clients) for clients in a.clients]
     report = {"name": "load", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}

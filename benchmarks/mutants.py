@@ -30,6 +30,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from committed import parsed
+
 ROOT = Path(__file__).resolve().parents[1]
 RESULT = ROOT / "benchmarks/results/mutants.json"
 FOLDERS = ("stages", "physics", "body", "multiresolution", "search")  # of ddakf
@@ -292,7 +294,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", metavar="MODULE", help="names of modules, default: all of the folders")
     parser.add_argument("--tests", nargs="+", default=TESTS, help="that may run, default: those of the stages and the tracker")
     parser.add_argument("--out", type=Path, default=RESULT)
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv)
     os.chdir(ROOT)
     sys.path.insert(0, str(ROOT))
 

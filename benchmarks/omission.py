@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from committed import parsed
 from scipy.optimize import nnls
 
 import ddakf
@@ -176,7 +177,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--recordings", nargs="+", metavar="NAME", help="default: all for training")
     parser.add_argument("--json", type=Path, nargs="?", const=RESULT, metavar="FILE", help="of the table and the growths")
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv, target="json")
     listed = [each.name for each in collection.listed(collection.TRAINING)]
     names = [name for name in listed if not arguments.recordings or name in arguments.recordings]
     jobs = [(name, view, arguments.frames) for name in names for view in VIEWS]

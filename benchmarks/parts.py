@@ -18,12 +18,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 from conditions import FRAMES, VIEWS, geometric, key_of, run
 from rich.console import Console
 from rich.progress import track
 
 import ddakf
-from ddakf.errors import InvalidArgument
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.trials import variants
@@ -130,16 +130,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROWS, help="file of the rows, which resumes")
     parser.add_argument("--json", type=Path, default=RESULT, help="file of the summary")
-    parser.add_argument("--allow-dirty", action="store_true", help="write a summary of uncommitted code into the checkout")
     parser.add_argument("--table", action="store_true", help="print the table of the summary, and run nothing")
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv, target="json")
     if arguments.table:
         table(json.loads(arguments.json.read_text()))
         return 0
-    try:
-        machine.require_committed(arguments.json, arguments.allow_dirty)
-    except InvalidArgument as error:
-        parser.error(str(error))
     names = arguments.recordings or [each.name for each in collection.listed(collection.TRAINING)][::EVERY]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.is_file() else []

@@ -29,6 +29,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 from inputs import sequences
 from scipy.spatial.transform import Rotation
 
@@ -212,12 +213,8 @@ def main() -> int:
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--sequences", nargs="+", help="some of them")
     parser.add_argument("--procs", type=int, default=1)
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path, help="result file")
-    arguments = parser.parse_args()
-    if arguments.json:
-        machine.require_committed(arguments.json, arguments.allow_dirty)
+    arguments = parsed(parser, target="json")
     names = arguments.sequences or [sequence.name for sequence in sequences()]
     report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
     with multiprocessing.get_context("spawn").Pool(arguments.procs) if arguments.procs > 1 else nullcontext() as pool:

@@ -18,6 +18,7 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
+from committed import parsed
 from inputs import sequences
 from scipy.stats import rankdata
 
@@ -240,12 +241,8 @@ def main() -> int:
     parser.add_argument("--views", nargs="+", default=["full", "front"])
     parser.add_argument("--procs", type=int, default=len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1)
     parser.add_argument("--frames", type=Path, help=".npz file for every frame; runs that it holds are not run again")
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--json", type=Path, help="result file")
-    arguments = parser.parse_args()
-    if arguments.json:
-        machine.require_committed(arguments.json, arguments.allow_dirty)
+    arguments = parsed(parser, target="json")
     report = {"commit": machine.commit(), "machine": machine.describe()}
     runs = all_runs(arguments.sequences, arguments.views, arguments.procs, arguments.frames)
     names = sorted({run["sequence"] for run in runs})

@@ -30,6 +30,7 @@ import fleet_tables
 import grpc
 import numpy as np
 import traffic
+from committed import parsed
 from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
@@ -48,7 +49,7 @@ _TICKS = os.sysconf("SC_CLK_TCK")
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv, writing=("measure", "overhead"))
     report = json.loads(a.out.read_text()) if a.out.exists() else {"name": "scaling"}
     if a.measure or a.overhead:
         place = {"commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}

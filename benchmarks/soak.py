@@ -20,6 +20,7 @@ from pathlib import Path
 import grpc
 import numpy as np
 import traffic
+from committed import parsed
 from ddakf_api import API_VERSION
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
@@ -40,7 +41,7 @@ FRAMES = 3  # of a client that comes and leaves
 
 def main(argv: list[str] | None = None) -> int:
     """Returns the exit status."""
-    a = _parser().parse_args(argv)
+    a = parsed(_parser(), argv)
     script = traffic.Script(a.vertices, a.points, frames=40)
     with traffic.service(["--workers", str(a.workers), "--max-sessions", "256"]) as process:
         part = asyncio.run(_soak(a, script, process.grpc, traffic.Usage(process.pid)))

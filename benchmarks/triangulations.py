@@ -15,6 +15,7 @@ from pathlib import Path
 
 import inputs
 import numpy as np
+from committed import parsed
 from library import WARM
 
 import ddakf
@@ -85,7 +86,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--only", nargs="+", help="names of recordings, default: the sample and those of DDAKF_DATA with a body")
     parser.add_argument("--without", action="store_true", help="also without the working mesh")
     parser.add_argument("--out", type=Path, default=RESULT)
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv)
     config = ddakf.Config()
     without = replace(config, discretisation=replace(config.discretisation, working_edge=0.0))
     configs, rows = (config, without) if arguments.without else (config,), []

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from committed import parsed
 from threadpoolctl import threadpool_limits
 
 from ddakf import data
@@ -163,16 +164,13 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="NAME")
     parser.add_argument("--frames", type=int, default=FRAMES, help=f"per clip (default {FRAMES})")
-    what = "write into the checkout's results although its code has uncommitted changes"
-    parser.add_argument("--allow-dirty", action="store_true", help=what)
     parser.add_argument("--table", action="store_true", help="print --out in Markdown, and run nothing")
     parser.add_argument("--out", type=Path, default=RESULT, help=f"file of the result (default {RESULT})")
-    arguments = parser.parse_args(argv)
+    arguments = parsed(parser, argv)
     if arguments.table:
         report = json.loads(arguments.out.read_text())
         print(table(report), chosen_settings(report), learned_tries(report), sep="\n\n")
         return 0
-    machine.require_committed(arguments.out, arguments.allow_dirty)
     threadpool_limits(1)
     warmup.warm()
     report = json.loads(arguments.out.read_text()) if arguments.out.is_file() else {"methods": {}}
