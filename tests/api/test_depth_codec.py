@@ -223,6 +223,7 @@ def test_arbitrary_messages_give_an_image_or_an_error(payload, numbers, size, le
         ({"intrinsics": pb.Intrinsics(fx=1)}, "depth_image.intrinsics"),
         ({"intrinsics": pb.Intrinsics(fx=1, fy=1, cx=float("inf"))}, "depth_image.intrinsics"),
         ({"depth_scale": -1}, "depth_image.depth_scale"),
+        ({"depth_scale": 1000.0}, "depth_image.depth_scale"),  # millimetres per metre
         ({"encoding": 9}, "depth_image.encoding"),
         ({"compression": 9}, "depth_image.data"),
         ({"confidence": bytes(64 * 48), "min_confidence": 256}, "depth_image.min_confidence"),

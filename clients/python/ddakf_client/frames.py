@@ -10,6 +10,7 @@ import numpy as np
 from ddakf_api.arrays import checked_array
 from ddakf_api.codec import DEFAULT_DEPTH_CODEC, DEFAULT_SCALE, encode, encode_depth, group_by_sensor
 from ddakf_api.codec.colors import checked_colors
+from ddakf_api.codec.depth import checked_scale
 from ddakf_api.errors import CodecError, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
@@ -108,9 +109,7 @@ def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
     for name in ("points", "sensor_origin"):
         if getattr(frame, name) is not None:
             raise InvalidFrame(field=name, expected="none beside a depth image", got=type(getattr(frame, name)).__name__)
-    scale = frame.depth_scale
-    if not isinstance(scale, (int, float, np.integer, np.floating)) or not 0 < scale <= 1:
-        raise InvalidFrame(field="depth_scale", expected="metres per unit, above 0 and at most 1", got=repr(scale)[:40])
+    checked_scale(frame.depth_scale, "depth_scale")
     image = encode_depth(
         frame.depth, frame.intrinsics, codec=codec, **{name: getattr(frame, name) for name in _IMAGE_OPTIONS}
     )

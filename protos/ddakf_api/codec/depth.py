@@ -159,17 +159,24 @@ def decode_depth(image: pb.DepthImage, *, max_pixels: int) -> Depth:
     return Depth(depth, keep, lens, pose, colors)
 
 
+def checked_scale(scale: float, field: str) -> float:
+    """The metres per unit of a uint16 depth, which are at most one.
+
+    Raises:
+        InvalidFrame: another number, or none.
+    """
+    if not isinstance(scale, (int, float, np.integer, np.floating)) or not 0 < scale <= 1:
+        raise InvalidFrame(field=field, expected="metres per unit, above 0 and at most 1", got=repr(scale)[:40])
+    return scale
+
+
 def _depth(image: pb.DepthImage, shape: tuple[int, int]) -> np.ndarray:
     field = "depth_image.data"
     if image.encoding == pb.DEPTH_ENCODING_FLOAT32_METRES:
         return _decompress(image.data, image.compression, shape, np.dtype("<f4"), field)
     if image.encoding == pb.DEPTH_ENCODING_UINT16_MILLIMETRES:
-        scale = image.depth_scale or DEFAULT_SCALE
-        if not (math.isfinite(scale) and scale > 0):
-            raise InvalidFrame(field="depth_image.depth_scale", expected="a finite length above 0", got=repr(scale))
-        units = _decompress(image.data, image.compression, shape, np.dtype("<u2"), field)
-        with np.errstate(over="ignore"):
-            return units * np.float32(min(scale, np.finfo(np.float32).max))
+        scale = checked_scale(image.depth_scale or DEFAULT_SCALE, "depth_image.depth_scale")
+        return _decompress(image.data, image.compression, shape, np.dtype("<u2"), field) * np.float32(scale)
     expected = "float32 metres or uint16 millimetres"
     raise CodecError(field="depth_image.encoding", expected=expected, got=f"encoding {image.encoding}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Sequence, Set
+from collections.abc import Callable, Sequence, Set
 from time import monotonic
 
 from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, ServiceError, SessionNotFound
@@ -183,12 +183,20 @@ class Sessions:
             data = await self._pool.snapshot(session.id, compressed=True)
         return pb.SessionSnapshot(session=session.message(), data=data)
 
-    async def delete(self, name: str) -> None:
+    async def delete(self, name: str, accepts: Callable[[str], bool] | None = None) -> str | None:
+        """Ends a session.
+
+        Returns:
+            None; or its etag, where ``accepts`` refuses that and the session goes on.
+        """
         session = await self._ownership.obtain(name, takeover=True)
+        if accepts is not None and not accepts(etag := str(session.revision)):
+            return etag
         self._lifecycle.end(session, SessionNotFound(f"{session.name} was deleted"))
         await self._lifecycle.wait_closed(session.id)
         if session.epoch:  # other servers read its end in the database
             await self._persistence.written(session.uid)
+        return None
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
         """History of a live session, else of the newest past session of the name.

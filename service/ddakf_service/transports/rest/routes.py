@@ -329,9 +329,9 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     async def delete_session(session_id: SessionId, if_match: _IfMatch = None) -> Response:
         """Ends a session and its stream."""
         name = f"sessions/{session_id}"
-        if if_match is not None and not is_match(if_match, etag := (await sessions.get(name)).etag):
+        accepts = None if if_match is None else functools.partial(is_match, if_match)
+        if (etag := await sessions.delete(name, accepts)) is not None:
             return _unmatched(name, etag, if_match)
-        await sessions.delete(name)
         return Response(status_code=204)
 
 

@@ -1731,7 +1731,7 @@ export type DepthImage = Message<"ddakf_api.v1.DepthImage"> & {
   pose?: Pose | undefined;
 
   /**
-   * Metres per unit of a UINT16 depth; 0: 0.001.
+   * Metres per unit of a UINT16 depth, at most 1; 0: 0.001.
    *
    * @generated from field: double depth_scale = 8;
    */
