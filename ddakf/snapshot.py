@@ -29,7 +29,7 @@ VERSION = 17
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
 # size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
-# another guess of how far it deviates along the normal, which is not read.
+# another guess of how far it deviates along the normal, which is not read, and the template's lengths at rest.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = (

@@ -78,10 +78,11 @@ class Tracker:
         return self._track.time
 
     def reset(self, vertices=None, *, velocities=None) -> None:
-        """Starts again from these vertices; rest lengths stay the garment's, the body is in its first pose.
+        """Starts again from these vertices; the body is in its first pose.
 
         Args:
-            vertices: (V, 3) metres, in whose folds the cloth is at rest from now on; the rest shape if None.
+            vertices: (V, 3) metres, in whose folds and most of whose strain the cloth is at rest from now on; the rest shape if
+                None.
             velocities: (V, 3) metres per second; zero if None.
 
         Raises:

@@ -289,11 +289,12 @@ class View(NamedTuple):
 
 
 class Resting(NamedTuple):
-    """Shape in which folds are at rest: where tracking started. There gravity and the body balance what bends the cloth."""
+    """Shape in which the cloth is at rest: where tracking started. There gravity and the body balance its folds and strain."""
 
     position: np.ndarray  # (V, 3) m
     edge: np.ndarray  # (2E, 3) float32 m, of the one-rings
     rotation: np.ndarray  # (V, 3, 3) of the one-rings against the template
+    strain: StrainConstants  # of the faces, a share of whose strain there is at rest
     source: np.ndarray | None = None  # ``edge`` on the working mesh from which it was carried over; None: it was not
 
 

@@ -42,6 +42,7 @@ class Physics(Checked):
     hidden_edge: float = bounded(0.029, 0, 1)  # m: hidden cloth of a finer mesh is as rigid as in one with such edges; 0: no more
     uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened
     start_strain: float = bounded(0.1, 1e-3, 1e3)  # of a one-ring at the start, whose rest shape is then half the template's
+    start_strain_kept: float = bounded(0.4, 0, 1)  # share of a face's strain at the start that is at rest
     strain_followed: float = bounded(0.95, 0, 0.99)  # share of a one-ring's strain that its rest shape then follows
     rotation_steps: int = bounded(2, 1, 50)  # steps of a rotation fit, which starts from the last pass's rotations
     first_rotation_steps: int = bounded(4, 1, 50)  # the same in the first pass, to which other passes moved the garment

@@ -58,7 +58,8 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> flo
         position: (V, 3) the posterior, metres.
         measured: (V,) bool.
     """
-    strain, strain2, config = problem.model.strain, problem.last.strain2, problem.config.physics
+    strain2, config = problem.last.strain2, problem.config.physics
+    strain = problem.model.strain if problem.resting is None else problem.resting.strain
     squared = np.empty(len(strain.area))
     n = kernels.squared_strains(position, measured, strain, squared)
     if n == 0 or n < config.strain_coverage * len(squared):

@@ -14,11 +14,13 @@ import numpy as np
 from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
+from ddakf.physics import strain
 from ddakf.types import Model, Resting, Setup
 
 
 def resting(position: np.ndarray, setup: Setup) -> Resting:
-    """The rest shape with which :func:`to_rest` exerts no force at (V, 3) ``position``, metres, where that is a shape of cloth.
+    """The rest shape with which :func:`to_rest` exerts no force at (V, 3) ``position``, metres, where that is a shape of cloth,
+    and stretch and shear little.
 
     There s = x_j - x_i. Cloth folds and hardly stretches: a ring strained by ``start_strain`` has half of its shape from the
     template, and one that noise has strained farther nearly all.
@@ -30,7 +32,8 @@ def resting(position: np.ndarray, setup: Setup) -> Resting:
     strain2 = np.bincount(row, np.square(length / np.maximum(rest_length, 1e-12) - 1.0), len(position)) / degree
     share = 1.0 / (1.0 + 0.5 * (strain2[row] + strain2[model.neighbour]) / strain_sd**2)
     turned = np.einsum("eab,eb->ea", 0.5 * (rotation[row] + rotation[model.neighbour]), model.rest_edge)
-    return Resting(position, (turned + share[:, None] * (edge - turned)).astype(np.float32), rotation)
+    shape = (turned + share[:, None] * (edge - turned)).astype(np.float32)
+    return Resting(position, shape, rotation, strain.at_start(model.strain, position, setup.config.physics))
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0, shape: Resting | None = None) -> LocalRigidity:

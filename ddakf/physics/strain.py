@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.config import Physics
 from ddakf.kernels.strain import StrainConstants
 from ddakf.mesh import Mesh
 from ddakf.physics.rest import rest_frames
+
+SMALLEST = 1e-3  # squared length at rest, over that of the template: a face that has collapsed at the start has none
 
 
 def build(mesh: Mesh) -> StrainConstants:
@@ -23,3 +26,28 @@ def build(mesh: Mesh) -> StrainConstants:
     pairs = np.stack([corner[:, a] * mesh.n_vertices + corner[:, b] for a, b in ((0, 1), (0, 2), (1, 2))], axis=1)
     warp, weft = (np.take_along_axis(side, order, axis=1) for side in (frames.warp, frames.weft))
     return StrainConstants(corner.astype(np.uint32), np.searchsorted(keys, pairs).astype(np.uint32), warp, weft, frames.area)
+
+
+def at_start(constants: StrainConstants, position: np.ndarray, config: Physics) -> StrainConstants:
+    """The constants of a garment that starts at (V, 3) ``position``, metres, where a share of its strain is at rest.
+
+    Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
+    shows it. With D = [w_u w_v] of a face at the start and C = D'D, its metric at rest becomes B = I + s (C - I), for which the
+    tangents are D B^-1/2. The share s is ``start_strain_kept``, and half of that for a face strained by ``start_strain``.
+    """
+    corner = position[constants.corner]
+    sides = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2)
+    coefficient = np.stack([constants.warp[:, 1:], constants.weft[:, 1:]], axis=2)
+    deformation = sides @ coefficient
+    excess = deformation.transpose(0, 2, 1) @ deformation - np.eye(2)
+    strain2 = 0.25 * np.einsum("fab,fab->f", excess, excess)
+    share = config.start_strain_kept / (1.0 + strain2 / config.start_strain**2)
+    values, vectors = np.linalg.eigh(np.eye(2) + share[:, None, None] * excess)
+    root = np.einsum("fab,fb,fcb->fac", vectors, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), vectors)
+    warp, weft = np.moveaxis(coefficient @ root, 2, 0)
+    return constants._replace(warp=_from_first(warp), weft=_from_first(weft))
+
+
+def _from_first(coefficient: np.ndarray) -> np.ndarray:
+    """(F, 3) coefficients of the corners, of (F, 2) of the sides from the first one."""
+    return np.column_stack([-coefficient.sum(axis=1), coefficient])

@@ -170,7 +170,8 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     rigid = (estimate.rest, estimate.motion)
     rigidity.add_force(rigid, position, model, force)
     blocks = np.zeros((len(model.mesh.edges), 12), np.float32)
-    strain_kernels.add_strain(position, model.strain, stretch, shear, energies.strain_scale**2, blocks, force)
+    strain = model.strain if problem.resting is None else problem.resting.strain
+    strain_kernels.add_strain(position, strain, stretch, shear, energies.strain_scale**2, blocks, force)
     B, weight = np.empty((len(model.neighbour), 12), np.float32), sum(term.weight for term in rigid)
     kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, D, D, B)
     return System(D, B, force)

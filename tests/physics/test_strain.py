@@ -1,14 +1,20 @@
 """Stretch and shear: what they measure, and along which threads."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
+from ddakf import Config, Tracker
+from ddakf.config import Physics
 from ddakf.errors import InvalidConfig
+from ddakf.kernels import strain as kernels
 from ddakf.mesh import Mesh
-from ddakf.physics import shear, stretch
+from ddakf.physics import shear, strain, stretch
 from ddakf.physics.rest import rest_frames
 from tests.physics import shapes
 from tests.physics.shapes import grid_faces, sheet
+from tests.stages.scenes import rms, scan, tube
 
 ROWS, COLUMNS = 4, 3
 FLAT = Mesh(
@@ -66,3 +72,60 @@ def test_a_warp_across_the_sheet_falls_back_to_the_first_edge():
 def test_unusable_warp_is_refused(warp):
     with pytest.raises(InvalidConfig, match="warp"):
         stretch.build(FLAT, warp)
+
+
+# At the start ----------------------------------------------------------------------------------------------------------
+
+
+def squared_at(position, constants):
+    """(F,) squared norm of the strain of all faces."""
+    squared = np.empty(FLAT.n_faces)
+    assert kernels.squared_strains(position, np.ones(len(position), bool), constants, squared) == FLAT.n_faces
+    return squared
+
+
+def test_all_of_the_strain_of_the_start_can_be_at_rest():
+    start = FLAT.vertices @ (np.eye(3) + 0.02 * np.random.default_rng(0).normal(size=(3, 3))).T
+    config = dataclasses.replace(Physics(), start_strain_kept=1.0, start_strain=1e3)
+    constants = strain.build(FLAT)
+    assert squared_at(start, constants).min() > 1e-4
+    np.testing.assert_allclose(squared_at(start, strain.at_start(constants, start, config)), 0.0, atol=1e-12)
+
+
+def test_none_of_it_is_or_the_template_is_at_rest():
+    constants = strain.build(FLAT)
+    stretched = FLAT.vertices * [1.05, 1.0, 1.0]
+    none = strain.at_start(constants, stretched, dataclasses.replace(Physics(), start_strain_kept=0.0))
+    np.testing.assert_allclose(squared_at(stretched, none), squared_at(stretched, constants), rtol=1e-9)
+    turned = (FLAT.vertices + [0.1, 0.2, 0.3])[:, [1, 2, 0]]
+    np.testing.assert_allclose(squared_at(turned, strain.at_start(constants, turned, Physics())), 0.0, atol=1e-12)
+
+
+def test_a_share_of_small_strain_is_at_rest_and_little_of_what_no_cloth_has():
+    constants, config, left = strain.build(FLAT), Physics(), []
+    for size in (0.02, 0.5):
+        stretched = FLAT.vertices * [1.0 + size, 1.0, 1.0]
+        after = np.sqrt(squared_at(stretched, strain.at_start(constants, stretched, config)))
+        left.append((after / np.sqrt(squared_at(stretched, constants))).mean())
+    assert left[0] == pytest.approx(1.0 - config.start_strain_kept, abs=0.05)
+    assert left[1] > 0.9
+
+
+def test_a_face_that_has_collapsed_at_the_start_keeps_finite_lengths():
+    start, all_of_it = FLAT.vertices * [0.0, 1.0, 1.0], dataclasses.replace(Physics(), start_strain_kept=1.0, start_strain=1e3)
+    constants = strain.at_start(strain.build(FLAT), start, all_of_it)
+    assert np.isfinite(constants.warp).all()
+    assert np.isfinite(constants.weft).all()
+
+
+def test_cloth_that_is_strained_where_it_starts_stays_there():
+    """The first frame moved vertices by several millimetres along a surface that they lay on."""
+    mesh = tube()
+    start = mesh.vertices * [1.03, 0.98, 1.03]
+    moved = {}
+    for kept in (0.0, Physics().start_strain_kept):
+        tracker = Tracker(mesh, config=dataclasses.replace(Config(), physics=dataclasses.replace(Physics(), start_strain_kept=kept)))
+        tracker.reset(vertices=start)
+        result = tracker.step(scan(start, mesh, 8000, 0.001, seed=1), timestamp=0.0)
+        moved[kept] = rms(result.vertices - start)
+    assert moved[Physics().start_strain_kept] < 0.8 * moved[0.0]
