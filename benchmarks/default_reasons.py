@@ -138,7 +138,7 @@ REASONS = {
     "Physics.hidden_edge": "chosen: edges of the templates on which both rigidities were tuned",
     "Physics.uneven_rigidity": "tuned: prevents crumpling of soft cloth",
     "Physics.strain_followed": "tuned: the rest stops an even strain from wandering",
-    "Physics.start_strain_kept": "tuned: training clips of 2 s gain 1 % more with 0.5 to 0.85; sequences of 8 s lose 3 % with 0.7",
+    "Physics.start_strain_kept": "tuned: clips of 2 s gain 1 % more with 0.5 to 0.85; sequences of 8 s lose 3 % with 0.7",
     "Physics.start_strain": "chosen: three times the strain of simulated garments, a third of that of a start 5 mm off",
     "Physics.fabric": "the paper's single normalised setting (section 2.4)",
     "Physics.softest": "chosen: some stiffness is always left",

@@ -25,7 +25,7 @@ def resting(position: np.ndarray, setup: Setup) -> Resting:
     There s = x_j - x_i. Cloth folds and hardly stretches: a ring strained by ``start_strain`` has half of its shape from the
     template, and one that noise has strained farther nearly all.
     """
-    model, strain_sd = setup.model, setup.config.physics.start_strain
+    model, strain_sd, kept = setup.model, setup.config.physics.start_strain, setup.config.physics.start_strain_kept
     row, degree = np.repeat(np.arange(len(position)), np.diff(model.start)), np.maximum(np.diff(model.start), 1)
     edge, rotation = edges(position, model), rotations(position, model)
     length, rest_length = (np.linalg.norm(each, axis=1) for each in (edge, model.rest_edge))
@@ -33,7 +33,7 @@ def resting(position: np.ndarray, setup: Setup) -> Resting:
     share = 1.0 / (1.0 + 0.5 * (strain2[row] + strain2[model.neighbour]) / strain_sd**2)
     turned = np.einsum("eab,eb->ea", 0.5 * (rotation[row] + rotation[model.neighbour]), model.rest_edge)
     shape = (turned + share[:, None] * (edge - turned)).astype(np.float32)
-    return Resting(position, shape, rotation, strain.at_start(model.strain, position, setup.config.physics))
+    return Resting(position, shape, rotation, strain.at_start(model.strain, position, kept, strain_sd))
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0, shape: Resting | None = None) -> LocalRigidity:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.config import Physics
 from ddakf.kernels.strain import StrainConstants
 from ddakf.mesh import Mesh
 from ddakf.physics.rest import rest_frames
@@ -28,12 +27,12 @@ def build(mesh: Mesh) -> StrainConstants:
     return StrainConstants(corner.astype(np.uint32), np.searchsorted(keys, pairs).astype(np.uint32), warp, weft, frames.area)
 
 
-def at_start(constants: StrainConstants, position: np.ndarray, config: Physics) -> StrainConstants:
+def at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> StrainConstants:
     """The constants of a garment that starts at (V, 3) ``position``, metres, where a share of its strain is at rest.
 
     Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
     shows it. With D = [w_u w_v] of a face at the start and C = D'D, its metric at rest becomes B = I + s (C - I), for which the
-    tangents are D B^-1/2. The share s is ``start_strain_kept``, and half of that for a face strained by ``start_strain``.
+    tangents are D B^-1/2. The share s is ``kept``, and half of that for a face strained by ``strain_sd``.
     """
     corner = position[constants.corner]
     sides = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2)
@@ -41,7 +40,7 @@ def at_start(constants: StrainConstants, position: np.ndarray, config: Physics) 
     deformation = sides @ coefficient
     excess = deformation.transpose(0, 2, 1) @ deformation - np.eye(2)
     strain2 = 0.25 * np.einsum("fab,fab->f", excess, excess)
-    share = config.start_strain_kept / (1.0 + strain2 / config.start_strain**2)
+    share = kept / (1.0 + strain2 / strain_sd**2)
     values, vectors = np.linalg.eigh(np.eye(2) + share[:, None, None] * excess)
     root = np.einsum("fab,fb,fcb->fac", vectors, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), vectors)
     warp, weft = np.moveaxis(coefficient @ root, 2, 0)
