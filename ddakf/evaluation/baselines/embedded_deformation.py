@@ -1,6 +1,6 @@
 """Per-frame embedded deformation with as-rigid-as-possible smoothness (Opt-ED).
 
-A graph of nodes g_j is spread over the rest shape s; each has an affine matrix A_j and a position p_j, and moves the vertices
+A graph of nodes g_j is spread over the start's shape s; each has an affine matrix A_j and a position p_j, and moves the vertices
 around it (Sumner, Schmid and Pauly 2007, "Embedded deformation for shape manipulation"):
 
     x_i = sum_j w_ij (A_j (s_i - g_j) + p_j)
@@ -28,7 +28,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from ddakf.evaluation.baselines.body_support import support_of
 from ddakf.evaluation.baselines.linear_algebra import conjugate_gradients, factorised
-from ddakf.evaluation.baselines.matching import LEAST_POINTS, Matches, MatchSettings, Scan, VertexNormals, rigid_motion
+from ddakf.evaluation.baselines.matching import LEAST_POINTS, Matches, MatchSettings, Scan, VertexNormals
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
@@ -36,7 +36,7 @@ TYPICAL_WEIGHT = 0.4  # of a correspondence along any one axis, for the precondi
 TYPICAL_ROTATION = 2.0  # eigenvalue of Rot's Hessian at a rotation, likewise
 PRIOR = 1e-6  # keeps unknowns that nothing determines where they are
 SOLVER_STEPS, SOLVER_TOLERANCE = 12, 0.1  # of conjugate gradients in one Gauss-Newton step: the next step corrects the rest
-STARTING_STEPS, STARTING_WEIGHT = 10, 100.0  # of Gauss-Newton, and of the vertices of the start in them
+CARRIED_WEIGHT = 100.0  # of the vertices of a carried garment, onto which the graph is laid
 CARRYING_STEPS = 2  # of Gauss-Newton, in which the nodes follow the garment that the body has carried on
 STILL = 5e-4  # m: a frame is done when its vertices move less, RMS
 
@@ -78,7 +78,7 @@ class EmbeddedDeformation:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
         settings, vertices = self.settings, np.array(vertices, np.float64)
         self._normals = VertexNormals(garment)
-        graph = DeformationGraph(garment, settings.nodes, settings.influences)
+        graph = DeformationGraph(Mesh(vertices, garment.faces), settings.nodes, settings.influences)
         self._graph, n = graph, 4 * len(graph.nodes)
         self._rotation = settings.rotation * graph.spacing**2
         smooth = settings.regularisation * graph.regularity.T @ graph.regularity
@@ -86,9 +86,8 @@ class EmbeddedDeformation:
         affine = sparse.diags_array(np.tile([1.0, 1.0, 1.0, 0.0], len(graph.nodes)))
         data = TYPICAL_WEIGHT * graph.blend.T @ graph.blend
         self._factor = factorised(self._smooth + data + self._rotation * TYPICAL_ROTATION * affine + PRIOR * sparse.eye_array(n))
-        self._unknowns = graph.moved(*rigid_motion(garment.vertices, vertices))
+        self._unknowns = graph.moved(np.eye(3), np.zeros(3))
         self._support = support_of(body, vertices, settings.hold)
-        self._lay_onto(vertices, STARTING_STEPS)
 
     def step(self, frame: CapturedFrame) -> np.ndarray:
         """See :class:`ddakf.evaluation.baselines.baseline.Baseline`."""
@@ -109,7 +108,7 @@ class EmbeddedDeformation:
 
     def _lay_onto(self, vertices: np.ndarray, steps: int) -> None:
         """Moves the graph so that the garment comes near to vertices (V, 3)."""
-        everywhere = np.full((len(vertices), 1), STARTING_WEIGHT)
+        everywhere = np.full((len(vertices), 1), CARRIED_WEIGHT)
         for _ in range(steps):
             self._unknowns = self._unknowns + self._step(vertices, np.zeros_like(vertices), everywhere, 1.0)
 

@@ -43,7 +43,7 @@ class NonRigidPointToPlane(Registration):
     """Non-rigid ICP (Amberg, Romdhani and Vetter 2007) with the point-to-plane distance (Chen and Medioni 1992).
 
     Energy: sum_i w_i (n_i . (x_i - c_i))^2 + stiffness sum_ij |d_i - d_j|^2 over the edges, with c_i the point nearest to x_i,
-    n_i its normal, w_i its weight, and the displacement field d = x - T r from the rest shape r, which T lays rigidly onto the
+    n_i its normal, w_i its weight, and the displacement field d = x - T r from the start's shape r, which T lays rigidly onto the
     present estimate (Kabsch 1976). Every iteration finds new correspondences and T, and the linear system is solved by
     conjugate gradients, preconditioned by the factors of the system in which every correspondence weighs the same along all axes.
     With a body, vertices without a correspondence are held to their places on it with all three coordinates. Uses no time.
@@ -54,7 +54,7 @@ class NonRigidPointToPlane(Registration):
 
     def start(self, garment: Mesh, vertices: np.ndarray, body: Mesh | None) -> None:
         super().start(garment, vertices, body)
-        self._rest = garment.vertices
+        self._rest = np.array(vertices, np.float64)
         self._smoothness = self.settings.stiffness * graph_laplacian(garment)
         self._factor = factorised(self._smoothness + (TYPICAL_WEIGHT + DAMPING) * sparse.eye_array(garment.n_vertices))
 

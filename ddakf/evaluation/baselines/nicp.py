@@ -1,10 +1,10 @@
 """Non-rigid ICP with as-rigid-as-possible regularisation, on the dense vertices.
 
 Energy: sum_i w_i |x_i - c_i|^2 + stiffness sum_ij |(x_i - x_j) - (R_i + R_j) / 2 (r_i - r_j)|^2 over the edges, where c_i is
-the mean of the nearest points of the cloud, w_i their weight, R_i the rotation of a vertex, r the rest shape; minimised
+the mean of the nearest points of the cloud, w_i their weight, R_i the rotation of a vertex, r the start's shape; minimised
 alternately over c, R and x (Sorkine and Alexa 2007, "As-rigid-as-possible surface modeling"; correspondences as in Amberg,
-Romdhani and Vetter 2007, "Optimal step nonrigid ICP"). The source shape is always the rest template: replacing it by the last
-estimate drifts.
+Romdhani and Vetter 2007, "Optimal step nonrigid ICP"). The source shape is always the start's, which has the folds that the
+template lacks; replacing it by the last estimate drifts.
 
 The weights change in every iteration and the matrix does not: the data term is majorised,
 w |x - c|^2 <= |x - (x' + w (c - x'))|^2 + const for w <= 1 with x' the present estimate, so that one sparse factorisation
@@ -69,7 +69,8 @@ class NonRigidIcp:
         i, j = np.concatenate([first, second]), np.concatenate([second, first])
         self._factor = splu((self.settings.stiffness * graph_laplacian(garment) + sparse.eye_array(n)).tocsc())
         # row 3 i + k: component k of r_i - r_j in column j, and minus their sum in column i
-        edge = garment.vertices[i] - garment.vertices[j]
+        rest = np.asarray(vertices, np.float64)
+        edge = rest[i] - rest[j]
         entries, row = np.concatenate([edge.ravel(), -edge.ravel()]), (3 * i[:, None] + np.arange(3)).ravel()
         column = np.concatenate([np.repeat(j, 3), np.repeat(i, 3)])
         self._lever = sparse.csr_array((entries, (np.tile(row, 2), column)), (3 * n, n))
