@@ -18,7 +18,7 @@ def test_a_step_is_the_dense_least_squares_solution(monkeypatch):
     points, normals, weight = x + 0.02 * rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.random(n) * (rng.random(n) < 0.7)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     method = NonRigidPointToPlane(IcpSettings(stiffness=stiffness))
-    method.start(garment, x, None)
+    method.start(garment, garment.vertices, None)
     move = method._move(x, Matches(points, normals, weight))
 
     i, j = garment.edges.T
