@@ -81,8 +81,8 @@ class Tracker:
         """Starts again from these vertices; the body is in its first pose.
 
         Args:
-            vertices: (V, 3) metres, in whose folds and most of whose strain the cloth is at rest from now on; the rest shape if
-                None.
+            vertices: (V, 3) metres, in whose folds and a share of whose strain the cloth is at rest from now on; the template's
+                if None.
             velocities: (V, 3) metres per second; zero if None.
 
         Raises:
