@@ -61,7 +61,7 @@ class EmbeddedSettings(MatchSettings):
     smoothness: float = 1.0
     iterations: int = 8
     hold: float = 0.03
-    gate: float = 0.4
+    gate: float = 0.1
 
 
 TUNED = EmbeddedSettings()

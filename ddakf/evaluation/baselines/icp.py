@@ -30,10 +30,10 @@ class IcpSettings(MatchSettings):
         hold: weight of a hidden vertex on the body, see :mod:`.body_support`.
     """
 
-    stiffness: float = 2.0
+    stiffness: float = 1.0
     iterations: int = 12
-    hold: float = HOLD
-    gate: float = 0.05
+    hold: float = 0.03
+    gate: float = 0.1
 
 
 TUNED = IcpSettings()

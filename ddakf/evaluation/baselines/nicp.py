@@ -33,7 +33,7 @@ TINY = 1e-20  # m^2
 
 @dataclass(frozen=True)
 class NicpSettings:
-    """Numbers of the method; the default stiffness is the best of ``benchmarks/results/tuning.json``.
+    """Numbers of the method; default stiffness, gate and hold are the best of ``benchmarks/results/tuning.json``.
 
     Attributes:
         stiffness: of an edge against a correspondence of full weight.
@@ -44,12 +44,12 @@ class NicpSettings:
         hold: weight of a hidden vertex on the body, at most 1, see :mod:`.body_support`.
     """
 
-    stiffness: float = 6.0
+    stiffness: float = 12.0
     iterations: int = 24
-    gate: float = 0.1
+    gate: float = 0.07
     neighbours: int = 4
     momentum: float = 0.8
-    hold: float = HOLD
+    hold: float = 0.009
 
 
 TUNED = NicpSettings()
