@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ddakf.evaluation.baselines.body_support import HOLD, BodySupport
+from ddakf.evaluation.baselines.body_support import BodySupport
 from ddakf.evaluation.baselines.linear_algebra import conjugate_gradients, factorised, graph_laplacian
 from ddakf.evaluation.baselines.matching import Matches, MatchSettings, Scan, rigid_motion
 from ddakf.evaluation.baselines.optional_packages import package

@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from ddakf.evaluation.baselines.body_support import HOLD, support_of
+from ddakf.evaluation.baselines.body_support import support_of
 from ddakf.evaluation.baselines.linear_algebra import best_rotations, graph_laplacian
 from ddakf.evaluation.baselines.matching import facing
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
