@@ -478,6 +478,10 @@ class Problem(NamedTuple):
         """The cloud shows one side, and no sensor origin, given or estimated, tells the vertices of the other."""
         return self.last.view.one_sided and self.frame.sensor_origin is None and len(self.frame.points) > 0
 
+    def lacks_place(self, observed: np.ndarray) -> bool:
+        """Nothing tells where the garment is: it is :attr:`blind`, or has not been found yet. (V,) bool, vertices measured."""
+        return self.blind or (self.health.state == "initializing" and len(self.frame.points) > 0 and not observed.any())
+
 
 class System(NamedTuple):
     """The normal equations A delta = force at an estimate."""

@@ -23,5 +23,5 @@ class Sidedness(Checked):
     plateau: float = bounded(0.02, 0, 1)  # directions with so much more in a second layer are as good as the best
     memory: float = bounded(0.5, 0, 1)  # share that the looks before have in the running means
     distance: float = bounded(20.0, 1, 1e4)  # m from the cloud to the place where its sensor is assumed
-    blind_error: float = bounded(0.06, 0, 10)  # m, error at least where a cloud of one side is tracked without an origin
+    blind_error: float = bounded(0.06, 0, 10)  # m, least error of a one-sided cloud without an origin, and of a garment not found
     margin: float = bounded(0.3, 0, 100)  # m around the garment; farther points do not count

@@ -322,9 +322,12 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: sigma_share times the RMS sigma times (1 + unexplained / scale)^power."""
+    """Predicted error of a frame: a share of the RMS sigma times (1 + evidence / scale)^power of each evidence."""
 
-    sigma_share: float = bounded(0.77, 0, 10)  # three of four frames have less error
+    sigma_share: float = bounded(0.72, 0, 10)  # three of four frames have less error
+    body_share: float = bounded(0.65, 0, 10)  # of that, with a body
+    offset_scale: float = bounded(5e-4, 1e-12, 1e6)  # m
+    offset_power: float = bounded(0.242, 0, 10)
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
     unexplained_power: float = bounded(0.337, 0, 10)
 

@@ -35,15 +35,21 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
 
 
-def predicted_error(sigma, unexplained, config: FrameError):
-    """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses a part of the cloud.
+class FrameEvidence(NamedTuple):
+    """What the error of a frame is predicted from; or arrays of it, of several frames."""
 
-    Args:
-        sigma: root mean trace of the calibrated covariances, metres; or an array of them.
-        unexplained: share of the points, in clumps, that no vertex is near; over the last half second. Likewise.
-        config: the law.
-    """
-    return config.sigma_share * sigma * (1.0 + unexplained / config.unexplained_scale) ** config.unexplained_power
+    sigma: float  # m, root mean trace of the calibrated covariances
+    offset: float  # m, RMS distance of the cloud from the surface beyond noise, over the last half second
+    unexplained: float  # share of the points, in clumps, that no vertex is near; likewise
+    beside: bool  # a body
+
+
+def predicted_error(evidence: FrameEvidence, config: FrameError):
+    """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses the cloud."""
+    share = config.sigma_share * np.where(evidence.beside, config.body_share, 1.0)
+    off = (1.0 + evidence.offset / config.offset_scale) ** config.offset_power
+    missed = (1.0 + evidence.unexplained / config.unexplained_scale) ** config.unexplained_power
+    return share * evidence.sigma * off * missed
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
@@ -146,8 +152,10 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
     health = misfit(problem, problem.health, points, posterior.state.position) if len(points) else problem.health
     variance = 3.0 * variances(posterior.covariance)
-    error = predicted_error(math.sqrt(variance.mean()), health.unexplained, problem.config.frame_error)
-    if problem.blind:
+    beside = estimate.clearance is not None
+    evidence = FrameEvidence(math.sqrt(variance.mean()), math.sqrt(health.offset), health.unexplained, beside)
+    error = float(predicted_error(evidence, problem.config.frame_error))
+    if problem.lacks_place(estimate.observed):
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)
     reliability = float(score(error, config))

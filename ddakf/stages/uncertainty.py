@@ -31,7 +31,7 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
     tangential2 = colour.conditioned(problem, estimate, covariance)
-    if problem.blind:
+    if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
         covariance = _capped(blind, problem.config.uncertainty)
     widening = omission.widening(problem, estimate)

@@ -13,6 +13,7 @@ from ddakf.config import KnnFilter, PaperReliability, Start
 from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
 from ddakf.stages.reliability import (
+    FrameEvidence,
     Outcome,
     advance,
     clumped,
@@ -74,15 +75,17 @@ def test_s_k_tends_to_the_same_value_at_every_noise():
     assert late == pytest.approx([np.exp(-1)] * 2, abs=0.06)
 
 
-@given(sigma=st.floats(1e-6, 1.0), unexplained=st.floats(0, 1.0), factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0))
+@given(
+    sigma=st.floats(1e-6, 1.0), offset=st.floats(0, 0.1), unexplained=st.floats(0, 1.0), beside=st.booleans(),
+    factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0),
+)  # fmt: skip
 @settings(max_examples=100, deadline=None, derandomize=True)
-def test_score_is_a_share_that_no_sign_of_error_raises(sigma, unexplained, factor, more):
-    here, wider, missed = (
-        score(predicted_error(*signs, LAW), CONFIG)
-        for signs in ((sigma, unexplained), (factor * sigma, unexplained), (sigma, unexplained + more))
-    )
-    assert 0.0 <= wider <= here <= 1.0
-    assert 0.0 <= missed <= here
+def test_score_is_a_share_that_no_sign_of_error_raises(sigma, offset, unexplained, beside, factor, more):
+    signs = FrameEvidence(sigma, offset, unexplained, beside)
+    worse = {"sigma": factor * sigma, "offset": offset + more, "unexplained": unexplained + more}
+    cases = signs, *(signs._replace(**{name: value}) for name, value in worse.items())
+    here, *scores = (score(predicted_error(each, LAW), CONFIG) for each in cases)
+    assert all(0.0 <= each <= here <= 1.0 for each in scores)
 
 
 def test_score_is_a_half_at_the_configured_error():
@@ -92,8 +95,9 @@ def test_score_is_a_half_at_the_configured_error():
 
 def test_the_error_of_a_frame_is_in_proportion_to_its_sigma():
     sigma = np.array([0.001, 0.01, 0.1])
-    assert predicted_error(sigma, 0.0, LAW) == pytest.approx(LAW.sigma_share * sigma)
-    assert predicted_error(2 * sigma, 0.1, LAW) == pytest.approx(2 * predicted_error(sigma, 0.1, LAW))
+    alone, beside = FrameEvidence(sigma, 0.0, 0.0, False), FrameEvidence(sigma, 0.003, 0.1, True)
+    assert predicted_error(alone, LAW) == pytest.approx(LAW.sigma_share * sigma)
+    assert predicted_error(beside._replace(sigma=2 * sigma), LAW) == pytest.approx(2 * predicted_error(beside, LAW))
 
 
 # Evidence -----------------------------------------------------------------------------------------------------------
@@ -147,6 +151,15 @@ def test_points_that_no_vertex_is_near_do_not_count_as_offset():
     assert offset == misfit_of(points, mesh)[0]
     assert np.isinf(away[-50:]).all()
     assert misfit_of(points[:0], mesh)[0] == 0.0
+
+
+def test_a_garment_that_is_not_found_claims_no_place():
+    mesh = tube()
+    garment, other = scan(mesh.vertices, mesh).astype(float), np.random.default_rng(0).normal([3, 0, 0], 0.3, (1000, 3))
+    found, missed = (Tracker(mesh).step(points, timestamp=0.0) for points in (garment, other))
+    assert (found.state, missed.state) == ("tracking", "initializing")
+    assert missed.reliability < 0.4 < 0.9 < found.reliability
+    assert missed.sigma.min() > 0.06
 
 
 def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
