@@ -68,7 +68,8 @@ class Frames(NamedTuple):
 def planned(names: Sequence[str] | None) -> list[Run]:
     """The runs: every recording, or those of these names, in all views, and in some of them with a disturbed sensor."""
     known = set(recording_names())
-    listed = collection.listed() + [captured(name) for name in CAPTURES if name in known]
+    listed = [each for each in collection.listed() if each.split != collection.FRESH]
+    listed += [captured(name) for name in CAPTURES if name in known]
     return [
         Run(each, view, name)
         for each in listed

@@ -15,7 +15,7 @@ from rich.table import Table
 from ddakf.commands import sensor_options
 from ddakf.commands.live import LiveView
 from ddakf.commands.remote import server_options
-from ddakf.errors import InvalidArgument
+from ddakf.errors import InvalidArgument, shown
 
 EPILOG = """
 A sequence (.npz, a clip of FAUST, a garment of CLOTH3D) has the true garment: it is seen by a virtual sensor, and errors are
@@ -58,6 +58,8 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     tracker.add_argument("--template", metavar="FILE", help="mesh to track in a recording (default: its first frame)")
     tracker.add_argument("--paper", action="store_true", help="the paper's method as printed")
+    tracker.add_argument("--config", metavar="JSON", help="""parts of the configuration, such as '{"start": {"up": "z"}}'""")
+    tracker.add_argument("--fabric", metavar="NAME", help="cotton, silk, jersey, wool or denim")
 
     remote = parser.add_argument_group("server")
     server_options.add(remote, server=None, meaning="track on the server with this gRPC address, through its client")
@@ -77,11 +79,13 @@ def run(arguments: argparse.Namespace) -> int:
     from ddakf.evaluation.tracking.scoreboard import Scoreboard
 
     _check_outputs(arguments)
-    console = Console(stderr=True)
+    console, config = Console(stderr=True), _config(arguments)
     source = _source(arguments)
+    if source.vertex_map is not None:
+        console.print(f"The template was repaired: {len(source.vertex_map)} vertices; --out has the vertex_map", soft_wrap=True)
     scores = Scoreboard(source.garment)
     album = _Album(len(source)) if arguments.picture or arguments.animation else None
-    replayed = _replay(arguments, source, console)
+    replayed = _replay(arguments, source, config, console)
     with LiveView(source.title, len(source), console) if arguments.live else _Bar(source.title, len(source), console) as view:
         for frame, result, seconds in replayed:
             scores.add(frame, result, seconds)
@@ -89,7 +93,7 @@ def run(arguments: argparse.Namespace) -> int:
                 album.add(frame, result)
             view.add(result, seconds)
     if arguments.out:
-        scores.save(arguments.out)
+        scores.save(arguments.out, source.vertex_map)
     if album:
         album.save(source, arguments.picture, arguments.animation)
     summary = scores.summary()
@@ -215,12 +219,27 @@ def _placed(recording, sensor_origin: list[float]):
     return replace(recording, sensor_origin=tuple(sensor_origin))
 
 
-def _replay(arguments: argparse.Namespace, source, console: Console):
+def _config(arguments: argparse.Namespace):
+    """The configuration of the options; None: the default."""
     import ddakf
+
+    if arguments.paper and arguments.config:
+        raise InvalidArgument("config", "none with --paper", shown(arguments.config))
+    config = ddakf.Config.paper() if arguments.paper else None
+    if arguments.config:
+        try:
+            config = ddakf.Config.from_dict(json.loads(arguments.config))
+        except json.JSONDecodeError:
+            raise InvalidArgument("config", "a JSON object", shown(arguments.config)) from None
+    if arguments.fabric:
+        config = (config or ddakf.Config()).with_fabric(ddakf.Fabric.named(arguments.fabric))
+    return config
+
+
+def _replay(arguments: argparse.Namespace, source, config, console: Console):
     from ddakf.commands.doctor import warm
     from ddakf.evaluation.tracking import replay
 
-    config = ddakf.Config.paper() if arguments.paper else None
     if arguments.server:
         return replay.remote(source, server_options.server_of(arguments), config, arguments.codec)
     warm(console)

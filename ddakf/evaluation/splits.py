@@ -106,8 +106,8 @@ def unit_of(sequence: str) -> str:
 
 
 def is_untouched(sequence: str) -> bool:
-    """True for the held-out recordings of the collection, at any rate: no constant was chosen on them."""
-    return Path(sequence).name.partition("@")[0].removesuffix(".npz") in _held_out()
+    """True for the held-out and the fresh recordings of the collection, at any rate: no constant was fitted to them."""
+    return Path(sequence).name.partition("@")[0].removesuffix(".npz") in _untouched()
 
 
 def standing_of(sequence: str) -> str:
@@ -116,8 +116,8 @@ def standing_of(sequence: str) -> str:
 
 
 @lru_cache(maxsize=1)
-def _held_out() -> frozenset[str]:
-    return frozenset(each.name for each in collection.listed(collection.HELD_OUT))
+def _untouched() -> frozenset[str]:
+    return frozenset(each.name for each in collection.listed() if each.split != collection.TRAINING)
 
 
 def faust_split(clips: Iterable[str]) -> Split:

@@ -101,6 +101,24 @@ def test_a_folder_of_clouds_is_tracked_with_a_template_file(capsys, tmp_path):
     assert "RMSE" not in capsys.readouterr().out
 
 
+def test_a_repaired_template_comes_with_its_vertex_map(capsys, tmp_path):
+    s, folder = sample(), tmp_path / "frames"
+    folder.mkdir()
+    for k in range(2):
+        io.write_points(folder / f"{k}.xyz", s.garment_vertices[k])
+    seam = s.garment_vertices[0][:1] + 0.01  # a vertex of no face
+    io.write_mesh(tmp_path / "t.ply", np.concatenate([seam, s.garment_vertices[0]]), s.garment_faces + 1)
+    assert _track(folder, "--template", tmp_path / "t.ply", "--out", tmp_path / "r.npz") == 0
+    assert "repaired: 2658 vertices" in capsys.readouterr().err
+    saved = np.load(tmp_path / "r.npz")
+    assert saved["vertex_map"].tolist() == list(range(1, 2659))
+
+
+def test_fabric_and_configuration_are_those_of_the_command_line(capsys):
+    ways = [], ["--fabric", "wool"], ["--config", '{"preset": "fast"}']
+    assert len({_summary(capsys, SAMPLE, *SHORT, *way)["rmse_mm"] for way in ways}) == 3
+
+
 def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp_path):
     """And without either, the side is estimated and the table says so, once."""
     s, sensor = sample(), Sensor("front", points=4000)
@@ -139,6 +157,11 @@ def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp
         ([SAMPLE, "--animation", "a.mp4"], "animation"),
         ([SAMPLE, "--out", "/nowhere/r.npz"], "out"),
         ([SAMPLE, "--template", "t.ply"], "template"),
+        ([SAMPLE, "--config", "up=z"], "config: expected a JSON object"),
+        ([SAMPLE, "--config", "[1]"], "config"),
+        ([SAMPLE, "--config", '{"start": {"up": "north"}}'], "config.start.up"),
+        ([SAMPLE, "--config", "{}", "--paper"], "config: expected none with --paper"),
+        ([SAMPLE, "--fabric", "paper"], "fabric"),
         ([SAMPLE, "--api-key", "k"], "api_key: expected to be used with --server"),
         ([SAMPLE, "--tls-ca", "ca.pem"], "tls_ca: expected to be used with --server"),
     ],

@@ -1,7 +1,8 @@
 """Collection of simulated recordings: what its manifest says of each, and the recordings by name.
 
 The collection lies in ``benchmarks/recordings`` of a source checkout, or where DDAKF_RECORDINGS points; wheels do not have it.
-Recordings of the split ``held-out`` are for scores alone: no constant, weight or setting may be chosen on them.
+Recordings of the split ``held-out`` are for scores alone: no constant, weight or setting may be fitted to them. Those of
+``fresh`` were simulated when all was fixed, and scored after that.
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from ddakf.files.sequence import Sequence, load_sequence
 VARIABLE = "DDAKF_RECORDINGS"
 CHECKOUT = Path(__file__).resolve().parents[3] / "benchmarks/recordings"
 MANIFEST = "manifest.json"
-TRAINING, HELD_OUT = "training", "held-out"
+TRAINING, HELD_OUT, FRESH = "training", "held-out", "fresh"
+SPLITS = TRAINING, HELD_OUT, FRESH
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Listed:
     Attributes:
         name: of the file, without its ending.
         garment, fit, fabric, motion: what was simulated.
-        split: :data:`TRAINING` or :data:`HELD_OUT`.
+        split: one of :data:`SPLITS`.
         seed: of the garment's measures, the body's shape and the motion.
         sha256: of the file.
     """
@@ -58,8 +60,8 @@ def listed(split: str | None = None, where: Path | None = None) -> list[Listed]:
     Raises:
         InvalidArgument: no such split. InvalidFile: a manifest that cannot be read.
     """
-    if split not in (None, TRAINING, HELD_OUT):
-        raise InvalidArgument("split", f"{TRAINING} or {HELD_OUT}", repr(split))
+    if split not in (None, *SPLITS):
+        raise InvalidArgument("split", f"one of {', '.join(SPLITS)}", repr(split))
     path = (where or folder()) / MANIFEST
     if not path.is_file():
         return []

@@ -1,14 +1,15 @@
 """Collection of simulated recordings: garments, fits, fabrics, bodies and motions in balance, and seeds that no fit may use.
 
 Any first part of the balanced list is about as balanced as the whole, so that an unfinished collection is of use. Training
-recordings of what the balanced list has for scores alone, such as lower garments that twist, are added at its end.
+recordings of what the balanced list has for scores alone, such as lower garments that twist, are added at its end, and then
+fresh ones: each garment once, simulated after everything that could be chosen had been.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from ddakf.evaluation.datasets.collection import HELD_OUT, TRAINING
+from ddakf.evaluation.datasets.collection import FRESH, HELD_OUT, TRAINING
 from ddakf.evaluation.simulation.fabrics import FABRICS
 from ddakf.evaluation.simulation.simulated_recording import Order
 
@@ -28,7 +29,10 @@ ADDED = (
     ("trousers", "walk", "close", "jersey"), ("cape", "walk", "close", "cotton"), ("cape", "squat", "loose", "wool"),
     ("shorts", "squat", "close", "wool"),
 )  # fmt: skip ; garment, motion, fit, fabric
-SEEDS = {TRAINING: range(1_000, 10_000), HELD_OUT: range(900_000, 1_000_000)}  # of a split; others belong to none
+LATER = BALANCED + len(ADDED)  # number of the first fresh recording
+SEEDS = {  # of a split; others belong to none
+    TRAINING: range(1_000, 10_000), HELD_OUT: range(900_000, 1_000_000), FRESH: range(700_000, 800_000),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -45,7 +49,9 @@ class Entry:
 
     @property
     def split(self) -> str:
-        """On training recordings constants and weights may be chosen, on held-out ones they may not."""
+        """On training recordings constants and weights may be chosen, on others they may not."""
+        if self.number >= LATER:
+            return FRESH
         turn, garment = divmod(self.number, len(VERTICES))
         return HELD_OUT if self.number < BALANCED and (turn + 2 * garment) % 3 == 2 else TRAINING
 
@@ -57,13 +63,21 @@ class Entry:
     @property
     def order(self) -> Order:
         """Parameters of the simulation."""
-        garment, motion, fit, fabric = ADDED[self.number - BALANCED] if self.number >= BALANCED else self._balanced()
+        if self.number >= LATER:
+            garment, motion, fit, fabric = self._fresh()
+        else:
+            garment, motion, fit, fabric = ADDED[self.number - BALANCED] if self.number >= BALANCED else self._balanced()
         return Order(garment, motion, FRAMES, VERTICES[garment], 30.0, self.seed, fit, fabric, self.seed, SUBSTEPS)
 
     def _balanced(self) -> tuple[str, str, str, str]:
         turn, place = divmod(self.number, len(VERTICES))
         fit, fabric = FITS[(turn + place) % len(FITS)], list(FABRICS)[(2 * turn + place) % len(FABRICS)]
         return list(VERTICES)[place], MOTIONS[5 * self.number % len(MOTIONS)], fit, fabric
+
+    def _fresh(self) -> tuple[str, str, str, str]:
+        place = self.number - LATER
+        motion, fabric = MOTIONS[(5 * place + 3) % len(MOTIONS)], list(FABRICS)[3 * place % len(FABRICS)]
+        return list(VERTICES)[place], motion, FITS[place % len(FITS)], fabric
 
     @property
     def name(self) -> str:
@@ -77,4 +91,4 @@ class Entry:
 
 def entries() -> list[Entry]:
     """All recordings of the collection."""
-    return [Entry(number) for number in range(BALANCED + len(ADDED))]
+    return [Entry(number) for number in range(LATER + len(VERTICES))]

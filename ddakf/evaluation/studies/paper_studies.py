@@ -87,6 +87,8 @@ def studies(size: Size, names: list[str] | None = None) -> dict[str, StudyPlan]:
     common, views, plans = Trial("", surfaces=True), tuple(CONDITIONS), {}
     if untouched:
         plans["untouched"] = StudyPlan(untouched, ALL_SYSTEMS, views, size.runs, size.moving, common)
+    if fresh := tuple(each.name for each in collection.listed(collection.FRESH) if size.sweeps and names is None):
+        plans["fresh"] = StudyPlan(fresh, ALL_SYSTEMS, views, size.runs, size.moving, common)
     if size.faust and (clips := _clips(size.faust)):
         plans["faust"] = StudyPlan(clips, ALL_SYSTEMS, ("full",), size.runs, ":", common)
     if chosen:

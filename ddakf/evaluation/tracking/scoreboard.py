@@ -91,9 +91,10 @@ class Scoreboard:
         ]
         return summary
 
-    def save(self, path) -> None:
+    def save(self, path, vertex_map: np.ndarray | None = None) -> None:
         """Writes an .npz file: vertices (T, V, 3) and sigma (T, V) in metres, reliability (T,), states (T,), timestamps
-        (T,) in seconds, faces (F, 3)."""
+        (T,) in seconds, faces (F, 3), and of a repaired template its vertex_map (V,)."""
+        repaired = {} if vertex_map is None else {"vertex_map": vertex_map}
         with open(path, "wb") as file:
             np.savez_compressed(
                 file,
@@ -103,6 +104,7 @@ class Scoreboard:
                 states=np.array(self._states),
                 timestamps=np.array(self._timestamps),
                 faces=self._faces.astype(np.int32),
+                **repaired,
             )
 
 

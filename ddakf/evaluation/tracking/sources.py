@@ -34,6 +34,7 @@ class Source(Protocol):
         body_faces: for drawing the body, or None.
         fps: frames per second.
         closed: the garment goes around the person, so that pictures can show its back.
+        vertex_map: (V,) vertex of the template's file that each of the garment's is; None: they are the same.
     """
 
     title: str
@@ -43,6 +44,7 @@ class Source(Protocol):
     body_faces: np.ndarray | None
     fps: float
     closed: bool
+    vertex_map: np.ndarray | None
 
     def __len__(self) -> int: ...
 
@@ -71,6 +73,7 @@ class SequenceSource:
     give_body: bool = False
     seed: int = 1
     closed: bool = field(default=True, init=False)
+    vertex_map: None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         if self.give_body and not self.sequence.has_body:
@@ -135,6 +138,7 @@ class RecordingSource:
         frames: range of frames.
         garment: template, or None to make it from the recording's first frame.
         seed: of the random numbers.
+        vertex_map: (V,) of a template that was repaired, or None.
     """
 
     recording: Recording
@@ -142,6 +146,7 @@ class RecordingSource:
     frames: range
     template: Mesh | None = None
     seed: int = 1
+    vertex_map: np.ndarray | None = None
     garment: Mesh = field(init=False)
     body: None = field(default=None, init=False)
     body_faces: None = field(default=None, init=False)
@@ -215,9 +220,16 @@ def source_of(
         return SequenceSource(recording, sensor or Sensor(), chosen, start, give_body, seed)
     if give_body:
         raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
-    mesh = None if template is None else Mesh.cleaned(*read_mesh(template))[0]
+    mesh, vertex_map = (None, None) if template is None else _repaired(template)
     plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
-    return RecordingSource(recording, plain, chosen, mesh, seed)
+    return RecordingSource(recording, plain, chosen, mesh, seed, vertex_map)
+
+
+def _repaired(template) -> tuple[Mesh, np.ndarray | None]:
+    """The mesh of a file, and the vertex map where a repair has changed its vertices."""
+    vertices, faces = read_mesh(template)
+    mesh, vertex_map = Mesh.cleaned(vertices, faces)
+    return mesh, None if np.array_equal(vertex_map, np.arange(len(vertices))) else vertex_map
 
 
 def _displaced(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:

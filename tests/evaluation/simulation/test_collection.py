@@ -13,7 +13,7 @@ from ddakf.data.body_shape import random_shape, shaped
 from ddakf.errors import InvalidArgument, InvalidFile, PoorQuality
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.simulation import garments, motions, simulated_recording, solver
-from ddakf.evaluation.simulation.collection_plan import ATTEMPTS, BALANCED, SEEDS, Entry, entries
+from ddakf.evaluation.simulation.collection_plan import ATTEMPTS, BALANCED, LATER, SEEDS, Entry, entries
 from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.files.sequence import Sequence, load_sequence
 
@@ -76,19 +76,26 @@ def test_a_part_of_the_plan_is_in_balance_too(done):
 
 
 def test_recordings_added_to_the_plan_are_for_training():
-    added = entries()[BALANCED:]
+    added = entries()[BALANCED:LATER]
     assert added
     assert {entry.split for entry in added} == {collection.TRAINING}
+
+
+def test_fresh_recordings_are_each_garment_once():
+    fresh = entries()[LATER:]
+    assert {entry.split for entry in fresh} == {collection.FRESH}
+    assert sorted(entry.order.garment for entry in fresh) == sorted(garments.GARMENTS)
+    assert len({entry.order.motion for entry in fresh}) == len(fresh)
     assert len({entry.seed for entry in entries()}) == len({entry.name for entry in entries()}) == len(entries())
 
 
-def test_held_out_recordings_have_seeds_of_their_own():
+def test_the_recordings_of_each_split_have_seeds_of_their_own():
     for entry in entries():
         attempts = [Entry(entry.number, attempt) for attempt in range(ATTEMPTS)]
         assert {attempt.split for attempt in attempts} == {entry.split}
         assert all(attempt.seed in SEEDS[entry.split] for attempt in attempts)
         assert len({attempt.seed for attempt in attempts}) == ATTEMPTS
-    assert not set(SEEDS[collection.TRAINING]) & set(SEEDS[collection.HELD_OUT])
+    assert len(set().union(*SEEDS.values())) == sum(map(len, SEEDS.values()))
 
 
 def test_a_stopped_run_goes_on_where_it_was(tmp_path, simulator):
