@@ -218,7 +218,7 @@ def _untouched_rows(result: result_files.Result) -> list[tuple[str, str]]:
         ours, (name, _) = headline.geometric_mean(result, OURS, view, "rmse_mm"), headline.best_baseline(result, view, "rmse_mm")
         theirs = headline.geometric_mean(result, name, view, "rmse_mm")
         where = (
-            f"{len(result.sequences)} recordings on which no constant was chosen, {title}" if not rows else f"the same, {title}"
+            f"{len(result.sequences)} untouched recordings, {title}" if not rows else f"the same, {title}"
         )
         rows.append((where, f"{ours:.1f} mm RMSE; the best baseline, {TITLES[name]}, {theirs:.1f} mm"))
         inside.append(f"{headline.arithmetic_mean(result, OURS, view, 'coverage90'):.0%}")

@@ -80,8 +80,10 @@ def _untouched(results: dict[str, Result]) -> list[Table]:
     """The headline, and every number behind it."""
     if "untouched" not in results:
         return []
-    result = results["untouched"]
-    parts = [headline.table(result)]
+    result, judged = results["untouched"], [results[name] for name in ("untouched", "fresh") if name in results]
+    parts = [headline.table(result), headline.calibration(judged)]
+    if "fresh" in results:
+        parts.append(headline.table(results["fresh"], "fresh", "Fresh recordings"))
     known = [value for value in UNTOUCHED_METRICS if any(result.pooled(method, value) for method in result.methods)]
     for view in result.views:
         title = f"Untouched recordings, {CONDITIONS.get(view, view)}"

@@ -26,6 +26,7 @@ ALWAYS = {
 }
 STUDIES = {
     "untouched": "the headline, on untouched recordings",
+    "fresh": "the check on fresh recordings",
     "faust": "Tables 1 and 2", "main": "Tables 3, 4 and 7, and the calibration", "occlusion": "Figure 3 and the recovery",
     "captures": "captures without a body", "depth": "real depth", "scene-flow": "scene flow", "ablation": "the ablation",
 } | {f"noise-{level}": f"Table 5, {level} mm" for level in NOISE_MM} | {

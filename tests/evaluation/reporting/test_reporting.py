@@ -13,6 +13,7 @@ from rich.console import Console
 from ddakf.commands import cli
 from ddakf.errors import InvalidFile
 from ddakf.evaluation import machine
+from ddakf.evaluation.metrics.calibration import NOMINAL_PROBABILITIES
 from ddakf.evaluation.paper_scope import CONDITIONS, REFERENCES
 from ddakf.evaluation.reporting import content, headline, markdown, not_reproduced, paper_figures, paper_numbers, paper_tables
 from ddakf.evaluation.reporting import page as html
@@ -325,7 +326,7 @@ def test_where_another_system_is_better_it_stands_in_the_table_of_what_is_not_wo
 def headline_of(errors: dict[str, list[float]], view: str = "front+body") -> read.Result:
     """A study whose methods have these errors, one per sequence."""
     cells = [
-        {"sequence": f"s{k}", "view": view, "method": method, "runs": [run(value)],
+        {"sequence": f"s{k}", "view": view, "method": method, "runs": [run(value) | {"load_average": 1.0 + k}],
          "mean": {"rmse_mm": value, "rmse_normal_mm": value / 2, "ms_per_frame": 10.0 + len(method), "load_average": 1.5}}
         for method, own in errors.items() for k, value in enumerate(own)
     ]  # fmt: skip
@@ -339,7 +340,17 @@ def test_the_headline_names_the_best_baseline_and_its_ratio():
     assert table.rows[-2][1].text == "2.00 [2.00, 2.00], non-rigid ICP (ARAP)", "doing nothing is no baseline"
     assert table.rows[3][1].kind == "best"
     assert table.rows[2][1].text == f"{np.sqrt(8 * 16):.1f}"
-    assert any("Load average" in note for note in table.notes)
+    assert any("1.0 to 4.0" in note for note in table.notes), "of the runs, not of their means"
+
+
+def test_calibration_is_pooled_over_the_vertices_of_all_runs():
+    found, levels = headline_of({"ddakf": [1.0, 1.0], "nicp": [1.0, 1.0]}), np.array(NOMINAL_PROBABILITIES)
+    for cell, n, inside in zip(found.cells[:2], (100, 300), (levels, np.ones_like(levels)), strict=True):
+        cell["runs"][0]["calibration"] = {"observed": {"n": n, "nees3": n / 100, "inside": inside.tolist()}, "hidden": None}
+    table = headline.calibration([found])
+    assert [[cell.text for cell in row] for row in table.rows] == [
+        ["untouched, one camera, body given", "88%", "98%", "2.50", "–", "–", "–"]
+    ]
 
 
 def test_a_baseline_that_lacks_a_sequence_is_not_the_best():
