@@ -30,6 +30,12 @@ ADDED = (
     ("shorts", "squat", "close", "wool"),
 )  # fmt: skip ; garment, motion, fit, fabric
 LATER = BALANCED + len(ADDED)  # number of the first fresh recording
+FRESH_ONES = (
+    ("trousers", "dance", "close", "cotton"), ("long-shirt", "lie", "loose", "wool"), ("straight-skirt", "turn", "close", "silk"),
+    ("hoodie", "squat", "loose", "denim"), ("shorts", "random", "close", "jersey"), ("jacket", "sit", "loose", "cotton"),
+    ("cape", "twist", "close", "wool"), ("dress", "swing", "loose", "cotton"), ("tshirt", "run", "close", "denim"),
+    ("skirt", "jump", "loose", "jersey"), ("tank", "walk", "close", "cotton"),
+)  # fmt: skip
 SEEDS = {  # of a split; others belong to none
     TRAINING: range(1_000, 10_000), HELD_OUT: range(900_000, 1_000_000), FRESH: range(700_000, 800_000),
 }  # fmt: skip
@@ -63,21 +69,14 @@ class Entry:
     @property
     def order(self) -> Order:
         """Parameters of the simulation."""
-        if self.number >= LATER:
-            garment, motion, fit, fabric = self._fresh()
-        else:
-            garment, motion, fit, fabric = ADDED[self.number - BALANCED] if self.number >= BALANCED else self._balanced()
+        chosen = ADDED + FRESH_ONES
+        garment, motion, fit, fabric = chosen[self.number - BALANCED] if self.number >= BALANCED else self._balanced()
         return Order(garment, motion, FRAMES, VERTICES[garment], 30.0, self.seed, fit, fabric, self.seed, SUBSTEPS)
 
     def _balanced(self) -> tuple[str, str, str, str]:
         turn, place = divmod(self.number, len(VERTICES))
         fit, fabric = FITS[(turn + place) % len(FITS)], list(FABRICS)[(2 * turn + place) % len(FABRICS)]
         return list(VERTICES)[place], MOTIONS[5 * self.number % len(MOTIONS)], fit, fabric
-
-    def _fresh(self) -> tuple[str, str, str, str]:
-        place = self.number - LATER
-        motion, fabric = MOTIONS[(5 * place + 3) % len(MOTIONS)], list(FABRICS)[3 * place % len(FABRICS)]
-        return list(VERTICES)[place], motion, FITS[place % len(FITS)], fabric
 
     @property
     def name(self) -> str:
@@ -91,4 +90,4 @@ class Entry:
 
 def entries() -> list[Entry]:
     """All recordings of the collection."""
-    return [Entry(number) for number in range(LATER + len(VERTICES))]
+    return [Entry(number) for number in range(LATER + len(FRESH_ONES))]
