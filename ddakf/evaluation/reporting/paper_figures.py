@@ -97,7 +97,7 @@ def speed(path: Path, result: Result) -> None:
     axes = drawn.subplots(1, len(views), sharex=True, sharey=True, squeeze=False).ravel()
     for axis, view in zip(axes, views, strict=True):
         for method in ordered(result.methods):
-            error, ms = (headline.geometric_mean(result, method, view, value) for value in ("rmse_mm", "ms_per_frame"))
+            error, ms = (headline.geometric_mean(result, method, view, value) for value in ("rmse_mm", "cpu_ms_per_frame"))
             if error is None:
                 continue
             if method in REFERENCES:
@@ -109,7 +109,7 @@ def speed(path: Path, result: Result) -> None:
             size = 11 if method == "ddakf" else 5.5
             style = {"color": COLOUR.get(method, INK), "markersize": size, "linestyle": "", "label": TITLES.get(method, method)}
             axis.plot(ms, error, MARKERS.get(method, "o"), **style)
-        axis.set(xscale="log", yscale="log", xlabel="ms per frame")
+        axis.set(xscale="log", yscale="log", xlabel="ms of one core per frame")
         _numbers(axis.xaxis, (1.0,))
         _numbers(axis.yaxis)
         axis.margins(x=0.12, y=0.12)

@@ -327,7 +327,7 @@ def headline_of(errors: dict[str, list[float]], view: str = "front+body") -> rea
     """A study whose methods have these errors, one per sequence."""
     cells = [
         {"sequence": f"s{k}", "view": view, "method": method, "runs": [run(value) | {"load_average": 1.0 + k}],
-         "mean": {"rmse_mm": value, "rmse_normal_mm": value / 2, "ms_per_frame": 10.0 + len(method), "load_average": 1.5}}
+         "mean": {"rmse_mm": value, "rmse_normal_mm": value / 2, "cpu_ms_per_frame": 10.0 + len(method)}}
         for method, own in errors.items() for k, value in enumerate(own)
     ]  # fmt: skip
     return read.Result("untouched", {"commits": ["old"], "seeds": [1], "frames": "30:91"}, cells, {})
