@@ -263,7 +263,7 @@ REASONS = {
     "ErrorEvidence.clump_points": "chosen: stray points are alone",
     "ErrorEvidence.clump_size": "chosen: of the order of a limb",
     "ErrorEvidence.memory": "chosen: 15 frames at 30 per second",
-    "FrameError.sigma_share": "fitted: python benchmarks/error_size.py --fit",
+    "FrameError.sigma_share": "fitted: python benchmarks/error_size.py --fit (0.70), a little wider",
     "FrameError.body_share": "fitted: likewise",
     "FrameError.offset_scale": "as that of the vertices' laws",
     "FrameError.offset_power": "fitted: likewise",
