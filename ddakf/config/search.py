@@ -80,6 +80,7 @@ class Relocalization(Checked):
     rigid_samples: float = bounded(6.0, 1e-3, 1e4)  # independent distances that the cost of a rigid pose is worth
     registered_samples: float = bounded(20.0, 1e-3, 1e4)  # the same after registration
     heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees that a wearer turns at once
+    heading_doubt: float = bounded(0.5, 0, 1)  # probability that the heading of a garment that was never found says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
     found_sd: float = bounded(0.03, 1e-4, 10)  # m, of the vertices of a relocalized garment
     settling_frames: int = bounded(4, 0, 30)  # frames after a search in which the garment is registered further

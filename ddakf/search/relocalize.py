@@ -37,6 +37,20 @@ class CandidatePose(NamedTuple):
         return positions @ self.rotation.T + self.translation
 
 
+class HeadingPrior(NamedTuple):
+    """Density of the garment's turn about the vertical: normal, or with some doubt any."""
+
+    sd: float  # rad, about the present heading
+    doubt: float = 0.0  # probability that the present heading says nothing, as that of a file may
+
+    def cost(self, heading: float) -> float:
+        """Negative logarithm of the density, up to a constant."""
+        known = math.exp(-0.5 * (heading / self.sd) ** 2)
+        if self.doubt == 0.0:
+            return 0.5 * (heading / self.sd) ** 2
+        return -math.log((1.0 - self.doubt) * known + self.doubt * min(1.0, self.sd / math.sqrt(2.0 * math.pi)))
+
+
 class Surface(NamedTuple):
     """Vertices that are aligned with a cloud, relative to its origin."""
 
@@ -95,7 +109,7 @@ class Correspondence(NamedTuple):
     goal: np.ndarray  # (M, 3) float32 their mean, m; arbitrary where the mass is 0
 
 
-def candidate_poses(position: np.ndarray, search: Search, heading_sd: float) -> list[CandidatePose]:
+def candidate_poses(position: np.ndarray, search: Search, prior: HeadingPrior) -> list[CandidatePose]:
     """Rigid motions that lay a garment on a cloud, the best first; their headings are ``heading_separation`` apart.
 
     Headings all around are aligned with a few points, the best of them with more, by soft correspondences that grow closer. Most
@@ -104,7 +118,7 @@ def candidate_poses(position: np.ndarray, search: Search, heading_sd: float) -> 
     Args:
         position: (V, 3) metres.
         search: the garment, the cloud and the configuration.
-        heading_sd: standard deviation of the garment's turn about the vertical, rad.
+        prior: of the garment's turn about the vertical.
     """
     model, target, config = search.model, search.target, search.config.relocalization
     surface = Surface.from_garment(position, model, target)
@@ -113,7 +127,7 @@ def candidate_poses(position: np.ndarray, search: Search, heading_sd: float) -> 
     for angle in 2 * np.pi * np.arange(config.headings) / config.headings:
         pose = _align(rough, target, _initial(rough, target, angle), Alignment.rough(config))
         pose = pose._replace(cost=_cost(rough.moved(pose), target, config.rough_points, config))
-        tried.append((_negative_log_posterior(pose, config.rigid_samples, heading_sd), len(tried), pose))
+        tried.append((_negative_log_posterior(pose, config.rigid_samples, prior), len(tried), pose))
     tried.sort()
     found: list[CandidatePose] = []
     for _, _, initial in tried[: config.finalists]:
@@ -121,7 +135,7 @@ def candidate_poses(position: np.ndarray, search: Search, heading_sd: float) -> 
         cost = _cost(fine.moved(pose), target, config.cost_samples, config)
         # in the world's frame: x -> R (x - o) + t + o
         found.append(CandidatePose(pose.rotation, pose.translation + target.origin - pose.rotation @ target.origin, cost))
-    found.sort(key=lambda pose: _negative_log_posterior(pose, config.rigid_samples, heading_sd))
+    found.sort(key=lambda pose: _negative_log_posterior(pose, config.rigid_samples, prior))
     apart: list[CandidatePose] = []
     least = np.radians(config.heading_separation)
     for pose in found:
@@ -136,10 +150,9 @@ def cost_in_place(position: np.ndarray, search: Search) -> float:
     return _cost(Surface.from_garment(position, search.model, search.target), search.target, config.cost_samples, config)
 
 
-def _negative_log_posterior(pose: CandidatePose, samples: float, heading_sd: float) -> float:
-    """Cost of a pose as probability: ``samples`` Laplace distances of unknown scale, and a normal heading about the present."""
-    heading = np.arctan2(pose.rotation[0, 2], pose.rotation[0, 0])
-    return samples * np.log(pose.cost) + 0.5 * (heading / heading_sd) ** 2
+def _negative_log_posterior(pose: CandidatePose, samples: float, prior: HeadingPrior) -> float:
+    """Cost of a pose as probability: ``samples`` Laplace distances of unknown scale, and the heading."""
+    return samples * np.log(pose.cost) + prior.cost(math.atan2(pose.rotation[0, 2], pose.rotation[0, 0]))
 
 
 def _initial(surface: Surface, target: Target, heading: float) -> CandidatePose:
@@ -257,11 +270,12 @@ def locate(problem: Problem) -> Problem:
     if staying < rule.in_place_cost:
         return problem
     unseen = problem.dt + health.empty_for + health.poor_for
-    heading_sd = np.radians(rule.heading_sd) + np.radians(rule.heading_rate) * unseen
+    doubt = rule.heading_doubt if health.state == "initializing" else 0.0
+    heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
     search, shapes = Search(model, _target(frame, config), config), [shape @ turn.T for shape in shapes]
-    found, cost = _best(shapes, search, heading_sd)
+    found, cost = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
-        problem = problem._replace(overturned=_overturned(shapes[-1], search, heading_sd))
+        problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
     if cost > min(rule.cost_ratio * staying, rule.highest_cost):
         return problem
     found = found @ turn
@@ -280,9 +294,9 @@ def _target(frame: FrameInput, config: Config) -> Target:
     return Target.from_points(frame.points, frame.sensor_origin, config.registration, config.start.to_y_up)
 
 
-def _overturned(shape: np.ndarray, search: Search, heading_sd: float) -> tuple[float, float] | None:
+def _overturned(shape: np.ndarray, search: Search, prior: HeadingPrior) -> tuple[float, float] | None:
     """Metres: the costs of the best rigid poses upright and upside down, where the second is much lower; otherwise None."""
-    upright, over = (candidate_poses(shape * way, search, heading_sd)[0].cost for way in ([1, 1, 1], [1, -1, -1]))
+    upright, over = (candidate_poses(shape * way, search, prior)[0].cost for way in ([1, 1, 1], [1, -1, -1]))
     return (upright, over) if over < search.config.relocalization.overturned_ratio * upright else None
 
 
@@ -350,7 +364,7 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
     return 0.5 * (there + back)
 
 
-def _best(shapes: list[np.ndarray], search: Search, heading_sd: float) -> tuple[np.ndarray, float]:
+def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float]:
     """The shape that fits the cloud best after registration, (V, 3) metres, and its cost.
 
     The wrong heading may fit as well as the right one until both are registered.
@@ -358,12 +372,12 @@ def _best(shapes: list[np.ndarray], search: Search, heading_sd: float) -> tuple[
     model, config, trial = search.model, search.config.relocalization, search.config.registration.trial()
     trials, squared = [], np.empty(len(shapes[0]))
     for k, shape in enumerate(shapes):
-        for pose in candidate_poses(shape, search, heading_sd)[: config.candidates]:
+        for pose in candidate_poses(shape, search, prior)[: config.candidates]:
             registered = register(pose.apply(shape), search.target, model, trial)
             cost = cost_in_place(registered, search)
             strain = math.sqrt(strains(registered, model.start, model.neighbour, model.rest_length, squared))
             total = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
-            order = _negative_log_posterior(total, config.registered_samples, heading_sd)
+            order = _negative_log_posterior(total, config.registered_samples, prior)
             trials.append((order, len(trials), cost, registered))
     _, _, cost, found = min(trials, key=lambda trial: trial[:2])
     return found, cost
