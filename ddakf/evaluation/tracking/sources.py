@@ -19,7 +19,7 @@ from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
 
 Start = Literal["truth", "rest", "search"]
-DISPLACED_TURN, DISPLACED_SHIFT = np.pi / 2, 1.0  # rad, m: largest displacement of a start by search
+DISPLACED_TURN, DISPLACED_SHIFT = np.pi, 1.0  # rad, m: largest displacement of a start by search
 DESCRIPTION = {"full": "scanned all around", "front": "one depth camera", "ring4": "four depth cameras"}
 
 
