@@ -28,13 +28,14 @@ FIRST = (5, 40, 80)  # frame of a recording, by its place in the list
 FRAMES, ASIDE, FOUND = 3, np.array([0.5, 0.0, 0.3]), 0.06  # m
 
 
-def run(job: tuple[str, str, int]) -> list[dict]:
+def run(job: tuple[str, str, int, str]) -> list[dict]:
     """A recording seen from a view, its template in every heading: RMSE after the last frame, and the first frame's time."""
-    name, view, first = job
+    name, view, first, changes = job
     sequence, sensor, rows = collection.load(name), Sensor(view), []
+    config = ddakf.Config.from_dict(json.loads(changes))
     for degrees in TURNS:
         turned = sequence.template @ rotation_matrices([0.0, np.radians(degrees), 0.0]).T + ASIDE
-        tracker, times = ddakf.Tracker(ddakf.Mesh(turned, sequence.garment_faces)), []
+        tracker, times = ddakf.Tracker(ddakf.Mesh(turned, sequence.garment_faces), config=config), []
         for k in range(first, first + FRAMES):
             cloud, before = sensor.capture(sequence, k, np.random.default_rng([1, k])), time.thread_time()
             result = tracker.step(cloud.points, timestamp=sequence.timestamp(k), sensor_origin=cloud.sensor_origin)
@@ -67,10 +68,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--procs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these recordings")
+    parser.add_argument("--split", choices=collection.SPLITS, help="only the recordings of this split")
+    parser.add_argument("--config", default="{}", metavar="JSON", help="of Config.from_dict")
     parser.add_argument("--json", type=Path, metavar="FILE", help="of the rows")
     arguments = parsed(parser, argv, target="json")
-    names = [each.name for each in collection.listed() if not arguments.only or each.name in arguments.only]
-    jobs = [(name, view, FIRST[k % len(FIRST)]) for k, name in enumerate(names) for view in VIEWS]
+    names = [each.name for each in collection.listed(arguments.split) if not arguments.only or each.name in arguments.only]
+    jobs = [(name, view, FIRST[k % len(FIRST)], arguments.config) for k, name in enumerate(names) for view in VIEWS]
     rows: list[dict] = []
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         for done, found in enumerate(pool.imap(run, jobs), start=1):
