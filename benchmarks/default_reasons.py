@@ -222,7 +222,7 @@ REASONS = {
     "Relocalization.rigid_samples": "chosen: neighbouring distances share their error",
     "Relocalization.registered_samples": "chosen: registration leaves errors that are more independent",
     "Relocalization.heading_sd": "chosen: a turn of the wearer between two frames that are tracked",
-    "Relocalization.heading_doubt": "chosen: a file may face any way; garments turned by 180 degrees fit 10 % worse or more",
+    "Relocalization.heading_doubt": "chosen: a file may face any way; of equal fits that at its heading is taken",
     "Relocalization.heading_rate": "chosen: a wearer out of sight turns slowly",
     "Relocalization.found_sd": "chosen: error of a registered garment",
     "Relocalization.settling_frames": "chosen: registration and fit need a few frames",

@@ -45,10 +45,11 @@ class HeadingPrior(NamedTuple):
 
     def cost(self, heading: float) -> float:
         """Negative logarithm of the density, up to a constant."""
-        known = math.exp(-0.5 * (heading / self.sd) ** 2)
-        if self.doubt == 0.0:
-            return 0.5 * (heading / self.sd) ** 2
-        return -math.log((1.0 - self.doubt) * known + self.doubt * min(1.0, self.sd / math.sqrt(2.0 * math.pi)))
+        known = 0.5 * (heading / self.sd) ** 2
+        if self.doubt == 0.0:  # its logarithm stays exact where the density is none
+            return known
+        anywhere = min(1.0, self.sd / math.sqrt(2.0 * math.pi))
+        return -math.log((1.0 - self.doubt) * math.exp(-known) + self.doubt * anywhere)
 
 
 class Surface(NamedTuple):

@@ -356,6 +356,7 @@ def test_calibration_is_pooled_over_the_vertices_of_all_runs():
 def test_a_baseline_that_lacks_a_sequence_is_not_the_best():
     found = headline_of({"icp": [3.0, 3.0], "nicp": [8.0, 8, 8], "ddakf": [4.0, 4, 4]})
     assert headline.best_baseline(found, "front+body")[0] == "nicp"
+    assert headline.best_of_each_ratio(found, "front+body") == pytest.approx((0.75 * 0.75 * 2.0) ** (1 / 3))
 
 
 def test_runs_of_uncommitted_code_are_marked_in_red(folder, monkeypatch):
