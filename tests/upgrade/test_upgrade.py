@@ -31,7 +31,8 @@ REFUSED = {"snapshot-6": ("WorkerLost", "could not be restored: snapshot.version
 def opened(path: Path, folder: Path) -> Path:
     """The data folder in an archive."""
     with tarfile.open(path) as content:
-        content.extractall(folder, filter="data")
+        content.extraction_filter = getattr(tarfile, "data_filter", None)  # Python 3.11.4 and later know it
+        content.extractall(folder)
     return folder
 
 
