@@ -107,7 +107,7 @@ class Sessions:
     async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
         """Creates a session from a snapshot."""
         require_compatible(request.api_version, peer="client")
-        return await self._lifecycle.create(request, self._pool.restore)
+        return await self._lifecycle.create(request, self._pool.import_snapshot)
 
     async def load(self) -> None:
         """Reloads the sessions from before the start of the process. Retries in the background until the database works."""

@@ -77,6 +77,9 @@ class LocalPool:
     async def open(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         return await self._place(wire.Kind.OPEN, session_id, request, memory)
 
+    async def import_snapshot(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
+        return await self._place(wire.Kind.IMPORT, session_id, request, memory)
+
     async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
         return await self._place(wire.Kind.RESTORE, session_id, request, memory)
 

@@ -118,8 +118,14 @@ class WorkerPool(Protocol):
             ResourceExhausted: no worker has enough memory.
         """
 
+    async def import_snapshot(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
+        """Creates a session from a client's snapshot: RestoreSessionRequest in, Session with its meshes out.
+
+        A worker lost meanwhile is blamed on this request, not on the frames of other sessions. Raises as :meth:`open`.
+        """
+
     async def restore(self, session_id: str, request: bytes, memory: Memory = UNKNOWN) -> bytes:
-        """Creates a session from a snapshot: RestoreSessionRequest in, Session with its meshes out. Raises as :meth:`open`."""
+        """As :meth:`import_snapshot`, of a checkpoint of the service, which is not blamed."""
 
     async def submit(
         self,

@@ -25,8 +25,8 @@ log = logging.getLogger(__name__)
 
 EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
 _FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
-# Requests of clients that are rarer than frames and do more. Restores follow each loss, and are no sign of its cause.
-_CHANGES = {wire.Kind.OPEN, wire.Kind.CONFIGURE, wire.Kind.RESET}
+# Requests of clients that are rarer than frames and do more. Restores of checkpoints follow each loss: no sign of its cause.
+_CHANGES = {wire.Kind.OPEN, wire.Kind.IMPORT, wire.Kind.CONFIGURE, wire.Kind.RESET}
 _GIVING_WAY = 10  # added to the nice value, which Ray may have raised already
 
 

@@ -110,6 +110,7 @@ async def test_what_is_no_message_costs_the_worker_and_is_logged(caplog):
         (wire.Kind.RESTORE, "other", True),
         (wire.Kind.CONFIGURE, "other", False),
         (wire.Kind.OPEN, "other", False),
+        (wire.Kind.IMPORT, "other", False),
         (wire.Kind.RESET, "some", True),
     ],
     ids=str,

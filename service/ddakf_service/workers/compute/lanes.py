@@ -26,7 +26,7 @@ _PATIENCE = 0.2  # seconds of a turn, also where the request waits: for the proc
 _ASIDE = 1  # requests that may go on aside at a time
 FRAMES = 2 + _ASIDE  # requests that a worker answers at a time beside the building of a model; each takes the memory of a frame
 
-_BUILDING = {Kind.OPEN, Kind.RESTORE, Kind.CONFIGURE}
+_BUILDING = {Kind.OPEN, Kind.IMPORT, Kind.RESTORE, Kind.CONFIGURE}
 
 
 class Lanes:

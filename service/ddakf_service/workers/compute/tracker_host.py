@@ -38,6 +38,7 @@ class TrackerHost:
         self._handlers: dict[Kind, Callable[[str, bytes], bytes]] = {
             Kind.OPEN: self.open,
             Kind.RESTORE: self.restore,
+            Kind.IMPORT: self.restore,
             Kind.FRAME: self.frame,
             Kind.HEAVY_FRAME: self.frame,
             Kind.CONFIGURE: self.configure,

@@ -24,6 +24,7 @@ class Kind(enum.IntEnum):
     CLOSE = 6
     CONFIGURE = 7
     HEAVY_FRAME = 8  # a frame of a session whose last frames exceeded their slice, see :mod:`.lanes`
+    IMPORT = 9  # a RESTORE of a snapshot that a client sent
 
     RESULT = 16
     ERROR = 17

@@ -69,7 +69,7 @@ def test_a_costly_request_goes_on_aside_while_others_are_answered(gate):
     assert gate.answered(1) == [1]
 
 
-@pytest.mark.parametrize("kind", [Kind.OPEN, Kind.RESTORE, Kind.CONFIGURE, Kind.HEAVY_FRAME])
+@pytest.mark.parametrize("kind", [Kind.OPEN, Kind.IMPORT, Kind.RESTORE, Kind.CONFIGURE, Kind.HEAVY_FRAME])
 def test_heavy_requests_hold_up_no_light_one_and_have_their_turns(gate, kind):
     gate.put(1, "one", b"held", kind)
     gate.put(2, "two", kind=kind)
