@@ -67,6 +67,7 @@ def register(commands: argparse._SubParsersAction) -> None:
 
     output = parser.add_argument_group("output")
     output.add_argument("--out", metavar="R.npz", help="vertices, sigma, reliability, states, timestamps")
+    output.add_argument("--meshes", metavar="FOLDER", help="the garment of each frame, as NUMBER.obj, into a folder that exists")
     output.add_argument("--picture", metavar="P.png", help="picture of the frame in the middle")
     output.add_argument("--animation", metavar="P.gif|P.webp", help="animation of the run")
     output.add_argument("--live", action="store_true", help="show reliability, rate and times of stages while it tracks")
@@ -94,6 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
             view.add(result, seconds)
     if arguments.out:
         scores.save(arguments.out, source.vertex_map)
+    if arguments.meshes:
+        scores.save_meshes(arguments.meshes)
     if album:
         album.save(source, arguments.picture, arguments.animation)
     summary = scores.summary()
@@ -167,6 +170,8 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
         path = getattr(arguments, name)
         if path and (Path(path).is_dir() or not Path(path).parent.is_dir()):
             raise InvalidArgument(name, "a file in a folder that exists", path)
+    if arguments.meshes and not Path(arguments.meshes).is_dir():
+        raise InvalidArgument("meshes", "a folder that exists", arguments.meshes)
     if arguments.picture:
         _require_picture_format(arguments.picture)
     if not arguments.server:

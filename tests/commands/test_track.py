@@ -68,6 +68,16 @@ def test_results_and_pictures_are_written(capsys, tmp_path):
         assert animation.n_frames == 4
 
 
+def test_the_garment_of_each_frame_is_written_as_a_mesh(capsys, tmp_path):
+    out = tmp_path / "r.npz"
+    assert _track(SAMPLE, "--frames", "2:5", "--points", "3000", "--out", out, "--meshes", tmp_path) == 0
+    assert sorted(path.name for path in tmp_path.glob("*.obj")) == ["0003.obj", "0004.obj"]
+    saved = np.load(out)
+    vertices, faces = io.read_mesh(tmp_path / "0004.obj")
+    assert vertices == pytest.approx(saved["vertices"][-1], abs=1e-6)
+    assert (faces == saved["faces"]).all()
+
+
 def test_the_paper_runs_too(capsys):
     assert _summary(capsys, SAMPLE, *SHORT, "--paper")["frames"] == 4
 
@@ -156,6 +166,7 @@ def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp
         ([SAMPLE, "--codec", "raw"], "codec"),
         ([SAMPLE, "--animation", "a.mp4"], "animation"),
         ([SAMPLE, "--out", "/nowhere/r.npz"], "out"),
+        ([SAMPLE, "--meshes", "/nowhere"], "meshes: expected a folder that exists"),
         ([SAMPLE, "--template", "t.ply"], "template"),
         ([SAMPLE, "--config", "up=z"], "config: expected a JSON object"),
         ([SAMPLE, "--config", "[1]"], "config"),

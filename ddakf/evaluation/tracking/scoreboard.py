@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 
 from ddakf.evaluation import metrics
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
+from ddakf.files.io import write_mesh
 from ddakf.mesh import Mesh
 
 
@@ -21,7 +23,7 @@ class Scoreboard:
     def __init__(self, garment: Mesh):
         self._faces = garment.faces
         self._distance = metrics.SurfaceDistance(garment)
-        self._seconds, self._states, self._timestamps = [], [], []
+        self._seconds, self._states, self._numbers, self._timestamps = [], [], [], []
         self._vertices, self._sigma, self._reliability = [], [], []
         self._rmse, self._normal, self._residual = [], [], []
         self._observed, self._hidden = [], []
@@ -37,6 +39,7 @@ class Scoreboard:
         """
         self._seconds.append(seconds)
         self._states.append(result.state)
+        self._numbers.append(frame.number)
         self._timestamps.append(frame.timestamp)
         self._vertices.append(np.array(result.vertices, np.float32))
         self._sigma.append(np.array(result.sigma, np.float32))
@@ -106,6 +109,12 @@ class Scoreboard:
                 faces=self._faces.astype(np.int32),
                 **repaired,
             )
+
+
+    def save_meshes(self, folder) -> None:
+        """Writes the garment of each frame, in metres, as ``NUMBER.obj`` into a folder that exists."""
+        for number, vertices in zip(self._numbers, self._vertices, strict=True):
+            write_mesh(Path(folder) / f"{number:04d}.obj", vertices, self._faces)
 
 
 def _pooled(parts: list[np.ndarray]) -> np.ndarray:
