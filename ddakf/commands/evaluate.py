@@ -31,7 +31,7 @@ def register(commands: argparse._SubParsersAction) -> None:
         "--paper", action="store_true", help="all studies of the paper's tables, into --results; SEQ: default all available"
     )
     parser.add_argument("--quick", action="store_true", help="of --paper: 2 sequences, 3 conditions, 2 seeds, 30 frames")
-    parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies, for instance main,faust,noise-5")
+    parser.add_argument("--only", default="", metavar="A,B", help="of --paper: these studies and figures, as main,figure-1")
     what = "neither Hausdorff distances nor silhouettes, which take longer than a frame"
     parser.add_argument("--no-surfaces", action="store_true", help=what)
     parser.add_argument("--results", type=Path, default=Path("results"), metavar="DIR", help="of --paper (default results)")
@@ -107,6 +107,7 @@ def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
 
 def _paper(arguments: argparse.Namespace, console) -> int:
     """Runs all studies of the report."""
+    from ddakf.evaluation.paper_scope import ERROR_MAPS
     from ddakf.evaluation.studies import paper_studies
     from ddakf.evaluation.studies.execution import run_study
 
@@ -117,11 +118,14 @@ def _paper(arguments: argparse.Namespace, console) -> int:
         size = replace(size, frames=arguments.frames, moving=arguments.frames)
     plans = paper_studies.studies(size, arguments.sequences or None)
     everything = [arguments.results / f"{name}.json" for name in plans]
-    chosen = _names(arguments.only) or list(plans)
-    if unknown := [name for name in chosen if name not in plans]:
-        raise InvalidArgument("only", f"some of {', '.join(plans)}", unknown[0])
+    parts = [*plans, *ERROR_MAPS]
+    chosen = _names(arguments.only) or parts
+    if unknown := [name for name in chosen if name not in parts]:
+        raise InvalidArgument("only", f"some of {', '.join(parts)}", unknown[0])
     plans = {name: plan for name, plan in plans.items() if name in chosen}
     if methods := _names(arguments.methods):
+        if not plans:
+            raise InvalidArgument("methods", "none for figures alone, which show all", methods[0])
         known = dict.fromkeys(system for plan in plans.values() for system in plan.systems)
         if unknown := [method for method in methods if method not in known]:
             raise InvalidArgument("methods", f"some of {', '.join(known)}", unknown[0])
@@ -138,8 +142,8 @@ def _paper(arguments: argparse.Namespace, console) -> int:
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
         out = arguments.results / f"{name}.json"
         run_study(plan, out, arguments.procs, console, again, others=everything, allow_dirty=arguments.allow_dirty)
-    if not arguments.only:
-        paper_studies.save_error_maps(size, arguments.results, console, again=bool(again))
+    figures = [name for name in ERROR_MAPS if name in chosen]
+    paper_studies.save_error_maps(figures, size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")
     return 0
 

@@ -140,10 +140,11 @@ def _spread(names: list[str], most: int) -> tuple[str, ...]:
     return tuple(names[k] for k in np.unique(np.linspace(0, len(names) - 1, min(most, len(names))).round().astype(int)))
 
 
-def save_error_maps(size: Size, folder: Path, console, *, again: bool = False) -> None:
-    """Runs the systems up to the frames of Figures 1 and 2, and saves their estimates. An existing file of the same frame stays;
+def save_error_maps(figures: list[str], size: Size, folder: Path, console, *, again: bool = False) -> None:
+    """Runs the systems up to the frames of these figures, and saves their estimates. An existing file of the same frame stays;
     with ``again``, only if it is of the same commit."""
-    for name, (view, noise, sequence, number) in ERROR_MAPS.items():
+    for name in figures:
+        view, noise, sequence, number = ERROR_MAPS[name]
         view, _, body = view.partition("+")
         first = int(MOVING.partition(":")[0])
         number = number if size.sweeps else first + 10

@@ -14,7 +14,7 @@ from ddakf.commands import cli
 from ddakf.errors import InvalidFile
 from ddakf.evaluation import machine
 from ddakf.evaluation.metrics.calibration import NOMINAL_PROBABILITIES
-from ddakf.evaluation.paper_scope import CONDITIONS, REFERENCES
+from ddakf.evaluation.paper_scope import CONDITIONS, ERROR_MAPS, REFERENCES
 from ddakf.evaluation.reporting import content, headline, markdown, not_reproduced, paper_figures, paper_numbers, paper_tables
 from ddakf.evaluation.reporting import page as html
 from ddakf.evaluation.reporting import result_files as read
@@ -397,12 +397,15 @@ def test_a_still_is_taken_once_per_frame_and_again_with_other_code(tmp_path, mon
     monkeypatch.setattr(paper_studies, "frame_estimates_of", take)
     monkeypatch.setattr(machine, "commit", lambda: "old")
     for size, more in ((paper_studies.QUICK, 2), (paper_studies.QUICK, 2), (paper_studies.FULL, 4), (paper_studies.FULL, 4)):
-        paper_studies.save_error_maps(size, tmp_path, QUIET, again=True)
+        paper_studies.save_error_maps(ERROR_MAPS, size, tmp_path, QUIET, again=True)
         assert len(taken) == more
     monkeypatch.setattr(machine, "commit", lambda: "new")
     for again, more in ((False, 4), (True, 6)):
-        paper_studies.save_error_maps(paper_studies.FULL, tmp_path, QUIET, again=again)
+        paper_studies.save_error_maps(ERROR_MAPS, paper_studies.FULL, tmp_path, QUIET, again=again)
         assert len(taken) == more
+    monkeypatch.setattr(machine, "commit", lambda: "newer")
+    assert cli.main(["evaluate", "--paper", "--only", "figure-2", "--again", "all", "--results", str(tmp_path)]) == 0
+    assert taken[6:] == [ERROR_MAPS["figure-2"][-1]]
 
 
 def test_reliability_on_real_depth_stands_beside_what_was_missed():

@@ -157,7 +157,14 @@ def test_surfaces_are_measured_unless_told_otherwise(tmp_path, capsys, options):
 @pytest.mark.recordings
 @pytest.mark.parametrize(
     ("options", "field"),
-    [("--methods ddakf,magic", "methods"), ("--view front", "view"), ("--noise-mm 5", "noise_mm"), ("--json out.json", "json")],
+    [
+        ("--methods ddakf,magic", "methods"),
+        ("--only figure-1 --methods ddakf", "methods"),
+        ("--only figure-9", "only"),
+        ("--view front", "view"),
+        ("--noise-mm 5", "noise_mm"),
+        ("--json out.json", "json"),
+    ],
 )
 def test_what_the_studies_of_the_paper_do_not_heed_is_refused(tmp_path, capsys, options, field):
     assert cli.main(["evaluate", "sample", "--paper", "--results", str(tmp_path / "results"), *options.split()]) == 2
