@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Iterable
+from numbers import Real
 
 _MOST_NEAREST, _SIMILAR = 2, 0.6  # names in a hint, and their least similarity to the given one
 _LONGEST = 80  # characters of it that are compared, and of a name or value that an error shows
@@ -22,6 +23,11 @@ def shown(value: object) -> str:
 def shown_name(name: object) -> str:
     """A name as a short text of one line, without quotes."""
     return shown(str(name)[:_LONGEST]).strip("'\"")
+
+
+def is_number(value: object) -> bool:
+    """Whether a value is a real number, of Python or NumPy, and no bool."""
+    return isinstance(value, Real) and not isinstance(value, bool)
 
 
 class DdakfError(Exception):

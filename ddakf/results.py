@@ -50,7 +50,7 @@ class FrameResult:
         covariance: (V, 3, 3) position covariance, square metres.
         sigma: (V,) sqrt(trace(covariance) / 3), metres.
         vertex_reliability: (V,) in [0, 1].
-        observed: (V,) bool, a measurement passed the gate in this frame.
+        observed: (V,) bool, measured in this frame; none where the frame was rejected.
         reliability: the frame's score in [0, 1]; high means low error.
         paper_score: s_k of the paper, section 2.6.
         coverage: share of the vertices that were observed.

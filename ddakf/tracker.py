@@ -14,7 +14,7 @@ from ddakf import snapshot as snapshots
 from ddakf.appearance import colour
 from ddakf.body import body_anchor, contact
 from ddakf.config import Config
-from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh
+from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh, is_number, shown
 from ddakf.garment import model, working_mesh
 from ddakf.mesh import Mesh, same_mesh
 from ddakf.multiresolution import cluster_alignment, follow
@@ -25,7 +25,7 @@ from ddakf.plausibility import admission, frame_gate, units, warnings
 from ddakf.results import FrameResult, Usage
 from ddakf.search import relocalize
 from ddakf.stages import adapt, associate, frame_input, fuse, predict, preprocess, reliability, robust, uncertainty
-from ddakf.transfer import Discretised, transferred
+from ddakf.transfer import Discretised, reconfigured, transferred
 from ddakf.types import Drift, Estimate, Evidence, FrameInput, Health, Posterior, Problem, Setup, State, Track, variances
 
 
@@ -169,10 +169,12 @@ class Tracker:
             InvalidArgument: a result that is not the last step's, a time that is no finite number of 0 or more.
         """
         track, working = self._track, self._working
+        if not isinstance(result, FrameResult):
+            raise InvalidArgument("result", "that of the last step", type(result).__name__)
         if not np.array_equal(result.vertices, working.carried(track.shown(track.state.position), track.rotation)):
             raise InvalidArgument("result", "that of the last step", "another one")
-        if not 0 <= seconds < np.inf:
-            raise InvalidArgument("seconds", "a finite time of 0 or more", repr(seconds))
+        if not (is_number(seconds) and 0 <= seconds < np.inf):
+            raise InvalidArgument("seconds", "a finite time of 0 or more", shown(seconds))
         if seconds == 0.0:
             return result
         later = predict.ahead(track, seconds, self.config.predict)
@@ -219,11 +221,15 @@ class Tracker:
         Raises:
             InvalidArgument: a tracker of another garment or body.
         """
+        if not isinstance(other, Tracker):
+            raise InvalidArgument("other", "a ddakf.Tracker", type(other).__name__)
         if not (same_mesh(self.garment, other.garment) and same_mesh(self.body, other.body)):
             raise InvalidArgument("other", "a tracker of the same garment and body", "one of others")
         track, config = other._track, self.config
         if config.discretisation != other.config.discretisation:
             track = transferred(track, other._discretised, self._discretised, self._track.resting)
+        elif (config.physics, config.predict) != (other.config.physics, other.config.predict):
+            track = reconfigured(track, self._setup)
         if track.body is not None:
             body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
             track = track._replace(body=body)
@@ -306,10 +312,10 @@ def _result(
         covariance=posterior.covariance.copy(),
         sigma=np.sqrt(variances(posterior.covariance)),
         vertex_reliability=verdict.vertex_reliability,
-        observed=estimate.observed,
+        observed=estimate.learnable,
         reliability=verdict.reliability,
         paper_score=verdict.paper_score,
-        coverage=verdict.coverage,
+        coverage=float(estimate.learnable.mean()),
         state=verdict.health.state,
         warnings=verdict.warnings,
         usage=Usage(widening=omission.widening(problem, estimate), working_vertices=len(state.position)),

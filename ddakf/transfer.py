@@ -1,4 +1,4 @@
-"""Transfer: a track carried over to another working mesh of the same garment, as fine or as coarse as it may be."""
+"""Transfer: a track carried over to another working mesh of the same garment, fine or coarse, or to another configuration."""
 
 from __future__ import annotations
 
@@ -42,6 +42,15 @@ def transferred(track: Track, source: Discretised, target: Discretised, kept: Re
         appearance=_appearance(track.appearance, source, target),
         offset=None if track.offset is None else _resampled(track.offset, source, target),
     )
+
+
+def reconfigured(track: Track, setup: Setup) -> Track:
+    """The track with the shape at rest and the guesses of the body anchor that a restore makes of the configuration."""
+    anchor, resting = track.anchor, track.resting
+    if anchor is not None:
+        new = body_anchor.start(setup, anchor.bound.pose, anchor.bound.position)
+        anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip)
+    return track._replace(anchor=anchor, resting=None if resting is None else rigidity.resting(resting.position, setup))
 
 
 def _resampled(values: np.ndarray, source: Discretised, target: Discretised) -> np.ndarray:

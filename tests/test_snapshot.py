@@ -75,6 +75,27 @@ def test_a_tracker_of_the_same_configuration_goes_on_exactly(body):
         before = tracker.snapshot()
 
 
+@pytest.mark.parametrize(
+    "stages",
+    [
+        {"physics": {"start_strain_kept": 1.0, "start_strain": 0.5}},
+        {"predict": {"slip_slope": 5.0, "slip_sd": 0.5}},
+        {"predict": {"worn_slope": 5.0}},
+        {"discretisation": {"working_edge": 0.03, "working_finest": 1.0}, "predict": {"slip_sd": 0.5}},
+    ],
+    ids=lambda stages: "+".join(stages),
+)
+def test_another_configuration_goes_on_as_its_snapshot_does(stages):
+    tracker = Tracker(GARMENT, body=BODY)
+    tracker.reset(GARMENT.vertices * [1.02, 1.0, 1.01])  # a shape at rest of its own
+    for points, how in frames(0, 5, BODY):
+        tracker.step(points, **how)
+    tracker = tracker.configured(Config.from_dict(stages))
+    twin = Tracker.restore(tracker.snapshot())
+    for points, how in frames(5, 2, BODY):
+        assert_same(twin.step(points, **how), tracker.step(points, **how))
+
+
 @pytest.mark.parametrize("gap_time", [0.0, 0.5])
 def test_another_configuration_goes_on_from_the_same_state(gap_time):
     stages = {"associate": {"wide_gate": 0.05}, "physics": {"gap_time": 0.5 - gap_time}}

@@ -78,7 +78,7 @@ def test_a_restored_and_a_newly_configured_tracker_predict_the_same():
         assert_same(other.predicted(result, 0.15), later)
 
 
-@pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("seconds", [-0.1, float("nan"), float("inf"), "a", True, None])
 def test_a_time_that_cannot_be_is_refused(steady, seconds):
     tracker, result = steady
     with pytest.raises(InvalidArgument, match="seconds"):
@@ -90,5 +90,7 @@ def test_only_the_last_result_can_be_moved_on(steady):
     tracker.step(cloud(21), timestamp=21 / FPS, sensor_origin=EYE)
     with pytest.raises(InvalidArgument, match="the last step"):
         tracker.predicted(result, 0.1)
+    with pytest.raises(InvalidArgument, match="the last step, got NoneType"):
+        tracker.predicted(None, 0.1)
     with pytest.raises(InvalidArgument, match="the last step"):
         Tracker(Mesh(TUBE.vertices[::-1], (len(TUBE.vertices) - 1 - TUBE.faces)[:, ::-1])).predicted(result, 0.1)

@@ -108,6 +108,32 @@ def test_what_is_no_mesh_is_refused(garment):
             Tracker(TUBE, body=garment)
 
 
+@pytest.mark.parametrize(
+    ("argument", "value"),
+    [("limit", "x"), ("limit", float("nan")), ("limit", True), ("budget", True), ("budget", 0.0), ("budget", "1")],
+)
+def test_what_is_no_number_of_seconds_is_refused(argument, value):
+    with pytest.raises(InvalidArgument, match=f"{argument}: expected processor seconds"):
+        Tracker(TUBE).step(cloud(0), timestamp=0.0, **{argument: value})
+
+
+def test_seconds_may_be_of_any_real_type():
+    tracker = Tracker(TUBE)
+    tracker.step(cloud(0), timestamp=np.float32(0.0), budget=np.float32(1.0), limit=np.float64(100.0))
+    with pytest.raises(InvalidFrame, match="timestamp: expected seconds, got '1"):
+        tracker.step(cloud(1), timestamp="1.5")
+
+
+def test_integers_have_bounds_too():
+    with pytest.raises(InvalidFrame, match="5 bad rows"):
+        Tracker(TUBE).step(np.full((5, 3), np.iinfo(np.int64).min), timestamp=0.0)
+
+
+def test_a_tracker_goes_on_from_trackers_alone():
+    with pytest.raises(InvalidArgument, match="other: expected a ddakf"):
+        Tracker(TUBE).continue_from("x")
+
+
 @pytest.mark.parametrize("config", [{"predict": {}}, "paper", 3])
 def test_what_is_no_configuration_is_refused(config):
     with pytest.raises(InvalidArgument):

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 
-from ddakf.errors import FrameTooCostly, InvalidArgument
+from ddakf.errors import FrameTooCostly, InvalidArgument, is_number, shown
 from ddakf.results import FrameResult
 
 
@@ -20,12 +20,14 @@ class Clock:
         limit: processor seconds of this thread. The stage that exceeds it raises ``FrameTooCostly`` at its end.
 
     Raises:
-        InvalidArgument: a budget that is no positive number.
+        InvalidArgument: a budget that is no positive number, a limit that is none.
     """
 
     def __init__(self, budget: float | None = None, limit: float = math.inf) -> None:
-        if budget is not None and not (isinstance(budget, int | float) and budget > 0):
-            raise InvalidArgument("budget", "processor seconds above 0, or None", repr(budget))
+        if budget is not None and not (is_number(budget) and budget > 0):
+            raise InvalidArgument("budget", "processor seconds above 0, or None", shown(budget))
+        if not is_number(limit) or math.isnan(limit):
+            raise InvalidArgument("limit", "processor seconds", shown(limit))
         self.budget, self._limit = budget, limit
         self._start, self._thread_start = time.perf_counter(), time.thread_time()
         self._seconds: dict[str, float] = {}

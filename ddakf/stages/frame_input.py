@@ -98,6 +98,8 @@ def _array(name: str, values, shape: str) -> np.ndarray:
 
 
 def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    if array.dtype.kind in "iu":  # the least integer has no absolute value of its type
+        array = array.astype(np.float64)
     if array.size and not np.abs(array).max() <= MAX_COORDINATE:  # also false for a NaN
         bad = ~(np.isfinite(array) & (np.abs(array) <= MAX_COORDINATE)).all(axis=1)
         what = "finite metres" if not np.isfinite(array).all() else f"metres within {MAX_COORDINATE:g} of the origin"
@@ -107,6 +109,8 @@ def _finite(name: str, array: np.ndarray) -> np.ndarray:
 
 def _time(timestamp, last: float | None) -> float:
     try:
+        if isinstance(timestamp, str | bytes | bytearray):
+            raise TypeError
         time = float(timestamp)
     except (TypeError, ValueError, OverflowError):
         raise InvalidFrame("timestamp", "seconds", f"{timestamp!r:.40}") from None

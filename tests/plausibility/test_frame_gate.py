@@ -47,6 +47,8 @@ def test_after_one_frame_of_nonsense_the_garment_is_where_it_would_be_without():
     assert error(followed[3], 4) > 40.0  # mm
     assert error(spoiled[3], 4) < 15.0
     assert spoiled[3].reliability < 0.5 * clean[3].reliability
+    assert not spoiled[3].observed.any()
+    assert spoiled[3].coverage == 0.0
     assert error(spoiled[4], 5) < error(clean[4], 5) + 3.0
     assert spoiled[4].reliability > clean[4].reliability - 0.05
 
