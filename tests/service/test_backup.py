@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import shutil
 import stat
@@ -134,6 +135,24 @@ def test_other_files_are_refused(tmp_path, capsys, content):
     assert cli.main(["restore", str(file), "--data-dir", str(tmp_path / "data")]) == 2
     assert "archive of `ddakf backup`" in capsys.readouterr().err
     assert not (tmp_path / "data").exists()
+
+
+def test_a_damaged_database_is_refused_and_the_folder_stays_empty(tmp_path, capsys):
+    good, bad, data = tmp_path / "x.tar", tmp_path / "bad.tar", tmp_path / "data"
+    cli.main(["keys", "--data-dir", str(tmp_path / "first"), "create", "x", "--scope", "read"])
+    cli.main(["backup", str(good), "--data-dir", str(tmp_path / "first")])
+    with tarfile.open(good) as source, tarfile.open(bad, "w") as target:
+        for member in source:
+            content = source.extractfile(member).read()
+            content = b"x" * len(content) if member.name == "ddakf.sqlite" else content
+            target.addfile(member, io.BytesIO(content))
+    data.mkdir()
+    capsys.readouterr()
+    assert cli.main(["restore", str(bad), "--data-dir", str(data)]) == 2
+    assert "a whole database, got file is not a database" in capsys.readouterr().err
+    assert not any(data.iterdir())
+    assert cli.main(["restore", str(good), "--data-dir", str(data)]) == 0
+    assert (data / "ddakf.sqlite").is_file()
 
 
 def test_keys_outlive_a_backup(tmp_path, capsys):

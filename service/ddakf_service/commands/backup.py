@@ -7,6 +7,7 @@ import contextlib
 import io
 import json
 import os
+import shutil
 import sqlite3
 import sys
 import tarfile
@@ -25,6 +26,7 @@ from ..store.store import NO_DATA_DIR
 
 DATABASE, ABOUT = "ddakf.sqlite", "backup.json"
 _FOLDERS = ("checkpoints", "meshes")
+_UNFINISHED_RESTORE = "restore" + UNFINISHED
 _ATTEMPTS = 10  # to read a file of a folder in which the server writes
 
 
@@ -58,24 +60,45 @@ def restore(args: argparse.Namespace) -> int:
         InvalidFile: it is no archive of ``ddakf backup``. InvalidConfig: the folder is not empty.
     """
     folder = _data_folder(args)
-    if folder.exists() and any(folder.iterdir()):
+    if folder.exists() and any(path.name != _UNFINISHED_RESTORE for path in folder.iterdir()):
         raise InvalidConfig("data_dir", "an empty folder, or none yet", str(folder))
     try:
         with tarfile.open(args.file) as archive:
             names = archive.getnames()
             if ABOUT not in names or DATABASE not in names:
                 raise InvalidFile(str(args.file), "an archive of `ddakf backup`", "another one")
-            make_folder(folder)
-            for member in archive:
-                _extract(archive, member, folder, args.file)
+            with _unfinished(folder) as unfinished:
+                for member in archive:
+                    _extract(archive, member, unfinished, args.file)
+                _require_whole(unfinished / DATABASE, args.file)
     except tarfile.TarError as error:
         raise InvalidFile(str(args.file), "an archive of `ddakf backup`", str(error)) from None
-    with closing(sqlite3.connect(folder / DATABASE)) as database:
-        (state,) = database.execute("PRAGMA integrity_check").fetchone()
-    if state != "ok":
-        raise InvalidFile(str(args.file), "a whole database", state)
     print(f"{folder}: restored; start the service with the server_id that it had", file=sys.stderr)
     return 0
+
+
+@contextlib.contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """A new folder in this one, whose content moves up when all has gone well, and else is removed."""
+    unfinished = folder / _UNFINISHED_RESTORE  # not beside it, as that may be another file system
+    shutil.rmtree(unfinished, ignore_errors=True)  # of a restore that was killed
+    make_folder(unfinished)
+    try:
+        yield unfinished
+        for path in sorted(unfinished.iterdir()):
+            path.rename(folder / path.name)
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)
+
+
+def _require_whole(database: Path, file: Path) -> None:
+    try:
+        with closing(sqlite3.connect(database)) as connection:
+            (state,) = connection.execute("PRAGMA integrity_check").fetchone()
+    except sqlite3.DatabaseError as error:
+        state = str(error)
+    if state != "ok":
+        raise InvalidFile(str(file), "a whole database", state)
 
 
 def _data_folder(args: argparse.Namespace) -> Path:
