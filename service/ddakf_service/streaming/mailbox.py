@@ -22,7 +22,8 @@ class Mailbox(Protocol):
     """Queue between the reader of a stream and the session."""
 
     async def put(self, frame: FrameMessage, arrived: float) -> int:
-        """Adds a frame and returns the number of older frames that it displaced. A wait holds the client back.
+        """Adds a frame and returns the number of frames that will not be tracked: older ones that it displaced, or itself where
+        the mailbox is closed. A wait holds the client back.
 
         Args:
             arrived: time of arrival, monotonic clock, seconds.
@@ -54,6 +55,8 @@ class LosslessMailbox:
         while len(self._frames) >= self._capacity and not self._closed:
             self._room.clear()
             await self._room.wait()
+        if self._closed:
+            return 1
         self._frames.append(QueuedFrame(frame, arrived))
         self._filled.set()
         return 0
@@ -88,6 +91,8 @@ class RealtimeMailbox:
         self._filled = asyncio.Event()
 
     async def put(self, frame: FrameMessage, arrived: float) -> int:
+        if self._closed:
+            return 1
         displaced = len(self)
         self._newest = QueuedFrame(frame, arrived)
         self._filled.set()

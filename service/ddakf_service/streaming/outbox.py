@@ -32,7 +32,7 @@ class Outbox:
     async def put(self, response: Response, frame: bytes | memoryview = b"") -> None:
         """Appends a response when there is room; publishes it at once, with the serialised frame that it answers."""
         self._publish(response, frame)
-        while len(self._responses) > _OUTBOX_CAPACITY and not self._closed:
+        while len(self._responses) >= _OUTBOX_CAPACITY and not self._closed:
             self._room.clear()
             await self._room.wait()
         self._append(response)

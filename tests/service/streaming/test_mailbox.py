@@ -4,7 +4,9 @@ import asyncio
 
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.sessions.responses.response import Response
 from ddakf_service.streaming.mailbox import LosslessMailbox, RealtimeMailbox, mailbox_for
+from ddakf_service.streaming.outbox import Outbox
 from ddakf_service.streaming.rate_limit import Overload, RateLimit, frame_bucket
 
 
@@ -69,7 +71,18 @@ async def test_closing_frees_a_sender_that_is_held_back():
     sender = asyncio.create_task(mailbox.put(frame(2), 0.0))
     await asyncio.sleep(0)
     mailbox.close()
-    await asyncio.wait_for(sender, 30)
+    assert mailbox.clear() + await asyncio.wait_for(sender, 30) == 2
+    assert len(mailbox) == 0
+
+
+async def test_one_response_waits_for_a_slow_reader():
+    outbox = Outbox(lambda response, frame: None)
+    await outbox.put(Response(pb.TrackResponse()))
+    second = asyncio.create_task(outbox.put(Response(pb.TrackResponse())))
+    await asyncio.sleep(0)
+    assert not second.done()
+    await outbox.get()
+    await asyncio.wait_for(second, 30)
 
 
 @pytest.mark.parametrize("rate", [0.5, 10.0, 90.0])
