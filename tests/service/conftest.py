@@ -65,9 +65,11 @@ class Api:
         except grpc.RpcError as error:
             raise from_rpc_error(error) from None
 
-    def create(self, sheet: Sheet, session_id: str = "", **session) -> pb.Session:
+    def create(self, sheet: Sheet, session_id: str = "", request_id: str = "", **session) -> pb.Session:
         session = pb.Session(garment=pack_mesh(*sheet), **session)
-        request = pb.CreateSessionRequest(api_version=API_VERSION, session=session, session_id=session_id)
+        request = pb.CreateSessionRequest(
+            api_version=API_VERSION, session=session, session_id=session_id, request_id=request_id
+        )
         return self.call("CreateSession", request)
 
     def get(self, name: str) -> pb.Session:

@@ -14,7 +14,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import Principal, current_principal
 from ..store.tables.leases import Leases
-from ..store.tables.session_record import new_uid
+from ..store.tables.session_record import SessionRecord, new_uid
 from ..workers.pool import Memory, WorkerPool
 from .catalog import LOAD_RETRY_INTERVAL, SessionCatalog
 from .limits import admission
@@ -26,6 +26,7 @@ from .session import Session, take_meshes
 log = logging.getLogger(__name__)
 
 OpenSession = Callable[[str, bytes, Memory], Awaitable[bytes]]
+Resolve = Callable[[pb.Session], Awaitable[None]]
 
 _MAX_REQUESTS = 1024  # remembered request ids
 
@@ -59,24 +60,26 @@ class Lifecycle:
         self._closing: dict[str, asyncio.Task[None]] = {}  # ended sessions that are still in a worker
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
 
-    async def create(self, request, open_session: OpenSession) -> pb.Session:
-        """Creates a session, or waits for an earlier call with the same request id. The caller's key owns the session."""
+    async def create(self, request, open_session: OpenSession, resolve: Resolve | None = None) -> pb.Session:
+        """Creates a session, or waits for an earlier call with the same request id. The caller's key owns the session.
+
+        Args:
+            resolve: completes the description of a session that is new.
+        """
         principal = current_principal.get()
         owner, request_id = principal.id or None, request.request_id
         admission.require_request_id(request_id)
         request_key = owner, request_id
         if request_key in self._requests:
-            return self._catalog.changeable("sessions/" + await asyncio.shield(self._requests[request_key])).message()
-        if self._leases and request_id and (created := await self._persistence.created_by(owner, request_id)):
-            return created.session
-        session_id = self._new_id(request.session_id, principal)
+            return await self._created_earlier(request_key)
         creation: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
             self._remember(request_key, creation)
-        self._opening[session_id] = owner
         try:
-            async with self._claimed(session_id, principal) as identity:
-                session = await self._open(session_id, identity, request, owner, open_session)
+            if earlier := await self._created_elsewhere(request_key):
+                creation.set_result(earlier.id)
+                return earlier.session
+            session = await self._create(request, principal, open_session, resolve)
         except BaseException as error:
             self._requests.pop(request_key, None)
             # A copy: the traceback of the error refers to this Python frame, and so to the request.
@@ -85,11 +88,31 @@ class Lifecycle:
             creation.set_exception(copy)
             creation.exception()  # marks it as retrieved: asyncio would log it otherwise
             raise
-        finally:
-            del self._opening[session_id]
-        creation.set_result(session_id)
+        creation.set_result(session.id)
         await self._persistence.wait_registered(session)
         return session.message()
+
+    async def _created_earlier(self, request_key: tuple[str | None, str]) -> pb.Session:
+        """The session of an earlier call to this server. It may have gone to another one."""
+        session_id = await asyncio.shield(self._requests[request_key])
+        if session_id not in self._catalog and (moved := await self._created_elsewhere(request_key)):
+            return moved.session
+        return self._catalog.changeable("sessions/" + session_id).message()
+
+    async def _created_elsewhere(self, request_key: tuple[str | None, str]) -> SessionRecord | None:
+        """The live session of an earlier call to any of the servers that share sessions."""
+        return await self._persistence.created_by(*request_key) if self._leases and request_key[1] else None
+
+    async def _create(self, request, principal: Principal, open_session: OpenSession, resolve: Resolve | None) -> Session:
+        owner, session_id = principal.id or None, self._new_id(request.session_id, principal)
+        self._opening[session_id] = owner
+        try:
+            if resolve is not None:
+                await resolve(request.session)
+            async with self._claimed(session_id, principal) as identity:
+                return await self._open(session_id, identity, request, owner, open_session)
+        finally:
+            del self._opening[session_id]
 
     @contextlib.asynccontextmanager
     async def _claimed(self, session_id: str, principal: Principal) -> AsyncIterator[_Identity]:
@@ -139,11 +162,20 @@ class Lifecycle:
             uid=identity.uid,
             epoch=identity.epoch,
         )
+        await self._count_memory(session)
         self._catalog.add(session)
         self._persistence.register(session)
         self._durability.checkpoint(session)
         log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
         return session
+
+    async def _count_memory(self, session: Session) -> None:
+        """Counts what an opened session needs: how much a snapshot unfolds to is not known before."""
+        try:
+            self._pool.count_memory(session.id, session.memory)
+        except BaseException:
+            await self._pool.close(session.id)
+            raise
 
     def _new_id(self, requested: str, principal: Principal) -> str:
         self._admission.require_running("sessions")

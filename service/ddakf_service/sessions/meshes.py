@@ -24,7 +24,7 @@ class Meshes:
 
     def __init__(self, store: MeshStore, settings: Settings):
         self._store, self._settings = store, settings
-        self._uploading = asyncio.Lock()  # the quota counts what another call is about to store
+        self._storing = asyncio.Lock()  # the quota counts what another call is about to store
 
     async def create(self, request: pb.CreateMeshRequest) -> pb.StoredMesh:
         """Stores a mesh for the caller's key, or returns the one of the same content.
@@ -35,7 +35,7 @@ class Meshes:
         """
         require_compatible(request.api_version, peer="client")
         content, owner = await asyncio.to_thread(self._content, request), current_principal.get().id
-        async with self._uploading:
+        async with self._storing:
             owned = await self._store.find(owner)
             record = next((mesh for mesh in owned if mesh.id == content.id), None)
             if record is None:
@@ -79,8 +79,9 @@ class Meshes:
 
     async def delete(self, name: str) -> None:
         """Deletes a mesh, for ``admin`` that of every key; sessions have copies."""
-        for record in await self._readable("name", name):
-            await self._store.remove(record)
+        async with self._storing:  # an upload of the same mesh would lose its content
+            for record in await self._readable("name", name):
+                await self._store.remove(record)
 
     async def resolve(self, session: pb.Session) -> None:
         """Replaces the names of meshes in a new session by the meshes.

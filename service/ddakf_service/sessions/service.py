@@ -101,8 +101,7 @@ class Sessions:
     async def create(self, request: pb.CreateSessionRequest) -> pb.Session:
         """Creates a session, or returns the one that the same request id created. The caller's key owns it."""
         require_compatible(request.api_version, peer="client")
-        await self.meshes.resolve(request.session)
-        return await self._lifecycle.create(request, self._pool.open)
+        return await self._lifecycle.create(request, self._pool.open, self.meshes.resolve)
 
     async def restore(self, request: pb.RestoreSessionRequest) -> pb.Session:
         """Creates a session from a snapshot."""
@@ -149,6 +148,8 @@ class Sessions:
                 )
             if paths & {"config_json", "fabric"}:
                 await self._configure(session, change, paths)
+            if limits is not None:
+                self._pool.count_memory(session.id, session.memory_with(limits))
             # A field that is not named keeps its present value: another call may have changed it meanwhile.
             session.labels = session.labels if labels is None else labels
             session.limits = session.limits if limits is None else limits
@@ -158,11 +159,9 @@ class Sessions:
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
         """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
-        opened = session.description
-        requested = pb.Session(
-            config_json=change.config_json if "config_json" in paths else opened.config_json,
-            fabric=change.fabric if "fabric" in paths else opened.fabric,
-        )
+        opened, requested = session.description, pb.UpdateSessionRequest()
+        requested.session.config_json, requested.session.fabric = change.config_json, change.fabric
+        requested.update_mask.paths.extend(sorted(paths & {"config_json", "fabric"}))
         answer = pb.Session.FromString(await self._pool.configure(session.id, requested.SerializeToString()))
         await self._durability.checkpoint_now(session)
         opened.config_json, opened.fabric = answer.config_json, answer.fabric

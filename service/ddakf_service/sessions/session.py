@@ -119,9 +119,13 @@ class Session:
     @property
     def memory(self) -> Memory:
         """Estimated memory in the worker."""
+        return self.memory_with(self.limits)
+
+    def memory_with(self, limits: pb.SessionLimits) -> Memory:
+        """Estimated memory in the worker with other limits."""
         count, body = self.description.garment_vertex_count, self.description.body_vertex_count
         # The body's faces are not counted; a closed surface has twice as many faces as vertices.
-        return Memory.of(count, self.description.garment_face_count, body, 2 * body, self.limits.max_points)
+        return Memory.of(count, self.description.garment_face_count, body, 2 * body, limits.max_points)
 
     def touch(self) -> None:
         """Restarts the idle time."""

@@ -123,6 +123,15 @@ class LocalPool:
         answer = worker.send(wire.Kind.SNAPSHOT, session_id, b"compressed" if compressed else b"")
         return self._in_time(worker, session_id, answer)
 
+    def count_memory(self, session_id: str, memory: Memory) -> None:
+        worker = self._placement(session_id).worker
+        before = worker.sessions.pop(session_id, UNKNOWN)
+        try:
+            self._require_memory(worker, memory)
+            before = memory
+        finally:
+            worker.sessions[session_id] = before
+
     async def isolate(self, session_id: str) -> None:
         async with self._roster.isolation:
             placement = self._placement(session_id)

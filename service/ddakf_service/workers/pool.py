@@ -154,13 +154,21 @@ class WorkerPool(Protocol):
         """Frames per second that the session's share of its worker allows, however much a budget leaves out; 0: not limited."""
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
-        """Replaces the configuration from the next frame on: Session with config_json and fabric in, with the full config out."""
+        """Changes the configuration from the next frame on: UpdateSessionRequest with config_json, fabric or both in, Session
+        with the full configuration and its fabric out."""
 
     async def reset(self, session_id: str, request: bytes) -> None:
         """Resets the session's tracker: ResetSessionRequest in."""
 
     def snapshot(self, session_id: str, *, compressed: bool = False) -> Awaitable[bytes]:
         """The tracker's state after all earlier calls; later calls do not change the answer."""
+
+    def count_memory(self, session_id: str, memory: Memory) -> None:
+        """Counts this much for a session from now on.
+
+        Raises:
+            ResourceExhausted: its worker has not so much; the session counts as before.
+        """
 
     async def isolate(self, session_id: str) -> None:
         """Moves a session to a worker of low priority that serves isolated sessions only.

@@ -94,6 +94,9 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
         async def open(self, session_id, request, memory):
             return pb.Session(name=session_id).SerializeToString()
 
+        def count_memory(self, session_id, memory):
+            pass
+
         async def snapshot(self, session_id):
             return b""
 

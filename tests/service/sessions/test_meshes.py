@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 
 import numpy as np
@@ -11,6 +12,10 @@ from ddakf_api.arrays import pack, pack_mesh, unpack_mesh
 from ddakf_api.errors import InvalidArgument, InvalidMesh, NotFound, ResourceExhausted, VersionMismatch
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, aconnect, connect
+from ddakf_service.observability.metrics import Metrics
+from ddakf_service.sessions.meshes import Meshes
+from ddakf_service.settings import Settings
+from ddakf_service.store.store import Store
 
 from ..conftest import TIMEOUT, Api, frame_of, make_sheet, request_of, running
 
@@ -172,6 +177,30 @@ def test_a_damaged_content_is_not_used_and_can_be_uploaded_again(frugal):
         with client.create_session(name) as session:
             assert session.info().n_vertices == 64
         client.delete_mesh(name)
+
+
+def test_a_repeated_creation_needs_its_mesh_no_more(api, sheet):
+    stored = api.call("CreateMesh", create_mesh(pack_mesh(*sheet))).name
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session=pb.Session(garment_mesh=stored), request_id="by-mesh")
+    name = api.call("CreateSession", request).name
+    api.call("DeleteMesh", pb.DeleteMeshRequest(name=stored))
+    assert api.call("CreateSession", request).name == name
+    api.delete(name)
+
+
+async def test_a_mesh_that_is_uploaded_while_it_is_deleted_has_its_content(sheet, tmp_path, monkeypatch):
+    store = Store(Settings(data_dir=str(tmp_path)), Metrics())
+    meshes, request, remove = Meshes(store.meshes, Settings()), create_mesh(pack_mesh(*sheet)), store.meshes.remove
+
+    async def slowly(record):
+        await remove(record)
+        await asyncio.sleep(0.1)
+
+    monkeypatch.setattr(store.meshes, "remove", slowly)
+    name = (await meshes.create(request)).name
+    await asyncio.gather(meshes.delete(name), meshes.create(request))
+    assert (await meshes.get(pb.GetMeshRequest(name=name, include_mesh=True))).mesh == request.mesh
+    await asyncio.to_thread(store.close)
 
 
 def test_meshes_outlive_the_server(tmp_path, sheet):

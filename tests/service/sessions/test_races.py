@@ -39,6 +39,12 @@ class Pool:
             raise ResourceExhausted("memory")
         return pb.Session().SerializeToString()
 
+    import_snapshot = restore
+
+    def count_memory(self, session_id, memory):
+        if self.full:
+            raise ResourceExhausted("memory")
+
     async def configure(self, session_id, request):
         self.configuring.set()
         await self.busy.wait()
@@ -207,3 +213,42 @@ async def test_a_session_waits_for_a_worker_with_room(server, pool):
         while not session.has_worker:
             await asyncio.sleep(0.01)
     assert server._catalog.readable("sessions/some") is session
+
+
+class NoLeases:
+    """Leases that nobody else has."""
+
+    async def claim(self, session_id, uid, owner):
+        return 1
+
+
+async def test_two_calls_of_one_request_id_make_one_session_where_servers_share_them(server, pool, monkeypatch):
+    async def created_by(owner, request_id):
+        await asyncio.sleep(0.01)
+
+    monkeypatch.setattr(server._lifecycle, "_leases", NoLeases())
+    monkeypatch.setattr(server._persistence, "created_by", created_by)
+    request = pb.CreateSessionRequest(api_version=API_VERSION, request_id="the same")
+    first, second = await asyncio.gather(server.create(request), server.create(request))
+    assert first.name == second.name
+    assert len(pool.calls) == 2  # with "some"
+
+
+async def test_a_session_that_needs_more_memory_than_there_is_is_closed_again(server, pool):
+    """Of a snapshot it is known only afterwards."""
+    pool.full = True
+    request = pb.CreateSessionRequest(api_version=API_VERSION, session_id="large")
+    with pytest.raises(ResourceExhausted):
+        await server.create(request)
+    assert pool.calls[-2:] == [("open", "large"), ("close", "large")]
+    pool.full = False
+    await server.create(request)
+
+
+async def test_limits_that_need_more_memory_than_there_is_are_refused(server, pool):
+    before, pool.full = server._catalog.readable("sessions/some").limits, True
+    change = pb.Session(name="sessions/some", limits=pb.SessionLimits(max_points=500_000), labels={"a": "b"})
+    with pytest.raises(ResourceExhausted):
+        await server.update(pb.UpdateSessionRequest(session=change))
+    assert server._catalog.readable("sessions/some").limits == before
+    assert not server._catalog.readable("sessions/some").labels

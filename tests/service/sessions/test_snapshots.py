@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from ddakf_api import API_VERSION
@@ -37,6 +39,38 @@ def test_a_restored_session_keeps_its_fabric(api, sheet):
     assert (restored.fabric, restored.config_json) == (original.fabric, original.config_json)
     for one in (name, copy.name):
         api.delete(one)
+
+
+@pytest.mark.parametrize(
+    ("change", "fabric"),
+    [
+        ({"config_json": '{"physics": {"fabric": "denim"}}'}, "denim"),
+        ({"config_json": '{"associate": {"wide_gate": 0.3}}'}, "cotton"),
+        ({"fabric": "silk"}, "silk"),
+        ({"config_json": '{"physics": {"fabric": "denim"}}', "fabric": "silk"}, "silk"),
+    ],
+    ids=["configured", "kept", "named", "both"],
+)
+def test_a_change_means_the_same_before_and_after_a_restore(api, sheet, change, fabric):
+    created = api.create(sheet, config_json='{"physics": {"fabric": "cotton"}}')
+    assert created.fabric == "cotton"
+    data = api.call("SnapshotSession", pb.SnapshotSessionRequest(name=created.name)).data
+    copy = api.call("RestoreSession", pb.RestoreSessionRequest(api_version=API_VERSION, data=data))
+    for name in (created.name, copy.name):
+        changed = api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=name, **change)))
+        in_force = ddakf.Config.from_dict(json.loads(changed.config_json)).physics.fabric
+        assert (changed.fabric, in_force) == (fabric, ddakf.Fabric.named(fabric))
+        api.delete(name)
+
+
+def test_a_fabric_that_is_named_as_changed_and_empty_is_the_default(api, sheet):
+    name = api.create(sheet, fabric="cotton").name
+    request = pb.UpdateSessionRequest(session=pb.Session(name=name))
+    request.update_mask.paths.append("fabric")
+    changed = api.call("UpdateSession", request)
+    assert changed.fabric == ""
+    assert ddakf.Config.from_dict(json.loads(changed.config_json)) == ddakf.Config()
+    api.delete(name)
 
 
 def test_a_restored_session_tells_the_time_that_frames_have_to_follow(api, session, sheet):

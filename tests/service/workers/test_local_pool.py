@@ -102,6 +102,16 @@ async def test_a_session_goes_to_a_worker_that_has_the_memory_for_it(staffed):
     assert [worker.memory_with() for worker in workers] == [90, 100]
 
 
+async def test_what_a_session_needs_can_change(staffed):
+    pool, (worker,) = staffed(1, max_memory=100.0)
+    await pool.open("one", b"", Memory(10, 0))
+    await pool.open("two", b"", Memory(20, 0))
+    pool.count_memory("one", Memory(80, 0))
+    with pytest.raises(ResourceExhausted, match="memory"):
+        pool.count_memory("two", Memory(21, 0))
+    assert worker.sessions == {"one": Memory(80, 0), "two": Memory(20, 0)}
+
+
 async def test_a_session_that_is_opened_once_more_leaves_nothing_where_it_was(staffed):
     (pool, (new,)), old = staffed(1), Worker()
     pool._placements["one"], old.sessions["one"] = Placement(old), Memory(1, 1)

@@ -313,11 +313,18 @@ async def test_frames_are_tracked_in_turn_and_late_ones_not_at_all(pool, sheet):
 async def test_another_configuration_goes_on_from_the_same_state(pool, sheet):
     await pool.open("one", creation(sheet))
     await track(pool, "one", frame_of(sheet, 1))
-    session = pb.Session(config_json='{"associate": {"wide_gate": 0.05}}', fabric="silk")
-    answer = pb.Session.FromString(await pool.configure("one", session.SerializeToString()))
-    assert json.loads(answer.config_json)["associate"]["wide_gate"] == 0.05
+
+
+    async def configure(gate: float) -> pb.Session:
+        text = json.dumps({"associate": {"wide_gate": gate}})
+        change = pb.UpdateSessionRequest(session=pb.Session(config_json=text, fabric="silk"))
+        change.update_mask.paths.extend(("config_json", "fabric"))
+        return pb.Session.FromString(await pool.configure("one", change.SerializeToString()))
+
+    answer = await configure(0.05)
+    assert (json.loads(answer.config_json)["associate"]["wide_gate"], answer.fabric) == (0.05, "silk")
     with pytest.raises(InvalidConfig, match="wide_gate"):
-        await pool.configure("one", pb.Session(config_json='{"associate": {"wide_gate": -1}}').SerializeToString())
+        await configure(-1)
     with pytest.raises(InvalidFrame, match="capture_time"):
         await track(pool, "one", frame_of(sheet, 1))
     assert (await track(pool, "one", frame_of(sheet, 2))).sequence_number == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -70,14 +69,14 @@ class TrackerHost:
         self._add(session_id, tracker)
         # built beside the first frames it would take time from those of all
         self._trackers[session_id].await_lighter(_PATIENCE)
-        return encode.session_message(tracker, session.fabric, vertex_map).SerializeToString()
+        return encode.session_message(tracker, vertex_map).SerializeToString()
 
     def restore(self, session_id: str, request: bytes) -> bytes:
         """RestoreSessionRequest in, Session with its meshes out."""
         data = pb.RestoreSessionRequest.FromString(request).data
         tracker = decode.tracker_from_snapshot(data, self._limits, self._tracker_of)
         self._add(session_id, tracker)
-        return encode.session_message(tracker, tracker.config.physics.fabric.name).SerializeToString()
+        return encode.session_message(tracker).SerializeToString()
 
     def frame(self, session_id: str, request: bytes) -> bytes:
         """FrameRequest in, Result out in two parts."""
@@ -94,11 +93,11 @@ class TrackerHost:
         return b""
 
     def configure(self, session_id: str, request: bytes) -> bytes:
-        """Session with configuration and fabric in, with the full configuration out."""
-        session = pb.Session.FromString(request)
-        tracker = self._tracker(session_id).own().configured(decode.config(session))
+        """UpdateSessionRequest with configuration, fabric or both in; Session with the full configuration and its fabric out."""
+        change, tracker = pb.UpdateSessionRequest.FromString(request), self._tracker(session_id).own()
+        tracker = tracker.configured(decode.changed_config(change, tracker.config))
         self._add(session_id, tracker)
-        return pb.Session(config_json=json.dumps(tracker.config.to_dict()), fabric=session.fabric).SerializeToString()
+        return encode.configuration(tracker.config).SerializeToString()
 
     def snapshot(self, session_id: str, request: bytes) -> bytes:
         """The tracker's state out; compressed unless the request is empty."""

@@ -47,7 +47,25 @@ def body(session: pb.Session, max_vertices: int, max_faces: int) -> ddakf.Mesh |
 
 def config(session: pb.Session) -> ddakf.Config:
     """The tracker's configuration: the defaults, overridden by ``config_json``, then by ``fabric``."""
-    text = session.config_json
+    configuration = ddakf.Config.from_dict(_config_values(session.config_json))
+    return configuration.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else configuration
+
+
+def changed_config(change: pb.UpdateSessionRequest, present: ddakf.Config) -> ddakf.Config:
+    """A configuration after a change of ``config_json``, of ``fabric``, or of both.
+
+    A new configuration keeps the fabric unless it names one. A fabric that is named as changed, and empty, is the default.
+    """
+    session, paths = change.session, change.update_mask.paths
+    if "config_json" not in paths:
+        return present.with_fabric(ddakf.Fabric.named(session.fabric) if session.fabric else ddakf.Fabric())
+    changed = config(session)
+    if "fabric" in paths or "fabric" in _config_values(session.config_json).get("physics", {}):
+        return changed
+    return changed.with_fabric(present.physics.fabric)
+
+
+def _config_values(text: str) -> dict:
     if len(text) > _MAX_CONFIG_CHARACTERS:
         raise InvalidConfig(field="config_json", expected=f"at most {_MAX_CONFIG_CHARACTERS} characters", got=str(len(text)))
     try:
@@ -55,8 +73,7 @@ def config(session: pb.Session) -> ddakf.Config:
         json.dumps(values, ensure_ascii=False).encode()  # a lone surrogate is no text
     except (ValueError, RecursionError) as error:
         raise InvalidConfig(field="config_json", expected="a JSON object", got=first_line(error)) from None
-    configuration = ddakf.Config.from_dict(values)
-    return configuration.with_fabric(ddakf.Fabric.named(session.fabric)) if session.fabric else configuration
+    return values
 
 
 def tracker_from_snapshot(data: bytes, limits: Limits, make: Callable[..., ddakf.Tracker] = ddakf.Tracker) -> ddakf.Tracker:

@@ -27,12 +27,18 @@ _EXTENT_FACTOR = 1.5  # extent that 16-bit vertices cover, over the template's l
 RESULT_ENCODINGS = sorted({*_VERTEX_ENCODINGS, *_SIGMA_ENCODINGS, *_RELIABILITY_ENCODINGS})
 
 
-def session_message(tracker: ddakf.Tracker, fabric: str = "", vertex_map: np.ndarray | None = None) -> pb.Session:
+def configuration(config: ddakf.Config) -> pb.Session:
+    """The full configuration of a tracker, and the name of its fabric."""
+    return pb.Session(config_json=json.dumps(config.to_dict()), fabric=config.physics.fabric.name)
+
+
+def session_message(tracker: ddakf.Tracker, vertex_map: np.ndarray | None = None) -> pb.Session:
     """Description of a new session for the server: configuration, meshes, counts, vertex map, time of its last frame."""
     garment, body = tracker.garment, tracker.body
+    described = configuration(tracker.config)
     session = pb.Session(
-        config_json=json.dumps(tracker.config.to_dict()),
-        fabric=fabric,
+        config_json=described.config_json,
+        fabric=described.fabric,
         garment=pack_mesh(garment.vertices, garment.faces),
         garment_vertex_count=garment.n_vertices,
         garment_face_count=garment.n_faces,

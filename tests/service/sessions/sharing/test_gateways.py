@@ -172,6 +172,15 @@ def test_a_session_without_a_stream_comes_to_the_gateway_that_is_asked(gateways,
     one.api.delete(stayed)
 
 
+def test_a_repeated_creation_finds_its_session_wherever_that_went(gateways):
+    one, two = gateways
+    name = one.api.create(SHEET, request_id="wandering").name
+    asked(two, name, range(1, 4))
+    for gateway in (one, two, one):
+        assert gateway.api.create(SHEET, request_id="wandering").name == name
+    two.api.delete(name)
+
+
 def test_calls_of_an_idle_session_work_at_every_gateway(gateways, name):
     _, two = gateways
     request = pb.UpdateSessionRequest(session=pb.Session(name=name, labels={"a": "b"}))
