@@ -16,6 +16,7 @@ WarningCode = Literal[
     "stale_clock",
     "clock_jump",
     "upside_down",
+    "heading_uncertain",
     "mirrored",
     "points_behind_sensor",
     "body_apart",

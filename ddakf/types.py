@@ -465,6 +465,7 @@ class Problem(NamedTuple):
     anchored: Planes | None = None  # pseudo-measurements of unseen vertices by the body anchor
     reference: InputReference | None = None
     overturned: tuple[float, float] | None = None  # m, costs of the garment upright and upside down, where a search prefers that
+    rival: float | None = None  # degrees by which a garment that was just found may as well be turned, with equal fit
     effort: Effort = Effort()  # of the next stage
     resting: Resting | None = None  # of the track
 

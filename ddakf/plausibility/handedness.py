@@ -1,4 +1,4 @@
-"""Handedness: garments inside out, clouds that curve toward their sensor, and clouds upside down."""
+"""Handedness: garments inside out or of uncertain heading, clouds that curve toward their sensor, and clouds upside down."""
 
 from __future__ import annotations
 
@@ -33,6 +33,13 @@ def upside_down(problem: Problem, estimate: Estimate) -> Sign | None:
         return None
     upright, over = (1e3 * cost for cost in problem.overturned)
     return Sign("points", f"the garment fits the cloud upside down: {over:.0f} mm off in the mean, upright {upright:.0f} mm")
+
+
+def heading_uncertain(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a search that found the garment, and as good a fit the other way round."""
+    if problem.rival is None:
+        return None
+    return Sign("garment", f"turned by {abs(problem.rival):.0f} degrees it fits as well: a start tells which way it faces")
 
 
 def outward(garment: Mesh) -> float:

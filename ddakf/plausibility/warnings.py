@@ -40,6 +40,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "stale_clock": Check(units.stale_clock, 3),
     "clock_jump": Check(units.clock_jump, 1),
     "upside_down": Check(handedness.upside_down, 1),
+    "heading_uncertain": Check(handedness.heading_uncertain, 1),
     "mirrored": Check(handedness.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
     "body_apart": Check(placement.body_apart, 3),

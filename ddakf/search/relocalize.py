@@ -12,9 +12,11 @@ from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.physics import rigidity
-from ddakf.search.nonrigid_registration import Target, register, rows
+from ddakf.search.nonrigid_registration import NO_TURN, Target, register, rows
 from ddakf.stages import skin_removal
 from ddakf.types import Drift, FrameInput, Health, Model, Problem, State
+
+_ALIKE = 1.05  # cost of a pose over the best one's, below which either may be the garment's
 
 
 class Search(NamedTuple):
@@ -274,7 +276,7 @@ def locate(problem: Problem) -> Problem:
     doubt = rule.heading_doubt if health.state == "initializing" else 0.0
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
     search, shapes = Search(model, _target(frame, config), config), [shape @ turn.T for shape in shapes]
-    found, cost = _best(shapes, search, heading)
+    found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
     if cost > min(rule.cost_ratio * staying, rule.highest_cost):
@@ -285,6 +287,7 @@ def locate(problem: Problem) -> Problem:
         prior=start._replace(R=prior.R),
         last=problem.last._replace(drift=Drift.at(model, rule.found_sd)),
         motion_start=found,
+        rival=rival,
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
@@ -365,8 +368,8 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
     return 0.5 * (there + back)
 
 
-def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float]:
-    """The shape that fits the cloud best after registration, (V, 3) metres, and its cost.
+def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, float | None]:
+    """The shape that fits the cloud best after registration, (V, 3) metres, its cost, and its :func:`_rival`.
 
     The wrong heading may fit as well as the right one until both are registered.
     """
@@ -379,6 +382,14 @@ def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tupl
             strain = math.sqrt(strains(registered, model.start, model.neighbour, model.rest_length, squared))
             total = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
             order = _negative_log_posterior(total, config.registered_samples, prior)
-            trials.append((order, len(trials), cost, registered))
-    _, _, cost, found = min(trials, key=lambda trial: trial[:2])
-    return found, cost
+            trials.append((order, len(trials), cost, registered, total))
+    _, _, cost, found, best = min(trials, key=lambda trial: trial[:2])
+    return found, cost, _rival(best, [trial[-1] for trial in trials])
+
+
+def _rival(best: CandidatePose, others: list[CandidatePose]) -> float | None:
+    """Degrees from the best heading to the best of those more than a right angle away, where that costs hardly more; or None."""
+    turns = [best.rotation.T @ other.rotation for other in others]
+    away = [(other.cost, turn) for other, turn in zip(others, turns, strict=True) if turn[0, 0] < 0.0]
+    cost, turn = min(away, key=lambda each: each[0], default=(math.inf, NO_TURN))
+    return math.degrees(math.atan2(turn[0, 2], turn[0, 0])) if cost < _ALIKE * best.cost else None

@@ -33,6 +33,7 @@ def server_info(settings: Settings, draining: bool) -> pb.ServerInfo:
             departure_timeout=settings.idle_timeout,
         ),
         max_vertices=settings.max_vertices,
+        max_body_vertices=settings.max_body_vertices,
         draining=draining,
         build=build(),
     )

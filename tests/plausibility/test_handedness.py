@@ -52,3 +52,11 @@ def test_a_cloud_upside_down_is_told():
     assert "upside_down" in [warning.code for warning in found]
     for heading in (0, 60, 180):
         assert not any(warned(SHIRT, points @ turn(heading).T + [0.5, 0.0, 0.3], None, 3))
+
+
+@pytest.mark.parametrize(("garment", "alike"), [(TUBE, True), (SHIRT, False)], ids=["tube", "shirt"])
+def test_a_garment_that_fits_as_well_turned_is_told_when_it_is_found(garment, alike):
+    points = scan(garment.vertices, garment, 5000) + [0.5, 0.0, 0.3]
+    first, *later = warned(garment, points, None, 3)
+    assert ["heading_uncertain"] * alike == [warning.code for warning in first]
+    assert not any(later)

@@ -229,6 +229,7 @@ class ServerInfo:
     fabrics: tuple[str, ...]
     max_message_bytes: int
     max_vertices: int
+    max_body_vertices: int
     max_limits: Limits
     draining: bool
     build: str
@@ -337,6 +338,7 @@ def server_info_from(message: pb.ServerInfo) -> ServerInfo:
         fabrics=tuple(message.fabrics),
         max_message_bytes=message.max_message_bytes,
         max_vertices=message.max_vertices,
+        max_body_vertices=message.max_body_vertices,
         max_limits=_limits_from(message.max_limits),
         draining=message.draining,
         build=message.build,

@@ -91,6 +91,7 @@ class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     WARNING_CODE_POINTS_BEHIND_SENSOR: _ClassVar[WarningCode]
     WARNING_CODE_BODY_APART: _ClassVar[WarningCode]
     WARNING_CODE_CLOCK_JUMP: _ClassVar[WarningCode]
+    WARNING_CODE_HEADING_UNCERTAIN: _ClassVar[WarningCode]
 
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -153,6 +154,7 @@ WARNING_CODE_MIRRORED: WarningCode
 WARNING_CODE_POINTS_BEHIND_SENSOR: WarningCode
 WARNING_CODE_BODY_APART: WarningCode
 WARNING_CODE_CLOCK_JUMP: WarningCode
+WARNING_CODE_HEADING_UNCERTAIN: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
@@ -312,7 +314,7 @@ class GetServerInfoRequest(_message.Message):
     def __init__(self, api_version: _Optional[str] = ...) -> None: ...
 
 class ServerInfo(_message.Message):
-    __slots__ = ("api_version", "server_version", "point_codecs", "depth_compressions", "result_encodings", "fabrics", "max_message_bytes", "max_limits", "max_vertices", "draining", "build")
+    __slots__ = ("api_version", "server_version", "point_codecs", "depth_compressions", "result_encodings", "fabrics", "max_message_bytes", "max_limits", "max_vertices", "draining", "build", "max_body_vertices")
     API_VERSION_FIELD_NUMBER: _ClassVar[int]
     SERVER_VERSION_FIELD_NUMBER: _ClassVar[int]
     POINT_CODECS_FIELD_NUMBER: _ClassVar[int]
@@ -324,6 +326,7 @@ class ServerInfo(_message.Message):
     MAX_VERTICES_FIELD_NUMBER: _ClassVar[int]
     DRAINING_FIELD_NUMBER: _ClassVar[int]
     BUILD_FIELD_NUMBER: _ClassVar[int]
+    MAX_BODY_VERTICES_FIELD_NUMBER: _ClassVar[int]
     api_version: str
     server_version: str
     point_codecs: _containers.RepeatedScalarFieldContainer[PointCodec]
@@ -335,7 +338,8 @@ class ServerInfo(_message.Message):
     max_vertices: int
     draining: bool
     build: str
-    def __init__(self, api_version: _Optional[str] = ..., server_version: _Optional[str] = ..., point_codecs: _Optional[_Iterable[_Union[PointCodec, str]]] = ..., depth_compressions: _Optional[_Iterable[_Union[DepthCompression, str]]] = ..., result_encodings: _Optional[_Iterable[_Union[ArrayEncoding, str]]] = ..., fabrics: _Optional[_Iterable[str]] = ..., max_message_bytes: _Optional[int] = ..., max_limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., max_vertices: _Optional[int] = ..., draining: bool = ..., build: _Optional[str] = ...) -> None: ...
+    max_body_vertices: int
+    def __init__(self, api_version: _Optional[str] = ..., server_version: _Optional[str] = ..., point_codecs: _Optional[_Iterable[_Union[PointCodec, str]]] = ..., depth_compressions: _Optional[_Iterable[_Union[DepthCompression, str]]] = ..., result_encodings: _Optional[_Iterable[_Union[ArrayEncoding, str]]] = ..., fabrics: _Optional[_Iterable[str]] = ..., max_message_bytes: _Optional[int] = ..., max_limits: _Optional[_Union[SessionLimits, _Mapping]] = ..., max_vertices: _Optional[int] = ..., draining: bool = ..., build: _Optional[str] = ..., max_body_vertices: _Optional[int] = ...) -> None: ...
 
 class CreateSessionRequest(_message.Message):
     __slots__ = ("api_version", "session", "session_id", "request_id", "clean")
