@@ -10,7 +10,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import current_principal
 from ..store.tables.session_record import SessionRecord
-from .page_token import Position, page_size, page_token, position_after
+from .page_token import Position, matches, page_size, page_token, position_after
 from .session import Session
 
 MAX_ENDED = 1024  # ended sessions whose reasons are in memory
@@ -147,7 +147,7 @@ class SessionCatalog:
         """
         size, caller = page_size(request), current_principal.get()
         after = position_after(request)
-        readable = (s for s in self if caller.may_read(s.owner) and _matches(s, request))
+        readable = (s for s in self if caller.may_read(s.owner) and matches(s, request))
         matching = sorted((s for s in readable if _position(s) > after), key=_position)
         page = matching[:size]
         more = page_token(request, _position(page[-1])) if len(matching) > size else ""
@@ -160,12 +160,6 @@ def not_found(name: str) -> SessionNotFound:
 
 def revoked() -> Unauthenticated:
     return Unauthenticated("the key was revoked or has expired")
-
-
-def _matches(session: Session, request: pb.ListSessionsRequest) -> bool:
-    return (not request.states or session.state in request.states) and all(
-        session.labels.get(key) == value for key, value in request.labels.items()
-    )
 
 
 def _position(session: Session) -> Position:

@@ -57,3 +57,10 @@ def _filter(request: pb.ListSessionsRequest | pb.ListMeshesRequest) -> str:
     if isinstance(request, pb.ListSessionsRequest):
         values = sorted(set(request.states)), sorted(request.labels.items())
     return hashlib.sha256(repr(values).encode()).hexdigest()[:16]
+
+
+def matches(session, request: pb.ListSessionsRequest) -> bool:
+    """Whether a session, or its message, has one of the states and all labels of a request."""
+    return (not request.states or session.state in request.states) and all(
+        session.labels.get(key) == value for key, value in request.labels.items()
+    )

@@ -9,7 +9,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import Scope, current_principal
 from ..store.tables.session_record import SessionRecord
-from .page_token import Position, page_size, page_token, position_after
+from .page_token import Position, matches, page_size, page_token, position_after
 
 STATES = frozenset({pb.SESSION_STATE_EXPIRED, pb.SESSION_STATE_CLOSED})
 _BATCH = 1000  # rows that are read at a time
@@ -46,7 +46,7 @@ async def past_page(ended: EndedRecords, request: pb.ListSessionsRequest) -> pb.
     page: list[SessionRecord] = []
     while True:
         batch = await ended(sorted(set(request.states)), owner, before, _BATCH)
-        page += (record for record in batch if _has_labels(record, request))
+        page += (record for record in batch if matches(record.session, request))
         if len(page) > size or len(batch) < _BATCH:
             break
         before = position_of(batch[-1])
@@ -56,7 +56,3 @@ async def past_page(ended: EndedRecords, request: pb.ListSessionsRequest) -> pb.
 
 def position_of(record: SessionRecord) -> Position:
     return Position(int(record.create_time * 1e6), record.id)
-
-
-def _has_labels(record: SessionRecord, request: pb.ListSessionsRequest) -> bool:
-    return all(record.session.labels.get(key) == value for key, value in request.labels.items())

@@ -7,7 +7,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ...auth.principal import Scope, current_principal
 from ...store.tables.leases import Leases
 from ..catalog import SessionCatalog
-from ..page_token import Position, page_size, page_token, position_after
+from ..page_token import Position, matches, page_size, page_token, position_after
 
 _BATCH = 1000  # rows that are read at a time
 _LAST = Position(1 << 63, "")
@@ -31,7 +31,7 @@ async def shared_page(leases: Leases, catalog: SessionCatalog, request: pb.ListS
         complete = len(records) < _BATCH
         until = _LAST if complete else _position(records[-1].session)
         listed = (session for session in found.values() if after < _position(session) <= until)
-        matching = sorted((session for session in listed if _matches(session, request)), key=_position)
+        matching = sorted((session for session in listed if matches(session, request)), key=_position)
         if complete or len(matching) > size:
             break
         begin = records[-1].create_time
@@ -42,9 +42,3 @@ async def shared_page(leases: Leases, catalog: SessionCatalog, request: pb.ListS
 
 def _position(session: pb.Session) -> Position:
     return Position(session.create_time.ToNanoseconds() // 1000, session.name.removeprefix("sessions/"))
-
-
-def _matches(session: pb.Session, request: pb.ListSessionsRequest) -> bool:
-    return (not request.states or session.state in request.states) and all(
-        session.labels.get(key) == value for key, value in request.labels.items()
-    )
