@@ -25,6 +25,7 @@ distance of the cloud to the fitted surface is reported. Of several parts one is
 
 
 FPS = 30.0  # frames per second of a recording that does not state them
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}  # metres
 
 
 def register(commands: argparse._SubParsersAction) -> None:
@@ -44,6 +45,8 @@ def register(commands: argparse._SubParsersAction) -> None:
         help="where the camera of a folder of clouds was, in the files' unit (default: as a .pcd's VIEWPOINT or a .ply's "
         "comment sensor_origin says)",
     )
+
+    sensor.add_argument("--unit", choices=UNITS, help="of a folder of clouds and of its template (default m)")
 
     tracker = parser.add_argument_group("tracker")
     tracker.add_argument(
@@ -199,6 +202,9 @@ def _source(arguments: argparse.Namespace):
         raise InvalidArgument("fps", "none for a sequence, which has its own", f"{arguments.fps:g}")
     if arguments.sensor_origin is not None:
         recording = _placed(recording, arguments.sensor_origin)
+    unit = UNITS[arguments.unit or "m"]
+    if arguments.unit:
+        recording = replace(_folder_of_clouds(recording, "unit"), unit=unit)
     source = source_of(
         recording,
         sensor_options.sensor(arguments, virtual=isinstance(recording, Sequence)),
@@ -206,6 +212,7 @@ def _source(arguments: argparse.Namespace):
         start=arguments.start,
         give_body=arguments.body,
         template=arguments.template,
+        unit=unit,
         seed=arguments.seed,
     )
     if not len(source):
@@ -215,13 +222,19 @@ def _source(arguments: argparse.Namespace):
 
 def _placed(recording, sensor_origin: list[float]):
     """A folder of clouds whose camera stood at these (3,) coordinates."""
-    from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording
-
-    if not isinstance(recording, FolderRecording):
-        raise InvalidArgument("sensor_origin", "a folder of clouds; other recordings state their own", recording.name)
+    recording = _folder_of_clouds(recording, "sensor_origin")
     if not all(map(math.isfinite, sensor_origin)):
         raise InvalidArgument("sensor_origin", "three finite numbers", " ".join(map(str, sensor_origin)))
     return replace(recording, sensor_origin=tuple(sensor_origin))
+
+
+def _folder_of_clouds(recording, option: str):
+    """The recording, which an option is for."""
+    from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording
+
+    if not isinstance(recording, FolderRecording):
+        raise InvalidArgument(option, "a folder of clouds; other recordings state their own", recording.name)
+    return recording
 
 
 def _config(arguments: argparse.Namespace):

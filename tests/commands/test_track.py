@@ -129,6 +129,21 @@ def test_fabric_and_configuration_are_those_of_the_command_line(capsys):
     assert len({_summary(capsys, SAMPLE, *SHORT, *way)["rmse_mm"] for way in ways}) == 3
 
 
+def test_a_folder_may_be_in_another_unit(tmp_path):
+    s, vertices = sample(), []
+    for unit, factor in (("m", 1.0), ("mm", 1000.0)):
+        folder, template, out = (tmp_path / f"{unit}{suffix}" for suffix in ("", ".ply", ".npz"))
+        folder.mkdir()
+        for k in range(3):
+            io.write_points(folder / f"{k}.ply", factor * s.garment_vertices[k])
+        io.write_mesh(template, factor * s.template, s.garment_faces)
+        origin = [str(factor * x) for x in (0.0, 1.0, 3.0)]
+        options = ["--template", template, "--unit", unit, "--sensor-origin", *origin, "--out", out]
+        assert _track(folder, *options) == 0
+        vertices.append(np.load(out)["vertices"])
+    assert vertices[0] == pytest.approx(vertices[1], abs=1e-3)
+
+
 def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp_path):
     """And without either, the side is estimated and the table says so, once."""
     s, sensor = sample(), Sensor("front", points=4000)
@@ -158,6 +173,7 @@ def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp
     [
         (["none.npz"], "nothing there"),
         ([SAMPLE, "--sensor-origin", "0", "0", "2"], "sensor_origin"),
+        ([SAMPLE, "--unit", "mm"], "unit: expected a folder of clouds"),
         ([SAMPLE, "--frames", "9:9"], "frames"),
         ([SAMPLE, "--drop", "2"], "drop"),
         ([SAMPLE, "--occlude", "9"], "FROM:TO"),

@@ -194,6 +194,7 @@ def source_of(
     start: Start = "truth",
     give_body: bool = False,
     template=None,
+    unit: float = 1.0,
     seed: int = 1,
 ) -> Source:
     """The source that ``ddakf track`` tracks.
@@ -204,6 +205,7 @@ def source_of(
         frames: ``A:B``, from frame A up to B, which is not part of it; either may be left out.
         start: as ``start_at``, give_body, seed: see :class:`SequenceSource`.
         template: mesh file to track in a recording, instead of its first frame.
+        unit: metres in a unit of that file.
 
     Raises:
         InvalidFile, InvalidArgument, InvalidMesh: a file, an argument or a template that is not valid.
@@ -220,15 +222,15 @@ def source_of(
         return SequenceSource(recording, sensor or Sensor(), chosen, start, give_body, seed)
     if give_body:
         raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
-    mesh, vertex_map = (None, None) if template is None else _repaired(template)
+    mesh, vertex_map = (None, None) if template is None else _repaired(template, unit)
     plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
     return RecordingSource(recording, plain, chosen, mesh, seed, vertex_map)
 
 
-def _repaired(template) -> tuple[Mesh, np.ndarray | None]:
-    """The mesh of a file, and the vertex map where a repair has changed its vertices."""
+def _repaired(template, unit: float) -> tuple[Mesh, np.ndarray | None]:
+    """The mesh of a file, in metres, and the vertex map where a repair has changed its vertices."""
     vertices, faces = read_mesh(template)
-    mesh, vertex_map = Mesh.cleaned(vertices, faces)
+    mesh, vertex_map = Mesh.cleaned(unit * vertices, faces)
     return mesh, None if np.array_equal(vertex_map, np.arange(len(vertices))) else vertex_map
 
 

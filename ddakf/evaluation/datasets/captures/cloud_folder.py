@@ -21,8 +21,7 @@ NO_TEMPLATE = f"a mesh file, as the frames are points; {TEMPLATE}.obj beside the
 
 @dataclass(frozen=True, eq=False)
 class FolderRecording:
-    """A folder with one file of points per frame, in the order of the numbers in their names. Units and axes are those of
-    the files.
+    """A folder with one file of points per frame, in the order of the numbers in their names. Axes are those of the files.
 
     Attributes:
         name: of the folder.
@@ -30,6 +29,7 @@ class FolderRecording:
         fps: frames per second.
         mesh: file of the template, in the pose of the first frame; None if the frames are meshes, or without a template.
         sensor_origin: of the camera in every frame, in the files' unit; None: as each file says.
+        unit: metres in a unit of the files.
     """
 
     name: str
@@ -37,6 +37,7 @@ class FolderRecording:
     fps: float
     mesh: Path | None = None
     sensor_origin: tuple[float, float, float] | None = None
+    unit: float = 1.0
 
     def __len__(self) -> int:
         return len(self.paths)
@@ -46,7 +47,7 @@ class FolderRecording:
         return frame / self.fps
 
     def cloud(self, frame: int) -> Cloud:
-        """The points of one frame, and where its sensor was if that is known.
+        """The points of one frame, metres, and where its sensor was if that is known.
 
         Raises:
             InvalidFile: an unreadable file, or coordinates beyond :data:`LARGEST`.
@@ -55,10 +56,10 @@ class FolderRecording:
         if np.abs(points).max(initial=0.0) > LARGEST:
             raise InvalidFile(self.paths[frame].name, f"coordinates up to {LARGEST:g}", f"{np.abs(points).max():g}")
         origin = read_sensor_origin(self.paths[frame]) if self.sensor_origin is None else np.array(self.sensor_origin)
-        return Cloud(points.astype(np.float32), origin)
+        return Cloud((self.unit * points).astype(np.float32), None if origin is None else self.unit * origin)
 
     def template(self, frame: int = 0) -> Mesh:
-        """The folder's template, or the mesh in a frame's file; cleaned.
+        """The folder's template, or the mesh in a frame's file; cleaned, in metres.
 
         Raises:
             InvalidArgument: neither, or a template for another frame than the first. InvalidFile: a template that is no mesh.
@@ -66,13 +67,17 @@ class FolderRecording:
         if self.mesh is not None:
             if frame != 0:
                 raise InvalidArgument("frames", f"a start at frame 0, where {self.mesh.name} lies", str(frame))
-            return Mesh.cleaned(*read_mesh(self.mesh))[0]
+            return self._cleaned(self.mesh)
         if self.paths[frame].suffix.lower() not in MESH_SUFFIXES:
             raise InvalidArgument("template", NO_TEMPLATE, "none")
         try:
-            return Mesh.cleaned(*read_mesh(self.paths[frame]))[0]
+            return self._cleaned(self.paths[frame])
         except InvalidFile as error:
             raise InvalidArgument("template", NO_TEMPLATE, "none") from error
+
+    def _cleaned(self, path: Path) -> Mesh:
+        vertices, faces = read_mesh(path)
+        return Mesh.cleaned(self.unit * vertices, faces)[0]
 
 
 def load_folder(path, fps: float = 30.0) -> FolderRecording:
