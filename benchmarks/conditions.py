@@ -97,11 +97,11 @@ def predictors(sequence: Sequence, frames: Iterable[int]) -> dict[str, float]:
     config, start = ddakf.Config(), np.asarray(sequence.garment_vertices[FIRST], np.float64)
     body = contact.build(ddakf.Mesh(sequence.body_vertices[FIRST], sequence.body_faces), config.predict.carry_reach)
     track = contact.start(body, start, config.physics)
-    bound = contact.bind(body, track.vertices, start, config.predict.anchor_reach)
+    bound = contact.bind(body, track.vertices, start, config.anchor.reach)
     errors = []
     for k in frames:
         pose = contact.posed(body, track, np.asarray(sequence.body_vertices[k], np.float64))
-        found = start, contact.follow(bound, pose, config.predict.anchor_reach)
+        found = start, contact.follow(bound, pose, config.anchor.reach)
         errors.append([1e3 * np.sqrt(np.square(place - sequence.garment_vertices[k]).sum(axis=1).mean()) for place in found])
     return dict(zip(("stay_mm", "carried_mm"), np.mean(errors, axis=0).tolist(), strict=True))
 

@@ -62,7 +62,7 @@ class Frames(NamedTuple):
     sigma: np.ndarray  # (N,) m, RMS
     unexplained: np.ndarray  # (N,) share of the points
     offset: np.ndarray  # (N,) m, RMS distance of the cloud from the surface
-    beside: np.ndarray  # (N,) 1 with a body, else 0
+    with_body: np.ndarray  # (N,) 1 with a body, else 0
 
 
 def planned(names: Sequence[str] | None) -> list[Run]:

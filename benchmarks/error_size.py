@@ -130,12 +130,12 @@ def fitted_frames(frames: Frames) -> dict[str, float]:
     law, weight = ddakf.Config().frame_error, 1.0 / np.bincount(frames.run)[frames.run]
     missed = law.unexplained_power * np.log(1.0 + frames.unexplained / law.unexplained_scale)
     log_ratio = np.log(np.minimum(frames.rmse, WORST) / frames.sigma) - missed
-    columns = np.column_stack([np.ones(len(weight)), frames.beside, np.log(1.0 + frames.offset / law.offset_scale)])
+    columns = np.column_stack([np.ones(len(weight)), frames.with_body, np.log(1.0 + frames.offset / law.offset_scale)])
     root = np.sqrt(weight)
-    _, beside, power = np.linalg.lstsq(columns * root[:, None], log_ratio * root)[0]
-    rest = np.exp(log_ratio - columns[:, 1:] @ [beside, power])
+    _, with_body, power = np.linalg.lstsq(columns * root[:, None], log_ratio * root)[0]
+    rest = np.exp(log_ratio - columns[:, 1:] @ [with_body, power])
     share = np.quantile(rest, BETTER, weights=weight, method="inverted_cdf")
-    found = {"sigma_share": share, "body_share": np.exp(beside), "offset_power": power}
+    found = {"sigma_share": share, "body_share": np.exp(with_body), "offset_power": power}
     return {name: round(float(value), 3) for name, value in found.items()}
 
 

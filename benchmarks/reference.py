@@ -44,6 +44,7 @@ STAGE_OF = {
     "registration": "start",
     "discretisation": "garment",
     "predict": "A",
+    "anchor": "A",
     "preprocess": "preprocessing",
     "skin_removal": "preprocessing",
     "coarse": "cluster alignment",

@@ -25,12 +25,12 @@ from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, 
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 18
+VERSION = 19
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
 # size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
 # another guess of how far it deviates along the normal, which is not read, and the template's lengths at rest; 17 has another
-# law of the frame's error, which is not read.
+# law of the frame's error, which is not read; 18 has other names for fields of the configuration.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = (
@@ -40,6 +40,21 @@ DROPPED = (
     *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
     *(("predict", f"anchor_{name}") for name in ("first_share", "slippage", "slippage_power")),
 )  # parts and fields of earlier configurations, which are not read
+MOVED = {  # part and field of the configuration before 19, and since
+    ("predict", "worn_memory"): ("anchor", "memory"),
+    ("predict", "worn_normal_sd"): ("anchor", "normal_sd"),
+    ("predict", "worn_slope"): ("anchor", "clearance_slope"),
+    ("predict", "worn_hanging"): ("anchor", "hanging_slope"),
+    ("predict", "slip_sd"): ("anchor", "slip_sd"),
+    ("predict", "slip_slope"): ("anchor", "slip_slope"),
+    ("predict", "anchor_reach"): ("anchor", "reach"),
+    ("predict", "anchor_least_sd"): ("anchor", "least_sd"),
+    ("predict", "anchor_first_share"): ("anchor", "first_share"),
+    ("associate", "still"): ("associate", "reassociation_motion"),
+    ("associate", "beside"): ("associate", "lateral_gate"),
+    ("associate", "turned"): ("associate", "normal_distance"),
+    ("associate", "sighting"): ("associate", "visibility_motion"),
+}
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 
 
@@ -307,11 +322,15 @@ def _present(numbers: dict, version: int) -> dict:
         return numbers
     if isinstance(config := numbers.get("config"), dict):
         laws = ("vertex_error", "normal_error", "tangential_error")  # of other evidence, and fitted together
-        for law in ("frame_error", *(laws if version < 17 else ())):
+        for law in ("frame_error", *laws) if version < 17 else ("frame_error",) if version < 18 else ():
             config.pop(law, None)
         for part, field in DROPPED if version < 17 else ():
             if isinstance(config.get(part), dict):
                 config[part].pop(field, None)
+        for (part, field), (new_part, new_field) in MOVED.items():
+            old, new = config.get(part), config.setdefault(new_part, {})
+            if isinstance(old, dict) and isinstance(new, dict) and field in old:
+                new[new_field] = old.pop(field)
     if isinstance(health := numbers.get("health"), dict):
         health.pop("least_strain", None)
     return numbers

@@ -228,7 +228,7 @@ class Tracker:
         track, config = other._track, self.config
         if config.discretisation != other.config.discretisation:
             track = transferred(track, other._discretised, self._discretised, self._track.resting)
-        elif (config.physics, config.predict) != (other.config.physics, other.config.predict):
+        elif (config.physics, config.anchor) != (other.config.physics, other.config.anchor):
             track = reconfigured(track, self._setup)
         if track.body is not None:
             body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
@@ -268,7 +268,7 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
     start, under, anchor = config.start, None, None
     if body is not None:
         under = contact.start(body, position, config.physics)
-        if body_anchor.enabled(config.predict):
+        if body_anchor.enabled(config):
             anchor = body_anchor.start(setup, under.vertices, position)
     return Track(
         state=State.at(position, velocity, start.sd, start.speed_sd, config.adapt.initial_sd),

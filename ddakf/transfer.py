@@ -122,7 +122,7 @@ def _owners(source: Discretised, target: Discretised) -> np.ndarray:
 
 def _anchor(anchor: BodyAnchor | None, share: np.ndarray, source: Discretised, target: Discretised) -> BodyAnchor | None:
     """The place on the body where the garment was bound, and what was learned about it."""
-    if anchor is None or not body_anchor.enabled(target.setup.config.predict):
+    if anchor is None or not body_anchor.enabled(target.setup.config):
         return None
     position, pose = anchor.bound.position, anchor.bound.pose
     position = _moved(position, rigidity.rotations(position, source.setup.model), source, target)

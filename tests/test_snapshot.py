@@ -79,9 +79,9 @@ def test_a_tracker_of_the_same_configuration_goes_on_exactly(body):
     "stages",
     [
         {"physics": {"start_strain_kept": 1.0, "start_strain": 0.5}},
-        {"predict": {"slip_slope": 5.0, "slip_sd": 0.5}},
-        {"predict": {"worn_slope": 5.0}},
-        {"discretisation": {"working_edge": 0.03, "working_finest": 1.0}, "predict": {"slip_sd": 0.5}},
+        {"anchor": {"slip_slope": 5.0, "slip_sd": 0.5}},
+        {"anchor": {"clearance_slope": 5.0}},
+        {"discretisation": {"working_edge": 0.03, "working_finest": 1.0}, "anchor": {"slip_sd": 0.5}},
     ],
     ids=lambda stages: "+".join(stages),
 )
@@ -94,6 +94,17 @@ def test_another_configuration_goes_on_as_its_snapshot_does(stages):
     twin = Tracker.restore(tracker.snapshot())
     for points, how in frames(5, 2, BODY):
         assert_same(twin.step(points, **how), tracker.step(points, **how))
+
+
+def test_renamed_fields_keep_their_values():
+    changed = {"anchor": {"memory": 0.7, "slip_slope": 0.3}, "associate": {"visibility_motion": 0.004}}
+    tracker = Tracker(GARMENT, body=BODY, config=Config.from_dict(changed))
+    numbers, arrays = snapshot.parts(tracker)
+    numbers["config"]["predict"] |= {"worn_memory": 0.7, "slip_slope": 0.3}
+    numbers["config"]["associate"]["sighting"] = numbers["config"]["associate"].pop("visibility_motion")
+    del numbers["config"]["anchor"]
+    twin = Tracker.restore(snapshot.sealed(snapshot.pack(numbers, arrays)[16:], 18))
+    assert twin.config == tracker.config
 
 
 @pytest.mark.parametrize("gap_time", [0.0, 0.5])
@@ -114,19 +125,25 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
-@pytest.mark.parametrize("version", [11, 12, 13, 15, 16])
+@pytest.mark.parametrize("version", [11, 12, 13, 15, 16, 17, 18])
 def test_a_snapshot_of_an_earlier_version_goes_on_without_what_it_lacks(version):
     tracker = tracked(5, BODY)
     numbers, arrays = snapshot.parts(tracker)
-    numbers["config"]["predict"] |= {"worn_sd": 0.05, "worn_slope": 0.12, "anchor_first_share": 0.6}
+    anchor = numbers["config"].pop("anchor")
+    assert numbers["config"]["associate"].pop("lateral_gate") == 1.4
+    numbers["config"]["associate"]["beside"] = 1.4
+    numbers["config"]["predict"] |= {"worn_memory": anchor["memory"], "anchor_reach": anchor["reach"]}
+    if version < 17:
+        numbers["config"]["predict"] |= {"worn_sd": 0.05, "worn_slope": 0.12, "anchor_first_share": 0.6}
+        numbers["config"]["reliability"]["sigma_share"] = 0.8
     if version < 16:
         arrays["worn_squares"] = np.column_stack([arrays["worn_squares"], np.ones_like(arrays["worn_squares"])])
         numbers["config"]["predict"] |= {"worn_tangential_sd": 0.01, "anchor_seen_samples": 2.3}
     if version < 13:
         numbers["config"]["vertex_error"] = {"type": "VertexError", "base": 1.0}
         numbers["config"]["evidence"]["free_clearance"] = 0.05
-    numbers["config"]["frame_error"] = {"type": "FrameError", "base": 1.0}
-    numbers["config"]["reliability"]["sigma_share"] = 0.8
+    if version < 18:
+        numbers["config"]["frame_error"] = {"type": "FrameError", "base": 1.0}
     numbers["health"]["least_strain"] = 0.1
     reliability = numbers["health"]["reliability"]
     if version < 12:

@@ -17,25 +17,25 @@ from math import exp
 import numpy as np
 
 from ddakf.body import contact
-from ddakf.config import ConstantVelocity
+from ddakf.config import Anchor, Config
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
 
 def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
-    model, config, n = setup.model, setup.config.predict, len(setup.model.likeness)
-    bound = contact.bind(setup.body, pose, position, config.anchor_reach)
+    model, config, n = setup.model, setup.config.anchor, len(setup.model.likeness)
+    bound = contact.bind(setup.body, pose, position, config.reach)
     slip = config.slip_sd + config.slip_slope * _patch_means(model, model.hanging)
     return BodyAnchor(bound, np.zeros(n), np.zeros(n), np.zeros(len(position), bool), _first_guess(setup, bound), np.square(slip))
 
 
 def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:
     """(L,) m^2 of the deviations in a patch along the normal, which grow with its clearance and with the cloth above it."""
-    model, config, (face, distance) = setup.model, setup.config.predict, (bound.contact.face, bound.contact.distance)
-    clearance = np.where(face < 0, config.anchor_reach, np.clip(distance, 0.0, config.anchor_reach))
+    model, config, (face, distance) = setup.model, setup.config.anchor, (bound.contact.face, bound.contact.distance)
+    clearance = np.where(face < 0, config.reach, np.clip(distance, 0.0, config.reach))
     wide, below = _patch_means(model, clearance), _patch_means(model, model.hanging)
-    return np.square(config.worn_normal_sd + config.worn_slope * wide + config.worn_hanging * below)
+    return np.square(config.normal_sd + config.clearance_slope * wide + config.hanging_slope * below)
 
 
 def _patch_means(model: Model, values: np.ndarray) -> np.ndarray:
@@ -43,9 +43,9 @@ def _patch_means(model: Model, values: np.ndarray) -> np.ndarray:
     return np.bincount(model.patch, values) / np.bincount(model.patch)
 
 
-def enabled(config: ConstantVelocity) -> bool:
+def enabled(config: Config) -> bool:
     """Whether the body holds unseen vertices."""
-    return config.carry_reach > 0 and config.worn_memory > 0
+    return config.predict.carry_reach > 0 and config.anchor.memory > 0
 
 
 def measure(problem: Problem) -> Problem:
@@ -55,10 +55,10 @@ def measure(problem: Problem) -> Problem:
     count as one. A patch of which nothing was seen deviates along the normal as the patches around it do, each over its first
     guess.
     """
-    anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.predict
+    anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.anchor
     if anchor is None or body is None or problem.health.settling:
         return problem
-    target = contact.follow(anchor.bound, body, config.anchor_reach)
+    target = contact.follow(anchor.bound, body, config.reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
     size = len(target) / len(model.likeness)
@@ -77,14 +77,14 @@ def slack(problem: Problem) -> np.ndarray | None:
     if problem.anchored is None:
         return None
     anchor = problem.last.anchor
-    return np.sqrt(_along(anchor, problem.model, problem.config.predict) + 2.0 * anchor.slip)
+    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * anchor.slip)
 
 
-def _along(anchor: BodyAnchor, model: Model, config: ConstantVelocity) -> np.ndarray:
+def _along(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
     """(L,) m^2 of the deviations in a patch along the normal."""
     relative, seen = (model.likeness @ np.column_stack([anchor.squares / anchor.guess, anchor.seen])).T
-    first = config.anchor_first_share
-    return np.maximum(anchor.guess * (relative + first) / (seen + first), config.anchor_least_sd**2)
+    first = config.first_share
+    return np.maximum(anchor.guess * (relative + first) / (seen + first), config.least_sd**2)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
@@ -95,8 +95,8 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> Bod
         position: (V, 3) the posterior, metres.
         measured: (V,) bool.
     """
-    anchor, model, config, planes = problem.last.anchor, problem.model, problem.config.predict, problem.anchored
-    if problem.last.body is None or problem.health.settling > 0 or not enabled(config):
+    anchor, model, config, planes = problem.last.anchor, problem.model, problem.config.anchor, problem.anchored
+    if problem.last.body is None or problem.health.settling > 0 or not enabled(problem.config):
         return None
     if anchor is None:
         body = problem.body
@@ -105,7 +105,7 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> Bod
         return anchor
     n, used = len(anchor.seen), measured & (anchor.bound.contact.face >= 0)
     along = np.einsum("va,va->v", (position - planes.target)[used], planes.normal[used])
-    patch, size, old = model.patch[used], np.bincount(model.patch, minlength=n), exp(-problem.dt / config.worn_memory)
+    patch, size, old = model.patch[used], np.bincount(model.patch, minlength=n), exp(-problem.dt / config.memory)
     return anchor._replace(
         seen=old * anchor.seen + (1.0 - old) * np.bincount(patch, minlength=n) / size,
         squares=old * anchor.squares + (1.0 - old) * np.bincount(patch, np.square(along), n) / size,

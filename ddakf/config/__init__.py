@@ -18,6 +18,7 @@ from ddakf.config.physics import Physics
 from ddakf.config.plausibility import Sidedness
 from ddakf.config.search import Registration, Relocalization, Start
 from ddakf.config.stages import (
+    Anchor,
     ConstantAcceleration,
     ConstantVelocity,
     DecoupledUpdate,
@@ -44,6 +45,7 @@ from ddakf.errors import InvalidConfig, nearest, shown, shown_name
 from ddakf.physics.fabric import Fabric
 
 __all__ = [
+    "Anchor",
     "Checked",
     "Coarse",
     "Colour",
@@ -94,6 +96,7 @@ class Config:
     registration: Registration = field(default_factory=Registration)
     discretisation: Discretisation = field(default_factory=Discretisation)
     predict: ConstantVelocity | ConstantAcceleration = field(default_factory=ConstantVelocity)
+    anchor: Anchor = field(default_factory=Anchor)
     preprocess: GridFilter | KnnFilter = field(default_factory=GridFilter)
     skin_removal: SkinRemoval = field(default_factory=SkinRemoval)
     coarse: Coarse = field(default_factory=Coarse)

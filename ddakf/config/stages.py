@@ -21,15 +21,6 @@ class ConstantVelocity(Checked):
     carry_reach: float = bounded(0.10, 0, 1)  # m: a body surface within it carries the garment; 0: none does
     friction: float = bounded(8.0, 0, 1e3)  # 1/s: added to damping where the body carries a vertex, of its motion on the body
     longest_step: float = bounded(0.5, 1e-3, 10)  # s: a longer gap moves the garment no further
-    worn_memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the deviation from the body anchor; 0: no anchor
-    worn_normal_sd: float = bounded(0.001, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
-    worn_slope: float = bounded(0.4, 0, 10)  # m more per m from the body
-    worn_hanging: float = bounded(0.02, 0, 10)  # m more per m of cloth from the garment's top
-    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top
-    slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
-    anchor_reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
-    anchor_least_sd: float = bounded(0.001, 1e-4, 1)  # m, deviation from the body anchor along the normal, at least
-    anchor_first_share: float = bounded(0.05, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
 
 
 @dataclass(frozen=True)
@@ -38,6 +29,21 @@ class ConstantAcceleration(ConstantVelocity):
 
     share: float = bounded(0.5, 0, 1)  # of the smoothed acceleration that prediction continues
     memory: float = bounded(0.1, 1e-3, 10)  # s, time constant of the smoothing and duration of the continued acceleration
+
+
+@dataclass(frozen=True)
+class Anchor(Checked):
+    """The garment's place on the body as a pseudo-measurement of its unseen vertices."""
+
+    memory: float = bounded(0.3, 0, 1e3)  # s, time constant of the learned deviation; 0: no anchor
+    reach: float = bounded(0.3, 0.01, 10)  # m: a body surface within it anchors a vertex
+    normal_sd: float = bounded(0.001, 1e-4, 10)  # m, first guess of the deviation of cloth on the body, along the normal
+    clearance_slope: float = bounded(0.4, 0, 10)  # m more per m from the body
+    hanging_slope: float = bounded(0.02, 0, 10)  # m more per m of cloth from the garment's top
+    least_sd: float = bounded(0.001, 1e-4, 1)  # m, learned deviation along the normal, at least
+    first_share: float = bounded(0.05, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
+    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top
+    slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
 
 
 # Preprocessing ------------------------------------------------------------------------------------------------------
@@ -97,13 +103,13 @@ class PlaneAssociation(Checked):
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
-    still: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
-    beside: float = bounded(1.4, 0.1, 1e3)  # mean distances of plane fits, along the plane, after which the cloud has ended
+    reassociation_motion: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
+    lateral_gate: float = bounded(1.4, 0.1, 1e3)  # mean distances of plane fits, along the plane, after which the cloud has ended
     normal_cosine: float = bounded(0.5, -1, 1)  # agreement of vertex and cloud normals, at least
-    turned: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
+    normal_distance: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(-0.3, -1, 1)  # cosine between a vertex normal and its sensor, at least
     hidden_depth: float = bounded(0.02, 0, 100)  # m: a surface in front of a vertex by more than this hides it
-    sighting: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
+    visibility_motion: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
     hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there

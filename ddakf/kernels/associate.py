@@ -29,8 +29,8 @@ class PlaneSearch(NamedTuple):
     min_cosine: float  # least agreement of the normals
     normal_distance: float  # m, distance that a unit difference of the normals counts as
     oriented: bool  # the surfels' normals point to the sensor
-    still: float  # m: a vertex that moved less since its last search keeps its plane
-    beside: float  # m along the plane, beyond which a vertex lies past the end of the cloud and has no measurement
+    least_motion: float  # m: a vertex that moved less since its last search keeps its plane
+    lateral_gate: float  # m along the plane, beyond which a vertex lies past the end of the cloud and has no measurement
 
 
 class FoundPlanes(NamedTuple):
@@ -140,8 +140,8 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
 
     The nearest surfels whose normal agrees with the vertex's are blended by inverse squared distance, |z - p|^2 +
     normal_distance^2 |m - n|^2 of point and normal, so that a fold's flank finds its own flank. A cloud without a known sensor
-    has unsigned normals, which agree up to sign. A vertex that has moved by less than ``still`` since its last search keeps its
-    plane: the surface is flat within that distance.
+    has unsigned normals, which agree up to sign. A vertex that has moved by less than ``least_motion`` since its last search
+    keeps its plane: the surface is flat within that distance.
 
     Args:
         position, normal: (V, 3) estimate, metres, and its unit normals.
@@ -152,7 +152,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
         planes: :class:`FoundPlanes` in and out.
     """
     start, origin, cell, dims = grid
-    gate, min_cosine, normal_distance, oriented, still, beside = search
+    gate, min_cosine, normal_distance, oriented, least_motion, lateral_gate = search
     target, plane_normal, distance, searched_at = planes
     nx, ny, nz = dims[0], dims[1], dims[2]
     inverse = 1.0 / cell
@@ -173,7 +173,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
         moved = 0.0
         for a in range(3):
             moved += (position[v, a] - searched_at[v, a]) ** 2
-        if moved < still * still and distance[v] <= gate:
+        if moved < least_motion * least_motion and distance[v] <= gate:
             continue
         for a in range(3):
             searched_at[v, a] = position[v, a]
@@ -244,7 +244,7 @@ def nearest_planes(position, normal, eligible, surfels, grid, search, planes):
             continue
         dx, dy, dz = tx / sw - px, ty / sw - py, tz / sw - pz
         along = (mx * dx + my * dy + mz * dz) / length
-        if dx * dx + dy * dy + dz * dz - along * along > beside * beside:
+        if dx * dx + dy * dy + dz * dz - along * along > lateral_gate * lateral_gate:
             distance[v] = PAST_THE_END
             continue
         distance[v] = sqrt(squared[0])

@@ -74,9 +74,9 @@ def _find_planes(problem: Problem, gate: float, where: tuple[np.ndarray, np.ndar
     cloud, config, (position, normal, eligible) = problem.cloud, problem.config.associate, where
 
     def search(surfels: Surfels, radius: float, vertices: tuple, planes: FoundPlanes) -> None:
-        beside = config.beside * float(np.sqrt(problem.model.area / surfels.planes.shape[1]))
-        still = config.still * surfels.grid.cell
-        limits = PlaneSearch(radius, config.normal_cosine, config.turned, cloud.oriented, still, beside)
+        lateral_gate = config.lateral_gate * float(np.sqrt(problem.model.area / surfels.planes.shape[1]))
+        least_motion = config.reassociation_motion * surfels.grid.cell
+        limits = PlaneSearch(radius, config.normal_cosine, config.normal_distance, cloud.oriented, least_motion, lateral_gate)
         kernels.nearest_planes(*vertices, *surfels, limits, planes)
 
     near = gate if cloud.sparse is None else min(gate, NEAR_CELLS * cloud.surfel_grid.cell)
@@ -93,13 +93,13 @@ def _find_planes(problem: Problem, gate: float, where: tuple[np.ndarray, np.ndar
 def _known(problem: Problem, estimate: Estimate) -> tuple[np.ndarray, np.ndarray] | None:
     """The visible vertices (V,) as they were judged, and the positions (V, 3) at which they were.
 
-    None before, and once the garment has moved by ``sighting`` metres (RMS) since.
+    None before, and once the garment has moved by ``visibility_motion`` metres (RMS) since.
     """
     last = estimate.evidence.measurement
     if last.visible is None:
         return None
     step = estimate.position - last.judged_at
-    still = np.einsum("va,va->", step, step) < problem.config.associate.sighting**2 * len(step)
+    still = np.einsum("va,va->", step, step) < problem.config.associate.visibility_motion**2 * len(step)
     return (last.visible, last.judged_at) if still else None
 
 

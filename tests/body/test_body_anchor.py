@@ -7,7 +7,7 @@ import pytest
 
 from ddakf import Config, Tracker
 from ddakf.body import body_anchor, contact
-from ddakf.config import ConstantVelocity
+from ddakf.config import Anchor
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
@@ -16,7 +16,7 @@ from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, 
 MESH = tube()
 BODY = inner_body(MESH)
 GARMENT = model.build(MESH)
-CONFIG = ConstantVelocity()
+CONFIG = Anchor()
 FRONT = MESH.vertices[:, 2] > 0
 PER_VERTEX = MESH.n_vertices / len(GARMENT.likeness)  # variance of a vertex over that of a patch
 
@@ -87,12 +87,12 @@ def test_the_first_guess_grows_with_the_distance_from_the_body_and_from_the_top(
     sizes = []
     for wider in (1.0, 1.05, 1.1, 3.0):
         along = np.sqrt(anchored(MESH.vertices * [wider, 1.0, wider]).guess)
-        assert (along >= CONFIG.worn_normal_sd).all()
+        assert (along >= CONFIG.normal_sd).all()
         sizes.append(along.mean())
     assert (np.diff(sizes) > 0).all()
     below = (MESH.vertices[:, 1].max() - MESH.vertices[:, 1]).mean()
-    far = CONFIG.worn_normal_sd + CONFIG.worn_slope * CONFIG.anchor_reach  # nothing is within reach
-    np.testing.assert_allclose(sizes[-1], far + CONFIG.worn_hanging * below, rtol=0.1)
+    far = CONFIG.normal_sd + CONFIG.clearance_slope * CONFIG.reach  # nothing is within reach
+    np.testing.assert_allclose(sizes[-1], far + CONFIG.hanging_slope * below, rtol=0.1)
 
 
 @pytest.mark.parametrize("times", [0.5, 3.0])
@@ -104,7 +104,7 @@ def test_what_is_not_seen_deviates_by_as_many_times_its_first_guess_as_what_is(t
 
 def test_a_garment_that_goes_with_its_body_is_held_to_it_and_no_more_closely_than_the_least():
     _, held = after(np.zeros(3), frames=300)
-    assert (held.variance >= PER_VERTEX * CONFIG.anchor_least_sd**2 - 1e-15).all()
+    assert (held.variance >= PER_VERTEX * CONFIG.least_sd**2 - 1e-15).all()
     assert held.variance[~FRONT].max() < PER_VERTEX * 0.02**2
 
 
@@ -130,7 +130,7 @@ def test_two_short_steps_are_one_long_one():
 def hidden_error(swing, memory, frames=40):
     """RMS error (m) of the back of a garment seen from the front, on a body that leans and sways; ``swing`` (m) is how far the
     garment sways against it."""
-    config = dataclasses.replace(Config(), predict=ConstantVelocity(worn_memory=memory))
+    config = dataclasses.replace(Config(), anchor=Anchor(memory=memory))
     tracker, errors = Tracker(MESH, body=BODY, config=config), []
     height = MESH.vertices[:, 1:2] / MESH.vertices[:, 1].max()
     for k in range(frames):
@@ -148,8 +148,8 @@ def hidden_error(swing, memory, frames=40):
 
 
 def test_a_hidden_part_that_goes_with_the_body_follows_it_more_closely_for_being_held():
-    assert hidden_error(0.0, CONFIG.worn_memory) < 0.8 * hidden_error(0.0, 0.0)
+    assert hidden_error(0.0, CONFIG.memory) < 0.8 * hidden_error(0.0, 0.0)
 
 
 def test_a_hidden_part_of_what_swings_freely_is_not_pinned():
-    assert hidden_error(0.06, CONFIG.worn_memory) < 1.1 * hidden_error(0.06, 0.0)
+    assert hidden_error(0.06, CONFIG.memory) < 1.1 * hidden_error(0.06, 0.0)

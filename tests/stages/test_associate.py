@@ -106,8 +106,8 @@ def test_planes_are_near_those_of_brute_force(seed, sensor):
     both = measurement.found & np.isfinite(target[:, 0])
     away = target - position
     along = np.linalg.norm(away - np.einsum("va,va->v", plane, away)[:, None] * plane, axis=1) / spacing(garment, cloud)
-    assert measurement.found[along < 0.9 * CONFIG.associate.beside].mean() > 0.98
-    assert not measurement.found[~(along < 1.2 * CONFIG.associate.beside)].any()
+    assert measurement.found[along < 0.9 * CONFIG.associate.lateral_gate].mean() > 0.98
+    assert not measurement.found[~(along < 1.2 * CONFIG.associate.lateral_gate)].any()
     assert both.mean() > 0.9
     offset = np.einsum("va,va->v", plane, measurement.target - target)[both]
     assert np.sqrt(np.mean(offset**2)) < 0.001

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ddakf.body import contact, proximity
-from ddakf.config import ConstantVelocity, Physics
+from ddakf.config import Anchor, ConstantVelocity, Physics
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.mesh import Mesh
 
@@ -31,10 +31,9 @@ class BodySupport:
     """
 
     def __init__(self, body: Mesh, vertices: np.ndarray, hold: float = HOLD):
-        predict, self._physics = ConstantVelocity(), Physics()
-        self._model = contact.build(body, predict.carry_reach)
+        self._physics, self._reach = Physics(), Anchor().reach
+        self._model = contact.build(body, ConstantVelocity().carry_reach)
         self._track = contact.start(self._model, np.array(vertices, np.float64), self._physics)
-        self._reach = predict.anchor_reach
         self._bound = contact.bind(self._model, self._track.vertices, np.array(vertices, np.float64), self._reach)
         found = self._bound.contact
         clearance = np.clip(found.distance, 0.0, self._reach)

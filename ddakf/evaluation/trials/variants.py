@@ -30,7 +30,7 @@ def refinements() -> dict[str, Config]:
         "no-softening": replace(default, physics=replace(default.physics, strain_sd=1e3)),
         "no-clusters": without_clusters(),
         "no-hems": replace(default, associate=replace(default.associate, hem_reach=0.0)),
-        "no-holding": replace(default, predict=replace(default.predict, worn_memory=0.0)),
+        "no-holding": replace(default, anchor=replace(default.anchor, memory=0.0)),
         "no-following": replace(default, follow=replace(default.follow, reach=0.0)),
         "no-weight": replace(default, physics=replace(default.physics, weight=0.0)),
     }

@@ -73,7 +73,7 @@ def test_every_ablation_differs_from_the_default_where_its_name_says():
     stages = {
         "no-planes": {"associate"}, "one-association": {"associate", "coarse"}, "no-visibility": {"associate"},
         "no-correlation": {"physics"}, "no-carrying": {"predict"},
-        "no-softening": {"physics"}, "no-clusters": {"coarse"}, "no-hems": {"associate"}, "no-holding": {"predict"},
+        "no-softening": {"physics"}, "no-clusters": {"coarse"}, "no-hems": {"associate"}, "no-holding": {"anchor"},
         "no-weight": {"physics"}, "no-following": {"follow"},
     }  # fmt: skip
     variants = ablations() | refinements()
