@@ -33,7 +33,7 @@ from ddakf.planning.work import Effort
 
 RESULT = Path(__file__).parent / "results/omission.json"
 VIEWS = ("full", "front+body")
-POINTS, FAST = 10_000, "`Config.fast()`"
+POINTS, WHOLE, FAST = 10_000, "nothing", "`Config.fast()`"
 INSIDE = 6.251  # squared Mahalanobis distance of the 90 % ellipsoid
 SLACK = 1.2  # over its budget: a frame that took longer is late
 SHARES = (1.3, 1.0, 0.85, 0.75)  # of the median time of a whole frame
@@ -130,14 +130,14 @@ def runs(job: tuple[str, str, int]) -> dict[str, Run]:
         where = dict(timestamp=k / sequence.fps, sensor_origin=cloud.sensor_origin, body_vertices=pose)
         frames.append(where | {"points": cloud.points, "truth": sequence.garment_vertices[k]})
     recording = Recording(sequence, body, frames)
-    found = {"everything": run(recording)}
-    whole = float(np.median(found["everything"].seconds))
+    found = {WHOLE: run(recording)}
+    whole = float(np.median(found[WHOLE].seconds))
     for what, efforts in FORCED.items():
         found[what] = run(recording, efforts=efforts)
     for share in SHARES:
         found[f"budget {share:g}"] = run(recording, budget=share * whole)
     found[FAST] = run(recording, config=ddakf.Config.fast())
-    print(f"{name} {job[1]}: {1e3 * found['everything'].error:.1f} mm in {1e3 * whole:.1f} ms", file=sys.stderr, flush=True)
+    print(f"{name} {job[1]}: {1e3 * found[WHOLE].error:.1f} mm in {1e3 * whole:.1f} ms", file=sys.stderr, flush=True)
     return found
 
 
@@ -147,8 +147,8 @@ def table(found: list[dict[str, Run]]) -> list[dict]:
     print("|---|---|---|---|---|---|")
     rows = []
     for what in found[0]:
-        growth = np.array([each[what].error / each["everything"].error for each in found])
-        time = np.array([np.median(each[what].seconds) / np.median(each["everything"].seconds) for each in found])
+        growth = np.array([each[what].error / each[WHOLE].error for each in found])
+        time = np.array([np.median(each[what].seconds) / np.median(each[WHOLE].seconds) for each in found])
         inside = np.nanmean([each[what].inside for each in found], axis=0)
         late = float(np.mean([each[what].late for each in found]))
         row = {"left_out": what, "error": _mean(growth), "worst": round(float(growth.max()), 3), "time": _mean(time)}
@@ -160,9 +160,9 @@ def table(found: list[dict[str, Run]]) -> list[dict]:
 
 def fitted(found: list[dict[str, Run]]) -> dict[str, float]:
     """The growths."""
-    kinds = [what for what in found[0] if what not in ("everything", FAST)]
+    kinds = [what for what in found[0] if what not in (WHOLE, FAST)]
     A = np.array([each[what].omitted for each in found for what in kinds])
-    b = np.array([math.log(each[what].error / each["everything"].error) for each in found for what in kinds])
+    b = np.array([math.log(each[what].error / each[WHOLE].error) for each in found for what in kinds])
     return {f"{name}_growth": round(float(value), 3) for name, value in zip(GROWTHS, nnls(A, b)[0], strict=True)}
 
 

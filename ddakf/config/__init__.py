@@ -142,7 +142,7 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """About half of the default's time for a larger error: a coarser working mesh, fewer passes and planes.
+        """Two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes.
 
         Edges of such a mesh span folds, so that large strains count less.
         """

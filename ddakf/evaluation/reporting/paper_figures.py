@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -60,13 +61,13 @@ def error_maps(path: Path, frame: FrameEstimates, title: str) -> None:
     shown = [("input\n", _cloud_image(frame, camera))] if frame.points is not None else []
     shown.append(("truth\n", _painted(frame.truth, frame.faces, None, top, camera)))
     shown += [
-        (f"{TITLES.get(m, m)}\n{rmse[m]:.0f} mm RMSE", _painted(frame.estimates[m], frame.faces, errors[m], top, camera))
+        (f"{_wrapped(m)}\n{rmse[m]:.0f} mm RMSE", _painted(frame.estimates[m], frame.faces, errors[m], top, camera))
         for m in methods
     ]
     columns = min(len(shown), 5)
     rows = -(-len(shown) // columns)
     width = 1.45
-    drawn = figure(width * columns + 0.8, rows * (width * camera.intrinsics.height / camera.intrinsics.width + 0.42) + 0.3)
+    drawn = figure(width * columns + 0.8, rows * (width * camera.intrinsics.height / camera.intrinsics.width + 0.5) + 0.3)
     axes = drawn.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.set_axis_off()
@@ -82,6 +83,11 @@ def error_maps(path: Path, frame: FrameEstimates, title: str) -> None:
     bar.ax.tick_params(labelsize=SMALL)
     drawn.suptitle(title, fontsize=LARGE)
     _save(drawn, path)
+
+
+def _wrapped(method: str) -> str:
+    """The title of a system in lines that a panel holds."""
+    return textwrap.fill(TITLES.get(method, method), 24, break_on_hyphens=False)
 
 
 def lost_in(frame: FrameEstimates) -> list[str]:
@@ -190,8 +196,8 @@ def ablation(path: Path, result: Result) -> None:
         for k, value in enumerate(values):
             axis.text(value, k, f"   {value:.1f}", va="center", fontsize=8, color=INK)
         axis.set(xlabel="RMSE, mm", title=CONDITIONS.get(view, view), xscale="log")
-        _numbers(axis.xaxis)
-        axis.margins(x=0.18)
+        _numbers(axis.xaxis, (1.0, 3.0))
+        axis.margins(x=0.22)
         axis.grid(axis="y", color="0.9")
         axis.spines[["top", "right"]].set_visible(False)
     axes[0].invert_yaxis()  # that all share: the default above
