@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 from collections.abc import Callable, Sequence, Set
 from time import monotonic
 
-from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, ServiceError, SessionNotFound
+from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, ServiceError, SessionNotFound, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
@@ -146,10 +147,16 @@ class Sessions:
                     f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",
                     field="etag",
                 )
-            if paths & {"config_json", "fabric"}:
-                await self._configure(session, change, paths)
             if limits is not None:
                 self._pool.count_memory(session.id, session.memory_with(limits))
+            try:
+                if paths & {"config_json", "fabric"}:
+                    await self._configure(session, change, paths)
+            except ServiceError:
+                if limits is not None:
+                    with contextlib.suppress(WorkerLost):  # a lost worker counts nothing
+                        self._pool.count_memory(session.id, session.memory)
+                raise
             # A field that is not named keeps its present value: another call may have changed it meanwhile.
             session.labels = session.labels if labels is None else labels
             session.limits = session.limits if limits is None else limits

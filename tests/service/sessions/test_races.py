@@ -247,8 +247,10 @@ async def test_a_session_that_needs_more_memory_than_there_is_is_closed_again(se
 
 async def test_limits_that_need_more_memory_than_there_is_are_refused(server, pool):
     before, pool.full = server._catalog.readable("sessions/some").limits, True
-    change = pb.Session(name="sessions/some", limits=pb.SessionLimits(max_points=500_000), labels={"a": "b"})
+    limits = pb.SessionLimits(max_points=500_000)
+    change = pb.Session(name="sessions/some", limits=limits, labels={"a": "b"}, fabric="silk")
     with pytest.raises(ResourceExhausted):
         await server.update(pb.UpdateSessionRequest(session=change))
     assert server._catalog.readable("sessions/some").limits == before
     assert not server._catalog.readable("sessions/some").labels
+    assert not pool.configuring.is_set()
