@@ -35,6 +35,7 @@ from scipy.spatial.transform import Rotation
 
 import ddakf
 from ddakf.commands import warmup
+from ddakf.errors import InvalidFrame
 from ddakf.evaluation import machine
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
@@ -89,17 +90,19 @@ class Track:
         s = self.sequence
         cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]))
         begun = time.thread_time()
-        result = self.tracker.step(
-            cloud.points if shown else NOTHING,
-            timestamp=s.timestamp(frame),
-            sensor_origin=cloud.sensor_origin if shown else None,
-        )
+        try:
+            result = self._step(frame, cloud.points if shown else NOTHING, cloud.sensor_origin if shown else None)
+        except InvalidFrame:  # of a garment that has left the camera's view but for a corner
+            result = self._step(frame, NOTHING, None)
         if shown:
             self.ms.append(1e3 * (time.thread_time() - begun))
             truth = s.garment_vertices[frame]
             self.vertex.append(rmse_mm(result.vertices, truth))
             self.normal.append(normal_rmse_mm(result.vertices, truth, s.garment_faces))
             self.states.append(result.state)
+
+    def _step(self, frame: int, points: np.ndarray, sensor_origin: np.ndarray | None) -> ddakf.FrameResult:
+        return self.tracker.step(points, timestamp=self.sequence.timestamp(frame), sensor_origin=sensor_origin)
 
     def judged(self) -> tuple[float, float]:
         """Mean normal and vertex RMSE of the frames that are judged, millimetres."""
