@@ -14,7 +14,8 @@ RESULTS = Path(__file__).parents[1] / "benchmarks/results"
 BY_ITSELF = ("bench", "chaos", "cluster", "cost", "kill", "latency", "load", "mutants", "parts", "soak", "triangulations",
              "tuning")  # fmt: skip
 WHERE_TOLD = {"accuracy": "--summary", "colour": "--out", "conditions": "--json", "error_size": "--json", "faust": "--json",
-              "omission": "--json", "headings": "--json", "recovery": "--json", "reliability": "--json"}  # fmt: skip
+              "omission": "--json", "headings": "--json", "predictability": "--json", "recovery": "--json",
+              "reliability": "--json"}  # fmt: skip
 
 
 @pytest.fixture

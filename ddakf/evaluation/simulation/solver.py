@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,13 @@ class Steps:
 DEFAULT_STEPS = Steps()
 
 
+class Start(NamedTuple):
+    """State of a garment of V vertices."""
+
+    position: np.ndarray  # (V, 3) m
+    velocity: np.ndarray  # (V, 3) m/s
+
+
 def simulate(
     garment: Garment,
     body_vertices: np.ndarray,
@@ -50,8 +58,9 @@ def simulate(
     fps: float,
     fabric: Fabric = DEFAULT_FABRIC,
     steps: Steps = DEFAULT_STEPS,
+    start: Start | None = None,
 ) -> Iterator[np.ndarray]:
-    """Simulates a garment from its rest shape on.
+    """Simulates a garment from its rest shape on, or from a start.
 
     Args:
         garment: on the body's first frame.
@@ -61,6 +70,7 @@ def simulate(
         fps: frames per second.
         fabric: material.
         steps: time steps.
+        start: of the garment on the body's first frame; at rest as cut if None.
 
     Yields:
         (V, 3) float32, metres, for every frame after the first.
@@ -69,6 +79,8 @@ def simulate(
         MissingDependency: Newton is not installed.
     """
     scene = _Scene(garment, body_vertices[0], body_faces, fabric, steps.iterations, _reach(fps * steps.substeps))
+    if start is not None:
+        scene.begin(start)
     for frame in range(1, len(body_vertices)):
         yield scene.advance(body_vertices[frame], pins[frame], 1.0 / fps, steps.substeps)
 
@@ -131,6 +143,13 @@ class _Scene:
         )
         self._states, self._control, self._surface = [model.state(), model.state()], model.control(), shape.mesh
         self._body, self._pins = body.astype(np.float32), vertices[self._pinned]
+
+    def begin(self, start: Start) -> None:
+        """Places the garment, with its velocities."""
+        for state in self._states:
+            state.particle_q.assign(start.position.astype(np.float32))
+            state.particle_qd.assign(start.velocity.astype(np.float32))
+        self._pins = start.position[self._pinned].astype(np.float32)
 
     def advance(self, body: np.ndarray, pins: np.ndarray, seconds: float, substeps: int) -> np.ndarray:
         """One frame: the body moves to its next vertices (B, 3) in substeps."""
