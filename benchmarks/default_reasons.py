@@ -135,6 +135,8 @@ REASONS = {
     "Physics.motion_rigidity": "tuned",
     "Physics.motion_time": "chosen: nothing changes at 30 frames per second and more",
     "Physics.rest_rigidity": "tuned: more supports a loose skirt, but lifts a hidden half off its body",
+    "Physics.coarse_edge": "chosen: about the edges of the working meshes on which both rigidities were tuned",
+    "Physics.coarse_share": "chosen: with 0.25 a tube with edges of 4 cm slips about itself after a loss",
     "Physics.hidden_edge": "chosen: edges of the templates on which both rigidities were tuned",
     "Physics.uneven_rigidity": "tuned: prevents crumpling of soft cloth",
     "Physics.strain_followed": "tuned: the rest stops an even strain from wandering",

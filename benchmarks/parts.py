@@ -47,8 +47,10 @@ FIELDS = ("rmse_mm", "cpu_ms")
 def configurations() -> dict[str, ddakf.Config]:
     """The default, and the default without each part."""
     default = ddakf.Config()
-    even = replace(default, physics=replace(default.physics, hidden_edge=0.0))
-    return {"default": default, **variants.ablations(), **variants.refinements(), "no-hidden-edge": even}
+    even, stiff = (
+        replace(default, physics=replace(default.physics, **change)) for change in ({"hidden_edge": 0.0}, {"coarse_share": 1.0})
+    )
+    return {"default": default, **variants.ablations(), **variants.refinements(), "no-hidden-edge": even, "no-coarse-edge": stiff}
 
 
 def lines(part: str) -> int | None:

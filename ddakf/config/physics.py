@@ -39,6 +39,8 @@ class Physics(Checked):
     motion_rigidity: float = bounded(1.5e4, 0, 1e12)  # 1/m^2 per edge: change since the last frame is locally rigid
     motion_time: float = bounded(1.0 / 30.0, 1e-3, 10)  # s: change over a longer time is less rigid in proportion
     rest_rigidity: float = bounded(3.0e3, 0, 1e12)  # 1/m^2 per edge: shape is locally that of the start, or of the template
+    coarse_edge: float = bounded(0.02, 1e-4, 10)  # m: a mesh with longer edges bends as easily as one with such edges
+    coarse_share: float = bounded(0.5, 0.01, 1)  # of both rigidities, that such a mesh has at least
     hidden_edge: float = bounded(0.029, 0, 1)  # m: hidden cloth of a finer mesh is as rigid as in one with such edges; 0: no more
     uneven_rigidity: float = bounded(2.0e5, 0, 1e12)  # 1/m^2 per edge: rest_rigidity of a garment whose stretch has softened
     start_strain: float = bounded(0.1, 1e-3, 1e3)  # of a one-ring at the start, whose rest shape is then half the template's

@@ -25,13 +25,13 @@ from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem,
 def begin(problem: Problem) -> Estimate:
     """The estimate before the first pass: the prediction, with its locally rigid terms."""
     prior, model, config = problem.prior, problem.model, problem.config
-    n, (rest_weight, motion_weight) = len(prior.position), _rigidities(problem)
+    n, share, (rest_weight, motion_weight) = len(prior.position), _softer(problem), _rigidities(problem)
     floor = config.fuse.prior_sd**2 if isinstance(config.fuse, MapUpdate) else 0.0
-    rest = rigidity.to_rest(model, rest_weight, problem.rotation, config.physics.strain_followed, problem.resting)
+    rest = rigidity.to_rest(model, share * rest_weight, problem.rotation, config.physics.strain_followed, problem.resting)
     return Estimate(
         position=prior.position,
         rest=rest,
-        motion=rigidity.since(problem.motion_start, model, motion_weight),
+        motion=rigidity.since(problem.motion_start, model, share * motion_weight),
         information=inverse_blocks(prior.P_pp, floor),
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
         gravity=cloth_weight.force(problem, rest.rotation),
@@ -69,7 +69,7 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     rows, rigid = rigidity.padded(estimate.position), (estimate.rest, estimate.motion)
     if _folds_unseen(problem):
         finer = max(1.0, config.physics.hidden_edge / model.edge_length)
-        rigidity.stiffen_hidden(rigid, _rigidities(problem), ~estimate.observed, finer)
+        rigidity.stiffen_hidden(rigid, _rigidities(problem), ~estimate.observed, finer, _softer(problem))
     for term in rigid:
         rigidity.fit(term, rows, model, steps)
     system = normal_equations(problem, estimate, rows, planes)
@@ -95,8 +95,26 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
 
 def _folds_unseen(problem: Problem) -> bool:
     """Hidden cloth may fold onto the cloud: no body tells where it is, and it is the other side of a garment, not of a sheet."""
-    reference, sidedness = problem.reference, problem.config.sidedness
-    return problem.body is None and (reference is None or reference.hidden_share >= sidedness.one_sided)
+    return problem.body is None and not _sheet(problem)
+
+
+def _sheet(problem: Problem) -> bool:
+    """The garment has one side, as a cape has, or a template of one depth frame."""
+    reference = problem.reference
+    return reference is not None and reference.hidden_share < problem.config.sidedness.one_sided
+
+
+def _softer(problem: Problem) -> float:
+    """Share of both rigidities in a coarse mesh, whose bends cost as much per area as those of a finer one.
+
+    All where one side is seen and no body holds the other, as a soft tube turns about itself unnoticed, and of a sheet, which
+    folds. And all until the garment is tracked, or again.
+    """
+    physics, cloud, health = problem.config.physics, problem.cloud, problem.health
+    one_sided = _sheet(problem) or (cloud is not None and cloud.oriented)
+    if (problem.body is None and one_sided) or health.settling or health.state != "tracking":
+        return 1.0
+    return min(1.0, max(physics.coarse_share, (physics.coarse_edge / problem.model.edge_length) ** 2))
 
 
 def _planes(estimate: Estimate, config: Config) -> Planes:

@@ -1,6 +1,7 @@
 """Stage F against dense algebra, with the energies written out anew and differentiated numerically."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -99,6 +100,39 @@ def test_only_hidden_cloth_without_a_body_is_stiffened():
             seen = term.weight[~hidden][0]
             np.testing.assert_allclose(term.weight[~hidden], seen)
             np.testing.assert_allclose(term.weight[hidden], seen * more**power)
+
+
+TRACKED = Health(state="tracking")
+ALL_AROUND, ONE_SIDE = SimpleNamespace(oriented=False, empty=False), SimpleNamespace(oriented=True, empty=False)
+
+
+@pytest.mark.parametrize(
+    ("cloud", "body", "health", "sides", "soft"),
+    [
+        (ALL_AROUND, False, TRACKED, 0.4, True),
+        (ONE_SIDE, True, TRACKED, 0.4, True),
+        (ONE_SIDE, False, TRACKED, 0.4, False),
+        (ALL_AROUND, False, TRACKED, 0.0, False),
+        (ALL_AROUND, True, TRACKED, 0.0, True),
+        (ALL_AROUND, False, Health(state="recovering"), 0.4, False),
+        (ALL_AROUND, True, TRACKED._replace(settling=1), 0.4, False),
+    ],
+    ids=["all around", "body", "one side", "sheet", "sheet on a body", "recovering", "settling"],
+)
+def test_a_coarse_mesh_is_as_soft_per_area_as_a_finer_one_where_the_garment_is_known(cloud, body, health, sides, soft):
+    problem, contact = scene(0, body=True)
+    edge, own = problem.model.edge_length, problem.config.physics
+    weights = []
+    for factor in (2.0, 0.9, 0.1):  # edges of a mesh that bends as easily, over those of this one
+        physics = dataclasses.replace(own, coarse_edge=factor * edge, coarse_share=0.3)
+        now = frame(problem, contact if body else None)._replace(
+            config=dataclasses.replace(problem.config, physics=physics), cloud=cloud, health=health,
+            reference=InputReference(sides, 1.0, 1.0),
+        )  # fmt: skip
+        start = fuse.begin(now)
+        weights.append((start.rest.weight[0], start.motion.weight[0]))
+    shares = np.array(weights) / weights[0]
+    np.testing.assert_allclose(shares, np.transpose([[1.0, 0.81, 0.3] if soft else [1.0] * 3] * 2))
 
 
 @pytest.mark.parametrize(("share", "alike"), [(0.0, True), (0.4, False)], ids=["sheet", "two sides"])

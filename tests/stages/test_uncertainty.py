@@ -85,7 +85,8 @@ def without_clearance(config: Config) -> Config:
     """A configuration whose laws do not know how far cloth is from a body: cloth that falls on it is held again."""
     laws = config.normal_error, config.tangential_error
     along, across = (dataclasses.replace(law, clearance_power=0.0, free_power=0.0) for law in laws)
-    return dataclasses.replace(config, normal_error=along, tangential_error=across)
+    as_stiff = dataclasses.replace(config.physics, coarse_share=1.0)  # a soft mesh settles on the body for long
+    return dataclasses.replace(config, normal_error=along, tangential_error=across, physics=as_stiff)
 
 
 @PRESETS
