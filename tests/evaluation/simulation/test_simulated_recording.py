@@ -10,7 +10,7 @@ from ddakf.data.body import load_body
 from ddakf.data.body_shape import random_shape, shaped
 from ddakf.data.pack import pack
 from ddakf.errors import InvalidArgument, PoorQuality
-from ddakf.evaluation.simulation import motions, simulated_recording
+from ddakf.evaluation.simulation import garments, motions, simulated_recording, solver
 from ddakf.files.sequence import Sequence, load_sequence
 
 
@@ -105,3 +105,20 @@ def test_the_simulator_makes_a_recording_that_is_fit_for_use(tmp_path, capsys):
     assert moved.max() > 0.005  # the cloth goes with the body
     fallen = sequence.garment_rest[:, 1].mean() - sequence.garment_vertices[:, :, 1].mean()
     assert abs(fallen) < 0.05  # and hangs on it
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_simulator_goes_on_from_a_state_as_it_went():
+    pytest.importorskip("newton", reason="Newton (extra simulation) is not installed")
+    body = load_body()
+    garment = garments.make("tank", body, 250)
+    pose = motions.make("jump", body, 24, 30.0)
+    posed, pins = body.skinned(pose), body.skinned(pose, body.attach(garment.mesh.vertices, garment.mesh.faces))
+    whole = np.array(list(solver.simulate(garment, posed, body.faces, pins, 30.0)))
+    state = solver.Start(whole[11], (whole[11] - whole[10]) * 30.0)  # after frame 12
+    rest = np.array(list(solver.simulate(garment, posed[12:], body.faces, pins[12:], 30.0, start=state)))
+    off = np.linalg.norm(rest - whole[12:], axis=2)
+    still = np.linalg.norm(whole[11] - whole[12:], axis=2)
+    assert np.median(off[:6]) < 0.2 * np.median(still[:6])
+    assert off[:6].max() < 0.03
