@@ -1,10 +1,10 @@
-"""How well hidden cloth can be foretold: ``python benchmarks/predictability.py [--recordings NAME ...] [--json [FILE]]``.
+"""Predictability of hidden cloth: ``python benchmarks/predictability.py [--recordings NAME ...] [--json [FILE]]``.
 
-Held-out skirts, dresses and capes are simulated anew from a frame in which all is in motion, by the simulator that made them,
-with the vertices and velocities that they had there, on the body that they were on, and nothing else is told: so this is a
-prediction by the physics of the recording itself. Once with its own fabric, once with each vertex 1 mm off, and once with another
-fabric. Compared with the recording, at the vertices that the tracker does not measure in the clip from one camera with the body,
-beside the tracker's own error there. Needs the extra ``simulation``; a minute or two for each recording.
+Held-out skirts, dresses and capes are simulated anew from a frame in which all is in motion, by the simulator that made them. It
+is told the vertices and velocities in that frame, and in every frame the body and the vertices that are sewn to it; so this is a
+prediction by the physics of the recording itself. It runs with the recording's fabric, with each vertex 1 mm off, and with
+another fabric. Errors are those of the vertices that the tracker does not measure in the clip from one camera with the body,
+beside the tracker's own. Needs the extra ``simulation``; a minute or two for each recording.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _rmse_mm(vertices: np.ndarray, truth: np.ndarray, where: np.ndarray) -> floa
 
 
 def _simulated(sequence: Sequence, order: Order, numbers: range, fabric: Fabric, noise=0.0) -> np.ndarray:
-    """(T, V, 3) metres: the garment after the first of these frames, as the simulator foretells it from there, ``noise`` off."""
+    """(T, V, 3) metres: the garment after the first of these frames, as the simulator predicts it from there, ``noise`` off."""
     before, at = sequence.garment_vertices[numbers.start - 1 : numbers.start + 1].astype(np.float64)
     body, clip = shaped(load_body(), random_shape(order.body)), slice(numbers.start, numbers.stop)
     garment = garments.make(order.garment, body, order.n_vertices, order.seed, order.fit)
@@ -114,9 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     if arguments.table:
         print(table(json.loads(RESULT.read_text())["rows"]))
         return 0
-    names = arguments.recordings or [
-        each.name for each in collection.listed(collection.HELD_OUT) if each.garment in GARMENTS
-    ]
+    names = arguments.recordings or [each.name for each in collection.listed(collection.HELD_OUT) if each.garment in GARMENTS]
     rows = []
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         for done, row in enumerate(pool.imap(run, names), start=1):
