@@ -23,7 +23,7 @@ DARKEST = 16.0  # added to values of 0 to 255, so that the logarithm of dark noi
 GATE = -2.0 * log(0.001)  # chi-square of two chromaticities at 99.9 %, beyond which a point does not count
 KNOWN = 1e-6  # m^2, least variance at which a patch is learned
 BEST = 0.1  # quantile of the variances of the patches, which the whole garment shares
-
+SIDEWAYS = 1.5  # by which a start is farther off along the surface than across it
 STILL = 0.1  # texels: a vertex that moved less keeps its registration
 
 _LOGARITHM = np.log(np.arange(256) + DARKEST).astype(np.float32)
@@ -111,8 +111,9 @@ def register(problem: Problem, estimate: Estimate, measurement: Measurement) -> 
     slides = _before(estimate)
     patches, counted = Patches(appearance.mean, appearance.weight, config.texel), 1.0 / appearance.registered2
     kernels.register(_points(cloud), _planes(problem, estimate, measurement, appearance), patches, counted, limits, slides)
-    # a point lies on the patches of several vertices, and counts once
-    shared = max(1.0, ((SIDE - 1) * config.texel) ** 2 * len(estimate.position) / problem.model.area)
+    # a point lies on the patches of several vertices
+    on_patch = ((SIDE - 1) * config.texel) ** 2 * len(estimate.position) / problem.model.area
+    shared = max(1.0, config.shared * on_patch)
     information = 1.0 / (shared * (slides.variance + config.fused_sd**2 + _later(appearance)))
     return measurement._replace(slide=Slide(slides, information))
 
@@ -155,17 +156,25 @@ def conditioned(problem: Problem, estimate: Estimate, covariance: np.ndarray) ->
 
 
 def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliability: float) -> Appearance | None:
-    """The appearance after a frame. The more certain the place of a vertex, the more its colours count."""
+    """The appearance after a frame. The more certain the place of a vertex, the more its colours count.
+
+    The fit of the first frame moves vertices along the surface, where no colour holds them yet: what draws them is an error of
+    the model. So colours are learned at the start, where the cloud agrees with it.
+    """
     appearance, config = problem.last.appearance, problem.config.colour
     if posterior.tangential2 is None or reliability < config.learned_above:
         return appearance
     if appearance is None:
         appearance = start(problem.model, config)
-    used, variance = estimate.learnable, np.maximum(posterior.tangential2, KNOWN)
+    used, place, variance = estimate.learnable, estimate.position, np.maximum(posterior.tangential2, KNOWN)
+    if problem.last.time is None:
+        start2 = _start_variance(problem, estimate)
+        surer = start2 < np.minimum(variance, config.start_sd**2)
+        place, variance = np.where(surer[:, None], problem.prior.position, place), np.where(surer, start2, variance)
     registered2 = np.where(used, np.minimum(appearance.registered2, variance), appearance.registered2)
     most = np.where(np.isfinite(registered2), config.memory / registered2, 0.0)
     mean, weight, squares = appearance.mean.copy(), appearance.weight.copy(), np.empty(CHANNELS + 1)
-    planes = _planes(problem, estimate, estimate.evidence.measurement, appearance)._replace(used=used)
+    planes = _planes(problem, estimate, estimate.evidence.measurement, appearance)._replace(position=place, used=used)
     patches = Patches(mean, weight, config.texel)
     kernels.learn(_points(problem.cloud), planes, patches, 1.0 / variance, most, config.depth, squares)
     noise2 = appearance.noise2
@@ -173,6 +182,13 @@ def learned(problem: Problem, estimate: Estimate, posterior: Posterior, reliabil
         share = config.noise_memory
         noise2 = share * noise2 + (1.0 - share) * squares[:CHANNELS] / squares[CHANNELS]
     return appearance._replace(mean=mean, weight=weight, registered2=registered2, noise2=noise2)
+
+
+def _start_variance(problem: Problem, estimate: Estimate) -> float:
+    """Variance of the start along the surface, m^2, by how far the first frame has moved it across."""
+    moved = estimate.position - problem.prior.position
+    across = np.einsum("va,va->v", estimate.evidence.measurement.normal, moved)[estimate.learnable]
+    return max(KNOWN, SIDEWAYS**2 * float(np.square(across).mean())) if len(across) else np.inf
 
 
 def _points(cloud: Cloud) -> ColouredPoints:

@@ -18,6 +18,8 @@ class Colour(Checked):
     noise_memory: float = bounded(0.7, 0, 0.999)  # share of earlier frames in that variance
     least_gradient: float = bounded(1.6, 0, 1e3)  # information over that which noise alone would give, at least
     fused_sd: float = bounded(0.001, 1e-5, 1)  # m, of a registration, at least
+    shared: float = bounded(0.5, 0, 100)  # of the vertices on a patch's area: as many times its variance is that of a slide
+    start_sd: float = bounded(0.005, 0, 1)  # m: a start that is surer is where colours are learned, not the first frame's fit
     claimed_sd: float = bounded(0.003, 1e-5, 1)  # m, the same in the reported covariance
     memory: float = bounded(100.0, 1, 1e6)  # points of a texel, over which its colour is the mean
     learned_above: float = bounded(0.5, 0, 1)  # reliability of a frame whose colours are learned

@@ -54,6 +54,33 @@ def test_a_slide_that_only_colours_show_is_followed():
     assert np.abs(stayed[:, 0]).mean() < 0.7 * slid
 
 
+def first_frame(start: np.ndarray, colours: bool) -> tuple[ddakf.Tracker, ddakf.FrameResult]:
+    """A tracker that starts at (V, 3) and has seen the sheet's plane once."""
+    tracker = ddakf.Tracker(SHEET)
+    tracker.reset(vertices=start)
+    points, colors = seen(Texture("print"), np.zeros(3))
+    return tracker, tracker.step(points, timestamp=0.0, sensor_origin=ORIGIN, colors=colors if colours else None)
+
+
+def test_an_exact_start_that_strains_the_template_is_held_by_colours():
+    start = np.array([0.0, 0.3, 0.0]) + np.array([1.0, 1.08, 1.0]) * (SHEET.vertices - [0.0, 0.3, 0.0])
+    off = []
+    for colours in (False, True):
+        tracker, result = first_frame(start, colours)
+        for k in range(1, 12):
+            points, colors = seen(Texture("print"), np.zeros(3), seed=k)
+            result = tracker.step(points, timestamp=k / 30, sensor_origin=ORIGIN, colors=colors if colours else None)
+        off.append(np.sqrt(np.square(result.vertices - start)[INNER].sum(axis=1).mean()))
+    assert off[1] < 0.25 * off[0]
+
+
+def test_colours_are_learned_at_the_start_only_where_the_cloud_agrees_with_it():
+    (exact, _), (off, _) = (first_frame(SHEET.vertices + [0.0, 0.0, away], True) for away in (0.0, 0.005))
+    sure, doubtful = (np.sqrt(np.median(each._track.appearance.registered2[INNER])) for each in (exact, off))
+    assert sure < 0.002
+    assert doubtful > 2.0 * sure
+
+
 def test_stripes_tell_nothing_along_themselves():
     _, results = tracked(Texture("stripes"), step=0.0)  # around y: they vary along y alone
     _, without = tracked(Texture("stripes"), step=0.0, colours=False)
