@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from committed import parsed
 from conditions import FIRST, INSIDE, add_recordings, garment_of, geometric, recordings
+from scipy.spatial.transform import Rotation
 
 import ddakf
 from ddakf.evaluation import machine
@@ -41,9 +42,9 @@ NAMES = {"full": "all around", "front+body": "one camera, body", "front": "one c
 FIELDS = ("tangential_mm", "normal_mm", "rmse_mm")
 
 
-def run(job: tuple[str, str, tuple[str, ...], int, str]) -> list[dict]:
+def run(job: tuple[str, str, tuple[str, ...], int, str, float]) -> list[dict]:
     """The rows of a recording in a view, one per texture: errors without colours, and with them (``colour_``)."""
-    name, view, textures, frames, config = job
+    name, view, textures, frames, config, turned = job
     sequence, (side, _, with_body) = collection.load(name), view.partition("+")
     body = ddakf.Mesh(sequence.body_vertices[FIRST], sequence.body_faces) if with_body else None
     garment = ddakf.Mesh(sequence.template, sequence.garment_faces)
@@ -52,7 +53,7 @@ def run(job: tuple[str, str, tuple[str, ...], int, str]) -> list[dict]:
     numbers = range(FIRST, min(FIRST + 1 + frames, len(sequence)))
 
     def tracked(texture: Texture | None) -> dict[str, float]:
-        tracker.reset(vertices=sequence.garment_vertices[FIRST])
+        tracker.reset(vertices=about_vertical(sequence.garment_vertices[FIRST], turned))
         score = Scores(sequence)
         for k in numbers:
             cloud = Sensor(side).capture(sequence, k, np.random.default_rng([1, k]), texture)
@@ -77,6 +78,14 @@ def run(job: tuple[str, str, tuple[str, ...], int, str]) -> list[dict]:
             row |= {f"{prefix}{key}": None if np.isnan(value) else float(f"{value:.4g}") for key, value in found.items()}
         rows.append(row)
     return rows
+
+
+def about_vertical(vertices: np.ndarray, degrees: float) -> np.ndarray:
+    """(V, 3) vertices turned about the vertical through their mean."""
+    if degrees == 0:
+        return vertices  # to the bit
+    turn, middle = Rotation.from_euler("y", degrees, degrees=True), vertices.mean(axis=0)
+    return turn.apply(vertices - middle) + middle
 
 
 class Scores:
@@ -152,6 +161,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--views", nargs="+", default=VIEWS)
     parser.add_argument("--textures", nargs="+", default=list(TEXTURES), choices=list(TEXTURES))
     parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--turned", type=float, default=0.0, metavar="DEGREES", help="of the start, about the vertical")
     parser.add_argument("--config", default="{}", metavar="JSON", help="of Config.from_dict")
     parser.add_argument("--procs", type=int, default=1)
     parser.add_argument("--out", type=Path, metavar="JSON", help="file for the rows, beside those of the other split")
@@ -163,7 +173,8 @@ def main(argv: list[str] | None = None) -> int:
             report(found["rows"])
         return 0
     chosen = recordings(parser, arguments)
-    jobs = itertools.product(chosen, arguments.views, [tuple(arguments.textures)], [arguments.frames], [arguments.config])
+    constant = [tuple(arguments.textures)], [arguments.frames], [arguments.config], [arguments.turned]
+    jobs = itertools.product(chosen, arguments.views, *constant)
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         rows = []
         for found in pool.imap(run, jobs):
