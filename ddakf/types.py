@@ -295,6 +295,7 @@ class Resting(NamedTuple):
     edge: np.ndarray  # (2E, 3) float32 m, of the one-rings
     rotation: np.ndarray  # (V, 3, 3) of the one-rings against the template
     strain: StrainConstants  # of the faces, a share of whose strain there is at rest
+    upward: np.ndarray  # (V,) 1/m, forces against what the rest of that strain draws
     source: np.ndarray | None = None  # ``edge`` on the working mesh from which it was carried over; None: it was not
 
 

@@ -1,6 +1,8 @@
-"""Weight of cloth on a body: gravity, and the body's acceleration, as a force of the MAP problem (not in the paper).
+"""Weight of cloth: gravity, and the acceleration of a body under it, as a force of the MAP problem (not in the paper).
 
-Where the track starts, elastic forces and the body balance the weight. From there on
+Where the track starts, elastic forces and what carries the garment balance the weight. The strain there that is not at rest still
+draws, up from the hems and down from the top, and so much of the weight draws against it, see :func:`at_start`. On a body, from
+there on,
 
 - cloth that has turned by R since then hangs another way: what is new of its weight is g - R g;
 - a body that accelerates leaves its cloth behind: prediction rides on the body, and in its frame -a is added;
@@ -15,23 +17,74 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.types import Problem
+from ddakf.kernels import strain as kernels
+from ddakf.kernels.normals import vertex_normals
+from ddakf.kernels.strain import StrainConstants
+from ddakf.types import Problem, Setup
 
 GRAVITY = 9.81  # m/s^2
+MOST = 2.0  # times the weight, that strain of the start balances; noise of a start strains it more
+TOP = 0.2  # m of cloth below the garment's top, within which it is carried
+LYING = 0.1  # cosine squared of its normals to the vertical, that cloth has at least there: a waistband carries too
+
+
+def at_start(position: np.ndarray, strain: StrainConstants, setup: Setup) -> np.ndarray:
+    """(V,) 1/m: upward forces on a garment that starts at (V, 3) ``position``, metres, which together are none.
+
+    In a vertical stretch by a small share, stretch and shear do as much work as these forces: cloth draws down by its weight, or
+    by the share of it which strain that is not at rest balances, and near the top, where it lies or is held, what carries it draws
+    up. A garment in the shape of its template has no strain, and needs none.
+
+    Args:
+        position: of the start.
+        strain: of its faces, a share of which is at rest.
+        setup: constants of the tracker.
+    """
+    model, config, up = setup.model, setup.config.physics, setup.config.start.to_y_up[1]
+    share = model.vertex_share / model.vertex_share.sum()
+    rows, force, blocks = (np.zeros(shape) for shape in ((len(share), 4), (len(share), 4), (len(model.mesh.edges), 12)))
+    rows[:, :3] = position
+    stretch, shear = config.stretch * config.fabric.stretch, config.shear * config.fabric.shear
+    kernels.add_strain(rows, strain, stretch, shear, config.strain_scale**2, blocks.astype(np.float32), force)
+    height, weight, normal = position @ up, config.weight * model.area * share, np.empty((len(share), 3))
+    below = height.max() - height
+    hung = weight @ below
+    if hung <= 0.0:
+        return np.zeros(len(share))
+    balanced = min(max(float(force[:, :3] @ up @ below) / hung, 0.0), MOST)
+    vertex_normals(np.ascontiguousarray(position), model.faces, normal)
+    carrying = share * (np.maximum(normal @ up, 0.0) ** 2 + LYING) * np.exp(-model.hanging / TOP)
+    return balanced * weight.sum() * (carrying / carrying.sum() - share)
 
 
 def force(problem: Problem, rotation: np.ndarray) -> np.ndarray | None:
-    """(V, 3) force on each vertex, 1/m; None where the body does not hold the garment, which would then fall.
+    """(V, 3) force on each vertex of a garment on its body, 1/m; None without the body's pose.
 
     Args:
         problem: the frame, with the pseudo-measurements of the body anchor.
         rotation: (V, 3, 3) of the one-rings, from the shape in which the cloth is at rest.
     """
     model, config, up = problem.model, problem.config.physics, problem.config.start.to_y_up[1]
-    if problem.anchored is None or config.weight == 0:
+    if problem.body is None or config.weight == 0:
         return None
+    draws = 0.0 if problem.resting is None else problem.resting.upward[:, None] * up
+    if problem.anchored is None:  # the body does not hold the garment yet, which would fall
+        return None if problem.resting is None else draws
     direction = (rotation @ up) * (1.0 - _pressed(problem, up))[:, None] - up - _left_behind(problem)
-    return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction
+    return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction + draws
+
+
+def force_on_seen(problem: Problem, observed: np.ndarray) -> np.ndarray | None:
+    """(V, 3) force on each vertex without a body, 1/m, where (V,) ``observed``; None where nothing is known of the start.
+
+    Measurements hold what they see, and nothing else would hold the rest.
+    """
+    if problem.resting is None or problem.config.physics.weight == 0 or not observed.any():
+        return None
+    share = np.where(observed, problem.model.vertex_share, 0.0)
+    upward = np.where(observed, problem.resting.upward, 0.0)
+    upward -= upward.sum() / share.sum() * share
+    return upward[:, None] * problem.config.start.to_y_up[1]
 
 
 def _pressed(problem: Problem, up: np.ndarray) -> np.ndarray:

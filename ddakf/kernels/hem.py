@@ -11,7 +11,7 @@ from ddakf.kernels.lanes import LANES, load_lanes, store_lanes
 
 NOWHERE = np.float32(-1e30)  # m
 LEAST_POINTS = 4  # in the tube
-BEYOND = 1.0  # mean distances between the tube's points, by which the cloth extends past the second last of them
+BEYOND = 2.0  # mean distances between the tube's points: where cloth ends, expected past the second last of them
 GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
 MOST_SEEN = 16_384  # points around a vertex that are looked at; of more, an even sample is
 

@@ -104,15 +104,19 @@ def _sheet(problem: Problem) -> bool:
     return reference is not None and reference.hidden_share < problem.config.sidedness.one_sided
 
 
+def _all_around(problem: Problem) -> bool:
+    """No body tells where the garment is, which is no sheet, and sensors may see all of it."""
+    return problem.body is None and not _sheet(problem) and not (problem.cloud is not None and problem.cloud.oriented)
+
+
 def _softer(problem: Problem) -> float:
     """Share of both rigidities in a coarse mesh, whose bends cost as much per area as those of a finer one.
 
     All where one side is seen and no body holds the other, as a soft tube turns about itself unnoticed, and of a sheet, which
     folds. And all until the garment is tracked, or again.
     """
-    physics, cloud, health = problem.config.physics, problem.cloud, problem.health
-    one_sided = _sheet(problem) or (cloud is not None and cloud.oriented)
-    if (problem.body is None and one_sided) or health.settling or health.state != "tracking":
+    physics, health = problem.config.physics, problem.health
+    if not (problem.body is not None or _all_around(problem)) or health.settling or health.state != "tracking":
         return 1.0
     return min(1.0, max(physics.coarse_share, (physics.coarse_edge / problem.model.edge_length) ** 2))
 
@@ -181,8 +185,9 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, D, force)
-    if estimate.gravity is not None:
-        force[:, :3] += estimate.gravity
+    gravity = cloth_weight.force_on_seen(problem, estimate.observed) if _all_around(problem) else estimate.gravity
+    if gravity is not None:
+        force[:, :3] += gravity
     if energies.self_collision is not None:
         self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, D, force)
     rigid = (estimate.rest, estimate.motion)

@@ -1,4 +1,4 @@
-"""Weight of cloth on a body: what of it the start does not balance."""
+"""Weight of cloth: what of it the start does not balance, and what strain of the start balances."""
 
 import dataclasses
 
@@ -9,7 +9,9 @@ from ddakf import Config, Mesh, Tracker
 from ddakf.body import body_anchor, contact, weight
 from ddakf.config import Physics
 from ddakf.garment import model
-from ddakf.types import Health, Setup, Track
+from ddakf.kernels import strain as strain_kernels
+from ddakf.physics import rigidity
+from ddakf.types import Health, Resting, Setup, Track
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 
 MESH = tube()
@@ -90,6 +92,80 @@ def test_without_a_hold_there_is_no_weight():
     held = frame()
     assert weight.force(held._replace(anchored=None), UPRIGHT) is None
     assert weight.force(frame(Physics(weight=0.0)), UPRIGHT) is None
+
+
+# Of strain that is not at rest ----------------------------------------------------------------------------------------
+
+
+def resting_at(vertices) -> Resting:
+    return rigidity.resting(np.ascontiguousarray(vertices), Setup(GARMENT, None, Config()))
+
+
+HIGH, LENGTH = MESH.vertices[:, 1].max(), np.ptp(MESH.vertices[:, 1])
+DEPTH = HIGH - MESH.vertices[:, 1]
+SAG = 0.02 * (LENGTH * DEPTH - DEPTH**2 / 2)  # the strain grows toward the top, which bears all below
+HANGING = MESH.vertices - np.outer(SAG, [0.0, 1.0, 0.0])
+
+
+def test_a_start_in_the_shape_of_the_template_draws_nothing():
+    assert np.abs(resting_at(MESH.vertices + [1.0, 2.0, 3.0]).upward).max() < 1e-4
+
+
+def test_a_start_that_hangs_is_drawn_down_and_carried_at_its_top():
+    upward, height = resting_at(HANGING).upward, HANGING[:, 1]
+    low, high = height < np.quantile(height, 0.4), height > np.quantile(height, 0.9)
+    assert upward.sum() == pytest.approx(0.0, abs=1e-6 * np.abs(upward).sum())
+    assert (upward[low] < 0).all()
+    assert (upward[high] > 0).all()
+
+
+def test_what_draws_does_the_work_of_the_strain():
+    position, config = np.ascontiguousarray(HANGING), Config()
+    resting, size = resting_at(position), 1e-4
+    below = position[:, 1].max() - position[:, 1]
+    stretched = position - size * np.outer(below, [0.0, 1.0, 0.0])
+    energies = []
+    for place in (position, stretched):
+        rows, blocks, force = np.zeros((V, 4)), np.zeros((len(MESH.edges), 12), np.float32), np.zeros((V, 4))
+        rows[:, :3] = place
+        strain_kernels.add_strain(rows, resting.strain, config.physics.stretch, config.physics.shear, 0.01, blocks, force)
+        energies.append(force[:, 1])
+    elastic = -np.mean(energies, axis=0) @ (stretched - position)[:, 1]
+    weights = config.physics.weight * GARMENT.area * GARMENT.vertex_share / GARMENT.vertex_share.sum()
+    share = elastic / (size * weights @ below)
+    assert 0.0 < share < weight.MOST
+    carries = resting.upward + share * weights  # what is left is of the cloth that carries
+    assert carries.min() > 0.0
+    assert carries.sum() == pytest.approx(share * weights.sum(), rel=1e-3)
+
+
+def test_noise_and_a_squeezed_start_draw_no_more_than_the_weight_could():
+    rng, areas = np.random.default_rng(0), GARMENT.area * GARMENT.vertex_share / GARMENT.vertex_share.sum()
+    noisy = resting_at(MESH.vertices + 0.01 * rng.normal(size=(V, 3))).upward
+    assert (noisy >= -weight.MOST * Physics.weight * areas * 1.001).all()
+    assert np.abs(resting_at(MESH.vertices * [1.0, 0.97, 1.0]).upward).max() == 0.0
+
+
+def test_only_what_is_seen_is_drawn():
+    problem = frame()._replace(body=None, anchored=None, resting=resting_at(HANGING))
+    observed = MESH.vertices[:, 0] > 0
+    force = weight.force_on_seen(problem, observed)
+    assert (force[~observed] == 0).all()
+    np.testing.assert_allclose(force.sum(axis=0), 0.0, atol=1e-9 * np.abs(force).sum())
+    assert weight.force_on_seen(problem, np.zeros(V, bool)) is None
+    assert weight.force_on_seen(problem._replace(resting=None), observed) is None
+
+
+def test_a_garment_that_hangs_keeps_its_length():
+    lengths = []
+    for share in (0.0, Physics.weight):
+        tracker = Tracker(MESH, config=dataclasses.replace(Config(), physics=Physics(weight=share)))
+        tracker.reset(vertices=HANGING)
+        for k in range(20):
+            result = tracker.step(scan(HANGING, MESH, seed=k), timestamp=k / FPS)
+        off, (low, high) = (result.vertices - HANGING)[:, 1], np.quantile(DEPTH, [0.3, 0.7])
+        lengths.append(float(off[high < DEPTH].mean() - off[low > DEPTH].mean()))
+    assert abs(lengths[1]) < 0.8 * abs(lengths[0])
 
 
 def drape(**physics) -> float:

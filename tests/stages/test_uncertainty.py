@@ -116,7 +116,8 @@ def test_grows_while_nothing_is_measured_and_shrinks_after(preset, worn):
     assert growing.mean() > 0.5
     first = 1 if worn and preset == "default" else 0
     assert (after.mean(axis=1) > before.mean(axis=1))[first:][growing.all(axis=1)[first:]].all()
-    assert (after > before)[1 + first :][growing[1 + first :]].all()
+    relaxed = 3 if first else 1  # a hem's vertices go on for two frames
+    assert (after > before)[relaxed:][growing[relaxed:]].all()
     if preset == "paper":
         assert (after > before)[0][growing[0]].all()
     again = tracker.step(CLOUDS[0], timestamp=50 / 30, **more)
