@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.body import weight
+from ddakf.body import weight as cloth_weight
 from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
@@ -35,7 +35,7 @@ def resting(position: np.ndarray, setup: Setup) -> Resting:
     turned = np.einsum("eab,eb->ea", 0.5 * (rotation[row] + rotation[model.neighbour]), model.rest_edge)
     shape = (turned + share[:, None] * (edge - turned)).astype(np.float32)
     strained = strain.at_start(model.strain, position, kept, strain_sd)
-    return Resting(position, shape, rotation, strained, weight.at_start(position, strained, setup))
+    return Resting(position, shape, rotation, strained, cloth_weight.at_start(position, strained, setup))
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0, shape: Resting | None = None) -> LocalRigidity:
