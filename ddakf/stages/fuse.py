@@ -21,6 +21,9 @@ from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
+LARGEST_BULGE = 0.3  # of what a vertex stands out of its neighbours
+BULGE = 0.3  # the same, where a patch is as wide as the edges; fitted to training recordings
+
 
 def begin(problem: Problem) -> Estimate:
     """The estimate before the first pass: the prediction, with its locally rigid terms."""
@@ -35,7 +38,28 @@ def begin(problem: Problem) -> Estimate:
         information=inverse_blocks(prior.P_pp, floor),
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
         gravity=cloth_weight.force(problem, rest.rotation),
+        bulge=_bulge(problem),
     )
+
+
+def _bulge(problem: Problem) -> np.ndarray | None:
+    """(V, 3) metres by which vertices stand out of the patch of cloud that their planes are fitted to; None where not known.
+
+    With r the radius of the patch and e the edges of the mesh, a sphere's vertex stands out of its neighbours' mean in proportion
+    to e^2, and of the mean of a patch around it to r^2 / 2. The plane of a patch beside it slopes toward it, so that less is
+    missing. From one camera without a body nothing else holds the shape, and bulges would grow.
+    """
+    model, cloud, config = problem.model, problem.cloud, problem.config.preprocess
+    if cloud is None or cloud.empty or not (problem.body is not None or _all_around(problem)):
+        return None
+    share = min(LARGEST_BULGE, BULGE * (config.plane_radius * cloud.cell / model.edge_length) ** 2)
+    degree = np.diff(model.start)
+    inner = degree > 0
+    bulge = np.zeros((len(degree), 3))
+    neighbours = np.add.reduceat(problem.motion_start[model.neighbour], model.start[:-1][inner], axis=0)
+    bulge[inner] = share * (problem.motion_start[inner] - neighbours / degree[inner, None])
+    bulge[model.boundary[:, 0]] = 0.0
+    return bulge
 
 
 def _rigidities(problem: Problem) -> tuple[float, float]:
@@ -131,9 +155,11 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
     squared, variance = np.empty(n), np.empty(n)
     robust_kernels.along_normals(estimate.position, measurement.target, measurement.normal, R, squared, variance)
     variance = np.maximum(variance, config.adapt.lowest_sd**2)
-    tangential = np.full(n, config.associate.tangential_sd**2)
+    tangential, target = np.full(n, config.associate.tangential_sd**2), measurement.target
+    if estimate.bulge is not None:
+        target = target + np.einsum("va,va->v", measurement.normal, estimate.bulge)[:, None] * measurement.normal
     return Planes(
-        measurement.target,
+        target,
         measurement.normal,
         weight,
         variance,

@@ -6,16 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ddakf import Config, Fabric
+from ddakf import Config, Fabric, Tracker
 from ddakf.body import contact as body_contact
 from ddakf.config import MapUpdate
 from ddakf.garment import model
+from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
 from ddakf.types import Evidence, Health, InputReference
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
-from tests.stages.scenes import blocks, full, measured, posed, problem_of, random_state, rms
+from tests.stages.scenes import FPS, blocks, full, measured, posed, problem_of, random_state, rms, scan, tube
 
 MESH = sheet()
 V = MESH.n_vertices
@@ -103,7 +104,7 @@ def test_only_hidden_cloth_without_a_body_is_stiffened():
 
 
 TRACKED = Health(state="tracking")
-ALL_AROUND, ONE_SIDE = SimpleNamespace(oriented=False, empty=False), SimpleNamespace(oriented=True, empty=False)
+ALL_AROUND, ONE_SIDE = SimpleNamespace(oriented=False, cell=0.01, empty=False), SimpleNamespace(oriented=True, cell=0.01, empty=False)
 
 
 @pytest.mark.parametrize(
@@ -348,3 +349,30 @@ def test_a_matrix_that_rounding_made_indefinite_is_inverted_with_a_little_added(
 
 def test_a_matrix_that_is_not_finite_has_no_inverse():
     assert np.isnan(fuse.invert(np.full((9, 9), np.inf))).all()
+
+
+def test_vertices_stand_out_of_the_patches_that_their_planes_are_fitted_to(monkeypatch):
+    garment = tube()
+    normal, inner = np.empty_like(garment.vertices), np.ones(garment.n_vertices, bool)
+    vertex_normals(garment.vertices, garment.faces.astype(np.int32), normal)
+    inner[model.build(garment).boundary[:, 0]] = False
+    across = []
+    for largest in (0.0, fuse.LARGEST_BULGE):
+        monkeypatch.setattr(fuse, "LARGEST_BULGE", largest)
+        tracker = Tracker(garment)
+        for k in range(12):
+            result = tracker.step(scan(garment.vertices, garment, seed=k), timestamp=k / FPS)
+        across.append(np.einsum("va,va->v", result.vertices - garment.vertices, normal)[inner])
+    sunk, corrected = (each.mean() for each in across)
+    assert sunk < corrected < 0.0
+    assert corrected > 0.75 * sunk
+    assert np.square(across[1]).mean() < 0.8 * np.square(across[0]).mean()
+
+
+def test_a_garment_from_one_side_without_a_body_has_no_bulge(monkeypatch):
+    cloud, tracker, seen, bulge = scan(tube().vertices, tube()), Tracker(tube()), [], fuse._bulge
+    monkeypatch.setattr(fuse, "_bulge", lambda problem: seen.append(bulge(problem)) or seen[-1])
+    tracker.step(cloud, timestamp=0.0, sensor_origin=[0.0, 0.2, 2.0])
+    assert seen[-1] is None
+    tracker.step(cloud, timestamp=0.1)
+    assert np.abs(seen[-1]).max() > 1e-4
