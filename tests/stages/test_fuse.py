@@ -104,7 +104,7 @@ def test_only_hidden_cloth_without_a_body_is_stiffened():
 
 
 TRACKED = Health(state="tracking")
-ALL_AROUND, ONE_SIDE = SimpleNamespace(oriented=False, cell=0.01, empty=False), SimpleNamespace(oriented=True, cell=0.01, empty=False)
+ALL_AROUND, ONE_SIDE = (SimpleNamespace(oriented=oriented, cell=0.01, empty=False) for oriented in (False, True))
 
 
 @pytest.mark.parametrize(
