@@ -42,10 +42,10 @@ def at_start(position: np.ndarray, strain: StrainConstants, setup: Setup) -> np.
     """
     model, config, up = setup.model, setup.config.physics, setup.config.start.to_y_up[1]
     share = model.vertex_share / model.vertex_share.sum()
-    rows, force, blocks = (np.zeros(shape) for shape in ((len(share), 4), (len(share), 4), (len(model.mesh.edges), 12)))
+    rows, force, blocks = np.zeros((len(share), 4)), np.zeros((len(share), 4)), np.zeros((len(model.mesh.edges), 12), np.float32)
     rows[:, :3] = position
     stretch, shear = config.stretch * config.fabric.stretch, config.shear * config.fabric.shear
-    kernels.add_strain(rows, strain, stretch, shear, config.strain_scale**2, blocks.astype(np.float32), force)
+    kernels.add_strain(rows, strain, stretch, shear, config.strain_scale**2, blocks, force)
     height, weight, normal = position @ up, config.weight * model.area * share, np.empty((len(share), 3))
     below = height.max() - height
     hung = weight @ below
