@@ -68,7 +68,7 @@ def fields() -> str:
     """Every field of every stage's configuration as comma-separated values; of a variant that extends another, its own fields."""
     out = io.StringIO()
     rows = csv.writer(out, lineterminator="\n")
-    rows.writerow(("stage", "field", "default", "paper", "least", "most", "unit, meaning", "reason"))
+    rows.writerow(("stage", "key", "field", "default", "paper", "least", "most", "unit, meaning", "reason"))
     printed = _values(Config.paper())
     for stage, variants in _variants().items():
         for variant in variants:
@@ -80,7 +80,7 @@ def fields() -> str:
                 bounds = (_shown(bound) for bound in field.metadata.get("range", ("", "")))
                 meaning, *given = re.split(r"; (?=(?:tuned|chosen|fitted)\b)", comments.get(field.name, ""), maxsplit=1)
                 reason = given[0] if given else _reason(variant, field.name, variants)
-                rows.writerow((_stage_name(stage), name, value, printed.get(name, ""), *bounds, meaning, reason))
+                rows.writerow((_stage_name(stage), stage, name, value, printed.get(name, ""), *bounds, meaning, reason))
     return out.getvalue()
 
 

@@ -45,7 +45,8 @@ def main(path: Path) -> None:
         cloud = sample_surface(garment.vertices + where, garment.faces, 8_000, rng) + rng.normal(0, 0.003, (8_000, 3))
         result = tracker.step(cloud, timestamp=frame / 30)
 
-    # Vertex i of the result is vertex vertex_map[i] of the file.
+    # Vertex i of the result is vertex vertex_map[i] of the file. To draw results use garment.faces: the file's vertices that
+    # the repair has joined or removed stay where they were.
     moved = vertices.copy()
     moved[vertex_map] = result.vertices
     print(f"{result.state}, moved by {np.median(result.vertices - garment.vertices, axis=0).round(3)} m (truth {where})")

@@ -3,7 +3,7 @@
 python examples/08_record_and_replay.py                    starts its own service
 python examples/08_record_and_replay.py 127.0.0.1:7701     uses a running service (ddakf serve)
 
-It needs pip install 'ddakf-client[recording]'. Foxglove and `ddakf view` show the file.
+It needs pip install -e 'clients/python[recording]'. Foxglove and `ddakf view` show the file.
 """
 
 import contextlib

@@ -1,7 +1,7 @@
 """A tracker of one's own beside DD-AKF: the garment of the start follows the cloud's centroid.
 
-``ddakf benchmark run --submit 11_submit_a_tracker:Centroid --json out.json`` runs it on the benchmark; this script runs it on ten
-frames of the sample.
+``cd examples && ddakf benchmark run --submit 11_submit_a_tracker:Centroid --json out.json`` runs it on the benchmark; this script
+runs it on ten frames of the sample.
 """
 
 import json

@@ -99,7 +99,7 @@ def _register_unavailable(commands: argparse._SubParsersAction, name: str, sente
 
 def _what_to_install(command: str, error: ImportError) -> str:
     missing = error.name or str(error)
-    extra = EXTRAS.get(missing.partition(".")[0], "service")
+    extra = "simulation" if command == "simulate" else EXTRAS.get(missing.partition(".")[0], "service")
     return f"{command} needs {missing}, which is not installed: pip install 'ddakf[{extra}]'"
 
 

@@ -239,24 +239,24 @@ class EvidenceScales(Checked):
 class NormalError(EvidenceScales):
     """Size of a vertex's error along its normal: a base times the product of (1 + evidence / scale)^power."""
 
-    seen: float = bounded(0.00072, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.00068, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00099, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.388, 0, 2)  # of the claimed error over 5 mm
-    unmatched_power: float = bounded(0.006, 0, 10)
-    hem_power: float = bounded(0.166, 0, 10)
-    unseen_power: float = bounded(0.03, 0, 10)
-    clearance_power: float = bounded(0.397, 0, 10)
-    slack_power: float = bounded(0.194, 0, 10)
-    strain_power: float = bounded(0.159, 0, 10)
-    slip_power: float = bounded(0.127, 0, 10)
-    offset_power: float = bounded(0.225, 0, 10)
-    distance_power: float = bounded(1.053, 0, 10)
-    free_power: float = bounded(0.5, 0, 10)
-    turned_power: float = bounded(0.343, 0, 10)
-    moved_power: float = bounded(0.172, 0, 10)
-    soft_power: float = bounded(0.093, 0, 10)
-    blind_power: float = bounded(0.121, 0, 10)
+    seen: float = bounded(0.00088, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
+    on_body: float = bounded(0.00093, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00107, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.426, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.033, 0, 10)
+    hem_power: float = bounded(0.186, 0, 10)
+    unseen_power: float = bounded(0.0, 0, 10)
+    clearance_power: float = bounded(0.438, 0, 10)
+    slack_power: float = bounded(0.057, 0, 10)
+    strain_power: float = bounded(0.09, 0, 10)
+    slip_power: float = bounded(0.076, 0, 10)
+    offset_power: float = bounded(0.266, 0, 10)
+    distance_power: float = bounded(0.988, 0, 10)
+    free_power: float = bounded(0.449, 0, 10)
+    turned_power: float = bounded(0.348, 0, 10)
+    moved_power: float = bounded(0.167, 0, 10)
+    soft_power: float = bounded(0.04, 0, 10)
+    blind_power: float = bounded(0.109, 0, 10)
 
 
 @dataclass(frozen=True)
@@ -264,23 +264,23 @@ class TangentialError(EvidenceScales):
     """The same across its normal."""
 
     seen: float = bounded(0.00072, 1e-6, 1)  # m, of measured vertices whose claimed error is 5 mm
-    on_body: float = bounded(0.0005, 1e-6, 1)  # m, of others beside a body
-    hidden: float = bounded(0.00074, 1e-6, 1)  # m, of others without one
-    claimed_power: float = bounded(0.417, 0, 2)  # of the claimed error over 5 mm
-    unmatched_power: float = bounded(0.036, 0, 10)
-    hem_power: float = bounded(0.288, 0, 10)
-    unseen_power: float = bounded(0.054, 0, 10)
-    clearance_power: float = bounded(0.037, 0, 10)
-    slack_power: float = bounded(0.504, 0, 10)
-    strain_power: float = bounded(0.047, 0, 10)
-    slip_power: float = bounded(0.381, 0, 10)
-    offset_power: float = bounded(0.276, 0, 10)
-    distance_power: float = bounded(0.542, 0, 10)
-    free_power: float = bounded(0.262, 0, 10)
-    turned_power: float = bounded(0.14, 0, 10)
-    moved_power: float = bounded(0.319, 0, 10)
-    soft_power: float = bounded(0.156, 0, 10)
-    blind_power: float = bounded(0.146, 0, 10)
+    on_body: float = bounded(0.00067, 1e-6, 1)  # m, of others beside a body
+    hidden: float = bounded(0.00055, 1e-6, 1)  # m, of others without one
+    claimed_power: float = bounded(0.579, 0, 2)  # of the claimed error over 5 mm
+    unmatched_power: float = bounded(0.112, 0, 10)
+    hem_power: float = bounded(0.281, 0, 10)
+    unseen_power: float = bounded(0.0, 0, 10)
+    clearance_power: float = bounded(0.276, 0, 10)
+    slack_power: float = bounded(0.044, 0, 10)
+    strain_power: float = bounded(0.076, 0, 10)
+    slip_power: float = bounded(0.321, 0, 10)
+    offset_power: float = bounded(0.542, 0, 10)
+    distance_power: float = bounded(0.568, 0, 10)
+    free_power: float = bounded(0.178, 0, 10)
+    turned_power: float = bounded(0.156, 0, 10)
+    moved_power: float = bounded(0.168, 0, 10)
+    soft_power: float = bounded(0.164, 0, 10)
+    blind_power: float = bounded(0.0, 0, 10)
 
 
 # G. Reliability -----------------------------------------------------------------------------------------------------
