@@ -61,8 +61,6 @@ class Frames(NamedTuple):
     reliability: np.ndarray  # (N,)
     sigma: np.ndarray  # (N,) m, RMS
     unexplained: np.ndarray  # (N,) share of the points
-    offset: np.ndarray  # (N,) m, RMS distance of the cloud from the surface
-    with_body: np.ndarray  # (N,) 1 with a body, else 0
 
 
 def planned(names: Sequence[str] | None) -> list[Run]:
@@ -171,8 +169,7 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
             verdict, off = verdicts.pop(), result.vertices - truth
             claim = np.sqrt(verdict.variance.mean())
             rmse = np.sqrt(np.square(off).sum(axis=1).mean())
-            health = verdict.health
-            of_frames.append((k, rmse, result.reliability, claim, health.unexplained, health.offset**0.5, bool(body)))
+            of_frames.append((k, rmse, result.reliability, claim, verdict.health.unexplained))
             if k % STRIDE < sensor.every and len(seen) == 2:
                 of_vertices = error_size.at_vertices(seen[0], tracker._setup.model.patch)
                 found = SizeEvidence(*(spread(value) for value in of_vertices))

@@ -44,8 +44,7 @@ DEGREES = 5.0  # of freedom: errors have heavier tails than a normal distributio
 WITHIN = 0.92  # share that the 90 % ellipsoids hold in the mean of the undisturbed runs that are fitted
 RIDGE = 1e-3  # on the powers: one that says nothing is zero
 FAILED = 0.05  # m, RMSE of a frame that has failed
-WORST = 0.3  # m: larger errors of frames are clipped in the fit: the track is lost
-BETTER = 0.75  # share of the fitted frames that have less error than is predicted
+BETTER = 0.85  # share of the fitted frames that have less error than is predicted
 BANDS = (0.0, 0.31, 0.5, 0.64, 0.8, 0.94, 1.0)  # of the reliability
 LEAST_VERTICES = 10  # of a group in a frame, for a rank correlation
 DIAGRAM = Path(__file__).resolve().parents[1] / "out/error_size.png"
@@ -122,21 +121,14 @@ def _widening(distance: np.ndarray, rows: Rows, usual: np.ndarray) -> np.ndarray
 
 
 def fitted_frames(frames: Frames) -> dict[str, float]:
-    """The law of the frames' error: powers by least squares on logarithms, the share so that ``BETTER`` have less error.
+    """The law of the frames' error: the share of the RMS sigma so that ``BETTER`` have less error, every run with the same weight.
 
-    Every run has the same weight. The power of the unexplained points stays: hardly any frame of the collection shows cloth
-    that is not the garment's.
+    The power of the unexplained points stays: hardly any frame of the collection shows cloth that is not the garment's.
     """
     law, weight = ddakf.Config().frame_error, 1.0 / np.bincount(frames.run)[frames.run]
-    missed = law.unexplained_power * np.log(1.0 + frames.unexplained / law.unexplained_scale)
-    log_ratio = np.log(np.minimum(frames.rmse, WORST) / frames.sigma) - missed
-    columns = np.column_stack([np.ones(len(weight)), frames.with_body, np.log(1.0 + frames.offset / law.offset_scale)])
-    root = np.sqrt(weight)
-    _, with_body, power = np.linalg.lstsq(columns * root[:, None], log_ratio * root)[0]
-    rest = np.exp(log_ratio - columns[:, 1:] @ [with_body, power])
-    share = np.quantile(rest, BETTER, weights=weight, method="inverted_cdf")
-    found = {"sigma_share": share, "body_share": np.exp(with_body), "offset_power": power}
-    return {name: round(float(value), 3) for name, value in found.items()}
+    missed = (1.0 + frames.unexplained / law.unexplained_scale) ** law.unexplained_power
+    share = np.quantile(frames.rmse / (frames.sigma * missed), BETTER, weights=weight, method="inverted_cdf")
+    return {"sigma_share": round(float(share), 3)}
 
 
 # Report -------------------------------------------------------------------------------------------------------------

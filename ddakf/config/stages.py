@@ -328,12 +328,9 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: a share of the RMS sigma times (1 + evidence / scale)^power of each evidence."""
+    """Predicted error of a frame: a share of the RMS sigma times (1 + unexplained / scale)^power."""
 
-    sigma_share: float = bounded(0.72, 0, 10)  # three of four frames have less error
-    body_share: float = bounded(0.65, 0, 10)  # of that, with a body
-    offset_scale: float = bounded(5e-4, 1e-12, 1e6)  # m
-    offset_power: float = bounded(0.242, 0, 10)
+    sigma_share: float = bounded(0.85, 0, 10)  # six of seven frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
     unexplained_power: float = bounded(0.337, 0, 10)
 

@@ -36,20 +36,16 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
 
 
 class FrameEvidence(NamedTuple):
-    """What the error of a frame is predicted from; or arrays of it, of several frames."""
+    """What the error of a frame is predicted from."""
 
     sigma: float  # m, root mean trace of the calibrated covariances
-    offset: float  # m, RMS distance of the cloud from the surface beyond noise, over the last half second
-    unexplained: float  # share of the points, in clumps, that no vertex is near; likewise
-    with_body: bool  # the body is given
+    unexplained: float  # share of the points, in clumps, that no vertex is near, over the last half second
 
 
-def predicted_error(evidence: FrameEvidence, config: FrameError):
+def predicted_error(evidence: FrameEvidence, config: FrameError) -> float:
     """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses the cloud."""
-    share = config.sigma_share * np.where(evidence.with_body, config.body_share, 1.0)
-    off = (1.0 + evidence.offset / config.offset_scale) ** config.offset_power
     missed = (1.0 + evidence.unexplained / config.unexplained_scale) ** config.unexplained_power
-    return share * evidence.sigma * off * missed
+    return config.sigma_share * evidence.sigma * missed
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
@@ -152,9 +148,8 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
     health = misfit(problem, problem.health, points, posterior.state.position) if len(points) else problem.health
     variance = 3.0 * variances(posterior.covariance)
-    with_body = estimate.clearance is not None
-    evidence = FrameEvidence(math.sqrt(variance.mean()), math.sqrt(health.offset), health.unexplained, with_body)
-    error = float(predicted_error(evidence, problem.config.frame_error))
+    evidence = FrameEvidence(math.sqrt(variance.mean()), health.unexplained)
+    error = predicted_error(evidence, problem.config.frame_error)
     if problem.lacks_place(estimate.observed):
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)

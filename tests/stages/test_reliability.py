@@ -76,13 +76,12 @@ def test_s_k_tends_to_the_same_value_at_every_noise():
 
 
 @given(
-    sigma=st.floats(1e-6, 1.0), offset=st.floats(0, 0.1), unexplained=st.floats(0, 1.0), with_body=st.booleans(),
-    factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0),
-)  # fmt: skip
+    sigma=st.floats(1e-6, 1.0), unexplained=st.floats(0, 1.0), factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0)
+)
 @settings(max_examples=100, deadline=None, derandomize=True)
-def test_score_is_a_share_that_no_sign_of_error_raises(sigma, offset, unexplained, with_body, factor, more):
-    signs = FrameEvidence(sigma, offset, unexplained, with_body)
-    worse = {"sigma": factor * sigma, "offset": offset + more, "unexplained": unexplained + more}
+def test_score_is_a_share_that_no_sign_of_error_raises(sigma, unexplained, factor, more):
+    signs = FrameEvidence(sigma, unexplained)
+    worse = {"sigma": factor * sigma, "unexplained": unexplained + more}
     cases = signs, *(signs._replace(**{name: value}) for name, value in worse.items())
     here, *scores = (score(predicted_error(each, LAW), CONFIG) for each in cases)
     assert all(0.0 <= each <= here <= 1.0 for each in scores)
@@ -95,9 +94,9 @@ def test_score_is_a_half_at_the_configured_error():
 
 def test_the_error_of_a_frame_is_in_proportion_to_its_sigma():
     sigma = np.array([0.001, 0.01, 0.1])
-    alone, with_body = FrameEvidence(sigma, 0.0, 0.0, False), FrameEvidence(sigma, 0.003, 0.1, True)
+    alone, missed = FrameEvidence(sigma, 0.0), FrameEvidence(sigma, 0.1)
     assert predicted_error(alone, LAW) == pytest.approx(LAW.sigma_share * sigma)
-    assert predicted_error(with_body._replace(sigma=2 * sigma), LAW) == pytest.approx(2 * predicted_error(with_body, LAW))
+    assert predicted_error(missed._replace(sigma=2 * sigma), LAW) == pytest.approx(2 * predicted_error(missed, LAW))
 
 
 # Evidence -----------------------------------------------------------------------------------------------------------
