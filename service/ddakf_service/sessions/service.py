@@ -231,12 +231,21 @@ class Sessions:
             self._durability.revive(session)
 
     async def expire_idle(self) -> None:
-        """Ends expired sessions and registers the changes of the others; runs until it is cancelled."""
+        """Ends expired sessions and registers the changes of the others; runs until it is cancelled.
+
+        To be called when the server is ready: the departure timeouts begin now, because no client could return before.
+        """
+        self._restart_departures()
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             await self._end_abandoned()
             if self._tenure.held:
                 self._expire_or_save()  # a local variable here would hold the last session while it waits
+
+    def _restart_departures(self) -> None:
+        for session in self._catalog:
+            if session.departure_time is not None:
+                session.departure_time = monotonic()
 
     async def _end_abandoned(self) -> None:
         if monotonic() > self._abandoned_due:
