@@ -147,22 +147,33 @@ class Sessions:
                     f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",
                     field="etag",
                 )
-            if limits is not None:
-                self._pool.count_memory(session.id, session.memory_with(limits))
-            try:
-                if paths & {"config_json", "fabric"}:
-                    await self._configure(session, change, paths)
-            except ServiceError:
-                if limits is not None:
-                    with contextlib.suppress(WorkerLost):  # a lost worker counts nothing
-                        self._pool.count_memory(session.id, session.memory)
-                raise
-            # A field that is not named keeps its present value: another call may have changed it meanwhile.
-            session.labels = session.labels if labels is None else labels
-            session.limits = session.limits if limits is None else limits
-            session.revision += 1
-        self._persistence.save(session)
+            await self._durability.complete(self._change(session, change, paths, labels, limits))
         return session.message()
+
+    async def _change(
+        self,
+        session: Session,
+        change: pb.Session,
+        paths: set[str],
+        labels: dict[str, str] | None,
+        limits: pb.SessionLimits | None,
+    ) -> None:
+        """Applies a valid change as a whole, or nothing of it."""
+        if limits is not None:
+            self._pool.count_memory(session.id, session.memory_with(limits))
+        try:
+            if paths & {"config_json", "fabric"}:
+                await self._configure(session, change, paths)
+        except BaseException:
+            if limits is not None:
+                with contextlib.suppress(WorkerLost):  # a lost worker counts nothing
+                    self._pool.count_memory(session.id, session.memory)
+            raise
+        # A field that is not named keeps its present value: another call may have changed it meanwhile.
+        session.labels = session.labels if labels is None else labels
+        session.limits = session.limits if limits is None else limits
+        session.revision += 1
+        self._persistence.save(session)
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
         """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
@@ -178,10 +189,13 @@ class Sessions:
         session = await self._ownership.obtain(request.name)
         reset_request = request.SerializeToString()
         async with self._tracker_access.exclusive(session):
-            await self._pool.reset(session.id, reset_request)
-            session.record_reset(reset_request)
-            await self._durability.checkpoint_now(session)
+            await self._durability.complete(self._reset(session, reset_request))
         return session.message()
+
+    async def _reset(self, session: Session, request: bytes) -> None:
+        await self._pool.reset(session.id, request)
+        session.record_reset(request)
+        await self._durability.checkpoint_now(session)
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
         session = await self._ownership.obtain(name)
