@@ -133,8 +133,12 @@ class Sessions:
             return await past_page(self._persistence.ended_records, request)
         return await self._ownership.page(request)
 
-    async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
-        """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid."""
+    async def update(self, request: pb.UpdateSessionRequest, accepts: Callable[[str], bool] | None = None) -> pb.Session | str:
+        """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid.
+
+        Returns:
+            The session; or its etag, where ``accepts`` refuses that and the session stays as it is.
+        """
         change, session = request.session, await self._ownership.obtain(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
@@ -142,6 +146,8 @@ class Sessions:
         labels = admission.labels(change) if "labels" in paths else None
         limits = self._admission.limits(change.limits) if "limits" in paths else None
         async with self._tracker_access.exclusive(session):
+            if accepts is not None and not accepts(etag := str(session.revision)):
+                return etag
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
                     f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import weakref
 
+import httpx
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
@@ -17,6 +18,7 @@ from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
 from ddakf_service.streaming.frame_recorder import FrameRecorder
 from ddakf_service.streaming.streams import Streams
+from ddakf_service.transports.rest.routes import create_app
 
 START = pb.Start(name="sessions/some", api_version=API_VERSION)
 
@@ -199,6 +201,21 @@ async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
     await asyncio.gather(*calls)
     after = await server.get("sessions/some")
     assert (dict(after.labels), after.limits.max_points) == ({"whose": "first"}, 7)
+
+
+@pytest.mark.parametrize(("match", "statuses"), [("*", [200, 200]), ('"1"', [200, 412])])
+async def test_the_etag_that_if_match_compares_is_the_one_of_the_moment_of_the_change(server, pool, store, match, statuses):
+    app = create_app(server, Settings(data_dir="none"), Metrics(), lambda: "", store)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://service") as http:
+        changes = {"fabric": "silk"}, {"labels": {"a": "b"}}
+        calls = asyncio.gather(*(http.patch("/v1/sessions/some", json=body, headers={"If-Match": match}) for body in changes))
+        await pool.configuring.wait()
+        for _ in range(100):  # the other call waits for the session
+            await asyncio.sleep(0)
+        pool.busy.set()
+        answers = await calls
+    assert sorted(answer.status_code for answer in answers) == statuses
+    assert (await server.get("sessions/some")).etag == str(1 + statuses.count(200))
 
 
 async def left(call: asyncio.Task, pool: Pool) -> None:
