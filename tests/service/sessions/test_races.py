@@ -204,14 +204,23 @@ async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
 
 
 @pytest.mark.parametrize(("match", "statuses"), [("*", [200, 200]), ('"1"', [200, 412])])
-async def test_the_etag_that_if_match_compares_is_the_one_of_the_moment_of_the_change(server, pool, store, match, statuses):
+async def test_the_etag_that_if_match_compares_is_the_one_of_the_moment_of_the_change(
+    server, pool, store, monkeypatch, match, statuses
+):
+    obtain, arrivals = server._ownership.obtain, asyncio.Semaphore(0)
+
+    async def arriving(name):
+        session = await obtain(name)
+        arrivals.release()
+        return session
+
+    monkeypatch.setattr(server._ownership, "obtain", arriving)
     app = create_app(server, Settings(data_dir="none"), Metrics(), lambda: "", store)
     async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://service") as http:
         changes = {"fabric": "silk"}, {"labels": {"a": "b"}}
         calls = asyncio.gather(*(http.patch("/v1/sessions/some", json=body, headers={"If-Match": match}) for body in changes))
-        await pool.configuring.wait()
-        for _ in range(100):  # the other call waits for the session
-            await asyncio.sleep(0)
+        for _ in changes:
+            await arrivals.acquire()
         pool.busy.set()
         answers = await calls
     assert sorted(answer.status_code for answer in answers) == statuses
