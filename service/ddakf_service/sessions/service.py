@@ -133,8 +133,12 @@ class Sessions:
             return await past_page(self._persistence.ended_records, request)
         return await self._ownership.page(request)
 
-    async def update(self, request: pb.UpdateSessionRequest) -> pb.Session:
-        """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid."""
+    async def update(self, request: pb.UpdateSessionRequest, accepts: Callable[[str], bool] | None = None) -> pb.Session | str:
+        """Changes labels, limits, configuration and fabric: all named ones, or none when one is invalid.
+
+        Returns:
+            The session; or its etag, where ``accepts`` refuses that and the session stays as it is.
+        """
         change, session = request.session, await self._ownership.obtain(request.session.name)
         paths = set(request.update_mask.paths or (f.name for f, _ in change.ListFields() if f.name not in ("name", "etag")))
         if unknown := sorted(paths - set(_CHANGEABLE)):
@@ -142,27 +146,40 @@ class Sessions:
         labels = admission.labels(change) if "labels" in paths else None
         limits = self._admission.limits(change.limits) if "limits" in paths else None
         async with self._tracker_access.exclusive(session):
+            if accepts is not None and not accepts(etag := str(session.revision)):
+                return etag
             if change.etag and change.etag != str(session.revision):
                 raise FailedPrecondition(
                     f"{session.name} was changed by another call: its etag is {session.revision}, not {change.etag[:80]}",
                     field="etag",
                 )
-            if limits is not None:
-                self._pool.count_memory(session.id, session.memory_with(limits))
-            try:
-                if paths & {"config_json", "fabric"}:
-                    await self._configure(session, change, paths)
-            except ServiceError:
-                if limits is not None:
-                    with contextlib.suppress(WorkerLost):  # a lost worker counts nothing
-                        self._pool.count_memory(session.id, session.memory)
-                raise
-            # A field that is not named keeps its present value: another call may have changed it meanwhile.
-            session.labels = session.labels if labels is None else labels
-            session.limits = session.limits if limits is None else limits
-            session.revision += 1
-        self._persistence.save(session)
+            await self._durability.complete(self._change(session, change, paths, labels, limits))
         return session.message()
+
+    async def _change(
+        self,
+        session: Session,
+        change: pb.Session,
+        paths: set[str],
+        labels: dict[str, str] | None,
+        limits: pb.SessionLimits | None,
+    ) -> None:
+        """Applies a valid change as a whole, or nothing of it."""
+        if limits is not None:
+            self._pool.count_memory(session.id, session.memory_with(limits))
+        try:
+            if paths & {"config_json", "fabric"}:
+                await self._configure(session, change, paths)
+        except BaseException:
+            if limits is not None:
+                with contextlib.suppress(WorkerLost):  # a lost worker counts nothing
+                    self._pool.count_memory(session.id, session.memory)
+            raise
+        # A field that is not named keeps its present value: another call may have changed it meanwhile.
+        session.labels = session.labels if labels is None else labels
+        session.limits = session.limits if limits is None else limits
+        session.revision += 1
+        self._persistence.save(session)
 
     async def _configure(self, session: Session, change: pb.Session, paths: set[str]) -> None:
         """Applies a new configuration, a new fabric, or both; the fabric overrides the configuration, as at creation."""
@@ -178,10 +195,13 @@ class Sessions:
         session = await self._ownership.obtain(request.name)
         reset_request = request.SerializeToString()
         async with self._tracker_access.exclusive(session):
-            await self._pool.reset(session.id, reset_request)
-            session.record_reset(reset_request)
-            await self._durability.checkpoint_now(session)
+            await self._durability.complete(self._reset(session, reset_request))
         return session.message()
+
+    async def _reset(self, session: Session, request: bytes) -> None:
+        await self._pool.reset(session.id, request)
+        session.record_reset(request)
+        await self._durability.checkpoint_now(session)
 
     async def snapshot(self, name: str) -> pb.SessionSnapshot:
         session = await self._ownership.obtain(name)
@@ -231,12 +251,21 @@ class Sessions:
             self._durability.revive(session)
 
     async def expire_idle(self) -> None:
-        """Ends expired sessions and registers the changes of the others; runs until it is cancelled."""
+        """Ends expired sessions and registers the changes of the others; runs until it is cancelled.
+
+        To be called when the server is ready: the departure timeouts begin now, because no client could return before.
+        """
+        self._restart_departures()
         while True:
             await asyncio.sleep(_EXPIRY_INTERVAL)
             await self._end_abandoned()
             if self._tenure.held:
                 self._expire_or_save()  # a local variable here would hold the last session while it waits
+
+    def _restart_departures(self) -> None:
+        for session in self._catalog:
+            if session.departure_time is not None:
+                session.departure_time = monotonic()
 
     async def _end_abandoned(self) -> None:
         if monotonic() > self._abandoned_due:

@@ -7,7 +7,16 @@ import math
 from time import monotonic
 from weakref import WeakKeyDictionary
 
-from ddakf_api.errors import DeadlineExceeded, FrameTooCostly, Internal, ServiceError, WorkerLost, to_detail
+from ddakf_api.errors import (
+    DeadlineExceeded,
+    FrameTooCostly,
+    Internal,
+    ResourceExhausted,
+    ServiceError,
+    Unavailable,
+    WorkerLost,
+    to_detail,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..observability.metrics import Metrics, codec_of, flow_of
@@ -20,6 +29,7 @@ from .mailbox import QueuedFrame
 
 log = logging.getLogger(__name__)
 
+_SERVER_ERRORS = Internal, ResourceExhausted, Unavailable, WorkerLost  # no fault of the frame
 _LOG_INTERVAL = 1.0  # seconds between two lines about refused frames of a session; a client may send thousands per second
 
 
@@ -47,7 +57,7 @@ class FrameRecorder:
         self._tracer.applied(session.id, queued.frame, result, codec, flow)
 
     def dropped(self, session: Session, count: int) -> None:
-        """Records frames that newer ones displaced, or that exceeded the frame rate."""
+        """Records frames that newer ones displaced, that exceeded the frame rate, or that waited at the end of their stream."""
         session.touch()  # a dropped frame counts as activity
         session.statistics.frames_dropped += count
         self._metrics.frames.labels("dropped").inc(count)
@@ -95,4 +105,4 @@ def _outcome(error: ServiceError) -> str:
     """Label of a frame that was not tracked."""
     if isinstance(error, FrameTooCostly):
         return "costly"
-    return "failed" if isinstance(error, (Internal, WorkerLost)) else "rejected"
+    return "failed" if isinstance(error, _SERVER_ERRORS) else "rejected"

@@ -106,9 +106,14 @@ class Stream:
             await self._outbox.put(self._refused(frame, error, arrived))
             return
         self._arrivals.arrived(arrived)
-        if self._mode == pb.FLOW_MODE_LOSSLESS:
-            await self._pause_for_frame_rate()
-        self._record_dropped(await self._mailbox.put(frame, arrived))
+        try:
+            if self._mode == pb.FLOW_MODE_LOSSLESS:
+                await self._pause_for_frame_rate()
+            dropped = await self._mailbox.put(frame, arrived)
+        except asyncio.CancelledError:  # the client has left, which ends the reader
+            self._recorder.dropped(self.session, 1)
+            raise
+        self._record_dropped(dropped)
 
     def _check(self, frame: FrameMessage) -> None:
         """Rejects an invalid frame before it takes memory in the mailbox."""
@@ -276,6 +281,12 @@ class Stream:
             if isinstance(error, FrameTooCostly):
                 await self._penalties.frame_given_up(self.session)
             return refused
+        except Irrecoverable as error:  # its reason ends the stream: the frame has no answer of its own
+            if self.session.closed and not isinstance(error.reason, WorkerLost):  # somebody else ended it, or took it over
+                self._recorder.dropped(self.session, 1)
+            else:
+                self._recorder.refused(self.session, queued.frame, error.reason, queued.arrived)
+            raise
 
     def _refused(self, frame: FrameMessage, error: ServiceError, arrived: float) -> Response:
         """Records the refusal of a frame; returns the response to it."""

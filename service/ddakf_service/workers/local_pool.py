@@ -113,10 +113,14 @@ class LocalPool:
         return 0.0 if placement is None else placement.worker.shares.affordable_rate(session_id)
 
     async def configure(self, session_id: str, request: bytes) -> bytes:
-        return await self._call_worker_of(wire.Kind.CONFIGURE, session_id, request)
+        placement = self._placement(session_id)
+        async with placement.lock, placement.worker.placement_lock:  # a worker builds one model at a time
+            return await self._call(placement.worker, wire.Kind.CONFIGURE, session_id, request)
 
     async def reset(self, session_id: str, request: bytes) -> None:
-        await self._call_worker_of(wire.Kind.RESET, session_id, request)
+        placement = self._placement(session_id)
+        async with placement.lock:
+            await self._call(placement.worker, wire.Kind.RESET, session_id, request)
 
     def snapshot(self, session_id: str, *, compressed: bool = False) -> Awaitable[bytes]:
         worker = self._placement(session_id).worker
@@ -195,11 +199,6 @@ class LocalPool:
             return self._placements[session_id]
         except KeyError:
             raise worker_lost(session_id) from None
-
-    async def _call_worker_of(self, kind: wire.Kind, session_id: str, request: bytes) -> bytes:
-        placement = self._placement(session_id)
-        async with placement.lock:
-            return await self._call(placement.worker, kind, session_id, request)
 
     async def _call(self, worker: Worker, kind: wire.Kind, session_id: str, *request: bytes | memoryview) -> bytes:
         return await self._in_time(worker, session_id, worker.send(kind, session_id, *request))

@@ -46,7 +46,8 @@ class Worker:
         sessions: estimated memory by session id.
         frame_slots: held by a frame while it is in the pipe or on the light lane of the worker.
         heavy_slots: held by a frame while it is in the pipe or on the heavy lane.
-        placement_lock: held by the placement of a session.
+        placement_lock: held while a model is built, by the placement of a session or its configuration, so that no call's time
+            runs while it waits for another.
         frames: number of submitted frames.
         shares: of its processor time, among the sessions.
         leaving: whether its machine is about to stop.

@@ -9,10 +9,11 @@ import time
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import SessionExpired
+from ddakf_api.errors import SessionExpired, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.sessions import service
+from ddakf_service.sessions.recovery import tracker_access
 from ddakf_service.sessions.session import Session
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
@@ -86,31 +87,54 @@ def test_a_client_whose_frames_are_all_refused_is_there_still(api, sheet):
     api.delete(name)
 
 
-async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch, request):
-    """A worker that fails at the end of a session."""
-    monkeypatch.setattr(service, "_EXPIRY_INTERVAL", 0.01)
+class Pool:
+    """Opens sessions at once, and cannot close them where ``fails``; ``full``: it has no worker for a restore."""
 
-    class Pool:
-        async def open(self, session_id, request, memory):
-            return pb.Session(name=session_id).SerializeToString()
+    def __init__(self, fails=False, full=False):
+        self.fails, self.full = fails, full
 
-        def count_memory(self, session_id, memory):
-            pass
+    async def open(self, session_id, request, memory):
+        if self.full:
+            raise Unavailable("no worker")
+        return pb.Session(name=session_id).SerializeToString()
 
-        async def snapshot(self, session_id):
-            return b""
+    restore = open
 
-        async def close(self, session_id):
+    def count_memory(self, session_id, memory):
+        pass
+
+    async def snapshot(self, session_id, compressed=False):
+        return b""
+
+    async def close(self, session_id):
+        if self.fails:
             raise RuntimeError("no")
 
-    settings, metrics = Settings(data_dir="none"), Metrics()
-    store = Store(settings, metrics)
-    request.addfinalizer(store.close)
-    mine = service.Sessions(Pool(), settings, metrics, store)
+
+@pytest.fixture
+def sessions_of(request):
+    """Makes the sessions of a server with a pool."""
+
+    def make(pool: Pool, **settings) -> service.Sessions:
+        settings, metrics = Settings(**{"data_dir": "none", **settings}), Metrics()
+        store = Store(settings, metrics)
+        request.addfinalizer(store.close)
+        return service.Sessions(pool, settings, metrics, store)
+
+    return make
+
+
+async def created(server: service.Sessions, name: str) -> Session:
+    await server.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
+    return server._catalog.readable(f"sessions/{name}")
+
+
+async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(monkeypatch, sessions_of):
+    """A worker that fails at the end of a session."""
+    monkeypatch.setattr(service, "_EXPIRY_INTERVAL", 0.01)
+    mine = sessions_of(Pool(fails=True))
     for name in ("first", "other"):
-        await mine.create(pb.CreateSessionRequest(api_version=API_VERSION, session_id=name))
-    for session in mine._catalog:
-        session.last_active -= 1e6
+        (await created(mine, name)).last_active -= 1e6
     expiry = asyncio.create_task(mine.expire_idle())
     async with asyncio.timeout(TIMEOUT):
         while len(mine._catalog):
@@ -120,3 +144,36 @@ async def test_one_session_that_cannot_be_closed_keeps_no_other_from_expiring(mo
     for name in ("first", "other"):
         with pytest.raises(SessionExpired):
             await mine.get(f"sessions/{name}")
+
+
+async def test_a_slow_start_takes_nothing_of_the_time_that_a_client_has_to_return(monkeypatch, tmp_path, sessions_of):
+    """The earlier sessions are loaded before the workers compile their kernels, which may take minutes."""
+    before = sessions_of(Pool(), data_dir=str(tmp_path))
+    await created(before, "some")
+    await before.drain(0.0)
+    await asyncio.to_thread(before._store.close)
+    looked = asyncio.Event()
+    after = sessions_of(Pool(), data_dir=str(tmp_path))
+    await after.load()
+    session = after._catalog.readable("sessions/some")
+    session.departure_time -= 1e6
+    session.last_active -= 1e6
+    monkeypatch.setattr(service, "_EXPIRY_INTERVAL", 0.0)
+    monkeypatch.setattr(after._persistence, "save", lambda session: looked.set())
+    expiry = asyncio.create_task(after.expire_idle())
+    await asyncio.wait_for(looked.wait(), TIMEOUT)
+    expiry.cancel()
+    assert (await after.get("sessions/some")).name == "sessions/some"
+
+
+async def test_a_client_whose_session_finds_no_worker_has_returned(monkeypatch, sessions_of):
+    monkeypatch.setattr(tracker_access, "_WORKER_TIMEOUT", 0.0)
+    pool = Pool()
+    mine = sessions_of(pool)
+    session = await created(mine, "some")
+    session.has_worker, pool.full = False, True
+    session.last_active -= 1e6
+    with pytest.raises(Unavailable):
+        await mine.reset(pb.ResetSessionRequest(name=session.name))
+    assert session.idle_for < 1e3
+    await mine.delete(session.name)

@@ -6,6 +6,7 @@ import asyncio
 import gc
 import weakref
 
+import httpx
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
@@ -17,6 +18,7 @@ from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
 from ddakf_service.streaming.frame_recorder import FrameRecorder
 from ddakf_service.streaming.streams import Streams
+from ddakf_service.transports.rest.routes import create_app
 
 START = pb.Start(name="sessions/some", api_version=API_VERSION)
 
@@ -25,7 +27,7 @@ class Pool:
     """Records opened and closed sessions; ``busy`` blocks calls of a session."""
 
     def __init__(self):
-        self.calls = []
+        self.calls, self.counted = [], None
         self.busy, self.configuring = asyncio.Event(), asyncio.Event()
         self.lost = self.full = False
 
@@ -44,11 +46,12 @@ class Pool:
     def count_memory(self, session_id, memory):
         if self.full:
             raise ResourceExhausted("memory")
+        self.counted = memory
 
     async def configure(self, session_id, request):
         self.configuring.set()
         await self.busy.wait()
-        return pb.Session().SerializeToString()
+        return pb.UpdateSessionRequest.FromString(request).session.SerializeToString()
 
     async def snapshot(self, session_id, compressed=False):
         if self.lost:
@@ -198,6 +201,79 @@ async def test_two_updates_at_a_time_keep_what_each_has_changed(server, pool):
     await asyncio.gather(*calls)
     after = await server.get("sessions/some")
     assert (dict(after.labels), after.limits.max_points) == ({"whose": "first"}, 7)
+
+
+@pytest.mark.parametrize(("match", "statuses"), [("*", [200, 200]), ('"1"', [200, 412])])
+async def test_the_etag_that_if_match_compares_is_the_one_of_the_moment_of_the_change(
+    server, pool, store, monkeypatch, match, statuses
+):
+    obtain, arrivals = server._ownership.obtain, asyncio.Semaphore(0)
+
+    async def arriving(name):
+        session = await obtain(name)
+        arrivals.release()
+        return session
+
+    monkeypatch.setattr(server._ownership, "obtain", arriving)
+    app = create_app(server, Settings(data_dir="none"), Metrics(), lambda: "", store)
+    async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://service") as http:
+        changes = {"fabric": "silk"}, {"labels": {"a": "b"}}
+        calls = asyncio.gather(*(http.patch("/v1/sessions/some", json=body, headers={"If-Match": match}) for body in changes))
+        for _ in changes:
+            await arrivals.acquire()
+        pool.busy.set()
+        answers = await calls
+    assert sorted(answer.status_code for answer in answers) == statuses
+    assert (await server.get("sessions/some")).etag == str(1 + statuses.count(200))
+
+
+async def left(call: asyncio.Task, pool: Pool) -> None:
+    """The caller leaves while the worker carries out the call, whose session nobody else may change meanwhile."""
+    await pool.configuring.wait()
+    call.cancel()
+    await asyncio.sleep(0)
+    assert not call.done()
+    pool.busy.set()
+    with pytest.raises(asyncio.CancelledError):
+        await call
+
+
+async def test_an_update_whose_client_leaves_is_recorded(server, pool, store):
+    session = server._catalog.readable("sessions/some")
+    await server._durability.settle(1.0)
+    checkpoints, etag = session.checkpoint_number, str(session.revision)
+    change = pb.Session(name="sessions/some", fabric="silk", limits=pb.SessionLimits(max_points=7))
+    await left(asyncio.create_task(server.update(pb.UpdateSessionRequest(session=change))), pool)
+    after = await server.get("sessions/some")
+    assert (after.fabric, after.limits.max_points, pool.counted) == ("silk", 7, session.memory)
+    assert (after.etag != etag, session.checkpoint_number) == (True, checkpoints + 1)
+    assert await server._persistence.written(session.uid)
+    assert (await store.registry.newest("some")).session.fabric == "silk"
+
+
+async def test_a_reset_whose_client_leaves_is_recorded(server, pool, monkeypatch):
+    async def reset(session_id, request):
+        pool.configuring.set()
+        await pool.busy.wait()
+
+    session, request = server._catalog.readable("sessions/some"), pb.ResetSessionRequest(name="sessions/some")
+    await server._durability.settle(1.0)
+    checkpoints = session.checkpoint_number
+    monkeypatch.setattr(pool, "reset", reset)
+    await left(asyncio.create_task(server.reset(request)), pool)
+    assert (session.last_reset, session.checkpoint_number) == (request.SerializeToString(), checkpoints + 1)
+
+
+async def test_an_update_that_fails_by_a_defect_counts_the_memory_of_before(server, pool, monkeypatch):
+    async def configure(session_id, request):
+        raise RuntimeError("no")
+
+    session = server._catalog.readable("sessions/some")
+    monkeypatch.setattr(pool, "configure", configure)
+    change = pb.Session(name="sessions/some", fabric="silk", limits=pb.SessionLimits(max_points=7))
+    with pytest.raises(RuntimeError):
+        await server.update(pb.UpdateSessionRequest(session=change))
+    assert pool.counted == session.memory
 
 
 async def test_a_session_waits_for_a_worker_with_room(server, pool):

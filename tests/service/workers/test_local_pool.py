@@ -102,6 +102,28 @@ async def test_a_session_goes_to_a_worker_that_has_the_memory_for_it(staffed):
     assert [worker.memory_with() for worker in workers] == [90, 100]
 
 
+async def test_the_time_of_a_configuration_begins_when_the_worker_is_free_to_build(staffed, monkeypatch):
+    """Otherwise changes that queue in a healthy worker would exceed the time of a call, for which it is ended."""
+    pool, _ = staffed(1)
+    for name in ("one", "two"):
+        await pool.open(name, b"")
+    sent, answered = [], asyncio.Event()
+
+    async def call(worker, kind, session_id, request=b""):
+        sent.append(session_id)
+        await answered.wait()
+        return b""
+
+    monkeypatch.setattr(pool, "_call", call)
+    calls = asyncio.gather(pool.configure("one", b""), pool.configure("two", b""), pool.open("new", b""))
+    for _ in range(10):
+        await asyncio.sleep(0)
+    assert sent == ["one"]
+    answered.set()
+    await calls
+    assert sent == ["one", "two", "new"]
+
+
 async def test_what_a_session_needs_can_change(staffed):
     pool, (worker,) = staffed(1, max_memory=100.0)
     await pool.open("one", b"", Memory(10, 0))

@@ -77,6 +77,20 @@ class Durability:
         task.add_done_callback(self._tasks.discard)
         return task
 
+    async def complete(self, work: Coroutine[None, None, None]) -> None:
+        """Runs a change of a session to its end, also when the caller leaves: the worker carries out what it was sent. The
+        caller holds the session's lock until then."""
+        task = self.background(work)
+        try:
+            await asyncio.shield(task)
+        except asyncio.CancelledError:
+            await asyncio.wait({task})
+            if not task.cancelled():
+                task.exception()  # marks it as retrieved: asyncio would log it otherwise
+            raise
+        finally:
+            del task  # the traceback of its error refers to this Python frame: a reference cycle
+
     async def settle(self, timeout: float) -> None:
         """Returns when no background task is left, or after ``timeout`` seconds."""
         end = monotonic() + timeout

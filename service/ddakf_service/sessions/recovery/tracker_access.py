@@ -39,6 +39,7 @@ class TrackerAccess:
         Raises:
             SessionNotFound: the session has ended meanwhile. Unavailable: the restore took too long.
         """
+        session.touch()  # a client that gets Unavailable has returned too
         while True:
             if not session.has_worker:
                 await self._wait_for_worker(session)

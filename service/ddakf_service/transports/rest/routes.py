@@ -299,11 +299,8 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
         default."""
         name = f"sessions/{session_id}"
         message = await bodies.parse_json(request, settings, lambda body: update_request(body, name, update_mask))
-        if if_match is not None:
-            if not is_match(if_match, etag := (await sessions.get(name)).etag):
-                return _unmatched(name, etag, if_match)
-            message.session.etag = message.session.etag or etag
-        return await answer(await sessions.update(message))
+        updated = await sessions.update(message, _accepting(if_match))
+        return _unmatched(name, updated, if_match) if isinstance(updated, str) else await answer(updated)
 
     @app.get(
         "/v1/sessions/{session_id:session}/history",
@@ -329,10 +326,14 @@ def _add_session_routes(app: FastAPI, sessions: Sessions, settings: Settings) ->
     async def delete_session(session_id: SessionId, if_match: _IfMatch = None) -> Response:
         """Ends a session and its stream."""
         name = f"sessions/{session_id}"
-        accepts = None if if_match is None else functools.partial(is_match, if_match)
-        if (etag := await sessions.delete(name, accepts)) is not None:
+        if (etag := await sessions.delete(name, _accepting(if_match))) is not None:
             return _unmatched(name, etag, if_match)
         return Response(status_code=204)
+
+
+def _accepting(if_match: str | None) -> Callable[[str], bool] | None:
+    """Whether a header If-Match has an etag; None: there is no such header."""
+    return None if if_match is None else functools.partial(is_match, if_match)
 
 
 def _unmatched(name: str, etag: str, if_match: str) -> Response:
