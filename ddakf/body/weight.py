@@ -44,8 +44,7 @@ def at_start(position: np.ndarray, strain: StrainConstants, setup: Setup) -> np.
     share = model.vertex_share / model.vertex_share.sum()
     rows, force, blocks = np.zeros((len(share), 4)), np.zeros((len(share), 4)), np.zeros((len(model.mesh.edges), 12), np.float32)
     rows[:, :3] = position
-    stretch, shear = config.stretch * config.fabric.stretch, config.shear * config.fabric.shear
-    kernels.add_strain(rows, strain, stretch, shear, config.strain_scale**2, blocks, force)
+    kernels.add_strain(rows, strain, config.in_plane, config.in_plane, config.strain_scale**2, blocks, force)
     height, weight, normal = position @ up, config.weight * model.area * share, np.empty((len(share), 3))
     below = height.max() - height
     hung = weight @ below

@@ -12,8 +12,8 @@ from ddakf.physics.fabric import Fabric
 class Physics(Checked):
     """Stiffness of the pseudo-measurements: information is lambda k w, and lambda is 1 outside recovery."""
 
-    stretch: float = bounded(1.0e6, 0, 1e12)  # 1/m^2 per unit strain^2
-    shear: float = bounded(2.0e5, 0, 1e12)  # 1/m^2
+    stretch: float = bounded(6.0e5, 0, 1e12)  # 1/m^2 per unit strain^2
+    shear: float = bounded(6.0e5, 0, 1e12)  # 1/m^2
     strain_scale: float = bounded(0.1, 1e-3, 1e3)  # of stretch: a larger strain counts as an error of the model
     strain_sd: float = bounded(0.03, 1e-4, 1e3)  # strain of a typical face, above which stretch and shear soften
     strain_memory: float = bounded(0.08, 1e-3, 1e3)  # s, time constant with which the garment's own strain is learned
@@ -49,3 +49,12 @@ class Physics(Checked):
     rotation_steps: int = bounded(2, 1, 50)  # steps of a rotation fit, which starts from the last pass's rotations
     first_rotation_steps: int = bounded(4, 1, 50)  # the same in the first pass, to which other passes moved the garment
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)
+
+    @property
+    def in_plane(self) -> float:
+        """Stiffness of both stretch and shear, 1/m^2, of the fabric: their mean.
+
+        They differ by the direction of the threads, of which a template says nothing. With one stiffness for both no choice of
+        direction, such as each face's first edge, changes the energy.
+        """
+        return 0.5 * (self.stretch * self.fabric.stretch + self.shear * self.fabric.shear)

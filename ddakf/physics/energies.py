@@ -36,13 +36,8 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
         contacts = contact.followed(problem, position) if contacts is None else contacts
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)
         touching = collision.linearize(position, model.collision, contacts.closest, problem.body.gap)
-    fabric = config.fabric
-    stiffness = (
-        physics_lambda * config.stretch * fabric.stretch,
-        physics_lambda * config.shear * fabric.shear,
-        physics_lambda * config.bend * fabric.bend,
-        config.collision,
-    )
+    in_plane = physics_lambda * config.in_plane
+    stiffness = in_plane, in_plane, physics_lambda * config.bend * config.fabric.bend, config.collision
     bending = bend.summed(position, model.bend, stiffness[2]) if last is None else last.bending
     return Energies(
         position, bending, touching, stiffness, config.strain_scale, layers, folded, config.self_collision, contacts

@@ -165,7 +165,7 @@ def test_a_garment_that_hangs_keeps_its_length():
             result = tracker.step(scan(HANGING, MESH, seed=k), timestamp=k / FPS)
         off, (low, high) = (result.vertices - HANGING)[:, 1], np.quantile(DEPTH, [0.3, 0.7])
         lengths.append(float(off[high < DEPTH].mean() - off[low > DEPTH].mean()))
-    assert abs(lengths[1]) < 0.8 * abs(lengths[0])
+    assert abs(lengths[1]) < 0.95 * abs(lengths[0])
 
 
 def drape(**physics) -> float:
