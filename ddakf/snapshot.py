@@ -138,6 +138,8 @@ def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:
     arrays["contact_turn"] = np.array(track.turn)
     if track.velocity is not None:
         arrays["contact_velocity"] = track.velocity
+    if track.motion is not None:
+        arrays |= {"contact_motion": track.motion, "contact_unposed": np.array(track.unposed)}
     if track.contacts is not None:
         arrays |= {f"contact_{name}": value for name, value in track.contacts.closest._asdict().items()}
         arrays["contact_asked_at"] = track.contacts.asked_at
@@ -153,7 +155,7 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
         ValueError: arrays that do not belong to this body and garment.
     """
     shapes = {"vertices": body.mesh.vertices.shape, "velocity": (n, 3), "asked_at": (n, 3), "face": (n,), "distance": (n,)}
-    shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3), "gap": (n,)}
+    shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3), "gap": (n,), "motion": body.mesh.vertices.shape}
     for name, shape in shapes.items():
         array = arrays.get(f"contact_{name}")
         if array is not None and (array.shape != shape or np.isnan(array).any()):
@@ -167,7 +169,11 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
         contacts = Contacts(closest, arrays["contact_asked_at"])
     vertices, present = arrays["contact_vertices"], bool(arrays["contact_present"])
     turn = int(arrays.get("contact_turn", 0))  # absent from earlier snapshots
-    return BodyTrack(vertices, present, arrays.get("contact_velocity"), contacts, arrays.get("contact_gap"), turn)
+    motion, unposed = arrays.get("contact_motion"), float(arrays.get("contact_unposed", 0.0))
+    if not 0.0 <= unposed < math.inf or (motion is not None and motion.dtype != np.float32):
+        raise ValueError("contact_motion is no motion")
+    velocity, gap = arrays.get("contact_velocity"), arrays.get("contact_gap")
+    return BodyTrack(vertices, present, velocity, contacts, gap, turn, motion, unposed)
 
 
 def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -182,10 +188,10 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    speed2, stored2, hem2 = (float(value) for value in values)
-    if not (min(speed2, stored2, hem2) >= 0 and max(speed2, stored2, hem2) < math.inf):
-        raise InvalidSnapshot("snapshot.drift", "three finite squares", repr(values))
-    return Drift(covariance, speed2, stored2, hem2)
+    squares = [float(value) for value in values]
+    if not (len(squares) in (3, 4) and min(squares) >= 0 and max(squares) < math.inf):  # three in earlier snapshots
+        raise InvalidSnapshot("snapshot.drift", "four finite squares", repr(values))
+    return Drift(covariance, *squares)
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:

@@ -149,6 +149,7 @@ class Tracker:
         """The track after a frame, and its result at the template's vertices; of the prediction where the fit has collapsed."""
         if frame_gate.collapsed(problem, estimate, verdict):
             estimate, verdict = frame_gate.held(problem, estimate, verdict)
+            problem = problem._replace(last=problem.last._replace(view=self._track.view))
             posterior = uncertainty.posterior(problem, estimate)
         posterior, offset = follow.follow(problem, estimate, posterior)
         track = _learned(problem, estimate, posterior, verdict)._replace(offset=offset)
@@ -228,7 +229,7 @@ class Tracker:
         track, config = other._track, self.config
         if config.discretisation != other.config.discretisation:
             track = transferred(track, other._discretised, self._discretised, self._track.resting)
-        elif (config.physics, config.anchor) != (other.config.physics, other.config.anchor):
+        elif _shaping(config) != _shaping(other.config):
             track = reconfigured(track, self._setup)
         if track.body is not None:
             body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
@@ -260,6 +261,11 @@ def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | 
     if body is not None:
         under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, known and known.body)
     return Discretised(working, Setup(cloth, under, config, warnings.reference(cloth, body, config.sidedness)))
+
+
+def _shaping(config: Config) -> tuple:
+    """What a configuration decides of the start's forces and of the hold on the body."""
+    return config.physics, config.anchor, config.start.up
 
 
 def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:

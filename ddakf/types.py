@@ -208,6 +208,8 @@ class BodyTrack(NamedTuple):
     contacts: Contacts | None  # of the last frame; None: not searched
     gap: np.ndarray | None  # (V,) m, as in BodyPose
     turn: int = 0  # frames
+    motion: np.ndarray | None = None  # (B, 3) float32 m/s, from its last pose but one to the last
+    unposed: float = 0.0  # s since that pose, for which it has been moved on
 
 
 class Bound(NamedTuple):
@@ -239,6 +241,7 @@ class Drift(NamedTuple):
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
+    missed2: float = 0.0  # m^2/s^2, running mean of what predictions miss per second, squared, the body's part included
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:

@@ -10,6 +10,9 @@ from ddakf.kernels import collision as kernels
 from ddakf.mesh import Mesh
 from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Problem, State
 
+MOTION_LASTS = 0.1  # s, time constant with which the motion of a body without a new pose ends
+LONGEST_UNPOSED = 0.3  # s after which the pose of such a body is unknown
+
 
 def build(
     mesh: Mesh, reach: float, collision_reach: float = Physics.collision_reach, known: BodyModel | None = None
@@ -57,8 +60,23 @@ def posed(body: BodyModel, track: BodyTrack, vertices: np.ndarray | None = None)
     return BodyPose(body, surface, track.gap, None if track.contacts is None else track.contacts.closest.face, track.turn)
 
 
+def moved_on(body: BodyModel, track: BodyTrack, dt: float) -> np.ndarray | None:
+    """(B, 3) metres: the body in a frame without its pose, moved on as it last moved; None where its motion is not known.
+
+    Body estimators leave out single frames, and cloth that nothing carries or holds for one frame takes long to come back.
+    """
+    if track.motion is None or not body.carries or track.unposed + dt > LONGEST_UNPOSED:
+        return None
+    return track.vertices + (_travelled(track.unposed + dt) - _travelled(track.unposed)) * track.motion
+
+
+def _travelled(seconds: float) -> float:
+    """Seconds of undamped motion that a body has moved on by, so long after its last pose."""
+    return MOTION_LASTS * (1.0 - float(np.exp(-seconds / MOTION_LASTS)))
+
+
 def carry(
-    body: BodyModel, track: BodyTrack, state: State, pose: BodyPose | None, decay: float = 0.0
+    body: BodyModel, track: BodyTrack, state: State, pose: BodyPose | None, dt: float = 1.0, friction: float = 0.0
 ) -> tuple[State, np.ndarray | None]:
     """What the body's motion does to a garment.
 
@@ -67,7 +85,8 @@ def carry(
         track: the body after the last frame.
         state: posterior of the last frame; its velocities are relative to the body if that frame had one.
         pose: the body now; None: its pose is not known.
-        decay: of the logarithm of the velocities relative to the body, by friction, of vertices that are fully carried.
+        dt: seconds since.
+        friction: 1/s, decay of the velocities relative to the body, of vertices that are fully carried.
 
     Returns:
         The state with velocities relative to the body, and the displacement (V, 3) in metres; None where nothing is carried.
@@ -82,8 +101,10 @@ def carry(
     motion = proximity.surface_motion(
         body.tree, track.vertices, pose.vertices, state.position, contacts.closest, body.reach
     )
-    kept = np.exp(-decay * motion.weight)
-    return state._replace(velocity=kept[:, None] * state.velocity), motion.position - state.position
+    carried, velocity = motion.position - state.position, state.velocity
+    if track.velocity is None and velocity.any():  # of the world until now; one of zero is not known
+        velocity = velocity - carried / dt
+    return state._replace(velocity=np.exp(-friction * dt * motion.weight)[:, None] * velocity), carried
 
 
 def bind(body: BodyModel, pose: np.ndarray, position: np.ndarray, reach: float) -> Bound:
@@ -172,4 +193,18 @@ def learned(problem: Problem, contacts: Contacts | None, position: np.ndarray, o
         share = 1.0 - np.exp(-problem.dt / config.gap_time)
         change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
         gap = np.where(observed & (found.face >= 0), gap + share * change, gap)
-    return BodyTrack(vertices, pose is not None, velocity, contacts, gap, track.turn + 1)
+    motion, unposed = _motion(problem)
+    return BodyTrack(vertices, pose is not None, velocity, contacts, gap, track.turn + 1, motion, unposed)
+
+
+def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:
+    """(B, 3) m/s from the body's last pose but one to the last, and the seconds since that."""
+    track, given, dt = problem.last.body, problem.frame.body_vertices, problem.dt
+    if problem.body is None or not problem.body.model.carries:
+        return None, 0.0
+    if given is None:
+        return track.motion, track.unposed + dt
+    if not track.present:
+        return None, 0.0
+    last = track.vertices if track.unposed == 0.0 else track.vertices - _travelled(track.unposed) * track.motion
+    return ((given - last) / (track.unposed + dt)).astype(np.float32), 0.0

@@ -98,12 +98,13 @@ def followed_points(
 
     Args:
         body, surface, points, radius: as for :func:`closest_points`.
-        face: (N,) int32 faces that were closest a moment ago, or -1.
+        face: (N,) int32 faces that were closest a moment ago, or -1: such a point is searched, as a walk cannot begin.
         due: points that are searched in the whole body.
     """
-    found = face.copy()
+    found, searched = face.copy(), face < 0
     walk_kernels.walk(_faces(body, surface), points, radius, found)
-    found[due] = _nearest_faces(body, surface, np.ascontiguousarray(points[due]), radius, np.ascontiguousarray(found[due]))
+    searched[due] = True
+    found[searched] = _nearest_faces(body, surface, points[searched], radius, found[searched])
     return _contacts(body, surface, points, found)
 
 

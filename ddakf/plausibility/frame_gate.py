@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ddakf.body import contact
 from ddakf.config import PaperReliability
 from ddakf.stages.reliability import Verdict
 from ddakf.types import Estimate, Problem
@@ -27,6 +28,9 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
 
 def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:
     """The estimate at its prediction, and the verdict without what the cloud said of the fit."""
-    after = verdict.health
+    after, position = verdict.health, problem.prior.position
     health = problem.health._replace(state=after.state, spacing=after.spacing, reliability=after.reliability)
-    return estimate._replace(position=problem.prior.position, rejected=True), verdict._replace(health=health)
+    contacts = None if estimate.contacts is None else contact.followed(problem, position)
+    evidence = estimate.evidence._replace(measurement=estimate.evidence.measurement._replace(hem=None))
+    kept = estimate._replace(position=position, contacts=contacts, evidence=evidence, rejected=True)
+    return kept, verdict._replace(health=health)

@@ -107,8 +107,7 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
     """(V,) bool, of vertices with these unit normals (V, 3)."""
     found, cloud, config = np.ones(len(position), bool), problem.cloud, problem.config.associate
     if cloud.oriented:
-        vertices = problem.frame.body_vertices
-        body = np.empty((0, 3)) if vertices is None else vertices
+        body = np.empty((0, 3)) if problem.body is None else problem.body.vertices
         cell = config.occluder_cell * problem.model.edge_length
         limits = VisibilityLimits(cell, config.hidden_depth, config.facing_cosine)
         mark_visible(position, normal, body, cloud.surfels, cloud.origin, cloud.sensor, limits, found)

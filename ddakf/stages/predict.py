@@ -32,9 +32,10 @@ def begin(setup: Setup, last: Track, frame: FrameInput) -> Problem:
     if last.time is not None and last.health.spacing == 0.0:
         state = _of_second_frame(state, dt, setup.config.start.first_step)
     if setup.body is not None:
-        if frame.body_vertices is not None:
-            body = contact.posed(setup.body, last.body, frame.body_vertices)
-        state, carried = contact.carry(setup.body, last.body, state, body, config.predict.friction * dt)
+        vertices = contact.moved_on(setup.body, last.body, dt) if frame.body_vertices is None else frame.body_vertices
+        if vertices is not None:
+            body = contact.posed(setup.body, last.body, vertices)
+        state, carried = contact.carry(setup.body, last.body, state, body, dt, config.predict.friction)
     prior = predict(state, dt, carried, config.predict, seen=not last.health.unplaced)
     return Problem(
         setup.model, config, last, frame, dt, state, carried, body, prior, state.position, last.rotation, last.health,
@@ -140,19 +141,19 @@ def ahead(track: Track, seconds: float, config: ConstantVelocity | ConstantAccel
     """The garment moved on in time.
 
     The mean goes where :func:`predict` takes it with all velocity damped, which a client computes for itself from a result. The
-    covariance grows by what predictions of this garment have missed lately: a frame ahead by the innovations, further with the
-    cube of the time, as under white acceleration. Before there are any, by as much as P does.
+    covariance grows by what predictions of this garment have missed lately, and of its body: as much a frame ahead, further with
+    the cube of the time, as under white acceleration. Before there are any, by as much as P does.
 
     Args:
         track: after a frame.
         seconds: since that frame.
         config: of stage A.
     """
-    state, speed2, dt = track.state, track.drift.speed2, track.health.spacing or seconds
-    carrying = None if track.body is None else track.body.velocity
-    prior = predict(state, seconds, None if carrying is None else seconds * carrying, config, seen=False)
-    if speed2 > 0.0:
-        grown = speed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)
+    state, missed2, dt = track.state, track.drift.missed2, track.health.spacing or seconds
+    carrying, step = None if track.body is None else track.body.velocity, min(seconds, config.longest_step)
+    prior = predict(state, seconds, None if carrying is None else step * carrying, config, seen=False)
+    if missed2 > 0.0:
+        grown = missed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)
     else:
         grown = prior.P_pp - state.P_pp
     return Ahead(prior.position, prior.velocity if carrying is None else prior.velocity + carrying, grown)

@@ -15,6 +15,7 @@ import numpy as np
 
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
+from ddakf.config.stages import USUAL_RATE
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
@@ -25,6 +26,7 @@ from ddakf.stages.error_size import PatchEvidence
 from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
+LEAST_TURNED = 16  # seen vertices that show a rigid motion
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     """The garment after the update: mean and stored covariance of every vertex, the calibrated covariance, and the drift."""
@@ -121,12 +123,12 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
         coupling: of the patches.
     """
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
-    growth2, speed2 = _growth(problem, evidence, coupling)
+    growth2, speed2, missed2 = _growth(problem, evidence, coupling)
     covariance = np.empty_like(drift.covariance)
     kernels.grow(drift.covariance, model.likeness, growth2, limits.ceiling_sd, covariance)
     if evidence.observed.any():
         covariance = _updated(problem, covariance, evidence, coupling.B)
-    return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2)
+    return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2, missed2=missed2)
 
 
 def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:
@@ -138,8 +140,10 @@ def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.nda
     return updated if kernels.update_errors(P, invert(coarse), evidence.means.information, updated) else P
 
 
-def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float]:
-    """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running mean of the innovations.
+def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float, float]:
+    """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running means of what predictions miss.
+
+    The first of these, of the innovations, leaves out what all patches have in common; the second does not, nor the body's part.
 
     Where a patch is seen, what the prediction missed is its innovation, and elsewhere that of the rest of the garment. What is
     not seen may have moved unlike what is: by a share of the motion that the body does not explain. When nothing is seen,
@@ -150,14 +154,16 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
     enough = evidence.observed.sum() > limits.least_coverage * evidence.size.sum()
     if not enough:
         lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
-        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2
+        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2, drift.missed2
     common = _mean(innovation2, evidence.observed)
-    old = limits.innovation_memory
-    speed2 = common / dt**2 if drift.speed2 == 0.0 else old * drift.speed2 + (1.0 - old) * common / dt**2
+    old = limits.innovation_memory if drift.speed2 > 0.0 else 0.0
+    speed2 = old * drift.speed2 + (1.0 - old) * common / dt**2
+    missed2 = old * drift.missed2 + (1.0 - old) * evidence.missed2 / dt**2
     missed = common + 0.5 * seen * (innovation2 - common)
     moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
+    moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # steps that follow each other within that time are alike, and add up
     grown = limits.missed_share**2 * missed + limits.unseen_motion**2 * (1.0 - seen) * moved
-    return grown / 3.0 + limits.growth_sd**2, speed2
+    return grown / 3.0 + limits.growth_sd**2, speed2, missed2
 
 
 class Surface(NamedTuple):
@@ -170,8 +176,12 @@ class Surface(NamedTuple):
 def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface: Surface) -> PatchEvidence:
     """The evidence of a frame: ``weight`` (V,) of its measurements, and the posterior ``surface``."""
     model, planes, limits = problem.model, estimate.planes, problem.config.uncertainty
-    # an unseen part moved as is known: not at all, or, with a body to ride on, as it did
-    still = problem.motion_start if problem.carried is None else surface.position
+    # an unseen part moved as is known: with the rigid motion of what is seen, or, with a body to ride on, as it did
+    still, missed = surface.position, surface.position - problem.prior.position
+    if problem.carried is None:
+        still = _turned_with(problem.motion_start, surface.position, weight > 0.0)
+    elif problem.last.body.velocity is not None:  # and the body moved on otherwise than it had
+        missed = missed + problem.carried - problem.dt * problem.last.body.velocity
     n, ring_strain = len(model.likeness), np.empty(len(weight))
     sums = PatchSums(*map(np.empty, ((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,), (n,))))
     means = PatchMeans(*map(np.empty, ((n, 6), (n,), (n,), (n,), (n,), (n,))))
@@ -181,7 +191,18 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
     prior = problem.prior.position
     kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)
     kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
-    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic)
+    missed2 = float(np.einsum("va,va,v->", missed, missed, weight > 0.0)) / max(sums.observed.sum(), 1.0)
+    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic, missed2)
+
+
+def _turned_with(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(V, 3) metres: vertices ``before``, moved by the rigid motion of the ``seen`` (V,) to ``after`` (Kabsch 1976)."""
+    if np.count_nonzero(seen) < LEAST_TURNED:
+        return before
+    old, new = before[seen], after[seen]
+    middle, there = old.mean(axis=0), new.mean(axis=0)
+    u, _, vt = np.linalg.svd((new - there).T @ (old - middle))
+    return (before - middle) @ (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt).T + there
 
 
 def bound(state: State, limits: Uncertainty) -> State:

@@ -123,13 +123,24 @@ def test_a_search_of_the_nearest_vertices_finds_what_a_search_of_all_finds():
         np.testing.assert_array_equal(found.normal[near], exact.normal[near])
 
 
-def test_each_vertex_is_searched_in_the_whole_body_once_in_a_round_of_frames():
-    """A body that turned since: nothing follows its surface, so that only searches find it, until every vertex had one."""
+def test_a_vertex_that_was_far_from_the_body_is_searched_at_once():
+    position = above(np.abs(HEIGHTS))
+    track = contact.start(MODEL, position, CONFIG)
+    exact = contact.nearest(contact.posed(MODEL, track), position)
+    far = exact.closest._replace(face=np.full(len(position), -1, np.int32))
+    pose = contact.posed(MODEL, track._replace(contacts=contact.Contacts(far, position), turn=1))
+    last, health = Track(None, None, None, 0.0, Health(), None, track, None), Health(state="tracking")
+    found = contact.followed(problem_of(None, None, last=last, body=pose, health=health), position)
+    np.testing.assert_array_equal(found.closest.face, exact.closest.face)
+
+
+def test_each_vertex_is_searched_in_the_whole_body_once_in_a_round_of_frames(monkeypatch):
+    """Nothing follows the body's surface, so that only searches find it, until every vertex had one."""
+    monkeypatch.setattr(contact.proximity.walk_kernels, "walk", lambda *_: None)
     every, position = CONFIG.faces_followed, above(np.abs(HEIGHTS))
     track = contact.start(MODEL, position, CONFIG)
     wrong = contact.nearest(contact.posed(MODEL, track), -position)  # on the other side
-    far = wrong.closest._replace(face=np.full(len(position), -1, np.int32))
-    track = track._replace(contacts=contact.Contacts(far, position))
+    track = track._replace(contacts=contact.Contacts(wrong.closest, position))
     exact = contact.nearest(contact.posed(MODEL, track), position).closest.face
     for turn in range(every):
         last, health = Track(None, None, None, 0.0, Health(), None, track, None), Health(state="tracking")

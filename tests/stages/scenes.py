@@ -1,6 +1,7 @@
 """Small garments, states and clouds for the tests of the stages and of the tracker."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -142,7 +143,8 @@ def associated(position, cloud, garment, gate, config, last=None, body_vertices=
     """Stage B in the first pass of a frame, or after the pass that gave ``last``."""
     points = isinstance(config, NearestPoint)
     whole = dataclasses.replace(Config(), associate=config, adapt=InnovationNoise() if points else Config().adapt)
-    problem = problem_of(garment, None, whole, cloud=cloud, frame=frame_of(None, None, body_vertices))
+    body = None if body_vertices is None else SimpleNamespace(vertices=body_vertices)
+    problem = problem_of(garment, None, whole, cloud=cloud, body=body)
     estimate = estimate_at(position)
     if last is not None:
         estimate = estimate._replace(evidence=estimate.evidence._replace(measurement=last))

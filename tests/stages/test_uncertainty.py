@@ -333,12 +333,13 @@ def test_strained_cloth_is_less_certain():
 def test_what_moves_unseen_is_less_certain_and_a_rigid_motion_of_all_tells_nothing():
     run = solved(MESHES["tube"], "half")
     hidden = run.update.evidence.weight == 0
-    turned = run.state.position @ np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
-    rest, moved, carried = (
-        run.report(still=still)[0] for still in (run.state.position, turned, run.state.position + [0.1, 0.0, -0.2])
-    )
+    position = run.state.position
+    turned = position @ np.array([[0.8, 0.0, 0.6], [0.0, 1.0, 0.0], [-0.6, 0.0, 0.8]])
+    starts = position, position * [1.2, 1.0, 0.8], turned, position + [0.1, 0.0, -0.2]
+    rest, moved, *rigid = (run.report(still=still)[0] for still in starts)
     assert (traces(moved)[hidden] > traces(rest)[hidden]).all()
-    np.testing.assert_allclose(carried, rest, rtol=1e-3)
+    for each in rigid:
+        np.testing.assert_allclose(each, rest, rtol=1e-3)
 
 
 def test_the_farther_an_unseen_vertex_is_from_the_body_the_less_certain():
@@ -433,9 +434,11 @@ def test_a_place_found_anew_forgets_the_drift():
 def test_innovations_are_remembered_per_second_and_the_first_counts_in_full(before, share):
     dt, garment = 0.1, model.build(tube())
     n = len(garment.likeness)
-    last = Tracker(tube())._track._replace(drift=Drift.at(garment, 0.01)._replace(speed2=before))
+    last = Tracker(tube())._track._replace(drift=Drift.at(garment, 0.01)._replace(speed2=before, missed2=before))
     ones, zeros = np.ones(n), np.zeros(n)
-    evidence = PatchEvidence(ones, ones, PatchMeans(np.zeros((n, 6)), ones, zeros, 0.04 * ones, zeros, zeros), zeros, False)
-    grown, speed2 = uncertainty._growth(problem_of(garment, last=last, dt=dt), evidence, uncertainty.Coupling(None, 0.0, False))
+    means = PatchMeans(np.zeros((n, 6)), ones, zeros, 0.04 * ones, zeros, zeros)
+    evidence, coupling = PatchEvidence(ones, ones, means, zeros, False, 0.09), uncertainty.Coupling(None, 0.0, False)
+    grown, speed2, missed2 = uncertainty._growth(problem_of(garment, last=last, dt=dt), evidence, coupling)
     assert speed2 == pytest.approx((1.0 - share) * before + share * 0.04 / dt**2)
+    assert missed2 == pytest.approx((1.0 - share) * before + share * 0.09 / dt**2)
     assert (grown > 0).all()
