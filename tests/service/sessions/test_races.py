@@ -8,7 +8,7 @@ import weakref
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.errors import Draining, ResourceExhausted, SessionExpired, SessionNotFound, Unavailable, WorkerLost
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.observability.tracing import NoTracer
@@ -182,6 +182,19 @@ async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_no
     server._catalog.loaded = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
         await streams.open(pb.Start(name="sessions/earlier", api_version=API_VERSION))
+
+
+async def test_every_call_gives_the_reason_of_a_session_that_ended_before_a_restart(server, pool, store):
+    session = server._catalog.readable("sessions/some")
+    server._lifecycle.end(session, SessionExpired("it was left"))
+    await server._persistence.written(session.uid)
+    again = service.Sessions(pool, Settings(data_dir="none"), Metrics(), store)
+    await again.load()
+    streams = Streams(again.components, FrameRecorder(Metrics(), store.history, NoTracer()))
+    watch = pb.WatchSessionRequest(name="sessions/some", api_version=API_VERSION)
+    calls = again.get("sessions/some"), streams.open(START), streams.watch(watch)
+    errors = await asyncio.gather(*calls, return_exceptions=True)
+    assert [(type(error), str(error)) for error in errors] == [(SessionExpired, "it was left")] * 3
 
 
 async def test_a_reset_is_answered_once_a_lost_worker_does_not_undo_it(server):
