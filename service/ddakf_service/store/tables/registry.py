@@ -107,11 +107,16 @@ class Registry:
         Raises:
             Unavailable: the database cannot be reached.
         """
-        waiting = [record for record in self._sessions.pending().values() if record.id == session_id]
-        query = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
-        stored = await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
-        # The queued record of a session is newer than its stored one, so it comes last.
-        return max(reversed([*stored, *waiting]), key=lambda record: record.create_time, default=None)
+        queued = [record for record in self._sessions.pending().values() if record.id == session_id]
+        newest = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
+        same = sa.select(sessions).where(sessions.c.uid.in_([record.uid for record in queued]))
+        stored = await self._database.read(lambda c: [record_of(row) for query in (newest, same) for row in c.execute(query)])
+        found = {record.uid: record for record in stored}
+        for record in queued:
+            # Of an earlier epoch: another server has had the session since, and the row will not be written.
+            if record.uid not in found or record.epoch >= found[record.uid].epoch:
+                found[record.uid] = record
+        return max(found.values(), key=lambda record: record.create_time, default=None)
 
     async def ended(
         self, states: list[int], owner: str | None, before: tuple[int, str] | None, count: int
