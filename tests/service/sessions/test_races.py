@@ -8,11 +8,21 @@ import weakref
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Draining, ResourceExhausted, SessionExpired, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.errors import (
+    Draining,
+    ResourceExhausted,
+    SessionExpired,
+    SessionNotFound,
+    StreamTakenOver,
+    Unavailable,
+    WorkerLost,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.observability.tracing import NoTracer
 from ddakf_service.sessions import service
+from ddakf_service.sessions.recovery.tenure import Tenure
+from ddakf_service.sessions.sharing.handover import Handover
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
 from ddakf_service.streaming.frame_recorder import FrameRecorder
@@ -231,8 +241,29 @@ async def test_a_session_waits_for_a_worker_with_room(server, pool):
 class NoLeases:
     """Leases that nobody else has."""
 
+    def __init__(self):
+        self.released = []
+
     async def claim(self, session_id, uid, owner):
         return 1
+
+    async def release(self, session_id, epoch):
+        self.released.append(session_id)
+
+
+async def test_a_session_that_waits_for_a_worker_goes_to_another_server(server, pool):
+    session, leases = server._catalog.readable("sessions/some"), NoLeases()
+    await server._durability.checkpoint_now(session)
+    pool.full = True
+    server.lose(["some"])
+    while ("restore", "some") not in pool.calls:
+        await asyncio.sleep(0)
+    handover = Handover(
+        leases, server._catalog, server._persistence, server._durability, server._lifecycle.depart, Tenure(), Metrics()
+    )
+    await asyncio.wait_for(handover.hand_over(session, StreamTakenOver("elsewhere")), 30.0)
+    assert leases.released == ["some"]
+    assert session.closed
 
 
 async def test_two_calls_of_one_request_id_make_one_session_where_servers_share_them(server, pool, monkeypatch):
