@@ -244,8 +244,11 @@ class NoLeases:
     def __init__(self):
         self.released = []
 
-    async def claim(self, session_id, uid, owner):
+    async def claim(self, session_id, uid, owner, request_id):
         return 1
+
+    async def of_request(self, owner, request_id):
+        return None
 
     async def release(self, session_id, epoch):
         self.released.append(session_id)

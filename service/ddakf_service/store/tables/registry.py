@@ -74,12 +74,13 @@ class Registry:
         return await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
 
     async def created_by(self, owner: str | None, request_id: str) -> SessionRecord | None:
-        """The live session that a request of a key has created, on any server; None: none is registered.
+        """The live session that a request of a key has created, on any server that shares sessions; None: none is registered.
 
         Raises:
             Unavailable: the database cannot be reached.
         """
-        query = sa.select(sessions).where(sessions.c.request_id == request_id, sessions.c.end_time.is_(None))
+        query = sa.select(sessions).join(leases, leases.c.uid == sessions.c.uid)
+        query = query.where(sessions.c.request_id == request_id, sessions.c.end_time.is_(None))
         query = query.where(sessions.c.owner.is_not_distinct_from(owner)).limit(1)
         found = await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
         return found[0] if found else None

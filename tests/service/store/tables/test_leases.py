@@ -58,6 +58,15 @@ async def test_one_of_many_claims_of_an_id_succeeds(here, there):
     assert sorted(epoch or 0 for epoch in epochs) == [0] * 7 + [1]
 
 
+async def test_one_of_many_claims_of_a_request_succeeds(here, there):
+    claims = ((here, there)[i % 2].claim(f"some-{i}", i, None, "the same") for i in range(8))
+    epochs = await asyncio.gather(*claims, *(here.claim(f"other-{i}", 10 + i, f"key-{i}", "the same") for i in range(2)))
+    assert sorted(epoch or 0 for epoch in epochs) == [0] * 7 + [1] * 3
+    won = epochs.index(1)
+    assert (await there.of_request(None, "the same")).id == f"some-{won}"
+    assert (await there.of_request("key-1", "the same")).id == "other-1"
+
+
 async def test_a_served_lease_cannot_be_taken(here, there):
     await here.claim("some", 7, "key")
     lease = await there.find("some")
