@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from collections.abc import Awaitable, Callable, Coroutine
 from time import monotonic
 from typing import Protocol
@@ -13,6 +12,7 @@ from ddakf_api.errors import ResourceExhausted, ServiceError, Unavailable, Worke
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ...observability.metrics import Metrics
+from ...store.clock import clock
 from ...store.files.checkpoints import Checkpoint
 from ...workers.pool import WorkerPool, may_be_cause, worker_lost
 from ..session import Session, take_meshes
@@ -118,7 +118,7 @@ class Durability:
             log.warning("no checkpoint could be taken: %s", error, extra={"session": session.id})
             return False
         if number > session.checkpoint_number:
-            session.checkpoint_number, session.checkpoint_time = number, time.time()
+            session.checkpoint_number, session.checkpoint_time = number, clock.now()
             session.checkpoint = checkpoint.snapshot
             if not session.closed:
                 self._store.checkpoint(session, checkpoint)

@@ -199,6 +199,11 @@ def reclaim(connection: sa.Connection, gateway: str, address: str, seconds: floa
     connection.execute(own.values(epoch=leases.c.epoch + 1, wanted_by="", takeover=False))
 
 
+def time_of(connection: sa.Connection) -> float:
+    """Seconds since 1970, on the database's clock."""
+    return float(connection.execute(sa.select(_NOW)).scalar_one())
+
+
 def withdraw(connection: sa.Connection, gateway: str) -> None:
     """Deletes the row of a gateway that stops: its leases are free."""
     connection.execute(sa.delete(gateways).where(gateways.c.id == gateway))

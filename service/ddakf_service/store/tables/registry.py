@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from dataclasses import replace
 from time import monotonic
 
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..clock import clock
 from .database import Database
 from .schema import leases, requests, sessions
 from .session_record import SessionRecord
@@ -58,7 +58,7 @@ class Registry:
     def end(self, record: SessionRecord, reason: pb.ErrorDetail) -> None:
         """Registers the end of a session; its history remains."""
         self._requests.discard(record.uid)
-        self.save(replace(record, reason=reason, end_time=time.time()))
+        self.save(replace(record, reason=reason, end_time=clock.now()))
 
     async def alive(self, server_id: str) -> list[SessionRecord]:
         """The live sessions of a server, oldest first. The caller checks their ``expire_time``.
@@ -103,21 +103,24 @@ class Registry:
         return await self._database.read(lambda c: c.execute(query).scalar_one_or_none())
 
     async def newest(self, session_id: str) -> SessionRecord | None:
-        """The newest session of this id, live or past; None: no such session.
+        """The session of this id that has a lease, else the newest one, live or past; None: no such session.
 
         Raises:
             Unavailable: the database cannot be reached.
         """
         queued = [record for record in self._sessions.pending().values() if record.id == session_id]
-        newest = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
-        same = sa.select(sessions).where(sessions.c.uid.in_([record.uid for record in queued]))
-        stored = await self._database.read(lambda c: [record_of(row) for query in (newest, same) for row in c.execute(query)])
-        found = {record.uid: record for record in stored}
+        leased = leases.c.uid.is_not(None).label("leased")
+        query = sa.select(sessions, leased).outerjoin(leases, leases.c.uid == sessions.c.uid)
+        newest = query.where(sessions.c.id == session_id).order_by(leased.desc(), sessions.c.create_time.desc()).limit(1)
+        same = query.where(sessions.c.uid.in_([record.uid for record in queued]))
+        rows = await self._database.read(lambda c: [row for query in (newest, same) for row in c.execute(query)])
+        found = {row.uid: (bool(row.leased), record_of(row)) for row in rows}
         for record in queued:
             # Of an earlier epoch: another server has had the session since, and the row will not be written.
-            if record.uid not in found or record.epoch >= found[record.uid].epoch:
-                found[record.uid] = record
-        return max(found.values(), key=lambda record: record.create_time, default=None)
+            if record.uid not in found or record.epoch >= found[record.uid][1].epoch:
+                found[record.uid] = record.reason is None and record.epoch > 0, record
+        _, record = max(found.values(), key=lambda each: (each[0], each[1].create_time), default=(False, None))
+        return record
 
     async def ended(
         self, states: list[int], owner: str | None, before: tuple[int, str] | None, count: int
@@ -155,7 +158,7 @@ class Registry:
             connection.execute(sa.delete(table).where(table.c.uid.in_(over)))
 
     def _forget_old(self, connection: sa.Connection) -> None:
-        connection.execute(sa.delete(sessions).where(sessions.c.end_time < time.time() - self._retention))
+        connection.execute(sa.delete(sessions).where(sessions.c.end_time < clock.now() - self._retention))
         alive = sa.select(sessions.c.uid).where(sessions.c.end_time.is_(None))
         connection.execute(sa.delete(requests).where(requests.c.uid.not_in(alive)))
 

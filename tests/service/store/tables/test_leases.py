@@ -10,6 +10,8 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.sessions.session import Session
+from ddakf_service.store import clock
 from ddakf_service.store.tables import leases as table
 from ddakf_service.store.tables.heartbeat import Heartbeat
 from ddakf_service.store.tables.leases import Leases
@@ -165,6 +167,44 @@ async def test_rows_of_an_earlier_gateway_are_not_written(url, opened):
     registry.end(newer, pb.ErrorDetail(name="SessionNotFound"))
     assert await registry.written(7, PATIENCE)
     assert await there.find("some-session") is None
+
+
+async def test_the_session_with_the_lease_of_an_id_counts_whatever_the_clocks_say(url, opened):
+    """An earlier one was created later, by the clock of its server."""
+    registries = []
+    database = opened(url, attach=lambda database: registries.append(Registry(database, 1e9)))
+    (registry,), there = registries, Leases(database, "there")
+    present, earlier = (replace(record("reused"), uid=uid, epoch=1) for uid in (2, 1))
+    for gone in (pb.ErrorDetail(name="SessionNotFound"), pb.ErrorDetail(name="SessionExpired")):
+        registry.end(earlier, gone)
+        assert (await registry.newest("reused")).reason == gone
+        assert await registry.written(1, PATIENCE)
+    await there.claim("reused", 2, None)
+    registry.save(present)
+    assert (await registry.newest("reused")).uid == 2, "queued"
+    assert await registry.written(2, PATIENCE)
+    assert (await registry.newest("reused")).uid == 2
+    registry.end(present, pb.ErrorDetail(name="SessionNotFound"))
+    assert (await registry.newest("reused")).reason is not None
+
+
+async def test_a_gateway_dates_sessions_by_the_clock_of_the_database(database, here, monkeypatch):
+    real = time.time
+    monkeypatch.setattr(clock.clock, "_ahead", 0.0)
+    monkeypatch.setattr(clock.time, "time", lambda: real() + 100.0)
+    beats = []
+    heart = Heartbeat(database.lasting_connections(), "here", "", SPAN, lambda: True, beats.append)
+    heart.start()
+    try:
+        eventually(lambda: beats, PATIENCE)
+    finally:
+        await asyncio.to_thread(heart.stop)
+    message = Session("some", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=200.0)).message()
+    assert abs(message.create_time.ToSeconds() - real()) < 50
+    assert abs(message.expire_time.ToSeconds() - 200 - real()) < 50
+    limits = pb.SessionLimits(idle_timeout=900.0, max_lifetime=200.0)
+    moved = Session("some", pb.Session(), pb.Session(), limits, created=real())
+    assert abs(moved.expiry()[0] - 200 - time.monotonic()) < 50
 
 
 async def test_clients_are_sent_to_the_gateway_with_the_fewest_sessions(here, there, connection):
