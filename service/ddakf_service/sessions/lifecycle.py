@@ -7,6 +7,7 @@ import contextlib
 import logging
 from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable
+from time import monotonic
 from typing import NamedTuple
 
 from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLost, from_detail, to_detail
@@ -29,6 +30,8 @@ OpenSession = Callable[[str, bytes, Memory], Awaitable[bytes]]
 Resolve = Callable[[pb.Session], Awaitable[None]]
 
 _MAX_REQUESTS = 1024  # remembered request ids
+_CREATION_PATIENCE = 8.0  # seconds that a repeated creation waits for the first one; less than the timeout of clients
+_CREATION_LOOK_INTERVAL = 0.1  # seconds between looks at it
 
 
 class _Identity(NamedTuple):
@@ -100,8 +103,28 @@ class Lifecycle:
         return self._catalog.changeable("sessions/" + session_id).message()
 
     async def _created_elsewhere(self, request_key: tuple[str | None, str]) -> SessionRecord | None:
-        """The live session of an earlier call to any of the servers that share sessions."""
-        return await self._persistence.created_by(*request_key) if self._leases and request_key[1] else None
+        """The live session of an earlier call to any of the servers that share sessions; waits while one of them creates it.
+
+        Raises:
+            Unavailable: the creation takes longer, or the database cannot be reached.
+        """
+        if self._leases is None or not request_key[1]:
+            return None
+        deadline = monotonic() + _CREATION_PATIENCE
+        while (lease := await self._leases.of_request(*request_key)) is not None:
+            if lease.gateway == self._leases.gateway:
+                is_over = lease.id not in self._opening and await self._persistence.written(lease.uid)
+            else:
+                is_over = not lease.served
+            if record := await self._persistence.created_by(*request_key):
+                return record
+            if is_over and await self._leases.take(lease) is not None:  # the creation failed, or was cut off
+                await self._leases.drop(lease.uid)
+            elif monotonic() > deadline:
+                raise _being_created()
+            else:
+                await asyncio.sleep(_CREATION_LOOK_INTERVAL)
+        return await self._persistence.created_by(*request_key)  # of a lease from before the leases had requests
 
     async def _create(self, request, principal: Principal, open_session: OpenSession, resolve: Resolve | None) -> Session:
         owner, session_id = principal.id or None, self._new_id(request.session_id, principal)
@@ -109,13 +132,13 @@ class Lifecycle:
         try:
             if resolve is not None:
                 await resolve(request.session)
-            async with self._claimed(session_id, principal) as identity:
+            async with self._claimed(session_id, principal, request.request_id) as identity:
                 return await self._open(session_id, identity, request, owner, open_session)
         finally:
             del self._opening[session_id]
 
     @contextlib.asynccontextmanager
-    async def _claimed(self, session_id: str, principal: Principal) -> AsyncIterator[_Identity]:
+    async def _claimed(self, session_id: str, principal: Principal, request_id: str) -> AsyncIterator[_Identity]:
         """Context in which a new session has the lease of its id; without the session it has none afterwards."""
         uid, owner = new_uid(), principal.id or None
         if self._leases is None:
@@ -123,11 +146,12 @@ class Lifecycle:
             return
         if owner is not None:
             self._admission.require_key_room(principal, await self._leases.count(owner))
-        epoch = await self._leases.claim(session_id, uid, owner)
+        epoch = await self._leases.claim(session_id, uid, owner, request_id)
         if epoch is None and await self._ends_here(session_id):
-            epoch = await self._leases.claim(session_id, uid, owner)
+            epoch = await self._leases.claim(session_id, uid, owner, request_id)
         if epoch is None:
-            raise _exists(session_id)
+            is_created = request_id and await self._leases.of_request(owner, request_id)
+            raise _being_created() if is_created else _exists(session_id)
         try:
             yield _Identity(uid, epoch)
         except BaseException:
@@ -256,6 +280,10 @@ class Lifecycle:
 
 def _exists(session_id: str) -> SessionExists:
     return SessionExists(f"sessions/{session_id} exists already")
+
+
+def _being_created() -> Unavailable:
+    return Unavailable("the session of this request is being created; try again", retry_after=_CREATION_LOOK_INTERVAL)
 
 
 def _completed(session_id: str) -> asyncio.Future[str]:

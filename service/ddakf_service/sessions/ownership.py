@@ -72,7 +72,7 @@ class SoleOwnership:
         return self._catalog.changeable(name)
 
     async def readable(self, name: str) -> Session:
-        return self._catalog.readable(name)
+        return await self._catalog.lookup(name)
 
     async def described(self, name: str) -> Session:
         return await self._catalog.lookup(name)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
-import time
 from collections import deque
 from collections.abc import Set
 from dataclasses import dataclass, field
@@ -15,6 +14,7 @@ from typing import Protocol
 from ddakf_api.errors import ServiceError, SessionExpired
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..store.clock import clock
 from ..store.tables.session_record import new_uid
 from ..workers.pool import Memory
 from .responses.answers import Answers
@@ -89,7 +89,7 @@ class Session:
     watchers: Watchers = field(default_factory=Watchers)
     statistics: pb.SessionStatistics = field(default_factory=pb.SessionStatistics)
     revision: int = 1
-    created: float = field(default_factory=time.time)
+    created: float = field(default_factory=clock.now)
     last_active: float = field(default_factory=monotonic)
     owner: str | None = None
     request_id: str = ""
@@ -144,7 +144,7 @@ class Session:
             departure_expiry = max(self.departure_time, self.last_active) + departure
             expiries = [(departure_expiry, f"was left by its client, which did not return within {departure:g} s")]
         if lifetime > 0:
-            expiries.append((monotonic() + self.created + lifetime - time.time(), f"reached its lifetime of {lifetime:g} s"))
+            expiries.append((monotonic() + self.created + lifetime - clock.now(), f"reached its lifetime of {lifetime:g} s"))
         moment, explanation = min(expiries)
         return moment, SessionExpired(f"{self.name} {explanation} and has expired")
 
@@ -163,7 +163,7 @@ class Session:
         s.frames_applied += 1
         s.reliability, s.paper_score, s.coverage = result.reliability, result.paper_score, result.coverage
         s.last_sequence_number, s.last_capture_time = result.sequence_number, result.capture_time
-        s.last_frame_time.FromNanoseconds(time.time_ns())
+        s.last_frame_time.FromNanoseconds(int(clock.now() * 1e9))
         s.last_latency = now - arrived
         for warning in result.warnings:
             self._count_warning(warning)
@@ -244,7 +244,7 @@ class Session:
         session.statistics.frame_rate = self.frame_rate()
         session.statistics.memory_bytes = sum(self.memory)
         moment, _ = self.expiry()
-        if (expires := time.time() + moment - monotonic()) < _MAX_TIMESTAMP:
+        if (expires := clock.now() + moment - monotonic()) < _MAX_TIMESTAMP:
             session.expire_time.FromNanoseconds(int(expires * 1e9))
         if self.checkpoint_time is not None:
             session.checkpoint_time.FromNanoseconds(int(self.checkpoint_time * 1e9))

@@ -9,11 +9,21 @@ import weakref
 import httpx
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Draining, ResourceExhausted, SessionNotFound, Unavailable, WorkerLost
+from ddakf_api.errors import (
+    Draining,
+    ResourceExhausted,
+    SessionExpired,
+    SessionNotFound,
+    StreamTakenOver,
+    Unavailable,
+    WorkerLost,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.observability.tracing import NoTracer
 from ddakf_service.sessions import service
+from ddakf_service.sessions.recovery.tenure import Tenure
+from ddakf_service.sessions.sharing.handover import Handover
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
 from ddakf_service.streaming.frame_recorder import FrameRecorder
@@ -187,6 +197,19 @@ async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_no
         await streams.open(pb.Start(name="sessions/earlier", api_version=API_VERSION))
 
 
+async def test_every_call_gives_the_reason_of_a_session_that_ended_before_a_restart(server, pool, store):
+    session = server._catalog.readable("sessions/some")
+    server._lifecycle.end(session, SessionExpired("it was left"))
+    await server._persistence.written(session.uid)
+    again = service.Sessions(pool, Settings(data_dir="none"), Metrics(), store)
+    await again.load()
+    streams = Streams(again.components, FrameRecorder(Metrics(), store.history, NoTracer()))
+    watch = pb.WatchSessionRequest(name="sessions/some", api_version=API_VERSION)
+    calls = again.get("sessions/some"), streams.open(START), streams.watch(watch)
+    errors = await asyncio.gather(*calls, return_exceptions=True)
+    assert [(type(error), str(error)) for error in errors] == [(SessionExpired, "it was left")] * 3
+
+
 async def test_a_reset_is_answered_once_a_lost_worker_does_not_undo_it(server):
     with pytest.raises(WorkerLost):
         await server.reset(pb.ResetSessionRequest(name="sessions/some"))
@@ -294,8 +317,32 @@ async def test_a_session_waits_for_a_worker_with_room(server, pool):
 class NoLeases:
     """Leases that nobody else has."""
 
-    async def claim(self, session_id, uid, owner):
+    def __init__(self):
+        self.released = []
+
+    async def claim(self, session_id, uid, owner, request_id):
         return 1
+
+    async def of_request(self, owner, request_id):
+        return None
+
+    async def release(self, session_id, epoch):
+        self.released.append(session_id)
+
+
+async def test_a_session_that_waits_for_a_worker_goes_to_another_server(server, pool):
+    session, leases = server._catalog.readable("sessions/some"), NoLeases()
+    await server._durability.checkpoint_now(session)
+    pool.full = True
+    server.lose(["some"])
+    while ("restore", "some") not in pool.calls:
+        await asyncio.sleep(0)
+    handover = Handover(
+        leases, server._catalog, server._persistence, server._durability, server._lifecycle.depart, Tenure(), Metrics()
+    )
+    await asyncio.wait_for(handover.hand_over(session, StreamTakenOver("elsewhere")), 30.0)
+    assert leases.released == ["some"]
+    assert session.closed
 
 
 async def test_two_calls_of_one_request_id_make_one_session_where_servers_share_them(server, pool, monkeypatch):

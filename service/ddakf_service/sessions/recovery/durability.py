@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import time
 from collections.abc import Awaitable, Callable, Coroutine
 from time import monotonic
 from typing import Protocol
@@ -13,6 +12,7 @@ from ddakf_api.errors import ResourceExhausted, ServiceError, Unavailable, Worke
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ...observability.metrics import Metrics
+from ...store.clock import clock
 from ...store.files.checkpoints import Checkpoint
 from ...workers.pool import WorkerPool, may_be_cause, worker_lost
 from ..session import Session, take_meshes
@@ -132,7 +132,7 @@ class Durability:
             log.warning("no checkpoint could be taken: %s", error, extra={"session": session.id})
             return False
         if number > session.checkpoint_number:
-            session.checkpoint_number, session.checkpoint_time = number, time.time()
+            session.checkpoint_number, session.checkpoint_time = number, clock.now()
             session.checkpoint = checkpoint.snapshot
             if not session.closed:
                 self._store.checkpoint(session, checkpoint)
@@ -169,7 +169,7 @@ class Durability:
     def revive(self, session: Session) -> asyncio.Task[ServiceError | None]:
         """Restores a session in the background, with attempts until it succeeds or the session ends.
 
-        The task takes the session's lock, so the caller must not hold it. Its result is the reason of a failure, or None.
+        An attempt takes the session's lock, so the caller must not hold it. The result is the reason of a failure, or None.
         """
         restore = self._restores.get(session.uid)
         if restore is None:
@@ -178,25 +178,26 @@ class Durability:
         return restore
 
     async def _revive(self, session: Session) -> ServiceError | None:
-        async with session.lock:
-            began = notified = monotonic()
-            while not (session.has_worker or session.closed):
-                try:
-                    await self._restore(session)
-                except Irrecoverable as error:
-                    return error.reason
-                except (WorkerLost, Unavailable, ResourceExhausted) as error:
-                    if session.stored_only and isinstance(error, ResourceExhausted):  # its client may try again
-                        return error
-                    if (now := monotonic()) - notified > WAITING_NOTICE_INTERVAL:
-                        notified = now
-                        self._notify_waiting(session, now - began, error)
-                    await asyncio.sleep(_RETRY_INTERVAL)
-                except ServiceError as error:
-                    log.error("the session could not be restored: %s", error, extra={"session": session.id})
-                    reason = WorkerLost(f"{session.name} was lost with its worker and could not be restored: {error}")
-                    self._give_up(session, reason)
-                    return reason
+        began = notified = monotonic()
+        while not (session.has_worker or session.closed):
+            try:
+                async with session.lock:  # between two attempts another server may get the session
+                    if not session.closed:
+                        await self._restore(session)
+            except Irrecoverable as error:
+                return error.reason
+            except (WorkerLost, Unavailable, ResourceExhausted) as error:
+                if session.stored_only and isinstance(error, ResourceExhausted):  # its client may try again
+                    return error
+                if (now := monotonic()) - notified > WAITING_NOTICE_INTERVAL:
+                    notified = now
+                    self._notify_waiting(session, now - began, error)
+                await asyncio.sleep(_RETRY_INTERVAL)
+            except ServiceError as error:
+                log.error("the session could not be restored: %s", error, extra={"session": session.id})
+                reason = WorkerLost(f"{session.name} was lost with its worker and could not be restored: {error}")
+                self._give_up(session, reason)
+                return reason
         return None if session.has_worker else worker_lost(session.id)
 
     def _notify_waiting(self, session: Session, seconds: float, error: ServiceError) -> None:

@@ -169,11 +169,11 @@ class Checkpoints:
             OSError: the checkpoints cannot be reached.
         """
         with self._changed:
-            if uid in self._waiting:
-                return self._waiting[uid]
-            if self._writing is not None and self._writing[0] == uid:
-                return self._writing[1]
-        return await asyncio.get_running_loop().run_in_executor(self._readers, self._read_newest, uid)
+            writing = self._writing[1] if self._writing is not None and self._writing[0] == uid else None
+            queued = self._waiting.get(uid, writing)
+        if queued is not None and not queued.epoch:
+            return queued
+        return await asyncio.get_running_loop().run_in_executor(self._readers, self._read_newest, uid, queued)
 
     def delete(self, uid: int) -> None:
         """Queues the deletion of all checkpoints of an ended session."""
@@ -307,14 +307,17 @@ class Checkpoints:
             with contextlib.suppress(FileNotFoundError):
                 self._files.rm_file(path)
 
-    def _read_newest(self, uid: int) -> Checkpoint | None:
+    def _read_newest(self, uid: int, queued: Checkpoint | None = None) -> Checkpoint | None:
+        """The newest stored checkpoint, or the queued one if no other server has had the session since it was taken."""
         with reaching_store():
             for path in reversed(self._generations(uid)):
+                if queued is not None and queued.epoch >= _generation(path).epoch:
+                    return queued
                 try:
                     return unpack(self._files.cat_file(path))
                 except DamagedCheckpoint as error:
                     log.error("a damaged checkpoint is skipped: %s", error, extra={"file": path})
-            return None
+            return queued
 
     def _generations(self, uid: int) -> list[str]:
         """Paths, the oldest first."""

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import sqlalchemy as sa
 from sqlalchemy.exc import SQLAlchemyError
 
+from ..clock import clock
 from ..condition import sentence_of
 from . import leases
 from .leases import Lease
@@ -114,6 +115,7 @@ class Heartbeat:
             with self._engine.execution_options(isolation_level="READ COMMITTED").begin() as transaction:
                 leases.reclaim(transaction, *row)
             self._begun = True
+        clock.follow(lambda: leases.time_of(connection))
         return Beat(began, began + self._seconds, leases.held_by(connection, self._gateway))
 
     def _listen(self, connection: sa.Connection, due: float) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
@@ -13,6 +12,7 @@ from ddakf_api.errors import InvalidArgument
 from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.timestamp_pb2 import Timestamp
 
+from ..clock import clock
 from .database import Database
 from .schema import history, state_changes
 
@@ -93,7 +93,7 @@ class History:
         clock: returns seconds since 1970.
     """
 
-    def __init__(self, database: Database, retention: float, clock=time.time):
+    def __init__(self, database: Database, retention: float, clock=clock.now):
         self._database, self._retention, self._clock = database, retention, clock
         self._rows = database.queue(_CAPACITY, self._write_rows)
         self._changes = database.queue(_CAPACITY, self._write_changes)

@@ -58,15 +58,21 @@ class Leases:
     def __init__(self, database: Database, gateway: str):
         self._database, self.gateway = database, gateway
 
-    async def claim(self, session_id: str, uid: int, owner: str | None) -> int | None:
-        """Takes the lease of a new session; returns its epoch. None: a session of this id exists."""
-        values = {"id": session_id, "uid": uid, "owner": owner, "gateway": self.gateway, "epoch": 1}
+    async def claim(self, session_id: str, uid: int, owner: str | None, request_id: str = "") -> int | None:
+        """Takes the lease of a new session; returns its epoch. None: a session of this id, or of this request, exists."""
+        request = _request(owner, request_id) if request_id else None
+        values = {"id": session_id, "uid": uid, "owner": owner, "gateway": self.gateway, "epoch": 1, "request": request}
         claim = insert(leases).values(values).on_conflict_do_nothing().returning(leases.c.epoch)
         return await self._database.read(lambda c: c.execute(claim).scalar_one_or_none())
 
     async def find(self, session_id: str) -> Lease | None:
         """The lease of a session; None: there is no live session of this id."""
         found = await self._database.read(lambda c: _read(c, leases.c.id == session_id))
+        return found[0] if found else None
+
+    async def of_request(self, owner: str | None, request_id: str) -> Lease | None:
+        """The lease of the session that a request of a key has created, or creates now."""
+        found = await self._database.read(lambda c: _read(c, leases.c.request == _request(owner, request_id)))
         return found[0] if found else None
 
     async def count(self, owner: str | None) -> int:
@@ -193,6 +199,11 @@ def reclaim(connection: sa.Connection, gateway: str, address: str, seconds: floa
     connection.execute(own.values(epoch=leases.c.epoch + 1, wanted_by="", takeover=False))
 
 
+def time_of(connection: sa.Connection) -> float:
+    """Seconds since 1970, on the database's clock."""
+    return float(connection.execute(sa.select(_NOW)).scalar_one())
+
+
 def withdraw(connection: sa.Connection, gateway: str) -> None:
     """Deletes the row of a gateway that stops: its leases are free."""
     connection.execute(sa.delete(gateways).where(gateways.c.id == gateway))
@@ -204,6 +215,10 @@ def _read(connection: sa.Connection, condition: sa.ColumnElement[bool]) -> list[
     served = gateways.c.id.is_not(None).label("served")
     query = sa.select(*names, address, served).outerjoin(gateways, _SERVING).where(condition)
     return [Lease(**row) for row in connection.execute(query).mappings()]
+
+
+def _request(owner: str | None, request_id: str) -> str:
+    return f"{owner or ''}:{request_id}"
 
 
 def _tell(connection: sa.Connection, gateway: str | None) -> None:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import asyncio
-import time
 from dataclasses import replace
 from time import monotonic
 
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
 
+from ..clock import clock
 from .database import Database
 from .schema import leases, requests, sessions
 from .session_record import SessionRecord
@@ -58,7 +58,7 @@ class Registry:
     def end(self, record: SessionRecord, reason: pb.ErrorDetail) -> None:
         """Registers the end of a session; its history remains."""
         self._requests.discard(record.uid)
-        self.save(replace(record, reason=reason, end_time=time.time()))
+        self.save(replace(record, reason=reason, end_time=clock.now()))
 
     async def alive(self, server_id: str) -> list[SessionRecord]:
         """The live sessions of a server, oldest first. The caller checks their ``expire_time``.
@@ -74,12 +74,13 @@ class Registry:
         return await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
 
     async def created_by(self, owner: str | None, request_id: str) -> SessionRecord | None:
-        """The live session that a request of a key has created, on any server; None: none is registered.
+        """The live session that a request of a key has created, on any server that shares sessions; None: none is registered.
 
         Raises:
             Unavailable: the database cannot be reached.
         """
-        query = sa.select(sessions).where(sessions.c.request_id == request_id, sessions.c.end_time.is_(None))
+        query = sa.select(sessions).join(leases, leases.c.uid == sessions.c.uid)
+        query = query.where(sessions.c.request_id == request_id, sessions.c.end_time.is_(None))
         query = query.where(sessions.c.owner.is_not_distinct_from(owner)).limit(1)
         found = await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
         return found[0] if found else None
@@ -102,16 +103,24 @@ class Registry:
         return await self._database.read(lambda c: c.execute(query).scalar_one_or_none())
 
     async def newest(self, session_id: str) -> SessionRecord | None:
-        """The newest session of this id, live or past; None: no such session.
+        """The session of this id that has a lease, else the newest one, live or past; None: no such session.
 
         Raises:
             Unavailable: the database cannot be reached.
         """
-        waiting = [record for record in self._sessions.pending().values() if record.id == session_id]
-        query = sa.select(sessions).where(sessions.c.id == session_id).order_by(sessions.c.create_time.desc()).limit(1)
-        stored = await self._database.read(lambda c: [record_of(row) for row in c.execute(query)])
-        # The queued record of a session is newer than its stored one, so it comes last.
-        return max(reversed([*stored, *waiting]), key=lambda record: record.create_time, default=None)
+        queued = [record for record in self._sessions.pending().values() if record.id == session_id]
+        leased = leases.c.uid.is_not(None).label("leased")
+        query = sa.select(sessions, leased).outerjoin(leases, leases.c.uid == sessions.c.uid)
+        newest = query.where(sessions.c.id == session_id).order_by(leased.desc(), sessions.c.create_time.desc()).limit(1)
+        same = query.where(sessions.c.uid.in_([record.uid for record in queued]))
+        rows = await self._database.read(lambda c: [row for query in (newest, same) for row in c.execute(query)])
+        found = {row.uid: (bool(row.leased), record_of(row)) for row in rows}
+        for record in queued:
+            # Of an earlier epoch: another server has had the session since, and the row will not be written.
+            if record.uid not in found or record.epoch >= found[record.uid][1].epoch:
+                found[record.uid] = record.reason is None and record.epoch > 0, record
+        _, record = max(found.values(), key=lambda each: (each[0], each[1].create_time), default=(False, None))
+        return record
 
     async def ended(
         self, states: list[int], owner: str | None, before: tuple[int, str] | None, count: int
@@ -149,7 +158,7 @@ class Registry:
             connection.execute(sa.delete(table).where(table.c.uid.in_(over)))
 
     def _forget_old(self, connection: sa.Connection) -> None:
-        connection.execute(sa.delete(sessions).where(sessions.c.end_time < time.time() - self._retention))
+        connection.execute(sa.delete(sessions).where(sessions.c.end_time < clock.now() - self._retention))
         alive = sa.select(sessions.c.uid).where(sessions.c.end_time.is_(None))
         connection.execute(sa.delete(requests).where(requests.c.uid.not_in(alive)))
 

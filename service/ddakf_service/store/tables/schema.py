@@ -37,7 +37,8 @@ requests = Table(
 )
 
 # Leases of live sessions, where servers share them: the gateway that serves each session, or nothing. The epoch grows with each
-# change of the gateway. `wanted_by` is a gateway that asks for the session, `takeover` whether it may end a stream.
+# change of the gateway. `request` is the key and the request id of the creation, if it has one. `wanted_by` is a gateway that
+# asks for the session, `takeover` whether it may end a stream.
 leases = Table(
     "leases",
     metadata,
@@ -48,7 +49,9 @@ leases = Table(
     Column("epoch", BigInteger, nullable=False),
     Column("wanted_by", String(255), nullable=False, server_default=""),
     Column("takeover", Boolean, nullable=False, server_default=false()),
+    Column("request", String(321)),
     Index("leases_of_gateway", "gateway"),
+    Index("leases_of_request", "request", unique=True),
     Index("leases_by_uid", "uid"),
 )
 

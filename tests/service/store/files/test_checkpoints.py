@@ -105,6 +105,19 @@ async def test_a_later_lease_is_newer_whatever_an_earlier_one_still_writes(opene
     assert await later.stored() == [7]
 
 
+async def test_what_waits_is_older_than_what_a_later_lease_has_written(opened, tmp_path, metrics):
+    """A server that could not write for a while goes on where the session's next server has left it."""
+    cut_off, later = Checkpoints(str(tmp_path), "here", 2, metrics), opened(str(tmp_path))
+    cut_off.save(7, snapshot(2)._replace(epoch=1))
+    assert await cut_off.newest(7) == snapshot(2)._replace(epoch=1), "nothing is stored"
+    later.save(7, snapshot(1)._replace(epoch=1))
+    assert later.flush(PATIENCE)
+    assert await cut_off.newest(7) == snapshot(2)._replace(epoch=1)
+    later.save(7, snapshot(3)._replace(epoch=2))
+    assert later.flush(PATIENCE)
+    assert await cut_off.newest(7) == snapshot(3)
+
+
 async def test_a_written_checkpoint_is_known(opened, tmp_path):
     checkpoints = opened(str(tmp_path))
     assert await checkpoints.written(7, 0.0), "nothing waits"

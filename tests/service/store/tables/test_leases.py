@@ -10,6 +10,8 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.sessions.session import Session
+from ddakf_service.store import clock
 from ddakf_service.store.tables import leases as table
 from ddakf_service.store.tables.heartbeat import Heartbeat
 from ddakf_service.store.tables.leases import Leases
@@ -56,6 +58,15 @@ def expire(connection, gateway: str) -> None:
 async def test_one_of_many_claims_of_an_id_succeeds(here, there):
     epochs = await asyncio.gather(*((here, there)[i % 2].claim("some", i, None) for i in range(8)))
     assert sorted(epoch or 0 for epoch in epochs) == [0] * 7 + [1]
+
+
+async def test_one_of_many_claims_of_a_request_succeeds(here, there):
+    claims = ((here, there)[i % 2].claim(f"some-{i}", i, None, "the same") for i in range(8))
+    epochs = await asyncio.gather(*claims, *(here.claim(f"other-{i}", 10 + i, f"key-{i}", "the same") for i in range(2)))
+    assert sorted(epoch or 0 for epoch in epochs) == [0] * 7 + [1] * 3
+    won = epochs.index(1)
+    assert (await there.of_request(None, "the same")).id == f"some-{won}"
+    assert (await there.of_request("key-1", "the same")).id == "other-1"
 
 
 async def test_a_served_lease_cannot_be_taken(here, there):
@@ -156,6 +167,44 @@ async def test_rows_of_an_earlier_gateway_are_not_written(url, opened):
     registry.end(newer, pb.ErrorDetail(name="SessionNotFound"))
     assert await registry.written(7, PATIENCE)
     assert await there.find("some-session") is None
+
+
+async def test_the_session_with_the_lease_of_an_id_counts_whatever_the_clocks_say(url, opened):
+    """An earlier one was created later, by the clock of its server."""
+    registries = []
+    database = opened(url, attach=lambda database: registries.append(Registry(database, 1e9)))
+    (registry,), there = registries, Leases(database, "there")
+    present, earlier = (replace(record("reused"), uid=uid, epoch=1) for uid in (2, 1))
+    for gone in (pb.ErrorDetail(name="SessionNotFound"), pb.ErrorDetail(name="SessionExpired")):
+        registry.end(earlier, gone)
+        assert (await registry.newest("reused")).reason == gone
+        assert await registry.written(1, PATIENCE)
+    await there.claim("reused", 2, None)
+    registry.save(present)
+    assert (await registry.newest("reused")).uid == 2, "queued"
+    assert await registry.written(2, PATIENCE)
+    assert (await registry.newest("reused")).uid == 2
+    registry.end(present, pb.ErrorDetail(name="SessionNotFound"))
+    assert (await registry.newest("reused")).reason is not None
+
+
+async def test_a_gateway_dates_sessions_by_the_clock_of_the_database(database, here, monkeypatch):
+    real = time.time
+    monkeypatch.setattr(clock.clock, "_ahead", 0.0)
+    monkeypatch.setattr(clock.time, "time", lambda: real() + 100.0)
+    beats = []
+    heart = Heartbeat(database.lasting_connections(), "here", "", SPAN, lambda: True, beats.append)
+    heart.start()
+    try:
+        eventually(lambda: beats, PATIENCE)
+    finally:
+        await asyncio.to_thread(heart.stop)
+    message = Session("some", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=200.0)).message()
+    assert abs(message.create_time.ToSeconds() - real()) < 50
+    assert abs(message.expire_time.ToSeconds() - 200 - real()) < 50
+    limits = pb.SessionLimits(idle_timeout=900.0, max_lifetime=200.0)
+    moved = Session("some", pb.Session(), pb.Session(), limits, created=real())
+    assert abs(moved.expiry()[0] - 200 - time.monotonic()) < 50
 
 
 async def test_clients_are_sent_to_the_gateway_with_the_fewest_sessions(here, there, connection):

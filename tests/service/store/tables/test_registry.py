@@ -55,6 +55,22 @@ async def test_the_newest_record_of_a_session_counts_written_or_not(open_registr
     assert (await registry.newest("changing")).session.etag == "2"
 
 
+async def test_a_queued_record_counts_for_nothing_once_a_later_lease_has_written_one(open_registry, monkeypatch):
+    """The session's next server reached the database while this one did not."""
+    cut_off, later = open_registry(), open_registry()
+    monkeypatch.setattr(cut_off._sessions, "_flush", lambda engine: None)
+    before = dataclasses.replace(record("moved"), epoch=1)
+    after = dataclasses.replace(before, session=pb.Session(), epoch=2)
+    after.session.CopyFrom(before.session)
+    after.session.etag = "2"
+    cut_off.save(before)
+    assert await cut_off.newest("moved") == before
+    for newer in (after, dataclasses.replace(after, reason=GONE, end_time=time.time(), epoch=3)):
+        later.save(newer)
+        assert later._database.flush(PATIENCE)
+        assert await cut_off.newest("moved") == newer
+
+
 async def test_ended_sessions_are_remembered_but_not_alive(open_registry):
     registry = open_registry()
     ended = record("ended")
