@@ -190,10 +190,15 @@ export class Exchange {
 
   // A lost connection --------------------------------------------------------------------------------------------------
 
-  /** Whether to open the stream again after it ended with this error. */
-  mayResume(error: unknown, now: number): boolean {
+  /**
+   * Whether to open the stream again after it ended with this error.
+   *
+   * @param untried number of addresses at which a stream that has never been open may still be opened.
+   */
+  mayResume(error: unknown, now: number, untried = 0): boolean {
     const connectionLost = error instanceof Unavailable || error instanceof Draining;
-    if (this.failure !== undefined || !(this.started || this.lost) || !connectionLost) return false;
+    if (this.failure !== undefined || !connectionLost) return false;
+    if (!(this.started || this.lost)) return untried > 0;
     if (!this.lost) {
       this.lost = true;
       this.started = false;
