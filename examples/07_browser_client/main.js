@@ -3,7 +3,7 @@
  *
  *     ddakf serve --cors-origins http://localhost:5173
  *     cd clients/typescript && npm ci && npm run build
- *     cd ../../examples/07_browser_client && npm install ../../clients/typescript vite && npx vite
+ *     cd ../../examples/07_browser_client && npm install --install-links ../../clients/typescript vite && npx vite
  *
  * and open http://localhost:5173/?server=http://127.0.0.1:7702. A camera of yours replaces `camera`.
  */

@@ -28,6 +28,10 @@ def nobody() -> str:
     return f"127.0.0.1:{lasting_port()}"
 
 
+def redirection(target: str) -> pb.Notice:
+    return pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message="elsewhere", target=target)
+
+
 @pytest.mark.parametrize("as_text", [False, True])
 def test_the_first_that_answers_is_used(service, as_text):
     addresses = [nobody(), service.target, nobody()]
@@ -123,10 +127,96 @@ def test_a_redirection_wins_over_the_next_address(pair, service, mesh, frames):
     one, two = pair
     service.sessions = one.sessions
     one.drains_at = 3
-    one.notice = pb.Notice(kind=pb.NOTICE_KIND_RECONNECT, message="elsewhere", target=service.target)
+    one.notice = redirection(service.target)
     with connect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
         assert [result.sequence for result in session.track(frames(6), on_notice=lambda _: None)] == [1, 2, 3, 4, 5, 6]
         assert client.target == service.target
+
+
+@pytest.fixture
+def handover(pair):
+    """Both services; the first one redirects its stream to the second one and drains at the third frame."""
+    one, two = pair
+    one.drains_at, one.notice = 3, redirection(two.target)
+    return one, two
+
+
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_redirected_client_returns_to_its_only_address_when_the_other_server_is_lost(handover, mesh, frames, silent):
+    one, two = handover
+    two.silent_from = 5 if silent else 2**63
+    answered = []
+    with connect(one.target, timeout=1.0) as client, client.create_session(*mesh, flow="lossless") as session:
+        for result in session.track(frames(8), on_notice=lambda _: None):
+            answered.append(result.sequence)
+            if result.sequence == 4:
+                assert client.target == two.target
+                one.drains_at = 2**63
+                if not silent:
+                    two.stop()
+        assert client.target == one.target
+    assert answered[-1] == 8
+
+
+async def test_a_redirected_asynchronous_client_returns_too(handover, mesh, frames):
+    one, two = handover
+    answered = []
+    async with aconnect(one.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        async for result in session.track(frames(8), on_notice=lambda _: None):
+            answered.append(result.sequence)
+            if result.sequence == 4:
+                assert client.target == two.target
+                one.drains_at = 2**63
+                two.stop()
+        assert client.target == one.target
+    assert answered[-1] == 8
+
+
+@pytest.mark.parametrize("act", ["call", "stream"])
+def test_a_redirected_client_whose_server_was_lost_before_returns_too(pair, mesh, frames, act):
+    one, two = pair
+    with connect(one.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        client.move(two.target)
+        two.stop()
+        assert client.server_info() if act == "call" else len(list(session.track(frames(2)))) == 2
+        assert client.target == one.target
+
+
+@pytest.mark.parametrize("act", ["call", "stream"])
+async def test_a_redirected_asynchronous_client_whose_server_was_lost_before_returns_too(pair, mesh, frames, act):
+    one, two = pair
+    async with aconnect(one.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        client.move(two.target)
+        two.stop()
+        assert await client.server_info() if act == "call" else len([_ async for _ in session.track(frames(2))]) == 2
+        assert client.target == one.target
+
+
+def test_a_stream_that_opens_nowhere_is_an_error_after_one_attempt_each(pair, mesh, frames):
+    one, two = pair
+    with connect([one.target, two.target]) as client:
+        session = client.create_session(*mesh, flow="lossless")
+        one.stop()
+        two.stop()
+        with pytest.raises(errors.Unavailable, match=two.target):
+            list(session.track(frames(2)))
+
+
+def test_a_successor_that_does_not_listen_yet_is_tried_again(service, mesh, frames):
+    """It begins when the client has come back to the first server, which drains and tracks nothing more."""
+    successor, port = fake_server.FakeService(), lasting_port()
+    successor.sessions = service.sessions
+    service.drains_at, service.notice = 3, redirection(f"127.0.0.1:{port}")
+    started = []
+
+    def begin(notice):
+        if notice.kind == "resumed" and not started:
+            started.append(fake_server.start(successor, port)[0])
+
+    with connect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        assert [result.sequence for result in session.track(frames(6), on_notice=begin)] == [1, 2, 3, 4, 5, 6]
+        assert client.target == f"127.0.0.1:{port}"
+    started[0].stop(0).wait()
 
 
 def test_one_address_stays_one(service, monkeypatch):

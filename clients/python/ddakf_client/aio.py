@@ -92,6 +92,7 @@ class AsyncClient:
         self, open_channel: Callable[[str], grpc.aio.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
     ):
         self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
+        self._addresses = tuple(targets)  # with that of the last redirection
         self._channels: dict[str, grpc.aio.Channel] = {}  # by target
         self._closed = False
         self._metadata = calls.metadata_for(api_key)
@@ -111,20 +112,22 @@ class AsyncClient:
 
     def move(self, target: str) -> None:
         """As :meth:`ddakf_client.Client.move`."""
+        if target not in self._addresses:
+            self._addresses = (*self._targets, target)
         self.target = target
         if target not in self._channels:
             self._channels[target] = self._open_channel(target)
         self._stub = TrackingServiceStub(self._channels[target])
 
     @property
-    def has_others(self) -> bool:
-        """Whether there are further addresses to try."""
-        return len(self._targets) > 1
+    def others(self) -> int:
+        """The number of further addresses to try."""
+        return len(self._addresses) - 1
 
     def move_on(self, target: str) -> None:
         """As :meth:`ddakf_client.Client.move_on`."""
         if self.target == target:
-            self.move(calls.after(target, self._targets))
+            self.move(calls.after(target, self._addresses))
 
     async def server_info(self) -> ServerInfo:
         """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
@@ -211,7 +214,7 @@ class AsyncClient:
     async def call(self, method: str, request: object, timeout: float | None = None) -> Any:
         """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
-        for _ in self._targets:
+        for _ in self._addresses:
             target = self.target
             try:
                 with calls.closing_is_an_error():

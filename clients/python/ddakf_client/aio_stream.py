@@ -26,11 +26,11 @@ class Connection(Protocol):
 
     Attributes:
         target: "host:port" of the present server.
-        has_others: there are further addresses to try.
+        others: number of further addresses to try.
     """
 
     target: str
-    has_others: bool
+    others: int
 
     def open_track(self, requests: AsyncIterator[pb.TrackRequest]) -> grpc.aio.StreamStreamCall:
         """Opens the call of the stream."""
@@ -46,7 +46,8 @@ async def track(
     connection: Connection, frames: AsyncIterable[object] | Iterable[object], plan: Plan
 ) -> AsyncIterator[Result | FrameError]:
     """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
-    stream = _Stream(plan, frames, connection.has_others)
+    stream = _Stream(plan, frames, lambda: connection.others > 0)
+    untried = connection.others
     try:
         while True:
             target = connection.target
@@ -66,15 +67,17 @@ async def track(
                 lost = status.details() == _LOST_STATUS  # no status of the server: the connection is lost
                 failed = Unavailable(f"the connection to {target} was lost") if lost else None
                 failed = stream.failure or stream.silence or failed or failure(status, target, plan.timeout)
-                if not stream.may_resume(failed):
+                if not stream.may_resume(failed, untried):
                     raise failed from None
+                untried -= 1
                 connection.move_on(target)
             except asyncio.CancelledError:  # a read raises this also when this side cancelled the call, or closed the client
                 if asyncio.current_task().cancelling():
                     raise
                 failed = stream.failure or stream.silence or Cancelled(CLOSED)
-                if not stream.may_resume(failed):
+                if not stream.may_resume(failed, untried):
                     raise failed from None
+                untried -= 1
                 connection.move_on(target)
             await stream.pause()
     except asyncio.CancelledError:
@@ -90,13 +93,13 @@ class _Stream:
     """An exchange and its tasks, which end with the stream.
 
     Args:
-        may_move: a server that exceeds the timeout is left for another one.
+        may_move: whether a server that exceeds the timeout is left for another one.
 
     Attributes:
         silence: why the present call was given up; None: it was not.
     """
 
-    def __init__(self, plan: Plan, frames: AsyncIterable[object] | Iterable[object], may_move: bool):
+    def __init__(self, plan: Plan, frames: AsyncIterable[object] | Iterable[object], may_move: Callable[[], bool]):
         self._exchange = Exchange(plan, time.monotonic())
         self._frames, self._may_move = frames, may_move
         self.silence: ServiceError | None = None
@@ -136,11 +139,11 @@ class _Stream:
             await asyncio.sleep(0.01)
         return None
 
-    def may_resume(self, error: ServiceError) -> bool:
+    def may_resume(self, error: ServiceError, untried: int) -> bool:
         """Whether to open the stream again. The ended call sends nothing more."""
         self._calls += 1
         self._changed.set()
-        return self._exchange.may_resume(error, time.monotonic())
+        return self._exchange.may_resume(error, time.monotonic(), untried)
 
     async def pause(self) -> None:
         """Waits until the next attempt."""
@@ -170,7 +173,7 @@ class _Stream:
     async def requests(self, number: int) -> AsyncIterator[pb.TrackRequest]:
         """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
-        yield exchange.start_request(again=number > 1)
+        yield exchange.start_request(again=exchange.lost)
         while True:
             await self._until(lambda: exchange.is_done() or self._calls != number or exchange.can_take())
             if self._calls != number:
@@ -205,7 +208,7 @@ class _Stream:
         while True:
             while (left := self._exchange.deadline(now := time.monotonic()) - now) > 0:
                 await asyncio.sleep(left)
-            if not self._may_move:
+            if not self._may_move():
                 self._fail(self._exchange.overdue())
                 return
             if self.silence is None:

@@ -77,9 +77,7 @@ def targets_of(target: str | Sequence[str]) -> tuple[str, ...]:
 
 
 def after(target: str, targets: Sequence[str]) -> str:
-    """The address to try after one that does not answer: the next of several, else the same."""
-    if len(targets) == 1:
-        return target
+    """The address to try after one that does not answer: the next one, after the last the first."""
     return targets[(targets.index(target) + 1) % len(targets)] if target in targets else targets[0]
 
 

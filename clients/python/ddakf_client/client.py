@@ -91,6 +91,7 @@ class Client:
         self, open_channel: Callable[[str], grpc.Channel], targets: Sequence[str], *, timeout: float, api_key: str | None
     ):
         self._open_channel, self._targets, self.timeout = open_channel, targets, timeout
+        self._addresses = tuple(targets)  # with that of the last redirection
         self._channels: dict[str, grpc.Channel] = {}  # by target
         self._closed = False
         self._metadata = calls.metadata_for(api_key)
@@ -110,20 +111,26 @@ class Client:
 
     def move(self, target: str) -> None:
         """Sends later calls to the server at another address. Open streams stay on their connection."""
+        if target not in self._addresses:
+            self._addresses = (*self._targets, target)
         self.target = target
         if target not in self._channels:
             self._channels[target] = self._open_channel(target)
         self._stub = TrackingServiceStub(self._channels[target])
 
     @property
-    def has_others(self) -> bool:
-        """Whether there are further addresses to try."""
-        return len(self._targets) > 1
+    def others(self) -> int:
+        """The number of further addresses to try."""
+        return len(self._addresses) - 1
 
     def move_on(self, target: str) -> None:
-        """Sends later calls to the address after one that does not answer, of those of :func:`connect`."""
+        """Sends later calls to the address after one that does not answer, unless they have gone elsewhere already.
+
+        The addresses are those of :func:`connect` and, after them, that of the last redirection: a successor may not listen
+        yet, or no longer.
+        """
         if self.target == target:
-            self.move(calls.after(target, self._targets))
+            self.move(calls.after(target, self._addresses))
 
     def server_info(self) -> ServerInfo:
         """Properties and limits of the server. Raises VersionMismatch for an incompatible version."""
@@ -275,7 +282,7 @@ class Client:
     def call(self, method: str, request: object, timeout: float | None = None):
         """Makes a unary call by its name in the schema. Raises the classes of ``errors``."""
         timeout = self.timeout if timeout is None else timeout
-        for _ in self._targets:
+        for _ in self._addresses:
             target = self.target
             try:
                 return getattr(self._open_stub(), method)(request, timeout=timeout, metadata=self._metadata)

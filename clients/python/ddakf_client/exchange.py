@@ -263,10 +263,16 @@ class Exchange:
 
     # A lost connection ----------------------------------------------------------------------------------------------
 
-    def may_resume(self, error: ServiceError, now: float) -> bool:
-        """Whether to open the stream again after it ended with this error."""
-        if self.failure or not (self.started or self.lost) or type(error) not in (Unavailable, Draining):
+    def may_resume(self, error: ServiceError, now: float, untried: int = 0) -> bool:
+        """Whether to open the stream again after it ended with this error.
+
+        Args:
+            untried: number of addresses at which a stream that has never been open may still be opened.
+        """
+        if self.failure or type(error) not in (Unavailable, Draining):
             return False
+        if not (self.started or self.lost):
+            return untried > 0
         if not self.lost:
             self.lost, self.started = True, False
             self._lost_since = now if self._attempts == 0 else self._lost_since

@@ -26,11 +26,11 @@ class Connection(Protocol):
 
     Attributes:
         target: "host:port" of the present server.
-        has_others: there are further addresses to try.
+        others: number of further addresses to try.
     """
 
     target: str
-    has_others: bool
+    others: int
 
     def open_track(self, requests: Iterator[pb.TrackRequest]) -> grpc.Call:
         """Opens the call of the stream."""
@@ -44,7 +44,8 @@ class Connection(Protocol):
 
 def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Iterator[Result | FrameError]:
     """Streams frames and yields their answers. Returns when every frame has an answer, else raises the reason."""
-    stream = _Stream(plan, frames, connection.has_others)
+    stream = _Stream(plan, frames, lambda: connection.others > 0)
+    untried = connection.others
     try:
         while True:
             target = connection.target
@@ -56,8 +57,9 @@ def track(connection: Connection, frames: Iterable[object], plan: Plan) -> Itera
                 return
             except grpc.RpcError as error:
                 failed = stream.failure or stream.silence or failure(error, target, plan.timeout)
-                if not stream.may_resume(failed):
+                if not stream.may_resume(failed, untried):
                     raise failed from None
+                untried -= 1
                 connection.move_on(target)
             stream.pause()
     finally:
@@ -68,13 +70,13 @@ class _Stream:
     """An exchange with a lock and threads, which end with the stream.
 
     Args:
-        may_move: a server that exceeds the timeout is left for another one.
+        may_move: whether a server that exceeds the timeout is left for another one.
 
     Attributes:
         silence: why the present call was given up; None: it was not.
     """
 
-    def __init__(self, plan: Plan, frames: Iterable[object], may_move: bool):
+    def __init__(self, plan: Plan, frames: Iterable[object], may_move: Callable[[], bool]):
         self._exchange = Exchange(plan, time.monotonic())
         self._frames, self._may_move = frames, may_move
         self.silence: ServiceError | None = None
@@ -128,11 +130,11 @@ class _Stream:
         with self._changed:
             return self._exchange.ended()
 
-    def may_resume(self, error: ServiceError) -> bool:
+    def may_resume(self, error: ServiceError, untried: int) -> bool:
         """Whether to open the stream again. The ended call sends nothing more."""
         with self._change():
             self._calls += 1
-            return self._exchange.may_resume(error, time.monotonic())
+            return self._exchange.may_resume(error, time.monotonic(), untried)
 
     def pause(self) -> None:
         """Waits until the next attempt."""
@@ -146,7 +148,7 @@ class _Stream:
         """Yields the requests of call ``number`` until it is replaced."""
         exchange = self._exchange
         with self._changed:
-            start = exchange.start_request(again=number > 1)
+            start = exchange.start_request(again=exchange.lost)
         yield start
         while True:
             with self._changed:
@@ -195,7 +197,7 @@ class _Stream:
                 continue
             with self._changed:
                 error = self._exchange.overdue()
-            if not self._may_move:
+            if not self._may_move():
                 self._fail(error)
                 return
             if self.silence is None:

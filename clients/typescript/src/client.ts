@@ -234,13 +234,13 @@ export class Client implements Host {
   }
 
   /** @internal */
-  get hasOthers(): boolean {
-    return this.rest.hasOthers;
+  get others(): number {
+    return this.rest.others;
   }
 
   /** @internal */
   move(target: string): void {
-    if (this.redirect) this.rest.base = withoutSlash(this.redirect(target));
+    if (this.redirect) this.rest.move(withoutSlash(this.redirect(target)));
   }
 
   /** @internal */

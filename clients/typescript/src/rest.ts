@@ -19,6 +19,7 @@ const NO_SERVER = [502, 503, 504]; // of a proxy that reaches none
 export class Rest {
   /** Address of the present server. */
   base: string;
+  private addresses: readonly string[]; // with that of the last redirection
 
   /** @param bases addresses without a trailing slash, at least one; a path before `/v1` stays. */
   constructor(
@@ -27,16 +28,26 @@ export class Rest {
     private readonly timeout: number,
   ) {
     this.base = bases[0]!;
+    this.addresses = bases;
   }
 
-  /** Whether there are further addresses to try. */
-  get hasOthers(): boolean {
-    return this.bases.length > 1;
+  /** The number of further addresses to try. */
+  get others(): number {
+    return this.addresses.length - 1;
   }
 
-  /** Sends later calls to the address after one that does not answer, unless they have gone elsewhere already. */
+  /** Sends later calls to another address. */
+  move(base: string): void {
+    if (!this.addresses.includes(base)) this.addresses = [...this.bases, base];
+    this.base = base;
+  }
+
+  /**
+   * Sends later calls to the address after one that does not answer, unless they have gone elsewhere already. That of the last
+   * redirection comes after the others: a successor may not listen yet, or no longer.
+   */
   moveOn(base: string): void {
-    if (this.base === base && this.hasOthers) this.base = this.bases[(this.bases.indexOf(base) + 1) % this.bases.length]!;
+    if (this.base === base) this.base = this.addresses[(this.addresses.indexOf(base) + 1) % this.addresses.length]!;
   }
 
   /** The message that answers a call. Raises the classes of `errors`. */
@@ -55,7 +66,7 @@ export class Rest {
    * address. Raises the classes of `errors`.
    */
   async call(method: string, path: string, options: CallOptions = {}): Promise<Response> {
-    for (let left = this.bases.length; ; left--) {
+    for (let left = this.addresses.length; ; left--) {
       const base = this.base;
       const answer = await this.answer(base, method, path, options);
       if (answer instanceof Response && answer.ok) return answer;

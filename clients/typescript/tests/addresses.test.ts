@@ -5,7 +5,7 @@ import { afterAll, afterEach, beforeAll, beforeEach, expect, test } from "vitest
 import { Client, connect, type Session } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
 import { Proxy } from "./proxy.js";
-import { camera, makeSheet, sheetFrames } from "./scenes.js";
+import { camera, collected, makeSheet, sheetFrame, sheetFrames } from "./scenes.js";
 import { Service, freePort } from "./server.js";
 
 const sheet = makeSheet();
@@ -85,6 +85,16 @@ test("a stream goes on at the next server, without a lost frame", async () => {
   expect(client.url).toBe(proxies[1]!.url);
 });
 
+test("a stream that cannot open where the client is opens at the next server, else it is an error", async () => {
+  proxies[0]!.close();
+  expect(await collected(session.track([sheetFrame(sheet, 1)]))).toHaveLength(1);
+  expect(client.url).toBe(proxies[1]!.url);
+  for (const proxy of proxies) proxy.close();
+  await expect(collected(session.track([sheetFrame(sheet, 2)]))).rejects.toThrow(errors.Unavailable);
+  proxies = [await Proxy.to(service.http)];
+  client.rest.move(proxies[0]!.url); // where the session is deleted
+});
+
 test("servers that fall silent are left, also one that never opens the stream", async () => {
   const answered = await answeredAcross(() => {
     proxies[0]!.silence();
@@ -92,6 +102,29 @@ test("servers that fall silent are left, also one that never opens the stream", 
   });
   expect(answered).toEqual(EVERY);
   expect(client.url).toBe(proxies[2]!.url);
+});
+
+test("a redirected client returns to its only address when the other server is lost, and tries both in turn", async () => {
+  const [only, other] = proxies.map(({ url }) => url) as [string, string];
+  const redirected = await connect(only, { timeout: 2, redirect: (target) => `http://${target}` });
+  const opened = await redirected.openSession(session.sessionId);
+  const answered: number[] = [];
+  redirected.move(new URL(other).host);
+  for await (const { sequence } of opened.track(camera(sheetFrames(sheet, COUNT), 0.01), {
+    flow: "lossless",
+    onNotice: () => undefined,
+  })) {
+    answered.push(sequence);
+    if (sequence !== 5) continue;
+    expect(redirected.url).toBe(other);
+    proxies[1]!.close();
+  }
+  expect(answered).toEqual(EVERY);
+  expect(redirected.url).toBe(only);
+  proxies[0]!.close();
+  await expect(opened.info()).rejects.toThrow(other);
+  expect(redirected.url).toBe(only);
+  redirected.close();
 });
 
 test("a proxy without a server behind it counts as none", async () => {

@@ -3,7 +3,7 @@ import { create } from "@bufbuild/protobuf";
 import { expect, test } from "vitest";
 import { InvalidFrame, Unavailable } from "../dist/errors.js";
 import type { Frame } from "../dist/index.js";
-import { TrackResponseSchema } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
+import { NoticeKind, TrackResponseSchema } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import type { Start, TrackRequest, TrackResponse } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import { FrameError, Result } from "../dist/results.js";
 import { Exchange, IN_FLIGHT } from "../dist/streaming/exchange.js";
@@ -37,6 +37,10 @@ function result(sequence: number): TrackResponse {
 function refusal(sequence: number): TrackResponse {
   const value = { sequenceNumber: BigInt(sequence), error: { name: "InvalidFrame" } };
   return create(TrackResponseSchema, { message: { case: "frameError", value } });
+}
+
+function waiting(): TrackResponse {
+  return create(TrackResponseSchema, { message: { case: "notice", value: { kind: NoticeKind.WAITING } } });
 }
 
 /** Whole numbers that depend on the seed alone. */
@@ -123,6 +127,18 @@ test("the deadline runs while an answer is owed", () => {
   exchange.finish(8);
   expect(exchange.deadline()).toBe(10);
   expect(exchange.overdue().message).toContain("the end of the stream");
+});
+
+test("the deadline counts silence: a response renews it, an answer to a ping does not", () => {
+  const exchange = opened("lossless", { timeout: 2 });
+  exchange.offer(frame("a"), 5);
+  exchange.take(6);
+  for (const second of [7, 9, 11]) {
+    exchange.receive(waiting(), second);
+    expect(exchange.deadline()).toBe(second + 2);
+  }
+  exchange.receive(create(TrackResponseSchema, { message: { case: "pong", value: {} } }), 12);
+  expect(exchange.deadline()).toBe(13);
 });
 
 test("an end with frames unanswered or unsent is an error", () => {

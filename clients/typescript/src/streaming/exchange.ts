@@ -61,6 +61,7 @@ export class Exchange {
   private attempts = 0; // to reconnect, since the last answered frame
   private lostSince: number;
   private owedSince: number; // since when the server owes the start or the end of the stream
+  private heardAt = -Infinity; // the last response, without answers to pings, which say nothing about frames
 
   constructor(
     readonly plan: Plan,
@@ -144,6 +145,7 @@ export class Exchange {
    * @throws ServiceError: a frame was refused and the plan asks for an error.
    */
   receive({ message }: TrackResponse, now: number): (Answer | Notice)[] {
+    if (message.case !== "pong") this.heardAt = now;
     switch (message.case) {
       case "started":
         return this.start(message.value, now);
@@ -188,10 +190,15 @@ export class Exchange {
 
   // A lost connection --------------------------------------------------------------------------------------------------
 
-  /** Whether to open the stream again after it ended with this error. */
-  mayResume(error: unknown, now: number): boolean {
+  /**
+   * Whether to open the stream again after it ended with this error.
+   *
+   * @param untried number of addresses at which a stream that has never been open may still be opened.
+   */
+  mayResume(error: unknown, now: number, untried = 0): boolean {
     const connectionLost = error instanceof Unavailable || error instanceof Draining;
-    if (this.failure !== undefined || !(this.started || this.lost) || !connectionLost) return false;
+    if (this.failure !== undefined || !connectionLost) return false;
+    if (!(this.started || this.lost)) return untried > 0;
     if (!this.lost) {
       this.lost = true;
       this.started = false;
@@ -207,12 +214,12 @@ export class Exchange {
     return (0.5 + 0.5 * Math.random()) * Math.min(FIRST_PAUSE * 2 ** this.attempts, LONGEST_PAUSE);
   }
 
-  /** Time by which the server has to send something; undefined: it owes nothing. */
+  /** Time by which the server has to send something, the timeout after it last did; undefined: it owes nothing. */
   deadline(): number | undefined {
     const owesStartOrEnd = !this.started || this.isDone();
     if (this.unanswered.size === 0 && !owesStartOrEnd) return undefined;
     const oldest = this.started ? Math.min(...[...this.unanswered.values()].map((sent) => sent.at)) : Infinity;
-    return (Number.isFinite(oldest) ? oldest : this.owedSince) + this.plan.timeout;
+    return Math.max(Number.isFinite(oldest) ? oldest : this.owedSince, this.heardAt) + this.plan.timeout;
   }
 
   /** The error of an exceeded deadline. */

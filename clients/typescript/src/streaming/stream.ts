@@ -24,8 +24,8 @@ export interface Connection {
   readonly encoder: Encoder;
   /** Address of the present server. */
   readonly url: string;
-  /** There are further addresses to try. */
-  readonly hasOthers: boolean;
+  /** The number of further addresses to try. */
+  readonly others: number;
   /** Opens the session's stream. */
   openLine(name: string, events: ConstructorParameters<typeof Line>[2]): Line;
   /** Throws the reason why the handshake of a WebSocket failed, which the browser hides; returns if there is none. */
@@ -46,6 +46,7 @@ export class Stream {
   private lines = 0;
   private url = ""; // of the line
   private connected = false;
+  private untried: number; // addresses at which the stream may be opened first
   private readonly answers: Answers;
   private readonly waiting = new Waiting();
 
@@ -56,6 +57,7 @@ export class Stream {
     private readonly pressure: Pressure,
   ) {
     this.exchange = new Exchange(plan, now());
+    this.untried = connection.others;
     this.answers = new Answers(plan.flow === "realtime", () => {
       this.countUnread();
     });
@@ -81,13 +83,13 @@ export class Stream {
   // The connection -----------------------------------------------------------------------------------------------------
 
   private open(): void {
-    const number = ++this.lines;
+    this.lines++;
     this.connected = false;
     this.url = this.connection.url;
     const line = this.connection.openLine(this.plan.name, {
       onOpen: () => {
         this.meter.connected(now());
-        line.send(this.exchange.startRequest(number > 1));
+        line.send(this.exchange.startRequest(this.exchange.lost));
       },
       onResponse: (response) => {
         this.receive(response);
@@ -106,7 +108,7 @@ export class Stream {
     }
     const reason = explained ? error : await this.refusal(error);
     if (this.waiting.isOver()) return;
-    if (!this.exchange.mayResume(reason, now())) {
+    if (!this.exchange.mayResume(reason, now(), this.untried--)) {
       this.fail(reason);
       return;
     }
@@ -215,7 +217,7 @@ export class Stream {
       const deadline = this.exchange.deadline();
       if (deadline !== undefined && now() >= Math.max(deadline, awakeSince + this.plan.timeout)) {
         const overdue = this.exchange.overdue();
-        if (!this.connection.hasOthers) {
+        if (this.connection.others === 0) {
           this.fail(overdue);
           return;
         }
