@@ -45,8 +45,9 @@ class Mesh:
     def cleaned(cls, vertices, faces) -> tuple[Mesh, np.ndarray]:
         """Repairs what exported garments often have, and says which vertices remain.
 
-        Joins triangles that share no vertices, removes degenerate and duplicate faces, at every edge with more than two
-        faces the smallest surplus ones, and then the vertices that no face uses. Winds all faces of a piece as most of them.
+        Joins triangles that share no vertices, and open edges at the place of another. Removes degenerate and duplicate faces,
+        at every edge with more than two faces the smallest surplus ones, and then the vertices that no face uses. Winds all
+        faces of a piece as most of them.
 
         Args:
             vertices: (V, 3) metres.
@@ -60,8 +61,7 @@ class Mesh:
         """
         vertices, faces = _checked_arrays(vertices, faces)
         first = _first_alike(vertices)
-        if _apart(first):
-            faces = first[faces]
+        faces = first[faces] if _apart(first) else _seamless(faces, first)
         faces = faces[~_degenerate(vertices, faces)]
         faces = faces[~_repeated(faces, len(vertices))]
         faces = _without_surplus_faces(vertices, faces)
@@ -93,6 +93,11 @@ class Mesh:
         on_boundary = np.zeros(self.n_vertices, bool)
         on_boundary[edges[count == 1]] = True
         return on_boundary
+
+    @cached_property
+    def split_edges(self) -> int:
+        """Number of open edges at the place of another, as a file has that splits vertices along the seams of a texture."""
+        return int(np.count_nonzero(_seams(self.faces, _first_alike(self.vertices))[1]))
 
     @cached_property
     def size(self) -> float:
@@ -175,9 +180,26 @@ def _first_alike(vertices: np.ndarray) -> np.ndarray:
 
 
 def _apart(first: np.ndarray) -> int:
-    """Number of vertices at the place of another, where they are half of all or more; seams may lie on each other."""
+    """Number of vertices at the place of another, where they are half of all or more."""
     twins = np.count_nonzero(first != np.arange(len(first)))
     return twins if 2 * twins >= len(first) else 0
+
+
+def _seams(faces: np.ndarray, first: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(B, 2) open edges, and whether another one lies at the same place (B,), by the first vertex at each place."""
+    edges, count = _edges(faces, len(first))
+    edges = edges[count == 1]
+    ends = np.sort(first[edges], axis=1)
+    _, place, sharing = np.unique(ends @ [len(first), 1], return_inverse=True, return_counts=True)
+    return edges, sharing[place] > 1
+
+
+def _seamless(faces: np.ndarray, first: np.ndarray) -> np.ndarray:
+    """The faces with the ends of such edges joined."""
+    edges, seam = _seams(faces, first)
+    joined, ends = np.arange(len(first)), edges[seam]
+    joined[ends] = first[ends]
+    return joined[faces]
 
 
 def _wound_apart(faces: np.ndarray, n: int) -> int:

@@ -17,6 +17,8 @@ WarningCode = Literal[
     "clock_jump",
     "upside_down",
     "heading_uncertain",
+    "wrong_up",
+    "split_seams",
     "mirrored",
     "points_behind_sensor",
     "body_apart",
@@ -27,7 +29,7 @@ class InputWarning(NamedTuple):
     """A sign that the input is wrong, although it could be tracked."""
 
     code: WarningCode
-    field: str  # of the input that is probably wrong: an argument of Tracker.step, or "garment"
+    field: str  # of the input that is probably wrong: an argument of Tracker.step, "garment", or "config.start.up"
     message: str  # one sentence, with the numbers that gave it away
 
 

@@ -88,7 +88,8 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
     if track.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **_body_arrays(track.body)}
     numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
-    numbers["drift"] = list(track.drift[1:])
+    drift = track.drift
+    numbers["drift"], arrays["drift_missed"] = [drift.speed2, drift.stored2, drift.hem2], drift.missed
     numbers["elasticity"] = track.strain2
     numbers["view"], numbers["signs"] = track.view._asdict(), dict(track.signs)
     numbers["costs"] = track.costs
@@ -188,10 +189,11 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    squares = [float(value) for value in values]
-    if not (len(squares) in (3, 4) and min(squares) >= 0 and max(squares) < math.inf):  # three in earlier snapshots
-        raise InvalidSnapshot("snapshot.drift", "four finite squares", repr(values))
-    return Drift(covariance, *squares)
+    speed2, stored2, hem2 = (float(value) for value in values)
+    if not (min(speed2, stored2, hem2) >= 0 and max(speed2, stored2, hem2) < math.inf):
+        raise InvalidSnapshot("snapshot.drift", "three finite squares", repr(values))
+    missed = like(model.missed, arrays, "drift_missed") if "drift_missed" in arrays else model.missed  # not in earlier snapshots
+    return Drift(covariance, speed2, stored2, hem2, missed)
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:

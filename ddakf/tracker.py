@@ -260,7 +260,7 @@ def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | 
     cloth, under = model.build(working.mesh, config), None
     if body is not None:
         under = contact.build(body, config.predict.carry_reach, config.physics.collision_reach, known and known.body)
-    return Discretised(working, Setup(cloth, under, config, warnings.reference(cloth, body, config.sidedness)))
+    return Discretised(working, Setup(cloth, under, config, warnings.reference(garment, cloth, body, config)))
 
 
 def _shaping(config: Config) -> tuple:

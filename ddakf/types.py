@@ -241,7 +241,7 @@ class Drift(NamedTuple):
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
-    missed2: float = 0.0  # m^2/s^2, running mean of what predictions miss per second, squared, the body's part included
+    missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' of what predictions miss per second, and their body
 
     @classmethod
     def at(cls, model: Model, sd: float) -> Drift:
@@ -344,6 +344,8 @@ class InputReference(NamedTuple):
     hidden_share: float  # of its surface, in a second layer, along the direction where that is least
     outward: float  # mean cosine of its normals to the outside
     body_outward: float  # of the body's; 1 without a body
+    split_edges: int = 0  # open edges of the garment at the place of another
+    fallen_body: str = ""  # what of the body at the start does not stand along the vertical of the configuration
 
 
 class Setup(NamedTuple):

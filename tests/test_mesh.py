@@ -9,6 +9,7 @@ from ddakf import Mesh
 from ddakf.errors import InvalidMesh
 from ddakf.mesh import vertex_normals
 from tests.physics.shapes import ball, rotation, sheet
+from tests.stages.scenes import tube
 
 GOOD = sheet()
 V, F = GOOD.vertices, GOOD.faces
@@ -211,3 +212,27 @@ def test_normals_of_a_ball_point_outward_and_turn_with_it():
     assert (np.einsum("va,va->v", normals, mesh.vertices / 0.2) > 0.99).all()
     np.testing.assert_allclose(vertex_normals(mesh.vertices @ R.T, mesh.faces), normals @ R.T, atol=1e-12)
     assert not vertex_normals(mesh.vertices * 0, mesh.faces).any()
+
+
+def test_seams_of_a_texture_are_counted_and_joined():
+    """A file that gives each vertex one texture coordinate splits a tube along a line from hem to hem."""
+    whole = tube()
+    around = np.flatnonzero(np.isclose(whole.vertices[:, 1], whole.vertices[0, 1])).size
+    column, line = np.arange(whole.n_vertices) % around, np.arange(0, whole.n_vertices, around)
+    copy = np.arange(whole.n_vertices)
+    copy[line] = whole.n_vertices + np.arange(len(line))
+    right = (column[whole.faces] == 1).any(axis=1)
+    faces = np.where(right[:, None], copy[whole.faces], whole.faces)
+    split = Mesh(np.concatenate([whole.vertices, whole.vertices[line]]), faces)
+    assert whole.split_edges == 0
+    assert split.split_edges == 2 * (len(line) - 1) > 0
+    joined, kept = Mesh.cleaned(split.vertices, split.faces)
+    np.testing.assert_array_equal(joined.vertices, whole.vertices)
+    np.testing.assert_array_equal(joined.faces, whole.faces)
+    np.testing.assert_array_equal(kept, np.arange(whole.n_vertices))
+
+
+def test_edges_that_are_a_little_apart_stay():
+    sheet = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1.0 + 1e-6, 0, 0], [1, 1, 0], [0, 1, 1e-6]], [[0, 1, 2], [3, 4, 5]])
+    assert sheet.split_edges == 0
+    assert Mesh.cleaned(sheet.vertices, sheet.faces)[0].n_vertices == 6

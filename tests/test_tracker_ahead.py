@@ -5,7 +5,7 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.errors import InvalidArgument
-from tests.stages.scenes import FPS, rms
+from tests.stages.scenes import FPS, rms, scan
 from tests.tracker_runs import ACCELERATED, ARRAYS, BODY, EYE, PRESETS, TUBE, assert_finite, assert_same, cloud, swaying, tracked
 
 
@@ -66,6 +66,31 @@ def test_a_body_takes_the_garment_along():
     assert np.allclose((later.vertices - result.vertices).mean(axis=0), 3 * drift, atol=0.2 * rms(3 * drift[None]))
     gone = tracker.step(cloud(0) + np.float32(11 * drift), timestamp=11 / FPS, sensor_origin=EYE)
     assert (tracker.predicted(gone, 1 / FPS).vertices - gone.vertices).mean(axis=0)[0] > 0.5 * drift[0]
+
+
+@pytest.mark.parametrize("worn", [False, True], ids=["alone", "worn"])
+def test_the_error_of_what_sways_as_a_whole_is_claimed_later(worn):
+    """All of it misses the prediction alike, and so does its body; 15 cm to either side, 1.5 times a second."""
+    tracker, rows, frames = Tracker(TUBE, body=BODY if worn else None), [], 40
+    aside = 0.15 * np.sin(3.0 * np.pi * np.arange(frames + 2) / FPS)[:, None] * [1.0, 0.0, 0.0]
+    for k in range(frames):
+        pose = BODY.vertices + aside[k] if worn else None
+        points = scan(TUBE.vertices + aside[k], TUBE, 3000, 0.002, seed=k)
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=EYE + aside[k], body_vertices=pose)
+        later = tracker.predicted(result, 2 / FPS)
+        off = later.vertices - TUBE.vertices - aside[k + 2]
+        rows.append((np.square(off).sum(axis=1).mean(), np.einsum("vaa->v", later.covariance).mean()))
+    error2, claimed2 = np.mean(rows[10:], axis=0)
+    assert 0.4 < error2 / claimed2 < 4.0
+
+
+def test_a_body_moves_on_for_the_longest_step_alone():
+    tracker, speed = Tracker(TUBE, body=BODY), np.array([0.6, 0.0, 0.0])
+    for k in range(1, 11):
+        pose = BODY.vertices + k / FPS * speed
+        result = tracker.step(cloud(0) + np.float32(k / FPS * speed), timestamp=k / FPS, sensor_origin=EYE, body_vertices=pose)
+    moved = (tracker.predicted(result, 60.0).vertices - result.vertices).mean(axis=0)
+    assert moved[0] == pytest.approx(0.6 * tracker.config.predict.longest_step, rel=0.2)
 
 
 def test_a_restored_and_a_newly_configured_tracker_predict_the_same():

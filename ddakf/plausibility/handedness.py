@@ -8,6 +8,9 @@ from ddakf.mesh import Mesh
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # planes that are looked at
+LYING = 0.6  # times its width, below which the height of a body is that of one that lies
+UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
+OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own: 0.51 to 0.57 of standing people
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
 
 
@@ -33,6 +36,34 @@ def upside_down(problem: Problem, estimate: Estimate) -> Sign | None:
         return None
     upright, over = (1e3 * cost for cost in problem.overturned)
     return Sign("points", f"the garment fits the cloud upside down: {over:.0f} mm off in the mean, upright {upright:.0f} mm")
+
+
+def wrong_up(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a body that at the start does not stand along the vertical, which gravity and searches go by."""
+    fallen = problem.reference.fallen_body
+    return Sign("config.start.up", fallen) if fallen else None
+
+
+def fallen(body: Mesh, to_y_up: np.ndarray) -> str:
+    """What tells that a body does not stand along the vertical, or on its head, in a sentence; empty: nothing does.
+
+    A standing person is higher than wide, but for arms held out, and more than half of its surface is in its upper half.
+
+    Args:
+        body: in the pose of the start.
+        to_y_up: (3, 3) rows are the axes to the right, upward and to the front.
+    """
+    corners = body.vertices[body.faces] @ to_y_up.T
+    weight = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    lowest = corners.min(axis=(0, 1))
+    width, height, depth = corners.max(axis=(0, 1)) - lowest
+    widest = max(width, depth)
+    if height < LYING * widest:
+        return f"the body is {height:.2g} m high and {widest:.2g} m wide: is another axis up, or does it lie?"
+    middle = (float(weight @ corners[:, :, 1].mean(axis=1)) / float(weight.sum()) - lowest[1]) / height
+    if middle < (OVERTURNED if height > UPRIGHT * widest else OVERTURNED_WIDE):
+        return f"the body stands on its head: the middle of its surface is at {middle:.0%} of its height"
+    return ""
 
 
 def heading_uncertain(problem: Problem, estimate: Estimate) -> Sign | None:

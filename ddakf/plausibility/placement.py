@@ -9,6 +9,7 @@ from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
+SPLIT = 8  # edges; a few may be a slit that is closed at rest
 SEEN = 0.2  # share of the vertices, with which the garment's place is known
 
 
@@ -41,6 +42,14 @@ def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
     if behind < BEHIND:
         return None
     return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
+
+
+def split_seams(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a garment that falls apart along the seams of its texture."""
+    split = problem.reference.split_edges
+    if split < SPLIT:
+        return None
+    return Sign("garment", f"{split} open edges lie at the place of another: Mesh.cleaned() or clean=true joins them")
 
 
 def body_apart(problem: Problem, estimate: Estimate) -> Sign | None:

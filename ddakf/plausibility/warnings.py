@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from ddakf.config import Sidedness
+from ddakf.config import Config
 from ddakf.mesh import Mesh
 from ddakf.plausibility import handedness, placement, sidedness, units
 from ddakf.results import InputWarning, WarningCode
@@ -41,16 +41,21 @@ CHECKS: Mapping[WarningCode, Check] = {
     "clock_jump": Check(units.clock_jump, 1),
     "upside_down": Check(handedness.upside_down, 1),
     "heading_uncertain": Check(handedness.heading_uncertain, 1),
+    "wrong_up": Check(handedness.wrong_up, 1),
+    "split_seams": Check(placement.split_seams, 1),
     "mirrored": Check(handedness.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
     "body_apart": Check(placement.body_apart, 3),
 }
 
 
-def reference(garment: Model, body: Mesh | None, config: Sidedness) -> InputReference:
-    """What the frames of a garment are held against."""
-    hidden_share = sidedness.hidden_share(garment, config)
-    return InputReference(hidden_share, handedness.outward(garment.mesh), 1.0 if body is None else handedness.outward(body))
+def reference(given: Mesh, garment: Model, body: Mesh | None, config: Config) -> InputReference:
+    """What the frames of a garment are held against: the mesh as given, the garment that is tracked, and its body."""
+    hidden, outward = sidedness.hidden_share(garment, config.sidedness), handedness.outward(garment.mesh)
+    if body is None:
+        return InputReference(hidden, outward, 1.0, given.split_edges)
+    fallen = handedness.fallen(body, config.start.to_y_up)
+    return InputReference(hidden, outward, handedness.outward(body), given.split_edges, fallen)
 
 
 def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:

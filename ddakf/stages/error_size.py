@@ -38,7 +38,7 @@ class PatchEvidence(NamedTuple):
     means: PatchMeans
     strain: np.ndarray  # (V,) mean squared strain of the edges at each vertex against rest
     isotropic: bool  # the measurements are points, as well known across as along
-    missed2: float = 0.0  # m^2, mean squared miss of the prediction at measured vertices, the body's part included
+    missed: np.ndarray  # (3, 3) m^2, mean d d' of what the prediction missed at measured vertices, the body's part included
 
 
 class SizeEvidence(NamedTuple):

@@ -149,11 +149,11 @@ def ahead(track: Track, seconds: float, config: ConstantVelocity | ConstantAccel
         seconds: since that frame.
         config: of stage A.
     """
-    state, missed2, dt = track.state, track.drift.missed2, track.health.spacing or seconds
+    state, missed, dt = track.state, track.drift.missed, track.health.spacing or seconds
     carrying, step = None if track.body is None else track.body.velocity, min(seconds, config.longest_step)
     prior = predict(state, seconds, None if carrying is None else step * carrying, config, seen=False)
-    if missed2 > 0.0:
-        grown = missed2 * seconds**2 * max(seconds / dt, 1.0) / 3.0 * np.eye(3)
+    if missed.any():
+        grown = seconds**2 * max(seconds / dt, 1.0) * missed
     else:
         grown = prior.P_pp - state.P_pp
     return Ahead(prior.position, prior.velocity if carrying is None else prior.velocity + carrying, grown)

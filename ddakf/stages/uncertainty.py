@@ -123,12 +123,12 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
         coupling: of the patches.
     """
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
-    growth2, speed2, missed2 = _growth(problem, evidence, coupling)
+    growth2, speed2, missed = _growth(problem, evidence, coupling)
     covariance = np.empty_like(drift.covariance)
     kernels.grow(drift.covariance, model.likeness, growth2, limits.ceiling_sd, covariance)
     if evidence.observed.any():
         covariance = _updated(problem, covariance, evidence, coupling.B)
-    return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2, missed2=missed2)
+    return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2, missed=missed)
 
 
 def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:
@@ -140,7 +140,7 @@ def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.nda
     return updated if kernels.update_errors(P, invert(coarse), evidence.means.information, updated) else P
 
 
-def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float, float]:
+def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tuple[np.ndarray, float, np.ndarray]:
     """(L,) m^2 that each patch's error grows by in this frame in each direction, and the running means of what predictions miss.
 
     The first of these, of the innovations, leaves out what all patches have in common; the second does not, nor the body's part.
@@ -154,16 +154,16 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
     enough = evidence.observed.sum() > limits.least_coverage * evidence.size.sum()
     if not enough:
         lost2 = 0.0 if coupling.on_body else max(coupling.stored2 - drift.stored2, 0.0)
-        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2, drift.missed2
+        return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2, drift.missed
     common = _mean(innovation2, evidence.observed)
     old = limits.innovation_memory if drift.speed2 > 0.0 else 0.0
     speed2 = old * drift.speed2 + (1.0 - old) * common / dt**2
-    missed2 = old * drift.missed2 + (1.0 - old) * evidence.missed2 / dt**2
-    missed = common + 0.5 * seen * (innovation2 - common)
+    missed = old * drift.missed + (1.0 - old) * evidence.missed / dt**2
+    per_patch = common + 0.5 * seen * (innovation2 - common)
     moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
     moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # steps that follow each other within that time are alike, and add up
-    grown = limits.missed_share**2 * missed + limits.unseen_motion**2 * (1.0 - seen) * moved
-    return grown / 3.0 + limits.growth_sd**2, speed2, missed2
+    grown = limits.missed_share**2 * per_patch + limits.unseen_motion**2 * (1.0 - seen) * moved
+    return grown / 3.0 + limits.growth_sd**2, speed2, missed
 
 
 class Surface(NamedTuple):
@@ -191,8 +191,8 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
     prior = problem.prior.position
     kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)
     kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
-    missed2 = float(np.einsum("va,va,v->", missed, missed, weight > 0.0)) / max(sums.observed.sum(), 1.0)
-    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic, missed2)
+    missed = missed[weight > 0.0]
+    return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic, missed.T @ missed / max(len(missed), 1))
 
 
 def _turned_with(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:

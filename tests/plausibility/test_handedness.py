@@ -1,11 +1,14 @@
 """Handedness: meshes inside out, clouds seen from the wrong side."""
 
+import dataclasses
+
 import pytest
 
-from ddakf import Mesh, Tracker
-from ddakf.plausibility.handedness import outward
+from ddakf import Config, Mesh, Tracker
+from ddakf.config import Start
+from ddakf.plausibility.handedness import fallen, outward
 from tests.stages.scenes import FPS, scan, turn
-from tests.tracker_runs import BODY, EYE, SHIRT, TUBE, WEARER, cloud
+from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud
 
 MIRRORED = Mesh(TUBE.vertices * [-1.0, 1.0, 1.0], TUBE.faces)
 
@@ -60,3 +63,22 @@ def test_a_garment_that_fits_as_well_turned_is_told_when_it_is_found(garment, al
     first, *later = warned(garment, points, None, 3)
     assert ["heading_uncertain"] * alike == [warning.code for warning in first]
     assert not any(later)
+
+
+TOLD = {"y": "", "-y": "head"} | dict.fromkeys(("x", "-x", "z", "-z"), "high")
+
+
+@pytest.mark.parametrize(("up", "told"), TOLD.items())
+def test_a_body_that_does_not_stand_along_the_vertical_is_told(up, told):
+    config = dataclasses.replace(Config(), start=Start(up=up))
+    result = Tracker(SHIRT, body=WEARER, config=config).step(SHIRT.vertices, timestamp=0.0, body_vertices=WEARER.vertices)
+    found = {warning.code: warning for warning in result.warnings}
+    assert ("wrong_up" in found) == bool(told)
+    if told:
+        assert found["wrong_up"].field == "config.start.up"
+        assert told in found["wrong_up"].message
+
+
+def test_people_stand_upright_with_their_arms_down_and_out():
+    for frame in range(0, len(SAMPLE), 10):
+        assert fallen(Mesh(SAMPLE.body_vertices[frame], SAMPLE.body_faces), Start().to_y_up) == ""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ddakf import Tracker
+from ddakf import Mesh, Tracker
 from tests.stages.scenes import FPS
 from tests.tracker_runs import BODY, EYE, TUBE, cloud, swaying
 
@@ -70,3 +70,19 @@ def test_a_body_elsewhere_is_told():
     found, _ = last_of(frames([3.0, 0.0, 0.0]), BODY)
     assert found["body_apart"].field == "body_vertices"
     assert any(f"middles are {apart} m apart" in found["body_apart"].message for apart in ("2.9", "3"))
+
+
+def test_a_garment_that_a_texture_has_split_is_told():
+    half = TUBE.vertices[TUBE.faces].mean(axis=1)[:, 1] > TUBE.vertices[:, 1].mean()
+    upper, lower = (TUBE.faces[chosen] for chosen in (half, ~half))
+    split = Mesh(*_used(np.concatenate([TUBE.vertices, TUBE.vertices]), np.concatenate([upper, lower + TUBE.n_vertices])))
+    result = Tracker(split).step(cloud(0), timestamp=0.0, sensor_origin=EYE)
+    (warning,) = (each for each in result.warnings if each.code == "split_seams")
+    assert (warning.field, str(split.split_edges) in warning.message) == ("garment", True)
+    joined, _ = Mesh.cleaned(split.vertices, split.faces)
+    assert Tracker(joined).step(cloud(0), timestamp=0.0, sensor_origin=EYE).warnings == ()
+
+
+def _used(vertices, faces):
+    kept, numbers = np.unique(faces, return_inverse=True)
+    return vertices[kept], numbers.reshape(faces.shape)

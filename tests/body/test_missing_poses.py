@@ -1,0 +1,78 @@
+"""Frames without the body's pose: it is moved on as it last moved, for some tenths of a second."""
+
+import numpy as np
+import pytest
+
+from ddakf import Tracker
+from ddakf.body import contact
+from ddakf.evaluation.sensors import Sensor
+from tests.stages.scenes import rms
+from tests.tracker_runs import BODY, EYE, FPS, SAMPLE, SHIRT, TUBE, WEARER, cloud
+
+SPEED = np.array([0.6, 0.0, 0.0])  # m/s
+
+
+def walked(tracker, count, first=1):
+    """The results of so many frames in which garment and body move on."""
+    for k in range(first, first + count):
+        place = k / FPS * SPEED
+        how = {"sensor_origin": EYE + place, "body_vertices": BODY.vertices + place}
+        yield tracker.step(cloud(0) + np.float32(place), timestamp=k / FPS, **how)
+
+
+def test_a_body_without_a_pose_moves_on_and_then_is_not_known():
+    tracker = Tracker(TUBE, body=BODY)
+    assert contact.moved_on(tracker._setup.body, tracker._track.body, 1 / FPS) is None
+    *_, _ = walked(tracker, 3)
+    body, track = tracker._setup.body, tracker._track.body
+    moved = contact.moved_on(body, track, 1 / FPS) - BODY.vertices - 4 / FPS * SPEED
+    assert np.abs(moved).max() < 0.3 * rms(SPEED[None] / FPS)
+    assert contact.moved_on(body, track, contact.LONGEST_UNPOSED + 0.01) is None
+
+
+def test_two_missing_poses_move_it_as_far_as_one_that_is_as_late():
+    tracker, other = Tracker(TUBE, body=BODY), Tracker(TUBE, body=BODY)
+    for each in (tracker, other):
+        *_, _ = walked(each, 3)
+    for k in (4, 5):
+        tracker.step(cloud(0), timestamp=k / FPS, sensor_origin=EYE)
+    later = contact.moved_on(other._setup.body, other._track.body, 2 / FPS)
+    np.testing.assert_allclose(tracker._track.body.vertices, later, atol=1e-6)
+    *_, _ = walked(tracker, 1, first=6)
+    assert rms(tracker._track.body.motion - SPEED) < 0.02
+    assert tracker._track.body.unposed == 0.0
+
+
+def test_a_missing_pose_costs_hidden_cloth_nothing():
+    """Seen from one camera, one pose in seven missing; without the body the error doubles."""
+    errors = []
+    for missing in (99, 7):
+        tracker, rng = Tracker(SHIRT, body=WEARER), np.random.default_rng(0)
+        tracker.reset(vertices=SAMPLE.garment_vertices[0])
+        for k in range(1, 40):
+            seen = Sensor("front").capture(SAMPLE, k, rng)
+            pose = None if k % missing == missing - 1 else SAMPLE.body_vertices[k]
+            result = tracker.step(seen.points, timestamp=k / FPS, sensor_origin=seen.sensor_origin, body_vertices=pose)
+            errors.append((missing, rms(result.vertices - SAMPLE.garment_vertices[k]), result.sigma.mean()))
+    every, some = (np.mean([row[1:] for row in errors if row[0] == missing], axis=0) for missing in (99, 7))
+    assert some[0] < 1.1 * every[0]
+    assert some[1] < 1.1 * every[1]
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_velocities_of_a_start_are_of_the_world(given):
+    """With a body too: it carries the garment, whose velocity on it is the difference."""
+    tracker = Tracker(TUBE, body=BODY)
+    tracker.reset(TUBE.vertices, velocities=np.tile(SPEED, (TUBE.n_vertices, 1)) if given else None)
+    (result,) = walked(tracker, 1)
+    assert rms(result.vertices - TUBE.vertices - SPEED / FPS) < 0.004
+    assert rms(result.velocities - SPEED) < 0.15
+
+
+def test_a_snapshot_within_a_gap_of_poses_goes_on_the_same():
+    tracker = Tracker(TUBE, body=BODY)
+    *_, _ = walked(tracker, 3)
+    tracker.step(cloud(0), timestamp=4 / FPS, sensor_origin=EYE)
+    other = Tracker.restore(tracker.snapshot())
+    one, same = (each.step(cloud(0), timestamp=5 / FPS, sensor_origin=EYE) for each in (tracker, other))
+    np.testing.assert_array_equal(one.vertices, same.vertices)
