@@ -123,7 +123,7 @@ def test_a_garment_that_stretches_is_learned_and_followed_better_and_a_reset_for
     stiff = dataclasses.replace(CONFIG, physics=dataclasses.replace(NUMBERS, strain_sd=1e3))
     tracker, error = followed(CONFIG)
     assert tracker._track.strain2 > 4 * NUMBERS.strain_sd**2
-    assert error < 0.6 * followed(stiff)[1]
+    assert error < 0.7 * followed(stiff)[1]
     again = Tracker.restore(tracker.snapshot())
     assert again._track.strain2 == tracker._track.strain2
     tracker.reset()

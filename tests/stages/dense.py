@@ -61,16 +61,18 @@ def strains(x: np.ndarray, mesh: Mesh) -> np.ndarray:
     return np.concatenate([np.linalg.norm(w_u, axis=1), np.linalg.norm(w_v, axis=1)]) - 1
 
 
+def in_plane(numbers) -> float:
+    """Stiffness of stretch and of shear alike, as no direction of the threads is known."""
+    return (numbers.stretch * numbers.fabric.stretch + numbers.shear * numbers.fabric.shear) / 2
+
+
 def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.ndarray]:
     """Residuals of the energies of section 2.4, each times the root of its stiffness and weight.
 
     Stretch is softened: weight 1 / (1 + q) of the energy s^2 / 2 log(1 + q), q = (r / s)^2, taken at ``held`` (V, 3).
     """
     mesh, numbers = problem.mesh, problem.config.physics
-    k = {
-        name: problem.physics_lambda * getattr(numbers, name) * getattr(numbers.fabric, name)
-        for name in ("stretch", "shear", "bend")
-    }
+    both, bend = (problem.physics_lambda * stiffness for stiffness in (in_plane(numbers), numbers.bend * numbers.fabric.bend))
     w_u, w_v, area = triangles(x, mesh)
     soft = 1 / (1 + (strains(held, mesh) / numbers.strain_scale) ** 2)
     hinge = hinges(mesh)
@@ -78,9 +80,9 @@ def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.nda
     double_areas = np.linalg.norm(np.cross(j - i, a - i), axis=1) + np.linalg.norm(np.cross(j - i, b - i), axis=1)
     shape = 3 * np.sum((j - i) ** 2, axis=1) / (0.5 * double_areas)
     parts = {
-        "stretch": np.sqrt(k["stretch"] * np.tile(area, 2) * soft) * strains(x, mesh),
-        "shear": np.sqrt(k["shear"] * area / 2) * np.einsum("fa,fa->f", w_u, w_v),
-        "bend": np.sqrt(k["bend"] * shape) * (dihedrals(x, hinge) - dihedrals(mesh.vertices, hinge)),
+        "stretch": np.sqrt(both * np.tile(area, 2) * soft) * strains(x, mesh),
+        "shear": np.sqrt(both * area / 2) * np.einsum("fa,fa->f", w_u, w_v),
+        "bend": np.sqrt(bend * shape) * (dihedrals(x, hinge) - dihedrals(mesh.vertices, hinge)),
     }
     if problem.touching is not None:
         share = np.zeros(len(x))
@@ -143,7 +145,7 @@ def energy(x: np.ndarray, problem: Problem, rigid) -> float:
     """Of the MAP problem, the softened stretch by its own formula."""
     parts = residuals(x, x, problem, rigid)
     numbers = problem.config.physics
-    stiffness = problem.physics_lambda * numbers.stretch * numbers.fabric.stretch
+    stiffness = problem.physics_lambda * in_plane(numbers)
     q = (strains(x, problem.mesh) / numbers.strain_scale) ** 2
     area = np.tile(triangles(x, problem.mesh)[2], 2)
     stretch = 0.5 * stiffness * numbers.strain_scale**2 * (area @ np.log1p(q))

@@ -92,6 +92,8 @@ class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     WARNING_CODE_BODY_APART: _ClassVar[WarningCode]
     WARNING_CODE_CLOCK_JUMP: _ClassVar[WarningCode]
     WARNING_CODE_HEADING_UNCERTAIN: _ClassVar[WarningCode]
+    WARNING_CODE_WRONG_UP: _ClassVar[WarningCode]
+    WARNING_CODE_SPLIT_SEAMS: _ClassVar[WarningCode]
 
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -155,6 +157,8 @@ WARNING_CODE_POINTS_BEHIND_SENSOR: WarningCode
 WARNING_CODE_BODY_APART: WarningCode
 WARNING_CODE_CLOCK_JUMP: WarningCode
 WARNING_CODE_HEADING_UNCERTAIN: WarningCode
+WARNING_CODE_WRONG_UP: WarningCode
+WARNING_CODE_SPLIT_SEAMS: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
