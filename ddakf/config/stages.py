@@ -294,7 +294,7 @@ class Reliability(Checked):
     recovery_below: float = bounded(0.35, 0, 1)  # score at which recovery starts
     recovery_above: float = bounded(0.5, 0, 1)  # score at which it ends
     recovery_lambda: float = bounded(1.0, 1, 1e6)  # factor on the physics during recovery
-    doubt_below: float = bounded(0.12, 0, 1)  # score below which the garment is searched elsewhere
+    doubt_below: float = bounded(0.06, 0, 1)  # score below which the garment is searched elsewhere
     lost_coverage: float = bounded(0.05, 0, 1)  # coverage; a frame with points and less coverage counts towards a loss
     lost_after: float = bounded(0.5, 0, 100)  # s of such frames, or of rejected fits
     longest_frame: float = bounded(0.3, 1e-3, 100)  # s that one frame counts for, at most, towards a loss
