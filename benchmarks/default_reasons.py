@@ -170,7 +170,7 @@ REASONS = {
     "Reliability.recovery_below": "chosen",
     "Reliability.recovery_above": "chosen, above recovery_below: hysteresis",
     "Reliability.recovery_lambda": "the paper raises lambda; measured, that drives a stretched garment off its template",
-    "Reliability.doubt_below": "chosen: a predicted error above 10 cm",
+    "Reliability.doubt_below": "tuned: a predicted error above 16 cm",
     "Reliability.lost_coverage": "chosen: so few measurements fix nothing",
     "Reliability.lost_after": "chosen: 15 frames at 30 per second",
     "Reliability.lost_after_empty": "chosen: without points the fit is unknown, not bad",
