@@ -20,12 +20,13 @@ import numpy as np
 
 import ddakf
 from ddakf import data
-from ddakf.config import Sidedness
+from ddakf.config import Sidedness, Start
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.sensors import Sensor
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.tracking.sources import SequenceSource
 from ddakf.evaluation.trials.recordings import find_recording, recording_names
+from ddakf.files.sequence import Sequence
 
 WRONG = 50.0  # mm
 CHECKS = ("input", "warnings")  # stages of a step
@@ -139,14 +140,38 @@ def mistakes() -> dict:
         "depth axis reversed": points(lambda p: p * [1, 1, -1] + [0, 0, 2 * p[:, 2].mean()]),
         "upside down": overturned,
         "body elsewhere": apart,
+        "z taken for the vertical, with a body": lambda frame: frame,
+        "body on its head": lambda frame: frame,
+        "template split along a seam": lambda frame: frame,
     }
+
+
+VERTICAL = {"z taken for the vertical, with a body": "z", "body on its head": "-y"}  # of the mistakes in the configuration
+
+
+def split(sequence: Sequence) -> Sequence:
+    """The recording with a garment whose left and right half have vertices of their own."""
+    faces, n = sequence.garment_faces, len(sequence.template)
+    right = sequence.template[faces].mean(axis=1)[:, 0] > 0
+    seam, copy = np.intersect1d(faces[right], faces[~right]), np.arange(n)
+    copy[seam] = n + np.arange(len(seam))
+    both = np.append(np.arange(n), seam)
+    return dataclasses.replace(
+        sequence,
+        garment_rest=sequence.template[both],
+        garment_vertices=sequence.garment_vertices[:, both],
+        garment_faces=np.where(right[:, None], copy[faces], faces),
+    )
 
 
 def mistake(case: tuple[str, int]) -> list[str]:
     """What the tracker says about a mistake, in lines."""
     name, frames = case
     source = source_of("sample", "front+body" if "body" in name else "front", frames, "truth")
-    run = track((mistakes()[name](frame) for frame in source), source)
+    if "split" in name:
+        source = dataclasses.replace(source, sequence=split(source.sequence))
+    config = dataclasses.replace(ddakf.Config(), start=Start(up=VERTICAL.get(name, "y")))
+    run = track((mistakes()[name](frame) for frame in source), source, config)
     lines = [f"{name}: {dict(run.states)}"]
     if len(run.rmse):
         lines[0] += f", RMSE {run.rmse.mean():.0f} mm, reliability {run.reliability.mean():.2f}, sigma {run.sigma.mean():.0f} mm"

@@ -68,20 +68,18 @@ def test_a_body_takes_the_garment_along():
     assert (tracker.predicted(gone, 1 / FPS).vertices - gone.vertices).mean(axis=0)[0] > 0.5 * drift[0]
 
 
-@pytest.mark.parametrize("worn", [False, True], ids=["alone", "worn"])
-def test_the_error_of_what_sways_as_a_whole_is_claimed_later(worn):
-    """All of it misses the prediction alike, and so does its body; 15 cm to either side, 1.5 times a second."""
-    tracker, rows, frames = Tracker(TUBE, body=BODY if worn else None), [], 40
+def test_the_error_of_what_sways_with_its_body_is_claimed_later():
+    """The body misses its own motion, and all of the garment with it; 15 cm to either side, 1.5 times a second."""
+    tracker, rows, frames = Tracker(TUBE, body=BODY), [], 40
     aside = 0.15 * np.sin(3.0 * np.pi * np.arange(frames + 2) / FPS)[:, None] * [1.0, 0.0, 0.0]
     for k in range(frames):
-        pose = BODY.vertices + aside[k] if worn else None
         points = scan(TUBE.vertices + aside[k], TUBE, 3000, 0.002, seed=k)
-        result = tracker.step(points, timestamp=k / FPS, sensor_origin=EYE + aside[k], body_vertices=pose)
-        later = tracker.predicted(result, 2 / FPS)
+        seen = {"sensor_origin": EYE + aside[k], "body_vertices": BODY.vertices + aside[k]}
+        later = tracker.predicted(tracker.step(points, timestamp=k / FPS, **seen), 2 / FPS)
         off = later.vertices - TUBE.vertices - aside[k + 2]
-        rows.append((np.square(off).sum(axis=1).mean(), np.einsum("vaa->v", later.covariance).mean()))
+        rows.append((np.square(off[:, 0]).mean(), later.covariance[:, 0, 0].mean()))
     error2, claimed2 = np.mean(rows[10:], axis=0)
-    assert 0.4 < error2 / claimed2 < 4.0
+    assert 0.5 < error2 / claimed2 < 2.0
 
 
 def test_a_body_moves_on_for_the_longest_step_alone():

@@ -10,7 +10,7 @@ from ddakf.types import Estimate, Problem, Sign
 SAMPLE = 128  # planes that are looked at
 LYING = 0.6  # times its width, below which the height of a body is that of one that lies
 UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
-OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own: 0.51 to 0.57 of standing people
+OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
 
 
