@@ -26,7 +26,7 @@ NEIGHBOURS, RATIO = 16, 2.0
 
 
 def against_open3d(settings) -> dict:
-    """One frame of the library, end to end, over Open3D's outlier removal and normals on the same cloud, in turn on one core."""
+    """A frame of the library, end to end, by both presets, and Open3D's outlier removal and normals, in turn on one core."""
     try:
         o3d = import_open3d()
     except MissingDependency as missing:
@@ -35,30 +35,33 @@ def against_open3d(settings) -> dict:
     for vertices, points in settings.open3d_sizes:
         sequence = inputs.resampled(inputs.shortened(data.sample(), settings.open3d_frames), vertices)
         run = inputs.run_of(sequence, settings.open3d_frames, "full", points)
-        tracker, ours, theirs, errors = run.tracker(), [], [], []
-        for number, cloud, how in run.frames():
-            begun = time.perf_counter()
-            result = tracker.step(cloud.points, **how)
-            between = time.perf_counter()
-            _open3d_preprocessing(o3d, cloud.points)
-            if number > min(2, len(run.clouds) - 1):
-                ours.append(1e3 * (between - begun))
-                theirs.append(1e3 * (time.perf_counter() - between))
-            truth = sequence.garment_vertices[number]
-            errors.append((rmse_mm(result.vertices, truth), normal_rmse_mm(result.vertices, truth, sequence.garment_faces)))
-        rows.append(
-            {
-                "vertices": tracker.garment.n_vertices,
-                "points": points,
-                "frames": len(ours),
-                "ddakf_frame_ms": percentiles(ours),
-                "open3d_ms": percentiles(theirs),
-                "rmse_mm": round(float(np.mean([error for error, _ in errors])), 3),
-                "normal_rmse_mm": round(float(np.mean([error for _, error in errors])), 3),
-                "open3d_over_ddakf": round(float(np.median(theirs) / np.median(ours)), 2),
-            }
-        )
+        for name, config in (("default", ddakf.Config()), ("fast", ddakf.Config.fast())):
+            rows.append({"config": name, "points": points} | _beside_open3d(o3d, run, run.tracker(config)))
     return {"rows": rows, "open3d": o3d.__version__}
+
+
+def _beside_open3d(o3d, run: inputs.Run, tracker: ddakf.Tracker) -> dict:
+    """Times of the tracker and of Open3D's preprocessing on the same clouds, frame by frame in turn, and the tracker's errors."""
+    ours, theirs, errors = [], [], []
+    for number, cloud, how in run.frames():
+        begun = time.perf_counter()
+        result = tracker.step(cloud.points, **how)
+        between = time.perf_counter()
+        _open3d_preprocessing(o3d, cloud.points)
+        if number > min(2, len(run.clouds) - 1):
+            ours.append(1e3 * (between - begun))
+            theirs.append(1e3 * (time.perf_counter() - between))
+        truth = run.sequence.garment_vertices[number]
+        errors.append((rmse_mm(result.vertices, truth), normal_rmse_mm(result.vertices, truth, run.sequence.garment_faces)))
+    return {
+        "vertices": tracker.garment.n_vertices,
+        "frames": len(ours),
+        "ddakf_frame_ms": percentiles(ours),
+        "open3d_ms": percentiles(theirs),
+        "rmse_mm": round(float(np.mean([error for error, _ in errors])), 3),
+        "normal_rmse_mm": round(float(np.mean([error for _, error in errors])), 3),
+        "open3d_over_ddakf": round(float(np.median(theirs) / np.median(ours)), 2),
+    }
 
 
 def against_icp(settings) -> list[dict]:

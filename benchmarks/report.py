@@ -67,13 +67,13 @@ def _open3d(console: Console, part: dict) -> None:
     if "skipped" in part:
         console.print(f"not compared with Open3D: {part['skipped']}")
         return
-    columns = "V", "N", "ddakf, whole frame ms", "Open3D, outliers + normals ms", "ratio", "RMSE mm", "normal"
+    columns = "V", "N", "preset", "ddakf, whole frame ms", "Open3D, outliers + normals ms", "ratio", "RMSE mm", "normal"
     table = Table(*columns, box=None, header_style="bold")
     for row in part["rows"]:
         ratio = f"1/{row['open3d_over_ddakf']:.1f}"
         times = _time(row["ddakf_frame_ms"]), _time(row["open3d_ms"])
         errors = f"{row['rmse_mm']:.1f}", f"{row['normal_rmse_mm']:.1f}"
-        table.add_row(str(row["vertices"]), str(row["points"]), *times, ratio, *errors)
+        table.add_row(str(row["vertices"]), str(row["points"]), row["config"], *times, ratio, *errors)
     console.print(table)
 
 

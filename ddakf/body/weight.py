@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.kernels import fuse as fusion
 from ddakf.kernels import strain as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.strain import StrainConstants
@@ -73,17 +74,19 @@ def force(problem: Problem, rotation: np.ndarray) -> np.ndarray | None:
     return config.weight * model.area / len(direction) * model.vertex_share[:, None] * direction + draws
 
 
-def force_on_seen(problem: Problem, observed: np.ndarray) -> np.ndarray | None:
-    """(V, 3) force on each vertex without a body, 1/m, where (V,) ``observed``; None where nothing is known of the start.
+def add_to_seen(problem: Problem, observed: np.ndarray, force: np.ndarray) -> None:
+    """Adds the forces of the start, without a body, on the vertices that (V,) are ``observed``.
 
-    Measurements hold what they see, and nothing else would hold the rest.
+    Measurements hold what they see, and nothing else would hold the rest. Where nothing is known of the start, there are none.
+
+    Args:
+        problem: the frame.
+        observed: bool.
+        force: (V, 4) 1/m, padded, in and out.
     """
-    if problem.resting is None or problem.config.physics.weight == 0 or not observed.any():
-        return None
-    share = np.where(observed, problem.model.vertex_share, 0.0)
-    upward = np.where(observed, problem.resting.upward, 0.0)
-    upward -= upward.sum() / share.sum() * share
-    return upward[:, None] * problem.config.start.to_y_up[1]
+    if problem.resting is not None and problem.config.physics.weight > 0:
+        up = problem.config.start.to_y_up[1]
+        fusion.add_upward(problem.resting.upward, problem.model.vertex_share, observed, up, force)
 
 
 def _pressed(problem: Problem, up: np.ndarray) -> np.ndarray:

@@ -148,6 +148,62 @@ def invert_blocks(D, added, inverse):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def stand_out(position, start, neighbour, boundary, share, out):
+    """``share`` of what each vertex stands out of the mean of its neighbours; 0 at boundaries.
+
+    Args:
+        position: (V, 3) metres.
+        start, neighbour: one-rings in compressed rows.
+        boundary: (H,) vertices of boundaries.
+        share: factor.
+        out: (V, 3) metres.
+    """
+    for i in range(position.shape[0]):
+        x = y = z = 0.0
+        for e in range(start[i], start[i + 1]):
+            j = neighbour[e]
+            x += position[j, 0] - position[i, 0]
+            y += position[j, 1] - position[i, 1]
+            z += position[j, 2] - position[i, 2]
+        scale = -share / max(start[i + 1] - start[i], 1)
+        out[i, 0], out[i, 1], out[i, 2] = scale * x, scale * y, scale * z
+    for k in range(boundary.shape[0]):
+        out[boundary[k], :] = 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def shift_along(target, normal, offset, shifted):
+    """``shifted`` (V, 3) = ``target`` moved along its unit ``normal`` by what ``offset`` has along it, metres; (V, 3) each."""
+    for i in range(target.shape[0]):
+        along = normal[i, 0] * offset[i, 0] + normal[i, 1] * offset[i, 1] + normal[i, 2] * offset[i, 2]
+        for a in range(3):
+            shifted[i, a] = target[i, a] + along * normal[i, a]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def add_upward(upward, share, seen, up, force):
+    """Adds upward forces on the vertices that are seen; each bears its share of their sum, so that together they are none.
+
+    Args:
+        upward: (V,) 1/m.
+        share: (V,) of the cloth.
+        seen: (V,) bool.
+        up: (3,) unit vector.
+        force: (V, 4) in and out, padded, 1/m.
+    """
+    total = cloth = 0.0
+    for i in range(upward.shape[0]):
+        if seen[i]:
+            total += upward[i]
+            cloth += share[i]
+    for i in range(upward.shape[0]):
+        if seen[i]:
+            size = upward[i] - total / cloth * share[i]
+            for a in range(3):
+                force[i, a] += size * up[a]
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def limit(step, longest, limited):
     """Shortens the rows of (V, 4) ``step`` to at most ``longest`` metres, ``limited`` (V, 3) out.
 

@@ -53,12 +53,8 @@ def _bulge(problem: Problem) -> np.ndarray | None:
     if cloud is None or cloud.empty or not (problem.body is not None or _all_around(problem)):
         return None
     share = min(LARGEST_BULGE, BULGE * (config.plane_radius * cloud.cell / model.edge_length) ** 2)
-    degree = np.diff(model.start)
-    inner = degree > 0
-    bulge = np.zeros((len(degree), 3))
-    neighbours = np.add.reduceat(problem.motion_start[model.neighbour], model.start[:-1][inner], axis=0)
-    bulge[inner] = share * (problem.motion_start[inner] - neighbours / degree[inner, None])
-    bulge[model.boundary[:, 0]] = 0.0
+    bulge = np.empty(problem.motion_start.shape)
+    kernels.stand_out(problem.motion_start, model.start, model.neighbour, model.boundary[:, 0], share, bulge)
     return bulge
 
 
@@ -157,7 +153,8 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
     variance = np.maximum(variance, config.adapt.lowest_sd**2)
     tangential, target = np.full(n, config.associate.tangential_sd**2), measurement.target
     if estimate.bulge is not None:
-        target = target + np.einsum("va,va->v", measurement.normal, estimate.bulge)[:, None] * measurement.normal
+        target = np.empty_like(target)
+        kernels.shift_along(measurement.target, measurement.normal, estimate.bulge, target)
     return Planes(
         target,
         measurement.normal,
@@ -211,9 +208,10 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     stretch, shear, _, collision = energies.stiffness
     if energies.collision is not None:
         kernels.add_single(*energies.collision, collision, D, force)
-    gravity = cloth_weight.force_on_seen(problem, estimate.observed) if _all_around(problem) else estimate.gravity
-    if gravity is not None:
-        force[:, :3] += gravity
+    if _all_around(problem):
+        cloth_weight.add_to_seen(problem, estimate.observed, force)
+    elif estimate.gravity is not None:
+        force[:, :3] += estimate.gravity
     if energies.self_collision is not None:
         self_collision_kernels.add_pairs(*energies.self_collision, energies.self_stiffness, D, force)
     rigid = (estimate.rest, estimate.motion)

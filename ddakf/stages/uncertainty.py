@@ -16,6 +16,7 @@ import numpy as np
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
+from ddakf.kernels import follow
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
@@ -197,12 +198,15 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
 
 def _turned_with(before: np.ndarray, after: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """(V, 3) metres: vertices ``before``, moved by the rigid motion of the ``seen`` (V,) to ``after`` (Kabsch 1976)."""
-    if np.count_nonzero(seen) < LEAST_TURNED:
+    sums = np.empty((1, 16))
+    follow.moments(before, after, seen, np.zeros(len(seen), np.int32), sums)
+    count, means = sums[0, 0], sums[0, 1:] / max(sums[0, 0], 1.0)
+    if count < LEAST_TURNED:
         return before
-    old, new = before[seen], after[seen]
-    middle, there = old.mean(axis=0), new.mean(axis=0)
-    u, _, vt = np.linalg.svd((new - there).T @ (old - middle))
-    return (before - middle) @ (u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt).T + there
+    middle, there = means[:3], means[3:6]
+    u, _, vt = np.linalg.svd(means[6:].reshape(3, 3).T - np.outer(there, middle))
+    rotation = u * [1.0, 1.0, np.sign(np.linalg.det(u @ vt))] @ vt
+    return before @ rotation.T + (there - rotation @ middle)
 
 
 def bound(state: State, limits: Uncertainty) -> State:
