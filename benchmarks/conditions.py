@@ -28,6 +28,7 @@ from ddakf.body import contact
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
+from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.files.sequence import Sequence
 
 RESULT = Path(__file__).parent / "results/conditions.json"
@@ -51,7 +52,7 @@ RECORDINGS = (
 
 @lru_cache(maxsize=1)
 def _loaded(name: str) -> Sequence:
-    return collection.load(name)
+    return find_recording(name)
 
 
 @lru_cache(maxsize=2)

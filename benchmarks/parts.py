@@ -1,9 +1,10 @@
 """Error, time and lines of the tracker's parts: ``python benchmarks/parts.py [--seeds 5] [--procs 2] [--out FILE]``.
 
 Clips of training recordings (see :mod:`conditions`) are tracked by the default and by it without each of its parts, in three
-views and with several seeds of the noise; the parts that are about low rates also at 10 frames per second. Printed are errors and
-processor times over those of the default, and the lines of the modules that are of that part alone. Rows of ``--out`` are not run
-again. Writes benchmarks/results/parts.json, from which ``--table`` prints the table.
+views and with several seeds of the noise; the parts that are about low rates also at 10 frames per second. Their templates are
+coarse. The sample and the tuned recordings of DDAKF_DATA, those that are there, have fine ones, and some stretch: they stand
+apart. Printed are errors and processor times over those of the default, and the lines of the modules that are of that part alone.
+Rows of ``--out`` are not run again. Writes benchmarks/results/parts.json, from which ``--table`` prints the table.
 """
 
 from __future__ import annotations
@@ -27,11 +28,14 @@ import ddakf
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.trials import variants
+from ddakf.evaluation.trials.recordings import find_recording, recording_names
 
 RESULT, ROWS = Path(__file__).parent / "results/parts.json", Path("out/parts.jsonl")
 EVERY = 2  # every so-many-th training recording
+FINE = ("sample", "pergamo_005", "samba_dress", "samba_whole", "sim_skirt_dance", "sim_tank_move", "sim_tshirt_jump")
+PLAIN, SLOWLY, FINELY = "plain", "10 fps", "fine templates"  # conditions of a row
 SLOW = ("default", "one-association", "no-clusters")  # also at 10 frames per second
-WITH_BODY, WITHOUT = ("no-carrying", "no-holding", "no-weight"), ("no-following", "no-hidden-edge")  # others have no such part
+WITH_BODY, WITHOUT = ("no-carrying", "no-holding"), ("no-following", "no-hidden-edge")  # others have no such part
 CODE = Path(ddakf.__file__).parent
 MODULES = {
     "no-clusters": ("multiresolution/cluster_alignment.py", "kernels/cluster_alignment.py"),
@@ -47,10 +51,14 @@ FIELDS = ("rmse_mm", "cpu_ms")
 def configurations() -> dict[str, ddakf.Config]:
     """The default, and the default without each part."""
     default = ddakf.Config()
-    even, stiff = (
-        replace(default, physics=replace(default.physics, **change)) for change in ({"hidden_edge": 0.0}, {"coarse_share": 1.0})
-    )
-    return {"default": default, **variants.ablations(), **variants.refinements(), "no-hidden-edge": even, "no-coarse-edge": stiff}
+    return {
+        "default": default,
+        **variants.ablations(),
+        **variants.refinements(),
+        "no-bulge": replace(default, associate=replace(default.associate, bulge=0.0)),
+        "no-hidden-edge": replace(default, physics=replace(default.physics, hidden_edge=0.0)),
+        "no-coarse-edge": replace(default, physics=replace(default.physics, coarse_share=1.0)),
+    }
 
 
 def lines(part: str) -> int | None:
@@ -73,19 +81,24 @@ def jobs(names: Iterable[str], seeds: int) -> list[tuple[str, tuple]]:
     """All runs, those of a recording and view together, so that a process loads it once."""
     texts = {part: json.dumps(config.to_dict()) for part, config in configurations().items()}
     found = []
-    for name, view, (part, text), condition in itertools.product(names, VIEWS, texts.items(), ("plain", "10 fps")):
-        if (part in WITHOUT) if "body" in view else (part in WITH_BODY):
+    for name, view, (part, text), condition in itertools.product(names, VIEWS, texts.items(), (PLAIN, SLOWLY)):
+        if (part in WITHOUT or not find_recording(name).has_body) if "body" in view else (part in WITH_BODY):
             continue
-        if condition == "plain" or part in SLOW:
+        if condition == PLAIN or (part in SLOW and name not in FINE):
             found += [(part, (name, view, condition, FRAMES, text, seed)) for seed in range(1, seeds + 1)]
     return found
+
+
+def condition_of(row: dict) -> str:
+    """The condition of a row's column."""
+    return FINELY if row["recording"] in FINE else row["condition"]
 
 
 def summary(rows: list[dict]) -> list[dict]:
     """Rows by part, condition and view: geometric means of error and time over those of the default on the same clouds."""
     default, found = {key_of(row): row for row in rows if row["part"] == "default"}, []
-    for part, condition, view in dict.fromkeys((row["part"], row["condition"], row["view"]) for row in rows):
-        mine = [row for row in rows if (row["part"], row["condition"], row["view"]) == (part, condition, view)]
+    for part, condition, view in dict.fromkeys((row["part"], condition_of(row), row["view"]) for row in rows):
+        mine = [row for row in rows if (row["part"], condition_of(row), row["view"]) == (part, condition, view)]
         ratio = {field: [{field: row[field] / default[key_of(row)][field]} for row in mine] for field in FIELDS}
         by_recording = [
             geometric([each for each, row in zip(ratio["rmse_mm"], mine, strict=True) if row["recording"] == name], "rmse_mm")
@@ -110,9 +123,10 @@ def summary(rows: list[dict]) -> list[dict]:
 def table(report: dict) -> None:
     """Prints the table in Markdown."""
     rows = {(row["part"], row["condition"], row["view"]): row for row in report["rows"]}
-    columns = [("plain", view) for view in VIEWS] + [("10 fps", view) for view in VIEWS]
+    columns = [(condition, view) for condition in (PLAIN, FINELY, SLOWLY) for view in VIEWS]
     names = {"full": "all around", "front": "one camera", "front+body": "one camera, body"}
-    heads = [names[view] + (", 10 per second" if condition == "10 fps" else "") for condition, view in columns]
+    added = {PLAIN: "", FINELY: ", fine", SLOWLY: ", 10 per second"}
+    heads = [names[view] + added[condition] for condition, view in columns]
     print(f"| without | {' | '.join(heads)} | time | lines |\n|---{'|---' * len(heads)}|---|---|")
     for part in dict.fromkeys(row["part"] for row in report["rows"]):
         cells = [rows.get((part, *column)) for column in columns]
@@ -138,6 +152,7 @@ def main(argv: list[str] | None = None) -> int:
         table(json.loads(arguments.json.read_text()))
         return 0
     names = arguments.recordings or [each.name for each in collection.listed(collection.TRAINING)][::EVERY]
+    names += [] if arguments.recordings else [name for name in FINE if name in recording_names()]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.is_file() else []
     have = {job_key(row) for row in rows}

@@ -46,7 +46,6 @@ class SizeEvidence(NamedTuple):
 
     unmatched: float  # share of the vertices that a sensor may see and that no measurement was found for
     hem: float  # m^2, mean squared distance of hems from where the cloud ends
-    unseen: np.ndarray  # (L,) share of the vertices that was not measured
     clearance: np.ndarray | float  # (V,) m from the body; 0 without one
     slack: np.ndarray | float  # (L,) m, standard deviation of the place on the body; 0 without one
     strain: np.ndarray  # (V,) mean squared strain of the edges at the vertex
@@ -60,7 +59,7 @@ class SizeEvidence(NamedTuple):
     blind: float  # share of the vertices that were not measured; 0 beside a body
 
 
-OF_PATCHES = frozenset({"unseen", "slack", "turned", "moved"})
+OF_PATCHES = frozenset({"slack", "turned", "moved"})
 _SCALES, _POWERS = (attrgetter(*(f"{name}_{kind}" for name in SizeEvidence._fields)) for kind in ("scale", "power"))
 
 
@@ -90,7 +89,6 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     return SizeEvidence(
         unmatched=estimate.unmatched if count else 1.0,
         hem=problem.last.drift.hem2 if seen_hem is None else seen_hem,
-        unseen=1.0 - patches.observed / patches.size,
         clearance=clearance,
         slack=0.0 if slack is None else slack,
         strain=patches.strain,
@@ -145,7 +143,7 @@ def _log_factors(found: SizeEvidence, law: LogLaw, patch: np.ndarray, seen: np.n
         if isinstance(value, np.ndarray) and name not in OF_PATCHES:
             by_vertex.append(k)
     by_patch = [k for k in range(len(found)) if k not in by_vertex]  # one number for all is the same for each patch
-    of_patches, of_vertices = np.empty((len(by_patch), len(found.unseen))), np.empty((len(by_vertex), len(patch)))
+    of_patches, of_vertices = np.empty((len(by_patch), len(found.turned))), np.empty((len(by_vertex), len(patch)))
     terms = by_patch + by_vertex
     for row, k in zip((*of_patches, *of_vertices), terms, strict=True):
         row[:] = found[k]

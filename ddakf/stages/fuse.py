@@ -21,9 +21,6 @@ from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
-LARGEST_BULGE = 0.3  # of what a vertex stands out of its neighbours
-BULGE = 0.3  # the same, where a patch is as wide as the edges; fitted to training recordings
-
 
 def begin(problem: Problem) -> Estimate:
     """The estimate before the first pass: the prediction, with its locally rigid terms."""
@@ -49,10 +46,13 @@ def _bulge(problem: Problem) -> np.ndarray | None:
     to e^2, and of the mean of a patch around it to r^2 / 2. The plane of a patch beside it slopes toward it, so that less is
     missing. From one camera without a body nothing else holds the shape, and bulges would grow.
     """
-    model, cloud, config = problem.model, problem.cloud, problem.config.preprocess
-    if cloud is None or cloud.empty or not (problem.body is not None or _all_around(problem)):
+    model, cloud, association = problem.model, problem.cloud, problem.config.associate
+    if isinstance(association, NearestPoint) or cloud is None or cloud.empty:
         return None
-    share = min(LARGEST_BULGE, BULGE * (config.plane_radius * cloud.cell / model.edge_length) ** 2)
+    if association.bulge == 0.0 or not (problem.body is not None or _all_around(problem)):
+        return None
+    width = problem.config.preprocess.plane_radius * cloud.cell / model.edge_length
+    share = association.bulge * min(1.0, width**2)
     bulge = np.empty(problem.motion_start.shape)
     kernels.stand_out(problem.motion_start, model.start, model.neighbour, model.boundary[:, 0], share, bulge)
     return bulge

@@ -8,7 +8,7 @@ import pytest
 
 from ddakf import Config, Fabric, Tracker
 from ddakf.body import contact as body_contact
-from ddakf.config import MapUpdate
+from ddakf.config import MapUpdate, PlaneAssociation
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import energies, rigidity
@@ -351,15 +351,14 @@ def test_a_matrix_that_is_not_finite_has_no_inverse():
     assert np.isnan(fuse.invert(np.full((9, 9), np.inf))).all()
 
 
-def test_vertices_stand_out_of_the_patches_that_their_planes_are_fitted_to(monkeypatch):
+def test_vertices_stand_out_of_the_patches_that_their_planes_are_fitted_to():
     garment = tube()
     normal, inner = np.empty_like(garment.vertices), np.ones(garment.n_vertices, bool)
     vertex_normals(garment.vertices, garment.faces.astype(np.int32), normal)
     inner[model.build(garment).boundary[:, 0]] = False
     across = []
-    for largest in (0.0, fuse.LARGEST_BULGE):
-        monkeypatch.setattr(fuse, "LARGEST_BULGE", largest)
-        tracker = Tracker(garment)
+    for bulge in (0.0, PlaneAssociation.bulge):
+        tracker = Tracker(garment, config=Config(associate=PlaneAssociation(bulge=bulge)))
         for k in range(12):
             result = tracker.step(scan(garment.vertices, garment, seed=k), timestamp=k / FPS)
         across.append(np.einsum("va,va->v", result.vertices - garment.vertices, normal)[inner])
