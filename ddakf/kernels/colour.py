@@ -10,6 +10,7 @@ SIDE = 5  # texels along either axis of a patch
 CHANNELS = 2
 MOST = 192  # points of a patch that are used
 REGISTERED, LEARNED = 64, 512  # points around a patch that are looked at; of more, an even sample is
+COMPARED = 4  # every so-many-th point of a patch tells the noise of its channels
 LEAST_POINTS = 3  # with a learned colour, from which on a patch says something
 
 
@@ -109,7 +110,7 @@ def points_of_patch(cloud, planes, v, axes, limits, place, number):
     """
     texel, depth, most = limits
     points, start, cell, dims = cloud.points, cloud.start, cloud.cell, cloud.dims
-    inverse, half = 1.0 / cell, 0.5 * (SIDE - 1)
+    inverse, per_texel, half = 1.0 / cell, 1.0 / texel, 0.5 * (SIDE - 1)
     px = planes.position[v, 0] - cloud.origin[0]
     py = planes.position[v, 1] - cloud.origin[1]
     pz = planes.position[v, 2] - cloud.origin[2]
@@ -145,10 +146,11 @@ def points_of_patch(cloud, planes, v, axes, limits, place, number):
             for k in range(begin, end, every):
                 dx, dy, dz = points[0, k] - px, points[1, k] - py, points[2, k] - pz
                 a, b = ux * dx + uy * dy + uz * dz, vx * dx + vy * dy + vz * dz
-                if (abs(a) < reach) & (abs(b) < reach) & (abs(nx * dx + ny * dy + nz * dz) < depth) and n < MOST:
-                    place[n, 0], place[n, 1] = a / texel + half, b / texel + half
-                    number[n] = k
-                    n += 1
+                place[n, 0], place[n, 1] = a * per_texel + half, b * per_texel + half
+                number[n] = k  # a point that is not on the patch is overwritten by the next one
+                n += int((abs(a) < reach) & (abs(b) < reach) & (abs(nx * dx + ny * dy + nz * dz) < depth))
+                if n == MOST:
+                    return n
     return n
 
 
@@ -296,31 +298,37 @@ def learn(cloud, planes, patches, certainty, most, depth, squares):
     """
     axes, place, number = np.empty((2, 3)), np.empty((MOST, 2)), np.empty(MOST, np.int64)
     found, texel, inverse = np.empty((3, CHANNELS)), patches.texel, np.empty((SIDE, SIDE))
+    sums = np.empty((SIDE, SIDE, CHANNELS + 1))  # of the points' shares in a texel, times their channels and alone
     squares[:] = 0.0
     for v in range(planes.position.shape[0]):
         if not planes.used[v] or not tangent_axes(planes, v, axes):
             continue
         n = points_of_patch(cloud, planes, v, axes, (texel, depth, LEARNED), place, number)
         variances_of_texels(patches.weight[v], 1.0, inverse)
-        for k in range(n):
+        for k in range(0, n, COMPARED):
             if look_up(patches.mean[v], inverse, place[k, 0], place[k, 1], texel, found)[0] < np.inf:
                 for c in range(CHANNELS):
                     squares[c] += (cloud.channels[c, number[k]] - found[0, c]) ** 2
                 squares[CHANNELS] += 1.0
+        sums[:] = 0.0
         for k in range(n):
             i, j = min(int(place[k, 0]), SIDE - 2), min(int(place[k, 1]), SIDE - 2)
             f, g = place[k, 0] - i, place[k, 1] - j
             for a in range(2):
                 for b in range(2):
                     share = (f if a == 1 else 1.0 - f) * (g if b == 1 else 1.0 - g)
-                    added = share * certainty[v]
-                    total = patches.weight[v, i + a, j + b] + added
-                    if total <= 0.0:
-                        continue
                     for c in range(CHANNELS):
-                        old = patches.mean[v, i + a, j + b, c]
-                        patches.mean[v, i + a, j + b, c] = old + added / total * (cloud.channels[c, number[k]] - old)
-                    patches.weight[v, i + a, j + b] = min(total, most[v])
+                        sums[i + a, j + b, c] += share * cloud.channels[c, number[k]]
+                    sums[i + a, j + b, CHANNELS] += share
+        for i in range(SIDE):
+            for j in range(SIDE):
+                added = certainty[v] * sums[i, j, CHANNELS]
+                total = patches.weight[v, i, j] + added
+                if added > 0.0:
+                    for c in range(CHANNELS):
+                        old = patches.mean[v, i, j, c]
+                        patches.mean[v, i, j, c] = old + (certainty[v] * sums[i, j, c] - added * old) / total
+                    patches.weight[v, i, j] = min(total, most[v])
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
