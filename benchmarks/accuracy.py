@@ -59,8 +59,8 @@ def grid(arguments) -> list[Trial]:
         if (body or arguments.unsegmented) and not find_recording(name).has_body:
             continue
         for variant in arguments.variants:
-            if variant in BASELINES and variant != "clothfit" if body else variant == "no-carrying":
-                continue  # registration ignores the body, and a carried garment has no meaning without one
+            if not body and variant == "no-carrying":
+                continue  # nothing carries the garment without a body
             trial = _trial(arguments, name, view, bool(body), seed, variant)
             wanted += [replace(trial, disturbance=script.name) for script in DISTURBANCES] if arguments.disturbances else [trial]
     return wanted

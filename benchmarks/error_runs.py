@@ -95,22 +95,23 @@ def play(runs: list[Run], frames: int, procs: int, preset: str = "default") -> t
     return Rows(*map(np.concatenate, zip(*rows, strict=True))), Frames(*map(np.concatenate, zip(*of_frames, strict=True)))
 
 
-def save(path: Path, runs: list[Run], rows: Rows, frames: Frames) -> None:
-    """Writes what the runs gave."""
+def save(path: Path, runs: list[Run], rows: Rows, frames: Frames, settings: str) -> None:
+    """Writes what the runs gave with some settings."""
     columns = {f"row_{name}": column for name, column in rows._asdict().items()}
     columns |= {f"frame_{name}": column for name, column in frames._asdict().items()}
-    np.savez_compressed(path, runs=_names(runs), fields=SizeEvidence._fields, **columns)
+    np.savez_compressed(path, runs=_names(runs), settings=settings, fields=SizeEvidence._fields, **columns)
 
 
-def load(path: Path, runs: list[Run]) -> tuple[Rows, Frames]:
+def load(path: Path, runs: list[Run], settings: str) -> tuple[Rows, Frames]:
     """What these runs gave; of the evidence, what the laws have by now.
 
     Raises:
-        SystemExit: the file is of other runs, or lacks evidence.
+        SystemExit: the file is of other runs or settings, or lacks evidence.
     """
     with np.load(path) as saved:
         fields = saved["fields"].tolist()
-        if saved["runs"].tolist() != _names(runs) or not set(SizeEvidence._fields) <= set(fields):
+        same = saved["runs"].tolist() == _names(runs) and str(saved.get("settings")) == settings
+        if not same or not set(SizeEvidence._fields) <= set(fields):
             raise SystemExit(f"{path} holds other runs: name another file, or delete it")
         rows = Rows(*(saved[f"row_{name}"] for name in Rows._fields))
         columns = [0, 1, *(2 + fields.index(name) for name in SizeEvidence._fields)]

@@ -8,12 +8,12 @@ of the frames by what their reliability says.
 Training recordings, captures and held-out recordings, on which nothing is chosen, stand apart.
 Draws the shares in the ellipsoids of all levels.
 
-``--fit`` fits the powers and bases of ``NormalError`` and ``TangentialError`` to training recordings and captures (maximum
-likelihood of a Student t with five degrees of freedom, every run the same weight; then the bases of each group, so that the 90 %
-ellipsoids hold 92 % in the mean of the undisturbed runs: a margin for garments that were not there) and prints them, with the
-same tables for the fitted laws: each garment, and the captures, by laws that were fitted without them. Of ``--preset fast`` only
-the bases are fitted. Likelihoods are compared with those of one size for each group. ``FrameError`` is fitted to the sigmas as
-reported: in a second run, when the other laws are in the configuration.
+``--fit`` fits the powers and bases of ``NormalError`` and ``TangentialError`` to the training recordings (maximum likelihood of a
+Student t with five degrees of freedom, every run the same weight; then the bases of each group, so that the 90 % ellipsoids hold
+92 % in the mean of the undisturbed runs: a margin for garments that were not there) and prints them, with the same tables for the
+fitted laws, each garment by laws that were fitted without it. Of ``--preset fast`` only the bases are fitted.
+Likelihoods are compared with those of one size for each group. ``FrameError`` is fitted to the sigmas as reported: in a second
+run, when the other laws are in the configuration.
 """
 
 from __future__ import annotations
@@ -322,13 +322,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="of the tables and the laws")
     parser.add_argument("--diagram", type=Path, default=DIAGRAM, help="picture of the levels (default out/error_size.png)")
     arguments = parsed(parser, argv, target="json")
-    runs = planned(arguments.recordings)
+    runs, settings = planned(arguments.recordings), f"{arguments.preset}, {arguments.frames} frames"
+    if arguments.fit and not any(run.listed.split == collection.TRAINING for run in runs):
+        parser.error("--fit: expected training recordings among --recordings, got none")
     if arguments.rows and arguments.rows.is_file():
-        rows, frames = load(arguments.rows, runs)
+        rows, frames = load(arguments.rows, runs, settings)
     else:
         rows, frames = play(runs, arguments.frames, arguments.procs, arguments.preset)
         if arguments.rows:
-            save(arguments.rows, runs, rows, frames)
+            save(arguments.rows, runs, rows, frames, settings)
     found = report(runs, rows, frames, arguments.fit, arguments.preset, arguments.keep_powers)
     shown = [name for name in ("held-out, fitted", "each garment left out", *found["levels"]) if name in found["levels"]][:2]
     lines = {f"{name}: {group}": curve for name in shown for group, curve in found["levels"][name].items()}

@@ -4,7 +4,8 @@ Clips of training recordings (see :mod:`conditions`) are tracked by the default 
 views and with several seeds of the noise; the parts that are about low rates also at 10 frames per second. Their templates are
 coarse. The sample and the tuned recordings of DDAKF_DATA, those that are there, have fine ones, and some stretch: they stand
 apart. Printed are errors and processor times over those of the default, and the lines of the modules that are of that part alone.
-Rows of ``--out`` are not run again. Writes benchmarks/results/parts.json, from which ``--table`` prints the table.
+Rows of ``--out`` that this commit has left are not run again. Writes benchmarks/results/parts.json, from which ``--table`` prints
+the table.
 """
 
 from __future__ import annotations
@@ -155,15 +156,18 @@ def main(argv: list[str] | None = None) -> int:
     names += [] if arguments.recordings else [name for name in FINE if name in recording_names()]
     arguments.out.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.is_file() else []
+    commit = machine.commit()
+    rows = [row for row in rows if row.get("commit") == commit and row["frames"] == FRAMES]
     have = {job_key(row) for row in rows}
     todo = [job for job in jobs(names, arguments.seeds) if (job[0], *job[1][:3], job[1][5]) not in have]
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool, arguments.out.open("a") as file:
         console, runs = Console(stderr=True), pool.imap(tracked, todo, chunksize=arguments.seeds)
         for row in track(runs, "tracking", len(todo), console=console):
+            row["commit"] = commit
             rows.append(row)
             file.write(json.dumps(row) + "\n")
             file.flush()
-    report = {"commit": machine.commit(), "machine": machine.describe()}
+    report = {"commit": commit, "machine": machine.describe()}
     report |= {"rows": summary(rows), "lines": {part: count for part in configurations() if (count := lines(part))}}
     arguments.json.write_text(json.dumps(report, indent=1) + "\n")
     table(report)

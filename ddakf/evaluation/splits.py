@@ -34,6 +34,7 @@ CATEGORIES = {
     BODY: ("whole", "body"),
 }
 ORIGINS = {"sample": "T-shirt", "pergamo": "T-shirt", "faust": BODY}
+WITHOUT_LIMBS = frozenset({"tank", "top", "skirt", "dress", "cape"})  # words of garments without sleeves and legs
 MADE_BY = frozenset({"sim", "simulated"})  # words that name neither garment nor motion
 
 
@@ -103,6 +104,11 @@ def unit_of(sequence: str) -> str:
     """The unit of a test: the sequence, or of a clip of FAUST (``faust_s3_p7``, ``MPI-FAUST#s3_p7``) its subject."""
     found = FAUST_NAME.search(sequence)
     return f"FAUST, subject {found[1]}" if found else sequence
+
+
+def turns_unseen(sequence: str) -> bool:
+    """True for garments without sleeves and legs, by their names: turned about the vertical they look alike."""
+    return bool(WITHOUT_LIMBS & set(_words(sequence)))
 
 
 def is_untouched(sequence: str) -> bool:

@@ -2,7 +2,7 @@
 
 The collection lies in ``benchmarks/recordings`` of a source checkout, or where DDAKF_RECORDINGS points; wheels do not have it.
 Recordings of the split ``held-out`` are for scores alone: no constant, weight or setting may be fitted to them. Those of
-``fresh`` were simulated when all was fixed, and scored after that.
+``fresh`` were simulated when all was fixed and scored then; later scores are of later trackers.
 """
 
 from __future__ import annotations

@@ -126,8 +126,9 @@ class Result:
 
 
 def _lost(cell: dict) -> list[bool]:
-    """For each run with a truth, True if it lost the garment."""
-    return statistics.lost(run["rmse_mm"] for run in cell["runs"] if run["rmse_mm"] is not None)
+    """For each run with a truth, and each that failed, True if it lost the garment."""
+    errors = [run["rmse_mm"] for run in cell["runs"] if run["rmse_mm"] is not None]
+    return statistics.lost(errors + [None] * cell.get("failed_runs", 0))
 
 
 def _has(cell: dict, value: str) -> bool:

@@ -85,7 +85,7 @@ class Disc:
     """A disc in front of the garment that hides all points behind it, as an arm or a passer-by does; ``radius`` in metres.
 
     The eye is the sensor. Where the cloud has none, the eye is :data:`EYE_DISTANCE` away in a random direction, and the disc
-    hides the near and the far side of the garment. The disc stands still while the garment moves.
+    hides the near and the far side of the garment. The disc goes with the middle of the cloud, and the garment moves behind it.
     """
 
     radius: float

@@ -154,6 +154,7 @@ class Sensor:
         if sequence.has_body:
             meshes.append((sequence.body_vertices[frame], sequence.body_faces))
         depth, face = camera.render(meshes)
+        # pixels that mix two surfaces are added to those that stay: they stand for the ones that no filter has found
         keep = without_fliers(depth, FLIER_JUMP)
         if self.segmented:
             keep &= face < len(sequence.garment_faces)

@@ -131,7 +131,7 @@ def run_study(
     meta = {
         "command": "ddakf " + shlex.join(sys.argv[1:]),
         "date": time.strftime("%Y-%m-%d"),
-        "commits": sorted({str(row["commit"]) for row in rows}),
+        "commits": sorted({str(row["commit"]) for row in rows if "not_applicable" not in row}),
         "machine": machine.describe() | {"processes": procs},
         "seeds": list(range(1, plan.runs + 1)),
         "frames": plan.frames,

@@ -77,7 +77,8 @@ def summarise(rows: list[dict], meta: dict) -> dict:
 
     Returns:
         ``meta``; ``results``: by sequence, view and method ``runs`` (a value that does not apply is None), ``mean`` and ``sd``
-        over them (None with one run), or ``failed`` or ``not_applicable`` with the sentence; ``p_values``: see :func:`tests`.
+        over them (None with one run); ``failed`` or ``not_applicable`` with the sentence where runs were, and ``failed_runs``
+        with their number; ``p_values``: see :func:`tests`.
     """
     cells = defaultdict(list)
     for row in rows:
@@ -98,6 +99,8 @@ def _cell(sequence: str, view: str, method: str, rows: list[dict]) -> dict:
             cell[reason] = "; ".join(sentences)
     runs = [_run(row) for row in rows if has_result(row)]
     cell["runs"] = runs
+    if failed := sum("failed" in row for row in rows):
+        cell["failed_runs"] = failed
     spreads = {name: statistics.spread([run.get(name) for run in runs]) for name in VALUES}
     cell["mean"] = {name: json_numbers(spread.mean) for name, spread in spreads.items()} if runs else None
     cell["sd"] = {name: json_numbers(spread.sd) for name, spread in spreads.items()} if runs else None
@@ -157,8 +160,7 @@ def tests(cells: list[dict]) -> dict:
         By ``all`` or a view, and by metric: ``comparisons`` by method, :class:`ddakf.evaluation.statistics.Comparison` with
         Holm's correction over the methods; and ``standing``, :class:`ddakf.evaluation.statistics.Standing`. Empty without DD-AKF.
     """
-    cells = [cell for cell in cells if cell["mean"]]
-    if not any(cell["method"] == OURS for cell in cells):
+    if not any(cell["method"] == OURS and cell["mean"] for cell in cells):
         return {}
     views = list(dict.fromkeys(cell["view"] for cell in cells))
     parts = {"all": cells}
@@ -168,15 +170,15 @@ def tests(cells: list[dict]) -> dict:
 
 
 def _tests(cells: list[dict]) -> dict:
-    others = [name for name in dict.fromkeys(cell["method"] for cell in cells) if name != OURS]
-    rmse = {name: [run["rmse_mm"] for cell in cells if cell["method"] == name for run in cell["runs"]] for name in others}
-    rmse = {name: [value for value in values if value is not None] for name, values in rmse.items()}
+    measured = [cell for cell in cells if cell["mean"]]
+    others = [name for name in dict.fromkeys(cell["method"] for cell in measured) if name != OURS]
+    rmse = {name: _errors_of_runs([cell for cell in cells if cell["method"] == name]) for name in others}
     table = {}
     for metric in TESTED:
         better = "higher" if metric in HIGHER_IS_BETTER else "lower"
         compared = {}
         for other in others:
-            ours, theirs = paired(cells, OURS, metric), paired(cells, other, metric)
+            ours, theirs = paired(measured, OURS, metric), paired(measured, other, metric)
             views = {place: None for place in ours if place in theirs}  # of the cells that both have
             compared[other] = statistics.compare(by_unit(ours, views), by_unit(theirs, views), better)
         if any(comparison.n for comparison in compared.values()):
@@ -187,6 +189,12 @@ def _tests(cells: list[dict]) -> dict:
                 "standing": standing._asdict() | {"better_than_every": standing.better_than_every},
             }
     return table
+
+
+def _errors_of_runs(cells: list[dict]) -> list[float | None]:
+    """The RMSE of each run of a method, mm; None for one that failed. Empty where no run has a truth."""
+    errors = [run["rmse_mm"] for cell in cells for run in cell["runs"] if run["rmse_mm"] is not None]
+    return errors + [None] * sum(cell.get("failed_runs", 0) for cell in cells) if errors else []
 
 
 def paired(cells: list[dict], method: str, metric: str) -> dict[tuple[str, str], float]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from ddakf.evaluation.splits import turns_unseen
 from ddakf.evaluation.trials.calibration_pools import by_kind, calibrated, mean, pooled, view_of, with_mask
 from ddakf.evaluation.trials.methods import BASELINES
 
 CONVERGED_WITHIN = 15  # frames in which a run from a random start must converge
 RECOVERED_WITHIN = 10  # frames in which a run must recover from a disturbance
-# Garments whose sleeves or legs determine the vertices' places. Skirts and tank tops can be turned without a normal error
-ASYMMETRIC = ("sample", "pergamo_005", "sim_tshirt_jump", "samba_whole")
 SUMMARISED = ("default", "paper", *BASELINES)  # variants with all metrics in the summary; the others have the errors only
 ACCURACY = (  # heading, key, decimals
     ("normal", "normal_rmse_mm", 1),
@@ -56,10 +55,10 @@ def report(rows: list[dict]) -> str:
 def accuracy(rows: list[dict], variant: str = "default") -> str:
     """A variant per sequence and view, means over the seeds, with the non-rigid ICP's of the same clouds beside it."""
     ours = _by(rows, lambda row: (row["sequence"], view_of(row)), variant)
-    other = _by(rows, lambda row: (row["sequence"], view_of(row).replace("+body", "")), "nicp")
+    other = _by(rows, lambda row: (row["sequence"], view_of(row)), "nicp")
     lines = []
     for (sequence, view), runs in ours.items():
-        nicp = other.get((sequence, view.replace("+body", "")), [])
+        nicp = other.get((sequence, view), [])
         both = f"{_number(mean(nicp, 'rmse_mm'))} / {_number(mean(nicp, 'normal_rmse_mm'))}" if nicp else ""
         values = [_number(mean(runs, key), decimals) for _, key, decimals in ACCURACY]
         lines.append([sequence, view, str(len(runs)), _spread(runs, "rmse_mm"), *values, _states(runs), both])
@@ -92,14 +91,14 @@ def ablation(rows: list[dict]) -> str:
     return _markdown(["sequence", "view", *variants], lines)
 
 
-def calibration(rows: list[dict], variant: str = "default", scale: Mapping[str, float] | None = None) -> str:
+def calibration(rows: list[dict], variant: str = "default") -> str:
     """:func:`calibrated` as a table."""
     lines = [
         [
             part["runs"], part["group"], f"{part['n']:,}", f"{part['coverage90']:.1%}", f"{part['nees3']:.2f}",
             f"{part['nll_excess']:+.2f}", _number(part["spearman_front"], 2),
         ]
-        for part in calibrated(rows, variant, scale)
+        for part in calibrated(rows, variant)
     ]  # fmt: skip
     heads = ["runs", "group", "vertices", "in 90 %", "NEES/3", "NLL less best constant's", "Spearman(sigma, error), front"]
     return _markdown(heads, lines)
@@ -145,7 +144,7 @@ def converged(rows: list[dict]) -> str:
 
 def success(row: dict) -> bool:
     """True if a run from a random start converged in normal RMSE, and in vertex RMSE if the garment is asymmetric."""
-    return _soon(row, "normal_rmse_mm") and (row["sequence"] not in ASYMMETRIC or _soon(row, "rmse_mm"))
+    return _soon(row, "normal_rmse_mm") and (turns_unseen(row["sequence"]) or _soon(row, "rmse_mm"))
 
 
 def summary(rows: list[dict]) -> dict:

@@ -51,7 +51,7 @@ def displaced_template(rest: np.ndarray, truth: np.ndarray, number: int) -> np.n
         rest, truth: (V, 3) metres, y up.
         number: of the random start.
     """
-    rng = np.random.default_rng([number, 20])
+    rng = np.random.default_rng([number, 20, 1])  # clouds have [seed, frame]
     rest, truth = np.asarray(rest, np.float64), np.asarray(truth, np.float64)
     centred, centre = rest - rest.mean(axis=0), truth.mean(axis=0)
     u, _, vt = np.linalg.svd((truth - centre).T @ centred)

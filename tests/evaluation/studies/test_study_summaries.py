@@ -41,6 +41,19 @@ def test_the_unit_of_a_test_is_the_sequence_and_seeds_and_clips_are_averaged():
     assert test["verdict"] == "n too small"
 
 
+def test_a_system_whose_runs_failed_has_lost_them():
+    ours = [row("ddakf", seed, [1.0], name) for seed in (1, 2, 3) for name in "ab"]
+    other = [row("icp", 1, [2.0], name) for name in "ab"]
+    told = {"sequence": "a", "view": "full", "body": False, "variant": "icp", "commit": "x", "failed": "LinAlgError: singular"}
+    failed = [told | {"seed": seed, "sequence": name} for seed in (2, 3) for name in "ab"]
+    result = study_summary.summarise(ours + other + failed, {})
+    standing = result["p_values"]["all"]["rmse_mm"]["standing"]
+    assert (standing["rivals"], standing["lost"]) == ([], ["icp"]), "two of three runs of either recording"
+    assert [cell["failed_runs"] for cell in result["results"] if cell["method"] == "icp"] == [2, 2]
+    kept = study_summary.summarise(ours + other, {})["p_values"]["all"]["rmse_mm"]["standing"]
+    assert (kept["rivals"], kept["lost"]) == (["icp"], [])
+
+
 def test_clips_of_one_faust_subject_are_one_unit():
     names = [f"faust_s{subject}_p{pose}" for subject in (0, 1) for pose in (2, 3, 4)]
     rows = [row(system, 1, [error], name) for name in names for system, error in (("ddakf", 1.0), ("icp", 2.0))]

@@ -179,30 +179,10 @@ def test_pooling_two_runs_is_as_if_they_were_one():
         assert pool[name] == pytest.approx(expected[name])
 
 
-@pytest.mark.parametrize("scale", [0.7, 1.0, 1.3])
-def test_a_rescaled_pool_is_that_of_other_claims(scale):
-    rng = np.random.default_rng(1)
-    error, claims = rng.normal(size=(20_000, 3)) * 0.012, []
-    for sd in (0.01, 0.01 * scale):
-        m = (error**2).sum(axis=1) / sd**2
-        claims.append(run_score.CalibrationSums())
-        claims[-1].add(error, 0 * error, m, 0.5 * m + 3 * np.log(sd))
-    pool, expected = (calibration_pools.pooled([{"body": True, "observed": None, "hidden": part.summary()}]) for part in claims)
-    got, expected = calibration_pools.rescaled(pool["hidden, body given"], scale), expected["hidden, body given"]
-    for name, tolerance in (("n", 0), ("nees3", 1e-9), ("nll", 1e-9), ("coverage90", 0.01), ("inside", 0.01)):
-        assert got[name] == pytest.approx(expected[name], abs=tolerance, rel=tolerance)
-
-
-def test_calibration_is_of_halves_of_the_recordings_and_a_scale_is_one_of_its_group(rows):
+def test_calibration_is_of_all_of_each_view_and_of_each_recording(rows):
     other = [row | {"sequence": "another"} for row in rows]
-    parts = calibration_pools.calibrated([*rows, *other])
-    assert {part["runs"] for part in parts} >= {"all", "another", "sample", "full"}
-    assert calibration_pools.half_of([*rows, *other]) == (["another"], ["sample"])
-    wide = calibration_pools.calibrated([*rows, *other], scale={"observed": 2.0})
-    for part, wider in zip(parts, wide, strict=True):
-        factor = 4.0 if part["group"] == "observed" else 1.0
-        assert wider["nees3"] == pytest.approx(part["nees3"] / factor)
-        assert wider["coverage90"] >= part["coverage90"]
+    assert {part["runs"] for part in calibration_pools.calibrated([*rows, *other])} >= {"all", "another", "sample", "full"}
+    assert "sample" not in {part["runs"] for part in calibration_pools.calibrated(rows)}
 
 
 def test_tables_hold_every_run(rows):
