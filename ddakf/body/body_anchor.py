@@ -5,9 +5,10 @@ the start does not. Along the normal it deviates the more, the wider the cloth h
 top. By how much more or less than that a garment does is learned where it is seen, as stage D learns R: a shirt that fits tightly
 is held, a skirt that swings is not.
 
-Across the normal cloth slips on the body. A garment hangs by its top, a waistband or a collar, which goes with the body; the
-farther below, the more the cloth goes with itself: shorts turn as their waistband does, and not as the thighs inside. What the
-fit shows of that slip is not learned, as cloth that is held along itself seems to stay where it is held.
+Across the normal cloth slips on the body. A garment hangs by its top. A waistband goes with the body, and what lies on the
+shoulders slips by some millimetres; the farther below, the more the cloth goes with itself: shorts turn as their waistband does,
+and not as the thighs inside. What the fit shows of that slip is not learned, as cloth that is held along itself seems to stay
+where it is held.
 """
 
 from __future__ import annotations
@@ -21,13 +22,25 @@ from ddakf.config import Anchor, Config
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
+TOP = 0.05  # m below the highest vertex that are a garment's top
+LEVEL = 0.5  # mean vertical part of its normals there, in size: waistbands have up to 0.3, shoulders 0.7 and more
+
 
 def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
     model, config, n = setup.model, setup.config.anchor, len(setup.model.likeness)
     bound = contact.bind(setup.body, pose, position, config.reach)
-    slip = config.slip_sd + config.slip_slope * _patch_means(model, model.hanging)
+    slip = config.shoulder_slip_sd if _lies_on_shoulders(model, setup.config.start.to_y_up[1]) else config.slip_sd
+    slip = slip + config.slip_slope * _patch_means(model, model.hanging)
     return BodyAnchor(bound, np.zeros(n), np.zeros(n), np.zeros(len(position), bool), _first_guess(setup, bound), np.square(slip))
+
+
+def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
+    """Whether the template is level at its top, as on shoulders; a waistband is upright."""
+    position, normal = model.mesh.vertices, np.empty_like(model.mesh.vertices)
+    vertex_normals(position, model.faces, normal)
+    height = position @ up
+    return bool(np.abs(normal @ up)[height > height.max() - TOP].mean() > LEVEL)
 
 
 def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:

@@ -28,7 +28,7 @@ class Physics(Checked):
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
     faces_followed: int = bounded(16, 1, 1000)  # frames in which each vertex's nearest face is sought in the whole body once
-    weight: float = bounded(1.2e4, 0, 1e12)  # 1/m^3: weight of cloth that the body holds, force per area
+    weight: float = bounded(9.0e3, 0, 1e12)  # 1/m^3: weight of cloth that the body holds, force per area
     inertia: float = bounded(0.5, 0, 1)  # share of the body's acceleration that leaves its cloth behind
     strongest_inertia: float = bounded(3.0, 0, 100)  # times gravity: the body's acceleration counts up to here
     pressed_within: float = bounded(0.03, 1e-4, 1)  # m from the body at which cloth is pressed on it by half of its weight

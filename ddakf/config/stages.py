@@ -42,7 +42,8 @@ class Anchor(Checked):
     hanging_slope: float = bounded(0.02, 0, 10)  # m more per m of cloth from the garment's top
     least_sd: float = bounded(0.001, 1e-4, 1)  # m, learned deviation along the normal, at least
     first_share: float = bounded(0.05, 1e-4, 10)  # of a patch; measurements of as much weigh as much as the first guess
-    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top
+    slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top: a waistband
+    shoulder_slip_sd: float = bounded(0.005, 1e-4, 1)  # the same of a garment that lies on the shoulders
     slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
 
 

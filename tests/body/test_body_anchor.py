@@ -11,6 +11,7 @@ from ddakf.config import Anchor
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
+from tests.physics.shapes import ball
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 
 MESH = tube()
@@ -63,6 +64,13 @@ def test_cloth_slips_on_the_body_the_more_the_farther_below_the_top_it_hangs():
     below = MESH.vertices[:, 1].max() - MESH.vertices[:, 1]
     wanted = CONFIG.slip_sd + CONFIG.slip_slope * below
     np.testing.assert_allclose(np.sqrt(held.tangential / PER_VERTEX), wanted, atol=0.1 * CONFIG.slip_slope)  # a patch is so wide
+
+
+def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_does_not():
+    level = ball()
+    shirt = body_anchor.start(Setup(model.build(level), contact.build(BODY, 0.1), Config()), BODY.vertices, level.vertices)
+    assert shirt.slip.min() > CONFIG.shoulder_slip_sd**2
+    assert anchored().slip.min() < (CONFIG.slip_sd + 0.1 * CONFIG.slip_slope) ** 2
 
 
 def test_vertices_far_from_the_body_are_not_held():
