@@ -123,6 +123,15 @@ def test_the_database_of_compose_is_that_of_its_url():
     assert services["ddakf"]["environment"]["DDAKF_DATABASE_URL"] == "${DDAKF_DATABASE_URL:-}"
 
 
+def test_variables_of_compose_come_from_the_file_that_each_command_reads():
+    """A command with variables of its own would leave the next one without them, and with another database."""
+    documents = [*(ROOT / "docs").glob("*.md"), ROOT / "README.md", COMPOSE, ROOT / "docker/postgres.env"]
+    for document in documents:
+        assert not re.search(r"--env-file|--profile (postgres|tls)|\w=\S* docker compose", document.read_text(encoding="utf-8"))
+    assert "/.env" in (ROOT / "docs/deployment.md").read_text(encoding="utf-8")
+    assert (ROOT / "docker/.gitignore").read_text() == ".env\n"
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", ["docker/compose.yaml", ".github/workflows/ci.yaml", ".github/workflows/release.yaml",
                                   "CITATION.cff"])  # fmt: skip
