@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import functools
 import json
+import os
 import re
 import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +17,8 @@ import pytest
 import yaml
 from ddakf_service.sessions.service import _LAST_CHECKPOINTS_TIMEOUT
 from ddakf_service.settings import ENV_PREFIX, Settings
+
+from ddakf.commands import cli
 
 from .conftest import ROOT, program
 from .test_monitoring import exposed
@@ -26,6 +30,7 @@ DOCKERFILE = (ROOT / "docker/Dockerfile").read_text(encoding="utf-8")
 OLDEST = "1.30"  # the first with a sleep before SIGTERM
 SECRET, RAY_SECRET = "ddakf-storage", "ddakf-ray"  # made by hand
 PORTS = {name: Settings.model_fields[f"{name}_port"].default for name in ("grpc", "http")}
+RESTORE = yaml.safe_load((FOLDER / "restore.yaml").read_text(encoding="utf-8"))
 UNITS = {"Mi": 1 << 20, "Gi": 1 << 30}
 
 
@@ -135,7 +140,7 @@ def bytes_of(quantity: str) -> int:
 def test_every_object_has_the_form_of_the_api(overlay, version):
     kubernetes = validator()
     number = kubernetes.latest_version() if version == "newest" else version
-    for item in overlay.objects:
+    for item in (*overlay.objects, RESTORE):
         if item["kind"] != "RayCluster":
             kubernetes.validate(item, number, strict=True)
     for name, group in overlay.ray_groups():
@@ -346,6 +351,40 @@ def test_a_gateway_has_a_node_of_ray_beside_it():
             assert variables["RAY_AUTH_TOKEN"]["valueFrom"] == reference
     assert {"/tmp", "/dev/shm"} <= {path for _, path in places[0] & places[1]}
     assert {container["image"] for _, pod in overlay.pods() for container in containers(pod)} == {"ddakf:ray"}
+
+
+def test_the_pod_of_a_restore_is_like_that_of_the_server_and_has_its_volume():
+    single = rendered("single")
+    own, server = RESTORE["spec"], single.gateway["spec"]
+    (container,) = own["containers"]
+    for name in ("serviceAccountName", "automountServiceAccountToken", "enableServiceLinks", "securityContext"):
+        assert own[name] == server[name], name
+    for name in ("image", "securityContext", "volumeMounts"):
+        assert container[name] == single.container[name], name
+    (claim,) = single.one("StatefulSet")["spec"]["volumeClaimTemplates"]
+    volumes = {volume["name"]: volume for volume in own["volumes"]}
+    assert volumes["data"]["persistentVolumeClaim"] == {"claimName": f"{claim['metadata']['name']}-ddakf-0"}
+    assert "labels" not in RESTORE["metadata"], "no Service sends clients there"
+
+
+def test_the_commands_of_the_document_save_and_restore_a_folder(tmp_path):
+    """A folder is the volume, and this machine the cluster."""
+    volume = tmp_path / "volume"
+    volume.mkdir()
+    assert cli.main(["keys", "create", "test", "--scope", "read", "--data-dir", str(volume / "state")]) == 0
+    document = (ROOT / "docs/operations-backup.md").read_text(encoding="utf-8").partition("### On Kubernetes")[2]
+    lines = [line for line in document.partition("\n## ")[0].splitlines() if line.startswith(("kubectl", "python"))]
+    variables = {**os.environ, "DDAKF_DATA_DIR": str(volume / "state"), "PYTHONPATH": os.pathsep.join(sys.path)}
+    programs = {"ddakf": f"{sys.executable} -c 'import sys; from ddakf.commands.cli import main; sys.exit(main())'",
+                "python": sys.executable}  # fmt: skip
+    for line in lines:
+        command = line.partition(" -- ")[2] if line.startswith("kubectl") else line
+        if command:
+            name, _, rest = command.replace("/var/lib/ddakf", str(volume)).partition(" ")
+            subprocess.run(["sh", "-c", f"{programs[name]} {rest}"], cwd=tmp_path, env=variables, timeout=120, check=True)
+    assert (tmp_path / "backup.tar").read_bytes() == (volume / "backup.tar").read_bytes()
+    assert sorted(path.name for path in volume.iterdir()) == ["backup.tar", "before-restore", "state"]
+    assert (volume / "state/ddakf.sqlite").is_file()
 
 
 def test_the_document_has_every_overlay_and_the_images_are_built():
