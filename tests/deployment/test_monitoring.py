@@ -42,7 +42,7 @@ def expressions(dashboard: Path) -> list[str]:
 
 def metrics_in(expression: str) -> set[str]:
     """The names of series in a query."""
-    bare = re.sub(r'"[^"]*"|\[[^\]]*\]', "", expression)
+    bare = re.sub(r'"[^"]*"|\[[^\]]*\]|\bor\b', "", expression)
     bare = re.sub(r"\b(by|without|on|ignoring)\s*\([^)]*\)", "", bare)
     bare = re.sub(r"\{[^}]*\}", "", re.sub(r",\s*instance\)", ")", bare))
     return {name for name in re.findall(r"\b[a-zA-Z_]\w*\b(?!\s*\()", bare) if not re.fullmatch(r"e\d+", name)}
