@@ -66,6 +66,21 @@ def test_a_query_uses_labels_that_the_series_have(expression):
     assert used - {"instance", "job", "alertstate"} <= labels
 
 
+@pytest.mark.parametrize("dashboard", DASHBOARDS, ids=lambda path: path.stem)
+def test_a_dashboard_takes_its_windows_from_the_interval_of_the_scrapes(dashboard):
+    windows = set(re.findall(r"\[([^\]]*)\]", "".join(expressions(dashboard))))
+    assert windows == {"$__rate_interval"}
+
+
+def test_every_job_has_the_interval_that_the_source_of_the_dashboards_is_given():
+    source = yaml.safe_load((ROOT / "docker/grafana/provisioning/datasources/prometheus.yaml").read_text())["datasources"][0]
+    interval = source["jsonData"]["timeInterval"]
+    assert yaml.safe_load((MONITORING / "prometheus.yml").read_text())["global"]["scrape_interval"] == interval
+    document = (ROOT / "docs/kubernetes.md").read_text(encoding="utf-8")
+    (job,) = yaml.safe_load(re.search(r"```yaml\n(- job_name.*?)```", document, re.DOTALL)[1])
+    assert job["scrape_interval"] == interval
+
+
 def test_every_metric_of_the_service_is_on_a_dashboard():
     shown = set().union(*map(metrics_in, ALL))
     families = {family.name for family in REGISTRY.collect() if family.name.startswith("ddakf_")}
