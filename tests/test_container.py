@@ -19,7 +19,7 @@ COMPOSE = ROOT / "docker/compose.yaml"
 DOCUMENT = (ROOT / "docs/container.md").read_text(encoding="utf-8")
 # Variables of compose, of the library and of the tools, which the service does not read as settings
 OTHERS = {f"DDAKF_{name}" for name in ("CONFIG", "KERNEL_CACHE", "COMPILED_KERNELS", "PUBLISH", "BUILD", "API_KEY", "IMAGE",
-                                       "IMAGES", "RAY_IMAGE", "DOMAIN", "GRPC", "HTTP")}  # fmt: skip
+                                       "IMAGES", "MEMORY_LIMIT", "RAY_IMAGE", "DOMAIN", "GRPC", "HTTP")}  # fmt: skip
 
 
 def _ignored(path: str) -> bool:
@@ -121,6 +121,25 @@ def test_the_database_of_compose_is_that_of_its_url():
     assert url.hostname == "postgres"
     assert variables["COMPOSE_PROFILES"] == services["postgres"]["profiles"][0]
     assert services["ddakf"]["environment"]["DDAKF_DATABASE_URL"] == "${DDAKF_DATABASE_URL:-}"
+
+
+def test_the_sessions_of_the_workers_fit_the_limit_of_memory_of_compose():
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    services = yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"]
+    own, most, spare = services["ddakf"], 4, _settings()["spare_workers"].default  # DDAKF_WORKERS is at most 4 by default
+    default = lambda text: re.fullmatch(r"\$\{\w+:-(\d+)(g?)\}", text).groups()  # noqa: E731
+    limit, unit = default(own["mem_limit"])
+    memory, recycle = (int(default(own["environment"][f"DDAKF_{name}_MEMORY_BYTES"])[0]) for name in ("MAX", "RECYCLE"))
+    assert unit == "g"
+    assert most * memory < int(limit) << 30
+    assert (most + spare) * recycle < int(limit) << 30
+    assert {service["mem_limit"] for name, service in services.items() if name.startswith("ray-")} == {own["mem_limit"]}
+
+
+def test_containers_that_run_on_keep_little_of_their_logs():
+    yaml = pytest.importorskip("yaml", reason="PyYAML is not installed")
+    for name, service in yaml.safe_load(COMPOSE.read_text(encoding="utf-8"))["services"].items():
+        assert service["logging"]["options"] == {"max-size": "20m", "max-file": "5"}, name
 
 
 def test_variables_of_compose_come_from_the_file_that_each_command_reads():
