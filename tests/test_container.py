@@ -98,6 +98,8 @@ def test_the_gateway_of_compose_shares_what_its_ray_node_needs():
     assert {gateway[name] for name in ("network_mode", "pid", "ipc")} == {"service:ray-head"}
     assert "ray:/tmp/ray" in set(head["volumes"]) & set(gateway["volumes"])
     assert "ports" not in gateway
+    environments = [head["environment"], worker["environment"], gateway["environment"]]
+    assert all(own["RAY_AUTH_MODE"] == "token" and own["RAY_AUTH_TOKEN"] == "${RAY_AUTH_TOKEN:-}" for own in environments)
     assert {port.rpartition("}:")[2] for port in head["ports"]} == {"7701:7701", "7702:7702"}
     assert len({service["image"] for service in (head, worker, gateway)}) == 1
     environment = gateway["environment"]

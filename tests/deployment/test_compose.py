@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import secrets
 import shutil
 import subprocess
 import sys
@@ -127,7 +128,7 @@ def complete(default, tmp_path_factory) -> Iterator[Project]:
 def ray(complete, tmp_path_factory) -> Iterator[Project]:
     """The gateway with Ray actors alone."""
     complete.down()
-    yield from project(tmp_path_factory.mktemp("ray"), "ray", up=("ray-gateway",))
+    yield from project(tmp_path_factory.mktemp("ray"), "ray", up=("ray-gateway",), RAY_AUTH_TOKEN=secrets.token_hex(32))
 
 
 def doctor(*arguments: str) -> str:
