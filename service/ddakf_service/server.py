@@ -93,7 +93,7 @@ class Server:
         self._sessions = Sessions(self._pool, settings, self._metrics, self._store)
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)
-        self._keys = KeyRing(DatabaseKeyStore(self._store.database), on_revoked=self._sessions.shut_out)
+        self._keys = KeyRing(DatabaseKeyStore(self._store.database), self._sessions.shut_out, self._follow_keys)
         guard = Guard(self._keys, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
         self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
@@ -143,12 +143,9 @@ class Server:
         self._stopping.set()
 
     async def _load_keys(self) -> None:
-        """Loads the keys and logs a warning when nobody or everybody has access."""
+        """Loads the keys and logs a warning when everybody has access."""
         await self._keys.start()
-        if not _anonymous(self._settings):
-            if not len(self._keys):
-                log.warning("calls need a key, but no key exists: ddakf keys create NAME --scope stream")
-        elif self._settings.host not in _LOOPBACK:
+        if _anonymous(self._settings) and self._settings.host not in _LOOPBACK:
             log.warning("anyone who can reach %s may use this service: it needs no keys", self._settings.host)
 
     async def _start_pool(self, progress: Progress) -> None:
@@ -188,9 +185,17 @@ class Server:
     def _not_ready(self) -> str:
         if self._stopping.is_set():
             return "the server is about to stop"
+        if not (self._keys.loaded or _anonymous(self._settings)):
+            return "the keys have not been read yet"
         if not self._warm:
             return "the kernels are not loaded yet"
         return "" if self._pool.health().ready else "no worker is ready"
+
+    def _follow_keys(self) -> None:
+        """Logs a warning when nobody has access; the server may be ready now."""
+        if not (_anonymous(self._settings) or len(self._keys)):
+            log.warning("calls need a key, but no key exists: ddakf keys create NAME --scope stream")
+        self._update_health()
 
     def _follow_workers(self) -> None:
         health = self._pool.health()
@@ -200,6 +205,9 @@ class Server:
         self._recycled_seen = health.recycled
         self._metrics.worker_restarts.inc(health.restarts - self._restarts_seen)
         self._restarts_seen = health.restarts
+        self._update_health()
+
+    def _update_health(self) -> None:
         self._health_update = asyncio.ensure_future(self._publish_health())
 
     async def _publish_health(self) -> None:

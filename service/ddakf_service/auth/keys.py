@@ -22,6 +22,7 @@ from typing import NamedTuple, Protocol
 
 from ddakf_api.errors import Unauthenticated, Unavailable
 
+from ..observability.logs import FailureLog
 from .principal import Principal, Scope
 
 log = logging.getLogger(__name__)
@@ -119,13 +120,20 @@ class KeyRing:
     Args:
         store: the stored keys.
         on_revoked: called after each read with the ids of all keys that were revoked or have expired since the start.
+        on_loaded: called after the first read.
+
+    Attributes:
+        loaded: the keys have been read.
     """
 
-    def __init__(self, store: KeyStore, on_revoked: Callable[[Set[str]], None]):
-        self._store, self._on_revoked = store, on_revoked
+    def __init__(
+        self, store: KeyStore, on_revoked: Callable[[Set[str]], None], on_loaded: Callable[[], None] = lambda: None
+    ):
+        self._store, self._on_revoked, self._on_loaded = store, on_revoked, on_loaded
         self._keys: dict[str, Key] = {}
         self._known_ids: set[str] = set()
-        self._loaded = False
+        self.loaded = False
+        self._failures = FailureLog(log, "the keys cannot be read, known ones stay valid", "the keys can be read again")
         self._load_started = -_REFRESH  # time of the last attempt (monotonic clock, seconds)
         self._load_lock: asyncio.Lock = asyncio.Lock()
         self._task: asyncio.Task | None = None
@@ -153,7 +161,7 @@ class KeyRing:
         key_id, secret = matched.groups() if matched else ("", "")
         if matched and key_id not in self._keys:
             await self._load_unknown()  # the key may be new
-            if not self._loaded:
+            if not self.loaded:
                 raise Unavailable("the keys cannot be read now; try again later", retry_after=_REFRESH)
         key = self._keys.get(key_id)
         # the comparison takes the same time for unknown keys
@@ -190,9 +198,13 @@ class KeyRing:
         try:
             keys = await asyncio.to_thread(lambda: list(self._store.all()))
         except Exception as error:  # of any driver
-            log.warning("the keys could not be read: %s", type(error).__name__)
+            self._failures.fails(error)
             return
-        self._keys, self._loaded = {key.id: key for key in keys if key.revoked is None}, True
+        self._failures.works()
+        first, self.loaded = not self.loaded, True
+        self._keys = {key.id: key for key in keys if key.revoked is None}
         in_force = {key.id for key in self._keys.values() if not key.has_expired()}
         self._known_ids |= in_force
         self._on_revoked(self._known_ids - in_force)
+        if first:
+            self._on_loaded()

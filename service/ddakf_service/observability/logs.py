@@ -15,6 +15,30 @@ current_session: ContextVar[str] = ContextVar("current_session", default="-")
 _PLAIN_FIELDS = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName", "session"}
 
 
+class FailureLog:
+    """Lines about something that is tried again and again: one when it begins to fail, one when it works again.
+
+    Args:
+        log: their logger.
+        failing: first part of the first line, before the reason.
+        working: the last line.
+    """
+
+    def __init__(self, log: logging.Logger, failing: str, working: str):
+        self._log, self._failing_line, self._working_line = log, failing, working
+        self._failing = False
+
+    def fails(self, reason: object) -> None:
+        if not self._failing:
+            self._failing = True
+            self._log.error("%s: %s", self._failing_line, reason)
+
+    def works(self) -> None:
+        if self._failing:
+            self._failing = False
+            self._log.info(self._working_line)
+
+
 def configure_logging(level: str, format: str) -> None:
     """Writes all logs from ``level`` upward to standard error as ``text`` or ``json`` lines."""
     handler = logging.StreamHandler(sys.stderr)

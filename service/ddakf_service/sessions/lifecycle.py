@@ -14,6 +14,7 @@ from ddakf_api.errors import ServiceError, SessionExists, Unavailable, WorkerLos
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..auth.principal import Principal, current_principal
+from ..observability.logs import FailureLog
 from ..store.tables.leases import Leases
 from ..store.tables.session_record import SessionRecord, new_uid
 from ..workers.pool import Memory, WorkerPool
@@ -59,6 +60,7 @@ class Lifecycle:
     ):
         self._pool, self._admission, self._catalog, self._leases = pool, admission, catalog, leases
         self._persistence, self._durability = persistence, durability
+        self._failures = FailureLog(log, "earlier sessions cannot be loaded yet", "earlier sessions are loaded now")
         self._opening: dict[str, str | None] = {}  # id to owner
         self._closing: dict[str, asyncio.Task[None]] = {}  # ended sessions that are still in a worker
         self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
@@ -223,8 +225,9 @@ class Lifecycle:
         try:
             sessions = await self._persistence.live_sessions()
         except Unavailable as error:
-            log.error("earlier sessions cannot be loaded yet: %s", error)
+            self._failures.fails(error)
             return False
+        self._failures.works()
         self._catalog.loaded = True
         for session in sessions:
             if session.id not in self._catalog and session.id not in self._opening:

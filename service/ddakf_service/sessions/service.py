@@ -12,6 +12,7 @@ from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, Serv
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
+from ..observability.logs import FailureLog
 from ..observability.metrics import Metrics
 from ..settings import Settings
 from ..store.store import Store
@@ -67,6 +68,7 @@ class Sessions:
         self._lifecycle = Lifecycle(pool, self._admission, catalog, self._persistence, self._durability, store.leases)
         self._ownership = self._ownership_with(tenure, metrics)
         self._tenure, self._abandoned_due = tenure, 0.0
+        self._failures = FailureLog(log, "abandoned sessions cannot be ended", "abandoned sessions can be ended again")
         self.components = SessionComponents(
             pool,
             settings,
@@ -272,8 +274,9 @@ class Sessions:
             self._abandoned_due = monotonic() + _ABANDONED_INTERVAL
             try:
                 await self._ownership.end_abandoned()
+                self._failures.works()
             except Exception as error:
-                log.warning("abandoned sessions could not be ended: %s", error)
+                self._failures.fails(error)
 
     def _expire_or_save(self) -> None:
         for session in self._catalog:
