@@ -6,16 +6,21 @@ import contextlib
 import io
 import json
 import shutil
+import sqlite3
 import stat
 import subprocess
 import tarfile
+import tracemalloc
 import uuid
 from pathlib import Path
 
 import numpy as np
 import pytest
 from ddakf_client import Client, Session, connect
+from ddakf_service.observability.metrics import Metrics
+from ddakf_service.settings import Settings
 from ddakf_service.store.files.checkpoints import unpack
+from ddakf_service.store.store import Store
 
 from ddakf.commands import cli
 
@@ -98,6 +103,37 @@ def test_a_session_goes_on_from_copies_of_postgresql_and_of_the_checkpoints(post
         session = gone_on(client, session.session_id)
         assert session.info().applied == 14
         assert [found.name for found in client.meshes()] == [mesh]
+
+
+def test_a_large_database_is_copied_through_little_memory(tmp_path):
+    size, data, archive = 32 << 20, tmp_path / "data", tmp_path / "x.tar"
+    cli.main(["keys", "--data-dir", str(data), "create", "x", "--scope", "read"])
+    with contextlib.closing(sqlite3.connect(data / "ddakf.sqlite")) as database:
+        database.execute("CREATE TABLE large AS SELECT zeroblob(?) AS content", (size,))
+        database.commit()
+    tracemalloc.start()
+    try:
+        assert cli.main(["backup", str(archive), "--data-dir", str(data)]) == 0
+        assert cli.main(["restore", str(archive), "--data-dir", str(tmp_path / "again")]) == 0
+        assert tracemalloc.get_traced_memory()[1] < size / 4
+    finally:
+        tracemalloc.stop()
+    assert {path.name for path in tmp_path.iterdir()} == {"data", "x.tar", "again"}
+    with contextlib.closing(sqlite3.connect(tmp_path / "again/ddakf.sqlite")) as database:
+        assert database.execute("SELECT length(content) FROM large").fetchone() == (size,)
+
+
+def test_the_lock_of_a_running_server_is_no_checkpoint(tmp_path, capsys):
+    data, archive = tmp_path / "data", tmp_path / "x.tar"
+    store = Store(Settings(data_dir=str(data), server_id="vm"), Metrics())
+    try:
+        assert (data / "checkpoints/vm.lock").is_file()
+        assert cli.main(["backup", str(archive), "--data-dir", str(data)]) == 0
+    finally:
+        store.close()
+    assert "0 checkpoints" in capsys.readouterr().err
+    with tarfile.open(archive) as content:
+        assert set(content.getnames()) == {"backup.json", "ddakf.sqlite"}
 
 
 def test_what_is_no_data_folder_is_refused(tmp_path, capsys):

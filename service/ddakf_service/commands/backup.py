@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
+from typing import BinaryIO
 
 import ddakf
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidFile
@@ -26,6 +27,7 @@ from ..store.store import NO_DATA_DIR
 
 DATABASE, ABOUT = "ddakf.sqlite", "backup.json"
 _FOLDERS = ("checkpoints", "meshes")
+_NO_CONTENT = (UNFINISHED, ".lock")  # suffixes
 _UNFINISHED_RESTORE = "restore" + UNFINISHED
 _ATTEMPTS = 10  # to read a file of a folder in which the server writes
 
@@ -43,7 +45,10 @@ def back_up(args: argparse.Namespace) -> int:
     unfinished = args.file.with_name(args.file.name + UNFINISHED)
     try:
         with open(unfinished, "wb", opener=opener) as file, tarfile.open(fileobj=file, mode="w") as archive:
-            counted = _fill(archive, folder)
+            _add(archive, ABOUT, io.BytesIO(json.dumps({"version": ddakf.__version__, "time": time.time()}).encode()))
+            with _database(folder / DATABASE, unfinished) as database:
+                _add(archive, DATABASE, database)
+            counted = _add_folders(archive, folder)
             file.flush()
             os.fsync(file.fileno())
         unfinished.replace(args.file)
@@ -117,49 +122,60 @@ def _data_folder(args: argparse.Namespace) -> Path:
     return Path(settings.data_dir).expanduser()
 
 
-def _fill(archive: tarfile.TarFile, folder: Path) -> dict[str, int]:
-    """Adds everything; returns the number of files by folder."""
-    about = {"version": ddakf.__version__, "time": time.time()}
-    _add(archive, ABOUT, json.dumps(about).encode())
-    _add(archive, DATABASE, _database(folder / DATABASE))
+def _add_folders(archive: tarfile.TarFile, folder: Path) -> dict[str, int]:
+    """Adds checkpoints and meshes; returns the number of files by folder."""
     counted = dict.fromkeys(_FOLDERS, 0)
     for name in _FOLDERS:
-        for place in sorted({path.parent for path in (folder / name).rglob("*") if path.is_file()}):
-            for path, content in _newest(place) if name == "checkpoints" else _all(place):
-                _add(archive, str(path.relative_to(folder)), content)
+        for place in sorted({path.parent for path in (folder / name).rglob("*") if _is_content(path)}):
+            for path, file in _newest(place) if name == "checkpoints" else _all(place):
+                _add(archive, str(path.relative_to(folder)), file)
                 counted[name] += 1
     return counted
 
 
-def _database(file: Path) -> bytes:
-    """A consistent copy of a database in use."""
-    with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as source, closing(sqlite3.connect(":memory:")) as copy:
-        source.backup(copy)
-        return copy.serialize()
+@contextlib.contextmanager
+def _database(file: Path, unfinished: Path) -> Iterator[BinaryIO]:
+    """A consistent copy of a database in use: a file beside the archive, which is removed, since memory may be too small."""
+    place = unfinished.with_name(f"{DATABASE}-{unfinished.name}")
+    try:
+        with open(place, "wb", opener=opener):
+            pass
+        with closing(sqlite3.connect(f"file:{file}?mode=ro", uri=True)) as source, closing(sqlite3.connect(place)) as copy:
+            copy.execute("PRAGMA journal_mode = OFF")  # a copy that fails is removed
+            source.backup(copy)
+        with place.open("rb") as content:
+            yield content
+    finally:
+        place.unlink(missing_ok=True)
 
 
-def _newest(session: Path) -> Iterator[tuple[Path, bytes]]:
+def _newest(session: Path) -> Iterator[tuple[Path, BinaryIO]]:
     """The newest checkpoint of a session. The server may write another one and delete this one at any time."""
     for _ in range(_ATTEMPTS):
-        files = sorted(path for path in session.glob("*") if path.suffix != UNFINISHED)
+        files = sorted(path for path in session.glob("*") if path.suffix not in _NO_CONTENT)
         if not files:
             return
-        with contextlib.suppress(FileNotFoundError):
-            yield files[-1], files[-1].read_bytes()
+        with contextlib.suppress(FileNotFoundError), files[-1].open("rb") as file:
+            yield files[-1], file
             return
 
 
-def _all(folder: Path) -> Iterator[tuple[Path, bytes]]:
+def _all(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
     for path in sorted(folder.iterdir()):
-        if path.is_file() and path.suffix != UNFINISHED:
-            with contextlib.suppress(FileNotFoundError):
-                yield path, path.read_bytes()
+        if _is_content(path):
+            with contextlib.suppress(FileNotFoundError), path.open("rb") as file:
+                yield path, file
 
 
-def _add(archive: tarfile.TarFile, name: str, content: bytes) -> None:
+def _is_content(path: Path) -> bool:
+    return path.is_file() and path.suffix not in _NO_CONTENT
+
+
+def _add(archive: tarfile.TarFile, name: str, file: BinaryIO) -> None:
     entry = tarfile.TarInfo(name)
-    entry.size, entry.mode, entry.mtime = len(content), FILE, int(time.time())
-    archive.addfile(entry, io.BytesIO(content))
+    entry.size, entry.mode, entry.mtime = file.seek(0, os.SEEK_END), FILE, int(time.time())
+    file.seek(0)
+    archive.addfile(entry, file)
 
 
 def _extract(archive: tarfile.TarFile, member: tarfile.TarInfo, folder: Path, file: Path) -> None:
@@ -171,5 +187,4 @@ def _extract(archive: tarfile.TarFile, member: tarfile.TarInfo, folder: Path, fi
         return
     make_folder((folder / place).parent)
     with open(folder / place, "xb", opener=opener) as out:
-        out.write(archive.extractfile(member).read())
-
+        shutil.copyfileobj(archive.extractfile(member), out)
