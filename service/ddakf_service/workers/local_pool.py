@@ -208,7 +208,8 @@ class LocalPool:
             async with asyncio.timeout(self._frame_timeout):
                 return await answer
         except TimeoutError:
-            log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout)
+            fields = {"session": session_id, "worker": worker.process.pid}
+            log.error("a worker did not answer in %.0f s and is replaced", self._frame_timeout, extra=fields)
             worker.process.kill()
             raise worker_lost(session_id, suspected=True) from None
         finally:

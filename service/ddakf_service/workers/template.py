@@ -208,13 +208,13 @@ class ForkedProcess:
         return True
 
 
-async def ended(process: Process, patience: float) -> None:
-    """Returns when a process has ended; kills it after ``patience`` seconds."""
+async def ended(process: Process, patience: float) -> int:
+    """The exit status of a process when it has ended; kills it after ``patience`` seconds."""
     try:
-        await asyncio.to_thread(process.wait, patience)
+        return await asyncio.to_thread(process.wait, patience)
     except subprocess.TimeoutExpired:
         process.kill()
-        await asyncio.to_thread(process.wait)
+        return await asyncio.to_thread(process.wait)
 
 
 @contextmanager

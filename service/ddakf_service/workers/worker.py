@@ -24,6 +24,7 @@ from .template import Process, WorkerSource, WorkerStartFailed, ended
 log = logging.getLogger(__name__)
 
 EXIT_PATIENCE = 5.0  # seconds for a worker to end by itself after its pipe is closed
+_STATUS_PATIENCE = 0.2  # seconds for a worker whose pipe is closed to end with a status of its own
 _FRAMES_IN_PIPE = 2  # the tracked frame and the next one, so that the worker never waits; further frames queue in order
 # Requests of clients that are rarer than frames and do more. Restores of checkpoints follow each loss: no sign of its cause.
 _CHANGES = {wire.Kind.OPEN, wire.Kind.IMPORT, wire.Kind.CONFIGURE, wire.Kind.RESET}
@@ -152,12 +153,12 @@ class Worker:
         if not self.gone.is_set():
             self._writer.write(wire.Message(kind, 0, session_id).head())
 
-    async def end(self, patience: float = EXIT_PATIENCE) -> None:
-        """Closes the pipe, which ends the process; kills it after ``patience`` seconds."""
+    async def end(self, patience: float = EXIT_PATIENCE) -> int:
+        """Closes the pipe, which ends the process; kills it after ``patience`` seconds. Returns its exit status."""
         if self._listener not in (None, asyncio.current_task()):
             self._listener.cancel()
         self._writer.close()
-        await ended(self.process, patience)
+        return await ended(self.process, patience)
 
     async def _listen(self) -> None:
         try:
@@ -175,16 +176,18 @@ class Worker:
         except (asyncio.IncompleteReadError, OSError):
             # The operating system closes the pipe of a killed process at once: a kill is detected here too. A machine that
             # vanishes is a TimeoutError, or one of the network.
-            await self._lose()
+            await self._lose(_STATUS_PATIENCE if self._here else 0.0)
         except Exception:
             log.exception("a worker sent an invalid message and is replaced", extra={"worker": self.process.pid})
-            await self._lose()
+            await self._lose(0.0)
 
-    async def _lose(self) -> None:
+    async def _lose(self, patience: float) -> None:
         self.gone.set()
         suspects = {call.session_id for call in self._waiting.values() if call.kind in _CHANGES}
         for call in list(self._waiting.values()):
             if not call.answer.done():
                 suspected = suspects <= {call.session_id}
                 call.answer.set_exception(worker_lost(call.session_id, suspected=suspected))
-        await self.end(patience=0)
+        status = await self.end(patience)
+        if self._here:  # Ray does not tell the status of an actor
+            log.error("a lost worker has ended", extra={"worker": self.process.pid, "status": status})

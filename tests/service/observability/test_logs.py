@@ -74,4 +74,4 @@ def test_the_sample_of_the_documents_has_the_fields_of_a_line(logged):
     written = logged("json")
     logging.getLogger("some.module").info("done")
     fields = list(json.loads(written()))
-    assert [list(json.loads(line))[: len(fields)] for line in lines] == [fields] * 3
+    assert [list(json.loads(line))[: len(fields)] for line in lines] == [fields] * 4

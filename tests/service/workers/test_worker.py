@@ -37,8 +37,8 @@ class Process:
 class Source:
     """Gives one worker over a connection within this process; ``far`` is the other end."""
 
-    def __init__(self, process: Process):
-        self._process = process
+    def __init__(self, process: Process | subprocess.Popen, here: bool = False):
+        self._process, self._here = process, here
 
     async def worker(self, progress) -> Connected:
         accepted = asyncio.get_running_loop().create_future()
@@ -46,7 +46,7 @@ class Source:
         reader, writer = await asyncio.open_connection(*server.sockets[0].getsockname())
         self.reader, (_, self.far) = reader, await accepted
         server.close()
-        return Connected(self._process, reader, writer, here=False)
+        return Connected(self._process, reader, writer, self._here)
 
 
 # A chain of threads, each of which starts the next one; says when it has begun and when it has its last one.
@@ -91,6 +91,18 @@ async def test_a_vanished_machine_is_a_lost_worker_and_no_invalid_message(number
         await asyncio.wait_for(worker.gone.wait(), 10)
     assert caplog.records == []
     source.far.close()
+
+
+@pytest.mark.parametrize(("program", "status"), [("import os; os.kill(os.getpid(), 9)", -9), ("exit(3)", 3)])
+async def test_the_log_has_the_exit_status_of_a_lost_worker(program, status, caplog):
+    with subprocess.Popen([sys.executable, "-c", f"input(); {program}"], stdin=subprocess.PIPE) as process:
+        source = Source(process, here=True)
+        worker = await Worker.start(source, 10, lambda *_: None)
+        process.stdin.write(b"\n")
+        process.stdin.flush()
+        source.far.close()
+        await asyncio.wait_for(worker._listener, 10)
+    assert [(r.worker, r.status) for r in caplog.records if "has ended" in r.message] == [(process.pid, status)]
 
 
 async def test_what_is_no_message_costs_the_worker_and_is_logged(caplog):
