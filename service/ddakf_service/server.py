@@ -64,6 +64,7 @@ class Server:
     def __init__(self, settings: Settings, template: Template | None = None):
         self._settings = settings
         self._metrics = Metrics()
+        self._metrics.workers.set(settings.workers)
         self._tracer = tracer_for(settings.trace_sample, settings.server_id)
         self._store = Store(settings, self._metrics)
         limits = Limits(

@@ -39,6 +39,7 @@ class Metrics:
         self.sessions = Gauge("ddakf_sessions", "Live sessions", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
         self.watchers = Gauge("ddakf_watchers", "Watchers of sessions", **add)
+        self.workers = Gauge("ddakf_workers", "Workers that should accept frames, as configured", **add)
         self.workers_ready = Gauge("ddakf_workers_ready", "Workers that accept frames", **add)
         self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were lost and replaced", **add)
         self.store_up = Gauge("ddakf_store_up", "1 if a part of the store works, else 0", ["part"], **add)

@@ -81,7 +81,7 @@ def test_metrics_follow_the_frames(api, http, session, sheet):
     for stage in ("queue", "decode", *STAGES, "encode", "total"):
         assert grown("ddakf_frame_stage_seconds_count", *sorted(("lossless", "morton_zstd", stage))) == 2
     assert after["ddakf_sessions",] >= 1
-    assert after["ddakf_workers_ready",] == 2
+    assert after["ddakf_workers_ready",] == after["ddakf_workers",] == 2
 
 
 def test_dropped_frames_are_counted(api, http, sheet):
