@@ -13,6 +13,7 @@ from typing import NamedTuple
 from .auth.guard import Guard
 from .auth.key_database import DatabaseKeyStore
 from .auth.keys import KeyRing
+from .auth.refusals import Refusals
 from .auth.tls import Tls
 from .build import build
 from .observability.metrics import Metrics
@@ -95,13 +96,14 @@ class Server:
         recorder = FrameRecorder(self._metrics, self._store.history, self._tracer)
         self._streams = Streams(self._sessions.components, recorder)
         self._keys = KeyRing(DatabaseKeyStore(self._store.database), self._sessions.shut_out, self._follow_keys)
-        guard = Guard(self._keys, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
+        refusals = Refusals(self._metrics.calls_refused)
+        guard = Guard(self._keys, refusals, anonymous=_anonymous(settings), local=not settings.allow_anonymous)
         tls = Tls.of(settings.tls_certificate, settings.tls_key, settings.tls_client_ca)
         self._grpc = GrpcServer(self._sessions, self._streams, settings, guard, tls)
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
         add_websockets(app, self._streams, settings.reader_timeout)
         guarded = HttpGuard(app, guard)
-        self._http = HttpServer(origin_checked(guarded, settings.cors_origins), settings, tls)
+        self._http = HttpServer(origin_checked(guarded, settings.cors_origins, refusals), settings, tls)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()

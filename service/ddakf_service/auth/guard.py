@@ -17,6 +17,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ..token_bucket import TokenBucket
 from .keys import KeyRing
 from .principal import ANONYMOUS, Principal, Scope
+from .refusals import Refusals
 
 _SERVICE = "/" + pb.DESCRIPTOR.services_by_name["TrackingService"].full_name + "/"
 OPEN: frozenset[Scope] = frozenset()  # no key needed
@@ -48,10 +49,11 @@ class Guard:
         anonymous: calls without a key are allowed everything.
         local: restricts ``anonymous`` to calls from this machine. It excludes calls that a proxy forwards, and web pages
             whose host name was made to resolve to this machine.
+        refusals: where the transports record the calls that are not admitted.
     """
 
-    def __init__(self, keys: KeyRing, *, anonymous: bool, local: bool):
-        self._keys, self._anonymous, self._local = keys, anonymous, local
+    def __init__(self, keys: KeyRing, refusals: Refusals, *, anonymous: bool, local: bool):
+        self._keys, self.refusals, self._anonymous, self._local = keys, refusals, anonymous, local
         self._buckets: dict[str, TokenBucket] = {}  # of calls, by key
 
     async def admit(self, presented_key: str | None, sufficient: frozenset[Scope], headers: Mapping[str, str]) -> Principal:

@@ -14,7 +14,7 @@ import logging
 import re
 import secrets
 import time
-from collections.abc import Callable, Iterable, Set
+from collections.abc import Callable, Iterable, Mapping, Set
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from time import monotonic
@@ -105,6 +105,12 @@ def generate(name: str, scopes: Iterable[Scope], created: float, limits: KeyLimi
     return key, f"{PREFIX}_{key_id}_{secret}"
 
 
+def id_of(presented_key: str) -> str:
+    """The id within a key, which is no secret; empty: the text has not the form of a key."""
+    matched = _PATTERN.fullmatch(presented_key)
+    return matched[1] if matched else ""
+
+
 def utc(seconds: float) -> str:
     """A time since 1970 as ISO 8601."""
     return datetime.fromtimestamp(seconds, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
@@ -131,6 +137,7 @@ class KeyRing:
     ):
         self._store, self._on_revoked, self._on_loaded = store, on_revoked, on_loaded
         self._keys: dict[str, Key] = {}
+        self._in_force: dict[str, Key] = {}
         self._known_ids: set[str] = set()
         self.loaded = False
         self._failures = FailureLog(log, "the keys cannot be read, known ones stay valid", "the keys can be read again")
@@ -203,8 +210,16 @@ class KeyRing:
         self._failures.works()
         first, self.loaded = not self.loaded, True
         self._keys = {key.id: key for key in keys if key.revoked is None}
-        in_force = {key.id for key in self._keys.values() if not key.has_expired()}
-        self._known_ids |= in_force
-        self._on_revoked(self._known_ids - in_force)
+        before, self._in_force = self._in_force, {key.id: key for key in self._keys.values() if not key.has_expired()}
+        self._known_ids |= self._in_force.keys()
+        if not first:
+            self._log_changes(before)
+        self._on_revoked(self._known_ids - self._in_force.keys())
         if first:
             self._on_loaded()
+
+    def _log_changes(self, before: Mapping[str, Key]) -> None:
+        for key_id in self._in_force.keys() - before.keys():
+            log.info("a key was created", extra={"key": key_id, "scopes": " ".join(sorted(self._in_force[key_id].scopes))})
+        for key_id in before.keys() - self._in_force.keys():
+            log.info("a key has expired" if key_id in self._keys else "a key was revoked", extra={"key": key_id})

@@ -39,6 +39,7 @@ class Metrics:
         self.sessions = Gauge("ddakf_sessions", "Live sessions", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
         self.watchers = Gauge("ddakf_watchers", "Watchers of sessions", **add)
+        self.calls_refused = Counter("ddakf_calls_refused_total", "Calls that were not admitted", ["reason"], **add)
         self.workers = Gauge("ddakf_workers", "Workers that should accept frames, as configured", **add)
         self.workers_ready = Gauge("ddakf_workers_ready", "Workers that accept frames", **add)
         self.worker_restarts = Counter("ddakf_worker_restarts_total", "Workers that were lost and replaced", **add)
@@ -69,6 +70,8 @@ class Metrics:
             self.frames.labels(outcome)
         for code in pb.WarningCode.values()[1:]:
             self.warnings.labels(_warning_name(code))
+        for reason in ("no_key", "invalid_key", "scope", "rate", "unread_keys", "origin"):
+            self.calls_refused.labels(reason)
         for move in ("taken", "handed_over", "lost"):
             self.session_moves.labels(move)
         for penalty in ("slowed", "isolated", "ended"):

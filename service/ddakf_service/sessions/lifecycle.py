@@ -192,7 +192,8 @@ class Lifecycle:
         self._catalog.add(session)
         self._persistence.register(session)
         self._durability.checkpoint(session)
-        log.info("the session was created", extra={"session": session_id, "vertices": opened.garment_vertex_count})
+        fields = {"session": session_id, "vertices": opened.garment_vertex_count, "key": owner or "-"}
+        log.info("the session was created", extra=fields)
         return session
 
     async def _count_memory(self, session: Session) -> None:

@@ -12,6 +12,7 @@ from ddakf_api.errors import Draining, FailedPrecondition, InvalidArgument, Serv
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.version import require_compatible
 
+from ..auth.principal import current_principal
 from ..observability.logs import FailureLog
 from ..observability.metrics import Metrics
 from ..settings import Settings
@@ -220,6 +221,7 @@ class Sessions:
         session = await self._ownership.obtain(name, takeover=True)
         if accepts is not None and not accepts(etag := str(session.revision)):
             return etag
+        log.info("the session was deleted", extra={"session": session.id, "key": current_principal.get().id or "-"})
         self._lifecycle.end(session, SessionNotFound(f"{session.name} was deleted"))
         await self._lifecycle.wait_closed(session.id)
         if session.epoch:  # other servers read its end in the database

@@ -10,6 +10,8 @@ import pytest
 from ddakf_api.errors import ResourceExhausted, Unauthenticated, Unavailable
 from ddakf_service.auth import guard, keys
 from ddakf_service.auth.principal import Scope
+from ddakf_service.auth.refusals import Refusals
+from ddakf_service.observability.metrics import Metrics
 
 
 class UnreachableKeys:
@@ -74,7 +76,7 @@ async def test_a_key_calls_no_more_often_than_it_may(monkeypatch):
     ring = keys.KeyRing(store := UnreachableKeys(), on_revoked=set)
     store.there, store.kept = True, [key, free]
     await ring.start()
-    door = guard.Guard(ring, anonymous=False, local=False)
+    door = guard.Guard(ring, Refusals(Metrics().calls_refused), anonymous=False, local=False)
     for _ in range(30):
         await door.admit(presented, guard.READ, {})
     with pytest.raises(ResourceExhausted, match="30 requests per minute; try again in 2 s") as refused:

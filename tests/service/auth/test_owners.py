@@ -182,3 +182,13 @@ def test_a_key_lists_its_own_ended_sessions_and_one_that_reads_lists_all(guarded
     assert eventually(lambda: listed("read") == set(names.values()))
     assert listed("admin") == set(names.values())
     assert listed("stream") == {names["stream"]}
+
+
+def test_the_log_tells_which_key_has_created_and_deleted_a_session(guarded):
+    owner, admin = As(guarded, "stream"), As(guarded, "admin")
+    name = owner.create().name
+    admin.DeleteSession(pb.DeleteSessionRequest(name=name))
+    log = guarded.log.read_text()
+    for done, key in (("created", "stream"), ("deleted", "admin")):
+        (line,) = (x for x in log.splitlines() if f"{name.removeprefix('sessions/')} the session was {done}" in x)
+        assert f"key={guarded.keys[key].split('_')[1]}" in line

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
+from urllib.parse import unquote
+
 import grpc
 from ddakf_api.errors import ServiceError, class_of, to_detail
 
@@ -22,19 +26,25 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
             return None
         headers = dict(details.invocation_metadata or ())
         sufficient = GRPC_SCOPES.get(details.method, ADMIN)
+        presented_key = bearer_key(headers.get("authorization"))
         try:
-            principal = await self._guard.admit(bearer_key(headers.get("authorization")), sufficient, headers)
+            principal = await self._guard.admit(presented_key, sufficient, headers)
         except ServiceError as error:
-            return _refusing(error)
+            return _refusing(error, functools.partial(self._guard.refusals.record, error, presented_key, details.method))
         current_principal.set(principal)
         return handler
 
 
-def _refusing(error: ServiceError) -> grpc.RpcMethodHandler:
-    """A handler that refuses a call of any kind. As a stream handler it reads no request."""
+def _refusing(error: ServiceError, record: Callable[[str], None]) -> grpc.RpcMethodHandler:
+    """A handler that refuses a call of any kind. As a stream handler it reads no request.
+
+    Args:
+        record: called with the address of the caller.
+    """
     detail, cls = to_detail(error), class_of(error)
 
     async def refuse(requests, context):
+        record(unquote(context.peer()))
         await context.abort(cls.status, detail.message, trailers(detail, cls))
         yield
 

@@ -15,6 +15,8 @@ from starlette.middleware.cors import CORSMiddleware
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...auth.guard import is_own_name
+from ...auth.refusals import FOREIGN_PAGE, Refusals
+from ..http_guard import described, peer_of
 from .errors import error_response
 from .pages import documentation
 from .responses import LAST_SEQUENCE_NUMBER
@@ -31,7 +33,7 @@ _HEADERS = {
 }
 
 
-def origin_checked(app: ASGIApp, allowed: Sequence[str]) -> ASGIApp:
+def origin_checked(app: ASGIApp, allowed: Sequence[str], refusals: Refusals) -> ASGIApp:
     """The application without pages of foreign origins, and with CORS headers for the allowed ones, which then can also read
     why a call was refused."""
     if allowed:
@@ -42,14 +44,14 @@ def origin_checked(app: ASGIApp, allowed: Sequence[str]) -> ASGIApp:
             allow_headers=["Authorization", "Content-Type", "If-Match"],
             expose_headers=["Content-Disposition", "Location", "Retry-After", LAST_SEQUENCE_NUMBER],
         )
-    return OriginCheck(app, frozenset(allowed))
+    return OriginCheck(app, frozenset(allowed), refusals)
 
 
 class OriginCheck:
     """Answers requests and WebSocket handshakes of foreign origins with 403. A call without an origin is no web page's."""
 
-    def __init__(self, app: ASGIApp, allowed: frozenset[str]):
-        self._app, self._allowed = app, allowed
+    def __init__(self, app: ASGIApp, allowed: frozenset[str], refusals: Refusals):
+        self._app, self._allowed, self._refusals = app, allowed, refusals
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = Headers(scope=scope) if scope["type"] in ("http", "websocket") else {}
@@ -58,6 +60,7 @@ class OriginCheck:
             await self._app(scope, receive, send)
             return
         error = PermissionDenied(f"pages of {origin[:80]} may not use this service: the setting cors_origins does not name it")
+        self._refusals.record(error, None, described(scope), peer_of(scope), FOREIGN_PAGE)
         await error_response(error)(scope, receive, send)
 
     def _is_allowed(self, origin: str, host: str) -> bool:
