@@ -110,8 +110,10 @@ def _open(server: Server, package) -> Finding:
 def _storage(server: Server, http: str) -> tuple[str, str]:
     scheme = "https" if server.tls_ca or server.tls_certificate else "http"
     context = _context(server) if scheme == "https" else None
+    headers = {"Authorization": f"Bearer {server.api_key}"} if server.api_key else {}
     try:
-        with urllib.request.urlopen(f"{scheme}://{http}/readyz", timeout=_PATIENCE, context=context) as answer:
+        request = urllib.request.Request(f"{scheme}://{http}/readyz", headers=headers)
+        with urllib.request.urlopen(request, timeout=_PATIENCE, context=context) as answer:
             state = json.load(answer)
     except urllib.error.HTTPError as error:
         raise _Wrong(f"{http} is not ready: {error.read(500).decode(errors='replace')}") from None

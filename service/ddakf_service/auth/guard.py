@@ -16,7 +16,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ..token_bucket import TokenBucket
 from .keys import KeyRing
-from .principal import ANONYMOUS, Principal, Scope
+from .principal import ANONYMOUS, STRANGER, Principal, Scope
 from .refusals import Refusals
 
 _SERVICE = "/" + pb.DESCRIPTOR.services_by_name["TrackingService"].full_name + "/"
@@ -70,8 +70,10 @@ class Guard:
         """
         if presented_key is None:
             remote = _remote_origin(headers) if self._local else ""
-            if not sufficient or (self._anonymous and not remote):
+            if self._anonymous and not remote:
                 return ANONYMOUS
+            if not sufficient:
+                return STRANGER
             raise Unauthenticated(f"a key is needed{remote}: send it as 'authorization: Bearer KEY'")
         principal = await self._keys.principal(presented_key)
         if sufficient and not any(principal.allows(scope) for scope in sufficient):

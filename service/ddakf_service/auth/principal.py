@@ -52,5 +52,8 @@ class Principal:
 ANONYMOUS = Principal("", frozenset(Scope))
 """Any caller, where no key is needed."""
 
+STRANGER = Principal("", frozenset())
+"""A caller without a key where one is needed, in a call that is open to all."""
+
 current_principal: ContextVar[Principal] = ContextVar("current_principal", default=ANONYMOUS)
 """Caller of the present call, set by the guards."""

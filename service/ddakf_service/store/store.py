@@ -26,7 +26,7 @@ from .tables.heartbeat import Beat, Heartbeat
 from .tables.history import History
 from .tables.leases import Leases
 from .tables.registry import Registry
-from .tables.server_name import ServerName
+from .tables.server_name import SERVER_ID, ServerName
 
 log = logging.getLogger(__name__)
 
@@ -82,11 +82,12 @@ class Store:
         if self.checkpoints is not None:
             self.checkpoints.open()
 
-    def problems(self) -> list[str]:
-        """One sentence for each failing part."""
-        components = [self.database, *([self.checkpoints] if self.checkpoints is not None else [])]
-        problems = [component.condition.problem for component in components]
-        return [problem for problem in (*problems, self._name.problem if self._name else "") if problem]
+    def problems(self) -> dict[str, str]:
+        """One sentence for each failing part, by its name."""
+        conditions = [part.condition for part in (self.database, self.checkpoints) if part is not None]
+        problems = {condition.part: condition.problem for condition in conditions}
+        problems[SERVER_ID] = self._name.problem if self._name else ""
+        return {part: problem for part, problem in problems.items() if problem}
 
     def require_name(self) -> None:
         """Checks that this server holds its name.

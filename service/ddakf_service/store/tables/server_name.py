@@ -16,6 +16,7 @@ from ..condition import sentence_of
 
 log = logging.getLogger(__name__)
 
+SERVER_ID = "server_id"  # name of this part of the store
 _PATIENCE = 3.0  # seconds that a start waits for the end of a predecessor's connection
 _PAUSE = 0.2  # seconds between its attempts
 _CHECK_INTERVAL, _RETRY_INTERVAL = 5.0, 1.0  # seconds between checks of the connection, with and without the lock

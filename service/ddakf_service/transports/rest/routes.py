@@ -35,6 +35,7 @@ from starlette.convertors import Convertor, register_url_convertor
 
 import ddakf
 
+from ...auth.principal import Scope, current_principal
 from ...info import server_info
 from ...observability.metrics import Metrics
 from ...sessions.service import Sessions
@@ -62,6 +63,7 @@ from .requests import (
 )
 from .responses import LAST_SEQUENCE_NUMBER, Readiness, answer, answer_of, created
 
+_ASK_WITH_KEY = "the reason is in the log, and in the answer to a key of the scope read"
 _OCTETS = "application/octet-stream"
 
 _SNAPSHOT_HEADERS = {LAST_SEQUENCE_NUMBER: "of the last frame in the state; 0: none"}
@@ -197,10 +199,12 @@ def _add_server_routes(
     async def readyz() -> Readiness:
         """The server accepts sessions: every worker has compiled its kernels and tracked a frame, and no stop has begun.
 
-        A failing database or disk makes the server "degraded", not unready: tracking continues."""
+        A failing database or disk makes the server "degraded", not unready: tracking continues. The sentences are for keys of
+        the scope read, where keys are needed; others learn which part fails."""
         if reason := not_ready():
             raise Unavailable(reason)
-        problems = store.problems()
+        knows = current_principal.get().allows(Scope.READ)
+        problems = [sentence if knows else f"{part}: {_ASK_WITH_KEY}" for part, sentence in store.problems().items()]
         return Readiness(status="degraded" if problems else "ready", problems=problems)
 
     @app.get("/metrics", tags=["health"], response_class=PlainTextResponse)

@@ -75,9 +75,9 @@ def test_a_second_server_of_a_name_is_refused_until_the_first_has_ended(store, m
     store("stage-b")
     with pytest.raises(InvalidConfig, match=r"server_id.*'stage-a'"):
         store("stage-a")
-    assert first.problems() == []
+    assert first.problems() == {}
     first.close()
-    assert store("stage-a").problems() == []
+    assert store("stage-a").problems() == {}
 
 
 def test_the_command_says_so_in_one_sentence(store, url, tmp_path):
@@ -96,7 +96,7 @@ def test_a_connection_that_is_cut_is_made_again_and_holds_the_name(store, admin)
     before = held(admin)
     cut(admin)
     eventually(lambda: held(admin) not in ([], before))
-    eventually(lambda: opened.problems() == [])
+    eventually(lambda: opened.problems() == {})
 
 
 async def test_a_name_that_another_server_took_meanwhile_is_a_problem_and_its_sessions_are_left_alone(store, admin):
@@ -108,11 +108,11 @@ async def test_a_name_that_another_server_took_meanwhile_is_a_problem_and_its_se
         return admin.execute(sa.select(sa.func.pg_try_advisory_lock(key))).scalar_one()
 
     eventually(taken)
-    eventually(lambda: any("another server" in problem for problem in opened.problems()))
+    eventually(lambda: any("another server" in problem for problem in opened.problems().values()))
     with pytest.raises(Unavailable, match="server_id"):
         await persistence_of(opened).live_sessions()
     admin.execute(sa.select(sa.func.pg_advisory_unlock(key)))
-    eventually(lambda: opened.problems() == [])
+    eventually(lambda: opened.problems() == {})
     assert await persistence_of(opened).live_sessions() == []
 
 
@@ -121,7 +121,7 @@ def test_a_database_that_is_away_at_the_start_gives_the_name_later(store, postgr
     postgres.stop()
     try:
         opened = store("stage-a")
-        assert any("server_id" in problem for problem in opened.problems())
+        assert any("server_id" in problem for problem in opened.problems().values())
     finally:
         postgres.start()
-    eventually(lambda: opened.problems() == [])
+    eventually(lambda: opened.problems() == {})
