@@ -73,7 +73,7 @@ class Store:
             self.meshes = MeshStore(self.database, _mesh_url(settings))
             self._take_files()
             self.database.open()
-            self._take_name()
+            self._take_name(metrics)
             for sentence in exposures(settings, self.database, self.checkpoints):
                 log.warning(sentence)
         except BaseException:
@@ -144,10 +144,10 @@ class Store:
         except OSError as error:
             raise InvalidConfig(setting, "a place that can be written", f"{path}: {error.strerror}") from None
 
-    def _take_name(self) -> None:
+    def _take_name(self, metrics: Metrics) -> None:
         """Takes the server's name in PostgreSQL, where it must be unique. A SQLite file belongs to one server anyway."""
         if engine := self.database.lasting_connections():
-            name = ServerName(engine, self.server_id)
+            name = ServerName(engine, self.server_id, metrics.store_up, metrics.store_errors)
             try:
                 name.take()
             except BaseException:

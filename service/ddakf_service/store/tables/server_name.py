@@ -8,6 +8,7 @@ import threading
 from time import monotonic
 
 import sqlalchemy as sa
+from prometheus_client import Counter, Gauge
 from sqlalchemy.exc import SQLAlchemyError
 
 from ddakf.errors import InvalidConfig
@@ -31,13 +32,15 @@ class ServerName:
 
     Args:
         engine: of autocommit connections without a pool; disposed of at the end.
+        up, errors: metrics with a label for the part of the store.
 
     Attributes:
         problem: one sentence while the name is not locked; empty while it is.
     """
 
-    def __init__(self, engine: sa.Engine, server_id: str):
+    def __init__(self, engine: sa.Engine, server_id: str, up: Gauge, errors: Counter):
         self._engine, self._server_id = engine, server_id
+        self._up, self._errors = up.labels(SERVER_ID), errors.labels(SERVER_ID)
         digest = hashlib.sha256(f"ddakf server {server_id}".encode()).digest()
         self._key = int.from_bytes(digest[:8], "big", signed=True)  # PostgreSQL identifies a lock by a number
         self._connection: sa.Connection | None = None
@@ -94,10 +97,13 @@ class ServerName:
             if self._thread.ident is not None:
                 log.info("server_id %r is held again", self._server_id)
             self.problem, self._was_held = "", True
+            self._up.set(1)
         return not self.problem
 
     def _report(self, problem: str) -> None:
         self._disconnect()  # SQLAlchemy would connect again silently, without the lock
+        self._up.set(0)
+        self._errors.inc()
         before, self.problem = self.problem, problem
         if before != problem:
             log.error("%s; tracking continues, and the server tries again", problem)

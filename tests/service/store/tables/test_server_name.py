@@ -47,13 +47,15 @@ def store(url, tmp_path, monkeypatch):
     """Opens the store of a server with a folder of its own."""
     monkeypatch.setattr(server_name, "_CHECK_INTERVAL", 0.05)
     monkeypatch.setattr(server_name, "_RETRY_INTERVAL", 0.05)
-    stores = []
+    stores, metrics = [], {}
 
     def open_(server_id: str) -> Store:
-        folder = tmp_path / str(uuid.uuid4())
-        stores.append(Store(Settings(server_id=server_id, database_url=url, data_dir=str(folder)), Metrics()))
+        folder, counted = tmp_path / str(uuid.uuid4()), Metrics()
+        stores.append(Store(Settings(server_id=server_id, database_url=url, data_dir=str(folder)), counted))
+        metrics[stores[-1]] = counted
         return stores[-1]
 
+    open_.up = lambda opened: metrics[opened].registry.get_sample_value("ddakf_store_up", {"part": "server_id"})
     yield open_
     for opened in stores:
         opened.close()
@@ -109,11 +111,13 @@ async def test_a_name_that_another_server_took_meanwhile_is_a_problem_and_its_se
 
     eventually(taken)
     eventually(lambda: any("another server" in problem for problem in opened.problems().values()))
+    assert store.up(opened) == 0
     with pytest.raises(Unavailable, match="server_id"):
         await persistence_of(opened).live_sessions()
     admin.execute(sa.select(sa.func.pg_advisory_unlock(key)))
     eventually(lambda: opened.problems() == {})
     assert await persistence_of(opened).live_sessions() == []
+    assert store.up(opened) == 1
 
 
 def test_a_database_that_is_away_at_the_start_gives_the_name_later(store, postgres, admin):
@@ -122,6 +126,7 @@ def test_a_database_that_is_away_at_the_start_gives_the_name_later(store, postgr
     try:
         opened = store("stage-a")
         assert any("server_id" in problem for problem in opened.problems().values())
+        assert store.up(opened) == 0
     finally:
         postgres.start()
     eventually(lambda: opened.problems() == {})
