@@ -10,6 +10,8 @@ import signal
 from collections.abc import Callable
 from typing import NamedTuple
 
+import ddakf
+
 from .auth.guard import Guard
 from .auth.key_database import DatabaseKeyStore
 from .auth.keys import KeyRing
@@ -40,11 +42,12 @@ _STATUS_GRACE = 0.5  # seconds for ended streams to deliver their status
 
 
 class Addresses(NamedTuple):
-    """Addresses of the service."""
+    """Addresses of the service; ``encrypted``: with TLS."""
 
     host: str
     grpc_port: int
     http_port: int
+    encrypted: bool = False
 
     @property
     def grpc(self) -> str:
@@ -52,7 +55,7 @@ class Addresses(NamedTuple):
 
     @property
     def http(self) -> str:
-        return f"http://{_bracketed(self.host)}:{self.http_port}"
+        return f"http{'s' if self.encrypted else ''}://{_bracketed(self.host)}:{self.http_port}"
 
 
 class Server:
@@ -126,14 +129,16 @@ class Server:
         try:
             await self._load_keys()
             await self._sessions.load()
-            addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start())
+            encrypted = bool(self._settings.tls_certificate)
+            addresses = Addresses(self._settings.host, await self._grpc.start(), await self._http.start(), encrypted)
             warming = asyncio.create_task(self._start_pool(progress))
             stopping = asyncio.create_task(self._stopping.wait())
             await asyncio.wait((warming, stopping), return_when=asyncio.FIRST_COMPLETED)
             if warming.done():
                 await warming
                 ready(addresses)
-                log.info("ready", extra={"grpc": addresses.grpc, "http": addresses.http, "build": build()})
+                program = {"version": ddakf.__version__, "build": build()}
+                log.info("ready", extra={"grpc": addresses.grpc, "http": addresses.http, **program})
                 await self._serve()
             else:
                 warming.cancel()

@@ -13,12 +13,15 @@ import httpx
 import pytest
 from ddakf_api.errors import Draining
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.build import build
 from ddakf_service.commands.serve import JsonAnnouncer
 from ddakf_service.commands.service_process import ServiceFailed, ServiceProcess
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.server import Server
 from ddakf_service.settings import Settings
 from ddakf_service.store.store import Store
+
+import ddakf
 
 from .conftest import TIMEOUT, Api, Talk, children, eventually, frame_of, held, is_running, template
 
@@ -142,8 +145,10 @@ def test_a_log_for_programs_holds_nothing_else(tmp_path):
         rest, said = process.stderr.read(), process.stdout.read()
     assert process.returncode == 0
     assert said == ""
-    assert all(map(json.loads, rest.splitlines()))
-    assert httpx.URL(lines[-1]["http"]).port
+    lines += map(json.loads, rest.splitlines())
+    (ready,) = (line for line in lines if line["message"] == "ready")
+    assert httpx.URL(ready["http"]).port
+    assert (ready["version"], ready["build"]) == (ddakf.__version__, build())
 
 
 def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):

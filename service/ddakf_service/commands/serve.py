@@ -135,13 +135,13 @@ class JsonAnnouncer:
 
 
 class LogAnnouncer:
-    """Progress and addresses as lines of a JSON log, so that the output contains nothing else."""
+    """Progress as lines of a JSON log, so that the output contains nothing else."""
 
     def progress(self, activity: str, done: int, total: int, name: str) -> None:
         log.info("%s kernels", activity, extra={"done": done, "total": total, "kernel": name})
 
     def ready(self, addresses: Addresses) -> None:
-        log.info("ready", extra={"version": ddakf.__version__, "grpc": addresses.grpc, "http": addresses.http})
+        """The server logs them itself."""
 
     def close(self) -> None:
         """Nothing stays open."""

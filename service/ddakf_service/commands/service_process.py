@@ -30,7 +30,7 @@ class ServiceProcess:
         keep: the service outlives this process.
 
     Attributes:
-        grpc: "host:port". http: "http://host:port". :meth:`wait_until_ready` sets both.
+        grpc: "host:port". http: "http://host:port", or https with TLS. :meth:`wait_until_ready` sets both.
     """
 
     def __init__(self, arguments: Sequence[str] = (), *, log: Path, keep: bool = False):

@@ -53,7 +53,7 @@ def https(service, authority: Authority, client: tuple[bytes, bytes] | None) -> 
         key.write_bytes(client[1])
         context.load_cert_chain(certificate, key)
     with httpx.Client(verify=context, timeout=TIMEOUT) as http:
-        return http.get(service.http.replace("http:", "https:") + "/healthz").status_code
+        return http.get(service.http + "/healthz").status_code
 
 
 def secure(service, authority: Authority, client: tuple[bytes, bytes] | None):
