@@ -113,7 +113,7 @@ class Server:
         self._health_update: asyncio.Future | None = None
 
     async def run(self, progress: Progress, ready: Callable[[Addresses], None]) -> None:
-        """Serves until SIGTERM or SIGINT; a second signal ends the process at once.
+        """Serves until SIGTERM, SIGINT or SIGHUP; a second one of the first two ends the process at once.
 
         Args:
             progress: called during the warm-up.
@@ -123,9 +123,7 @@ class Server:
             InvalidConfig: a port is not available.
             WorkerStartFailed: a worker cannot track.
         """
-        loop = asyncio.get_running_loop()
-        for number in (signal.SIGTERM, signal.SIGINT):
-            loop.add_signal_handler(number, self._on_signal)
+        self._handle_signals(asyncio.get_running_loop())
         try:
             await self._load_keys()
             await self._sessions.load()
@@ -183,6 +181,12 @@ class Server:
             ):
                 shutdown.push_async_callback(stop, *arguments)
         log.info("stopped")
+
+    def _handle_signals(self, loop: asyncio.AbstractEventLoop) -> None:
+        for number in (signal.SIGTERM, signal.SIGINT):
+            loop.add_signal_handler(number, self._on_signal)
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:  # nohup
+            loop.add_signal_handler(signal.SIGHUP, self.stop)  # the end of a terminal sends two: from its shell too
 
     def _on_signal(self) -> None:
         if self._stopping.is_set():

@@ -151,6 +151,31 @@ def test_a_log_for_programs_holds_nothing_else(tmp_path):
     assert (ready["version"], ready["build"]) == (ddakf.__version__, build())
 
 
+def test_the_end_of_its_terminal_stops_a_service_in_order(own_service, sheet):
+    """The system sends the signal to every process of the service, and the shell again."""
+    api = Api(own_service.grpc)
+    talk = Talk(api, api.create(sheet).name)
+    for pid in (*children(own_service.pid), own_service.pid):
+        os.kill(pid, signal.SIGHUP)
+    assert next(talk.answers).notice.kind == pb.NOTICE_KIND_DRAINING
+    os.kill(own_service.pid, signal.SIGHUP)
+    assert talk.ask(frame_of(sheet, 1))[-1].result.sequence_number == 1, "frames are answered while the clients leave"
+    talk.end()
+    assert own_service.wait() == 0
+    api.channel.close()
+
+
+async def test_who_is_started_by_nohup_outlives_its_terminal(tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        server = Server(Settings(workers=1, spare_workers=0, grpc_port=0, http_port=0, data_dir=str(tmp_path)))
+        server.stop()
+        await server.run(lambda *_: None, lambda _: None)
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_clients_that_stay_are_cut_off_after_the_grace(own_service, sheet):
     api = Api(own_service.grpc)
     with Talk(api, api.create(sheet).name) as talk:

@@ -37,8 +37,8 @@ _SWITCH_INTERVAL = 2e-4
 def main(server: int, descriptor: int, forks: bool) -> None:
     """Loads everything, then forks a worker for each pipe, or becomes the worker of the first one."""
     # Ctrl-C or a stop reaches the whole process group, but the server ends its workers by closing their pipes.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
     _attach(server, "ddakf-template")
     control = socket.socket(fileno=descriptor)
     warmup.warm(lambda *step: control.sendall(json.dumps(step).encode() + b"\n"))  # before the server has read its settings
