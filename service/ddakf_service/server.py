@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ipaddress
 import logging
 import os
 import signal
@@ -67,6 +68,8 @@ class Server:
 
     def __init__(self, settings: Settings, template: Template | None = None):
         self._settings = settings
+        if sentence := _unreachable(settings):
+            log.warning(sentence)
         self._metrics = Metrics()
         self._metrics.workers.set(settings.workers)
         self._tracer = tracer_for(settings.trace_sample, settings.server_id)
@@ -235,6 +238,20 @@ def _ray_actors(limits: Limits, address: str) -> WorkerSource:
 def _anonymous(settings: Settings) -> bool:
     """Whether calls without a key are admitted."""
     return not settings.require_keys and (settings.allow_anonymous or settings.host in _LOOPBACK)
+
+
+def _unreachable(settings: Settings) -> str:
+    """One sentence where other gateways send clients to an address at which this one does not listen; empty: they do not."""
+    address, host = settings.gateway_address, settings.host
+    if not (settings.share_sessions and address and _is_loopback(host)) or _is_loopback(address.rpartition(":")[0].strip("[]")):
+        return ""
+    return f"gateway_address is {address}, but host is {host}: clients come here only through a proxy on this machine"
+
+
+def _is_loopback(host: str) -> bool:
+    with contextlib.suppress(ValueError):
+        return ipaddress.ip_address(host).is_loopback
+    return host == "localhost"
 
 
 def _bracketed(host: str) -> str:
