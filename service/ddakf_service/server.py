@@ -72,6 +72,8 @@ class Server:
             log.warning(sentence)
         self._metrics = Metrics()
         self._metrics.workers.set(settings.workers)
+        self._metrics.sessions_limit.set(settings.max_sessions)
+        self._metrics.build_info.labels(ddakf.__version__, build()).set(1)
         self._tracer = tracer_for(settings.trace_sample, settings.server_id)
         self._store = Store(settings, self._metrics)
         limits = Limits(
@@ -109,7 +111,8 @@ class Server:
         app = create_app(self._sessions, settings, self._metrics, self._not_ready, self._store)
         add_websockets(app, self._streams, settings.reader_timeout)
         guarded = HttpGuard(app, guard)
-        self._http = HttpServer(origin_checked(guarded, settings.cors_origins, refusals), settings, tls)
+        checked = origin_checked(guarded, settings.cors_origins, refusals)
+        self._http = HttpServer(checked, settings, tls, self._metrics.certificate_expiry.set)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()

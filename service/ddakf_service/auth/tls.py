@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import ssl
+from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,6 +15,7 @@ import grpc
 from ddakf.errors import InvalidConfig
 
 from ..store.files.permissions import SHARED_FILE, exposure
+from .certificate import expiry
 
 log = logging.getLogger(__name__)
 
@@ -79,27 +82,43 @@ class Tls(NamedTuple):
 
     def grpc_credentials(self) -> grpc.ServerCredentials:
         """gRPC credentials that check the files at every handshake."""
-        last_times = [self.modification_times()]
+        last_times, reported = self.modification_times(), ""
 
         def fetch() -> grpc.ServerCertificateConfiguration | None:
+            nonlocal last_times, reported
             try:
                 times = self.modification_times()
-                if times == last_times[0]:
+                if times == last_times:
+                    reported = ""
                     return None
                 self.context()  # raises for a half-written pair
                 changed = self._grpc_configuration()
-                last_times[0] = times
-                return changed
-            except (InvalidConfig, OSError):
+            except (InvalidConfig, OSError) as error:
+                if str(error) != reported:  # logged once per error, as below: each handshake comes here
+                    reported = str(error)
+                    log.warning("gRPC does not use the changed certificate: %s", error)
                 return None
+            last_times, reported = times, ""
+            return changed
 
         return grpc.dynamic_ssl_server_credentials(self._grpc_configuration(), fetch, self.client_ca is not None)
 
-    async def follow(self, context: ssl.SSLContext) -> None:
+    def expiry(self) -> float:
+        """End of the certificate's validity, seconds since 1970; not a number where the file cannot be read."""
+        try:
+            return expiry(self.certificate.read_text(encoding="ascii", errors="replace"))
+        except (OSError, ValueError):
+            return math.nan
+
+    async def follow(self, context: ssl.SSLContext, used: Callable[[float], None] = lambda expiry: None) -> None:
         """Keeps the context of a listening server up to date with the files; runs until it is cancelled.
 
         Authorities cannot be removed from a context, so each handshake gets the newest context.
+
+        Args:
+            used: called with the end of the certificate's validity, now and after each change.
         """
+        used(await asyncio.to_thread(self.expiry))
         current, last_times, reported = [context], self.modification_times(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
@@ -116,6 +135,7 @@ class Tls(NamedTuple):
                     log.warning("the changed certificate is not used: %s", error)
                 continue
             last_times, reported = times, ""
+            used(await asyncio.to_thread(self.expiry))
             log.info("the certificate was read again", extra={"certificate": str(self.certificate)})
 
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:

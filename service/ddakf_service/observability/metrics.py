@@ -37,6 +37,7 @@ class Metrics:
         )
         self.warnings = Counter("ddakf_frame_warnings_total", "Signs of wrong input in applied frames", ["code"], **add)
         self.sessions = Gauge("ddakf_sessions", "Live sessions", **add)
+        self.sessions_limit = Gauge("ddakf_sessions_limit", "Live sessions that the server takes at most", **add)
         self.streams = Gauge("ddakf_streams", "Sessions with an open stream", **add)
         self.watchers = Gauge("ddakf_watchers", "Watchers of sessions", **add)
         self.calls_refused = Counter("ddakf_calls_refused_total", "Calls that were not admitted", ["reason"], **add)
@@ -65,6 +66,11 @@ class Metrics:
         )
         self.lease_held = Gauge("ddakf_lease_held", "1 if this server may answer for its sessions, else 0", **add)
         self.lease_held.set(1)
+        self.certificate_expiry = Gauge(
+            "ddakf_tls_certificate_expiry_seconds", "End of the validity of the certificate in use; +Inf without TLS", **add
+        )
+        self.certificate_expiry.set(math.inf)
+        self.build_info = Gauge("ddakf_build_info", "1; the program", ["version", "build"], **add)
         ProcessCollector(registry=self.registry)
         for outcome in ("applied", "dropped", "late", "rejected", "costly", "failed"):
             self.frames.labels(outcome)
