@@ -112,7 +112,7 @@ class Server:
         add_websockets(app, self._streams, settings.reader_timeout)
         guarded = HttpGuard(app, guard)
         checked = origin_checked(guarded, settings.cors_origins, refusals)
-        self._http = HttpServer(checked, settings, tls, self._metrics.certificate_expiry.set)
+        self._http = HttpServer(checked, settings, tls)
         self._warm = False
         self._restarts_seen = self._recycled_seen = 0
         self._stopping = asyncio.Event()

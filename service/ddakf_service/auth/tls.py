@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import ssl
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +13,6 @@ import grpc
 from ddakf.errors import InvalidConfig
 
 from ..store.files.permissions import SHARED_FILE, exposure
-from .certificate import expiry
 
 log = logging.getLogger(__name__)
 
@@ -103,22 +100,11 @@ class Tls(NamedTuple):
 
         return grpc.dynamic_ssl_server_credentials(self._grpc_configuration(), fetch, self.client_ca is not None)
 
-    def expiry(self) -> float:
-        """End of the certificate's validity, seconds since 1970; not a number where the file cannot be read."""
-        try:
-            return expiry(self.certificate.read_text(encoding="ascii", errors="replace"))
-        except (OSError, ValueError):
-            return math.nan
-
-    async def follow(self, context: ssl.SSLContext, used: Callable[[float], None] = lambda expiry: None) -> None:
+    async def follow(self, context: ssl.SSLContext) -> None:
         """Keeps the context of a listening server up to date with the files; runs until it is cancelled.
 
         Authorities cannot be removed from a context, so each handshake gets the newest context.
-
-        Args:
-            used: called with the end of the certificate's validity, now and after each change.
         """
-        used(await asyncio.to_thread(self.expiry))
         current, last_times, reported = [context], self.modification_times(), ""
         context.sni_callback = lambda connection, *_: setattr(connection, "context", current[0])
         while True:
@@ -135,7 +121,6 @@ class Tls(NamedTuple):
                     log.warning("the changed certificate is not used: %s", error)
                 continue
             last_times, reported = times, ""
-            used(await asyncio.to_thread(self.expiry))
             log.info("the certificate was read again", extra={"certificate": str(self.certificate)})
 
     def _grpc_configuration(self) -> grpc.ServerCertificateConfiguration:

@@ -66,10 +66,6 @@ class Metrics:
         )
         self.lease_held = Gauge("ddakf_lease_held", "1 if this server may answer for its sessions, else 0", **add)
         self.lease_held.set(1)
-        self.certificate_expiry = Gauge(
-            "ddakf_tls_certificate_expiry_seconds", "End of the validity of the certificate in use; +Inf without TLS", **add
-        )
-        self.certificate_expiry.set(math.inf)
         self.build_info = Gauge("ddakf_build_info", "1; the program", ["version", "build"], **add)
         ProcessCollector(registry=self.registry)
         for outcome in ("applied", "dropped", "late", "rejected", "costly", "failed"):

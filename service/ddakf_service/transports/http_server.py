@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import socket
-from collections.abc import Callable
 
 import uvicorn
 from starlette.types import ASGIApp
@@ -30,17 +29,10 @@ class HttpServer:
     Args:
         app: the application with its guard.
         tls: certificates; None: no encryption.
-        on_certificate: called with the end of the certificate's validity, seconds since 1970, at the start and when it changes.
     """
 
-    def __init__(
-        self,
-        app: ASGIApp,
-        settings: Settings,
-        tls: Tls | None,
-        on_certificate: Callable[[float], None] = lambda expiry: None,
-    ):
-        self._settings, self._tls, self._on_certificate = settings, tls, on_certificate
+    def __init__(self, app: ASGIApp, settings: Settings, tls: Tls | None):
+        self._settings, self._tls = settings, tls
         config = uvicorn.Config(
             SecurityHeaders(HttpMethods(app)),
             http=http_protocol(settings.request_timeout + _RESPONSE_GRACE),
@@ -71,7 +63,7 @@ class HttpServer:
         listener = listen(self._settings.host, self._settings.http_port, "http_port")
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         if self._tls is not None:
-            self._following = asyncio.create_task(self._tls.follow(self._server.config.ssl, self._on_certificate))
+            self._following = asyncio.create_task(self._tls.follow(self._server.config.ssl))
         self._task = asyncio.create_task(self._server.serve(sockets=[listener]))
         while not self._server.started:
             if self._task.done():
