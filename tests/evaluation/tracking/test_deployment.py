@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 
 def doctor(capsys, service, *arguments: str) -> tuple[int, dict[str, dict]]:
     """The exit status, and the findings by check."""
-    http = service.http.removeprefix("http://")
+    http = service.http.partition("://")[2]
     status = cli.main(["doctor", "--server", service.grpc, "--http", http, "--json", *arguments])
     return status, {finding["check"]: finding for finding in json.loads(capsys.readouterr().out)}
 

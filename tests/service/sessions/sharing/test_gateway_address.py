@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import pytest
-from ddakf_service.server import Server
-from ddakf_service.settings import Settings
+
+from ...transports.http_alone import http_alone
 
 NOWHERE = "postgresql+psycopg://ddakf@127.0.0.1:1/ddakf"  # refuses at once; the server tries again later
 
@@ -20,10 +20,10 @@ NOWHERE = "postgresql+psycopg://ddakf@127.0.0.1:1/ddakf"  # refuses at once; the
         ("127.0.0.1", "", False),
     ],
 )
-async def test_an_address_at_which_the_server_does_not_listen_has_a_warning(tmp_path, caplog, host, address, warned):
-    shared = {"share_sessions": True, "database_url": NOWHERE, "checkpoint_url": tmp_path.as_uri(), "data_dir": "none"}
-    server = Server(Settings(host=host, gateway_address=address, workers=1, **shared))
-    await server._shut_down()
+def test_an_address_at_which_the_server_does_not_listen_has_a_warning(tmp_path, caplog, host, address, warned):
+    shared = {"share_sessions": True, "database_url": NOWHERE, "checkpoint_url": tmp_path.as_uri()}
+    with http_alone(host=host, gateway_address=address, **shared):
+        pass
     assert [m for m in caplog.messages if "gateway_address" in m and "host is" in m] == (
         [f"gateway_address is {address}, but host is {host}: clients come here only through a proxy on this machine"] * warned
     )
