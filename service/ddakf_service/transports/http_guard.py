@@ -9,7 +9,7 @@ from ddakf_api.errors import ServiceError
 from ..auth.guard import Guard, bearer_key, http_scopes
 from ..auth.principal import current_principal
 from .rest.errors import error_response
-from .truncation import printable
+from .truncation import call_of, peer_of
 
 _SUBPROTOCOL = "ddakf.key."
 
@@ -35,7 +35,7 @@ class HttpGuard:
         try:
             principal = await self._guard.admit(presented_key, http_scopes(scope), headers)
         except ServiceError as error:
-            self._guard.refusals.record(error, presented_key, described(scope), peer_of(scope))
+            self._guard.refusals.record(error, presented_key, call_of(scope), peer_of(scope))
             await _refuse(scope, receive, send, error)
             return
         token = current_principal.set(principal)
@@ -43,17 +43,6 @@ class HttpGuard:
             await self._app(scope, receive, send)
         finally:
             current_principal.reset(token)
-
-
-def described(scope) -> str:
-    """A call in a line of the log: its method and path."""
-    return f"{printable(scope.get('method', 'WebSocket'))} {printable(scope['path'])}"
-
-
-def peer_of(scope) -> str:
-    """Address of the caller, or of its proxy."""
-    host, port = scope.get("client") or ("-", 0)
-    return f"{host}:{port}"
 
 
 async def _refuse(scope, receive, send, error: ServiceError) -> None:

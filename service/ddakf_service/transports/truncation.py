@@ -1,6 +1,10 @@
-"""Truncation of messages to the size of a header or a control frame, and of a client's texts in them to a part of one line."""
+"""Truncation of messages to the size of a header or a control frame, and of a client's texts in them and in the log to a part of
+one line.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
 
 _DOTS = "..."
 _MAX_SHOWN = 80  # characters of a client's text
@@ -17,3 +21,14 @@ def truncated(text: str, max_bytes: int) -> str:
 def printable(text: str) -> str:
     """The beginning of a client's text, which may have any length and letters; line feeds and the like are escaped."""
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in text[:_MAX_SHOWN])[:_MAX_SHOWN]
+
+
+def call_of(scope: Mapping) -> str:
+    """Method and path of an HTTP call or a WebSocket, for a line of the log."""
+    return f"{printable(scope.get('method', 'WebSocket'))} {printable(scope['path'])}"
+
+
+def peer_of(scope: Mapping) -> str:
+    """Address of the caller, or of its proxy."""
+    host, port = scope.get("client") or ("-", 0)
+    return f"{host}:{port}"

@@ -16,7 +16,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from ...auth.guard import is_own_name
 from ...auth.refusals import FOREIGN_PAGE, Refusals
-from ..http_guard import described, peer_of
+from ..truncation import call_of, peer_of
 from .errors import error_response
 from .pages import documentation
 from .responses import LAST_SEQUENCE_NUMBER
@@ -60,7 +60,7 @@ class OriginCheck:
             await self._app(scope, receive, send)
             return
         error = PermissionDenied(f"pages of {origin[:80]} may not use this service: the setting cors_origins does not name it")
-        self._refusals.record(error, None, described(scope), peer_of(scope), FOREIGN_PAGE)
+        self._refusals.record(error, None, call_of(scope), peer_of(scope), FOREIGN_PAGE)
         await error_response(error)(scope, receive, send)
 
     def _is_allowed(self, origin: str, host: str) -> bool:
