@@ -23,7 +23,7 @@ from ddakf.kernels.normals import vertex_normals
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
 TOP = 0.05  # m below the highest vertex that are a garment's top
-LEVEL = 0.5  # mean vertical part of its normals there, in size: waistbands have up to 0.3, shoulders 0.7 and more
+LEVEL = 0.5  # mean vertical part of its normals there, in size: waistbands have a third at most, shoulders two thirds at least
 
 
 def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:

@@ -5,9 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from ddakf import Config, Mesh, Tracker
+from ddakf import Config, Mesh, Tracker, data
 from ddakf.body import body_anchor, contact
 from ddakf.config import Anchor
+from ddakf.files.sequence import load_sequence
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
@@ -79,6 +80,19 @@ def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_or_a_cape_does_n
     waist = body_anchor.start(Setup(GARMENT, contact.build(BODY, 0.1), config), BODY.vertices, MESH.vertices)
     assert set(slips[0]) == set(np.sqrt(waist.slip)) == {CONFIG.slip_sd}
     assert set(slips[1]) == {CONFIG.shoulder_slip_sd}
+
+
+@pytest.mark.parametrize("path", sorted(data.TRAINING.glob("*.npz")), ids=lambda path: path.stem)
+def test_garments_are_told_by_where_they_hang(path):
+    sequence = load_sequence(path)
+    anchor = Config(anchor=Anchor(slip_slope=0.0))
+    body = Mesh(sequence.body_vertices[0], sequence.body_faces)
+    garment = model.build(Mesh(sequence.template, sequence.garment_faces))
+    start = body_anchor.start(
+        Setup(garment, contact.build(body, 0.1), anchor), body.vertices, np.asarray(sequence.garment_vertices[0], float)
+    )
+    waist = path.stem.startswith("skirt")
+    assert set(np.sqrt(start.slip)) == {CONFIG.slip_sd if waist else CONFIG.shoulder_slip_sd}
 
 
 def test_vertices_far_from_the_body_are_not_held():
