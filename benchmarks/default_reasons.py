@@ -54,7 +54,7 @@ REASONS = {
     "Anchor.clearance_slope": "the same; 0.25 is as good within 1 %",
     "Anchor.hanging_slope": "the same; 0.01 and 0.03 are as good within 1 %",
     "Anchor.slip_sd": "tuned on training recordings; 2 mm the same within 1 %",
-    "Anchor.shoulder_slip_sd": "tuned on training recordings, whose collars are sewn on, and tuned ones, whose collars slip",
+    "Anchor.shoulder_slip_sd": "tuned on training recordings, and on tuned ones of other simulators",
     "Anchor.slip_slope": "the same; simulated garments slip by 5 mm at the top, 20 at 20 cm, 45 at 50 cm",
     "Anchor.reach": "chosen",
     "Anchor.least_sd": "chosen: no garment follows its body more exactly",
