@@ -3,8 +3,9 @@
 Held-out skirts, dresses and capes are simulated anew from a frame in which all is in motion, by the simulator that made them. It
 is told the vertices in that frame, how far they have moved since the frame before, and in every frame the body and the vertices
 that are sewn to it. It runs as it did for the recording, with each vertex 1 mm off, at rest at the start, with twice as many
-time steps, and with another fabric. The tracker is not told either how the vertices move at the start. Errors are those of the vertices that the tracker does not measure in the clip from one camera with the body,
-beside the tracker's own. Needs the extra ``simulation``; a minute or two for each recording.
+time steps, and with another fabric. The tracker is not told how the vertices move at the start. Errors are those of the vertices
+that it does not measure in the clip from one camera with the body, beside the tracker's own. Needs the extra ``simulation``; a
+minute or two for each recording.
 """
 
 from __future__ import annotations
@@ -112,7 +113,8 @@ def _tracked(sequence: Sequence, numbers: range) -> tuple[np.ndarray, np.ndarray
 
 def table(rows: list[dict]) -> str:
     """The errors in Markdown, by recording and in the geometric mean."""
-    lines = ["| hidden cloth, RMSE mm | as recorded | 1 mm off | at rest | other steps | other fabric | DD-AKF |", "|---" * 7 + "|"]
+    lines = ["| hidden cloth, RMSE mm | as recorded | 1 mm off | at rest | other steps | other fabric | DD-AKF |"]
+    lines.append("|---" * (1 + len(COLUMNS)) + "|")
     lines += [f"| {row['recording']} | {' | '.join(f'{row[column]:.0f}' for column in COLUMNS)} |" for row in rows]
     return "\n".join([*lines, f"| all | {' | '.join(f'{geometric(rows, column):.0f}' for column in COLUMNS)} |"])
 
