@@ -327,7 +327,7 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: a share of the RMS sigma times (1 + unexplained / scale)^power."""
+    """Predicted error of a frame: a share of the RMS error that sigma claims times (1 + unexplained / scale)^power."""
 
     sigma_share: float = bounded(0.82, 0, 10)  # six of seven frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points
