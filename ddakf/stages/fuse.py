@@ -72,7 +72,7 @@ def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) 
         problem: the frame.
         estimate: at which the evidence was formed.
         evidence: of stages B to E.
-        gate: search radius of this pass; no vertex is moved farther, metres.
+        gate: search radius of this pass, metres; no correction is longer, before it is extrapolated.
     """
     estimate = estimate._replace(evidence=evidence, contacts=evidence.forces.contacts, passes=estimate.passes + 1)
     match problem.config.fuse:
