@@ -67,7 +67,7 @@ class GridFilter(Checked):
     suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood; below it a point's neighbours are computed
     sample: int = bounded(300, 1, 100_000)  # other points that enter the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
-    planes_per_vertex: float = bounded(8.0, 0.1, 100)  # plane fits at most; a denser cloud is subsampled to as many
+    planes_per_vertex: float = bounded(8.0, 0.1, 100)  # plane fits, about; a denser cloud is subsampled to as many
 
 
 @dataclass(frozen=True)
