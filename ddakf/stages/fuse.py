@@ -119,7 +119,7 @@ def _folds_unseen(problem: Problem) -> bool:
 
 
 def _sheet(problem: Problem) -> bool:
-    """The garment has one side, as a cape has, or a template of one depth frame."""
+    """The garment has one layer along a direction: a cape, a template of one depth frame, from above a wide skirt too."""
     reference = problem.reference
     return reference is not None and reference.hidden_share < problem.config.sidedness.one_sided
 
