@@ -59,7 +59,7 @@ class Frames(NamedTuple):
     frame: np.ndarray  # (N,) number in the recording
     rmse: np.ndarray  # (N,) m
     reliability: np.ndarray  # (N,)
-    sigma: np.ndarray  # (N,) m, RMS
+    sigma: np.ndarray  # (N,) m, root mean trace of the covariances
     unexplained: np.ndarray  # (N,) share of the points
 
 

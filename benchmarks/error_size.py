@@ -121,7 +121,7 @@ def _widening(distance: np.ndarray, rows: Rows, usual: np.ndarray) -> np.ndarray
 
 
 def fitted_frames(frames: Frames) -> dict[str, float]:
-    """The law of the frames' error: the share of the RMS sigma so that ``BETTER`` have less error, every run alike.
+    """The law of the frames' error: the share of the claimed RMS error so that ``BETTER`` have less error, every run alike.
 
     The power of the unexplained points stays: hardly any frame of the collection shows cloth that is not the garment's.
     """

@@ -67,7 +67,7 @@ class GridFilter(Checked):
     suspect_share: float = bounded(0.4, 0, 1)  # of the median neighbourhood; below it a point's neighbours are computed
     sample: int = bounded(300, 1, 100_000)  # other points that enter the statistics
     plane_radius: float = bounded(1.0, 0.2, 1.0)  # in cells: neighbourhood of a plane fit
-    planes_per_vertex: float = bounded(8.0, 0.1, 100)  # plane fits at most; a denser cloud is subsampled to as many
+    planes_per_vertex: float = bounded(8.0, 0.1, 100)  # plane fits, about; a denser cloud is subsampled to as many
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class PlaneAssociation(Checked):
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
     hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there
-    hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below; another layer is farther away
+    hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below, and a third of the way across; another layer is farther
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane
     bulge: float = bounded(0.3, 0, 1)  # of what a vertex stands out of its neighbours, which a plane of a patch as wide flattens
@@ -327,7 +327,7 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: a share of the RMS sigma times (1 + unexplained / scale)^power."""
+    """Predicted error of a frame: a share of the RMS error that sigma claims times (1 + unexplained / scale)^power."""
 
     sigma_share: float = bounded(0.82, 0, 10)  # six of seven frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points

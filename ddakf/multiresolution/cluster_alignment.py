@@ -119,7 +119,7 @@ def _solve(
         planes = SamplePlanes(point, normal, inside.astype(float))
         noise = SampleNoise(config.coarse.contact_sd**2, np.inf, 0.0, stands_for)
         kernels.add_planes(position, position, clusters.sample, frames, planes, noise, A, b)
-    stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.stretch * physics.fabric.stretch
+    stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.in_plane
     stiffness = SeamStiffness(clusters.weakening, stretch, physics.strain_scale)
     kernels.add_seams(position, frames, clusters.seam, estimate.rest, estimate.motion, stiffness, A, b)
     moves, factor = np.full(6 * k, np.nan), np.empty((6 * k, clusters.elimination.width), np.float32)

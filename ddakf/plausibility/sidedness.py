@@ -1,8 +1,9 @@
 """Sidedness: whether a cloud without a sensor origin shows one side of the garment, and which.
 
-Along the direction that it was seen from a cloud of one side has one layer, and a garment from all sides has two. The test needs
-no track, so that it holds before a search and after a wrong fit. Of the two ends of that direction the sensor is where the cloud
-bulges. An error of 20 degrees costs no accuracy: only what faces the sensor has to be told from what does not.
+Along the direction that it was seen from a cloud of one side has one layer, and a garment from all sides has two. A sheet has one
+itself, and so has a wide skirt from above: these are not judged. The test needs no track, so that it holds before a search and
+after a wrong fit. Of the two ends of that direction the sensor is where the cloud bulges. An error of 20 degrees costs no
+accuracy: only what faces the sensor has to be told from what does not.
 """
 
 from __future__ import annotations

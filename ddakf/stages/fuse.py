@@ -72,7 +72,7 @@ def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) 
         problem: the frame.
         estimate: at which the evidence was formed.
         evidence: of stages B to E.
-        gate: search radius of this pass; no vertex is moved farther, metres.
+        gate: search radius of this pass, metres; no correction is longer, before it is extrapolated.
     """
     estimate = estimate._replace(evidence=evidence, contacts=evidence.forces.contacts, passes=estimate.passes + 1)
     match problem.config.fuse:
@@ -119,7 +119,7 @@ def _folds_unseen(problem: Problem) -> bool:
 
 
 def _sheet(problem: Problem) -> bool:
-    """The garment has one side, as a cape has, or a template of one depth frame."""
+    """The garment has one layer along a direction: a cape, a template of one depth frame, from above a wide skirt too."""
     reference = problem.reference
     return reference is not None and reference.hidden_share < problem.config.sidedness.one_sided
 

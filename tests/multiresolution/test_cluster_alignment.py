@@ -11,6 +11,7 @@ from ddakf.garment import clusters, model
 from ddakf.kernels import cluster_alignment as kernels
 from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.multiresolution import cluster_alignment
+from ddakf.physics.fabric import Fabric
 from ddakf.types import State
 from tests.stages.scenes import about, cloud_of, inner_body, posed, problem_of, rms, scan, tube
 
@@ -144,6 +145,14 @@ def test_a_part_that_moves_alone_is_found():
     """As far as rigid clusters can shear off."""
     truth = end_moved(MESH.vertices)
     assert rms(aligned(truth) - truth) < 0.9 * rms(MESH.vertices - truth)
+
+
+def test_seams_are_as_stiff_as_the_faces():
+    """Which have the mean of stretch and shear, so that fabrics of the same mean are alike."""
+    truth, fabrics = end_moved(MESH.vertices), [Fabric(stretch=stretch, shear=2.0 - stretch) for stretch in (1.0, 0.25)]
+    one, other = (aligned(truth, CONFIG.with_fabric(fabric)) for fabric in fabrics)
+    np.testing.assert_array_equal(one, other)
+    assert (one != MESH.vertices).any()
 
 
 def test_a_part_alone_does_not_drag_a_hidden_side_along():

@@ -99,6 +99,13 @@ def test_the_error_of_a_frame_is_in_proportion_to_its_sigma():
     assert predicted_error(missed._replace(sigma=2 * sigma), LAW) == pytest.approx(2 * predicted_error(missed, LAW))
 
 
+def test_the_error_of_a_frame_is_that_of_its_reported_sigma():
+    mesh = tube()
+    result = Tracker(mesh).step(scan(mesh.vertices, mesh, seed=1, noise=0.003), timestamp=0.0)
+    claimed = np.sqrt(3 * np.square(result.sigma).mean())
+    assert result.reliability == pytest.approx(score(LAW.sigma_share * claimed, CONFIG))
+
+
 # Evidence -----------------------------------------------------------------------------------------------------------
 
 

@@ -1,7 +1,8 @@
 """Registration methods of other packages, available where these are installed and never required.
 
 Each gets the cloud and, if it can use them, the vertices that face the sensor, and starts from the last estimate. None is tuned
-here: the parameters are the packages' own, converted to metres. They use no body and no time.
+here: the parameters are the packages' own, converted to metres. A body carries the last estimate on and keeps the garment
+outside, see :mod:`.registration`, and holds no hidden vertex. They use no time.
 """
 
 from __future__ import annotations
