@@ -147,7 +147,7 @@ def _certificate(server: Server) -> tuple[str, str]:
 
 
 def _context(server: Server) -> ssl.SSLContext:
-    """TLS as the client has it."""
+    """TLS as the client has it, but for "system": with the authorities of the machine."""
     context = ssl.create_default_context(cafile=None if server.tls_ca in (None, SYSTEM) else server.tls_ca)
     if server.tls_certificate:
         context.load_cert_chain(server.tls_certificate, server.tls_key)

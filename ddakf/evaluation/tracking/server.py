@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from ddakf.errors import MissingDependency
 
-SYSTEM = "system"  # the authorities that this machine trusts
+SYSTEM = "system"  # the public authorities that gRPC brings
 
 
 class Server(NamedTuple):
