@@ -338,10 +338,18 @@ class Track(NamedTuple):
 # One frame ----------------------------------------------------------------------------------------------------------
 
 
+class Sides(NamedTuple):
+    """Sides of a garment: its layers along the directions that a sensor may look."""
+
+    hidden_share: float  # of its surface, in a second layer, along the judged direction where that is least
+    level: bool = False  # level directions alone are judged
+    sheet: bool = False  # one side, as of a template of one depth frame: there is no other that a sensor could miss
+
+
 class InputReference(NamedTuple):
     """What the frames of a garment are held against."""
 
-    hidden_share: float  # of its surface, in a second layer, along the direction where that is least
+    sides: Sides
     outward: float  # mean cosine of its normals to the outside
     body_outward: float  # of the body's; 1 without a body
     split_edges: int = 0  # open edges of the garment at the place of another

@@ -1,9 +1,9 @@
 """Sidedness: whether a cloud without a sensor origin shows one side of the garment, and which.
 
 Along the direction that it was seen from a cloud of one side has one layer, and a garment from all sides has two. A sheet has one
-itself, and so has a wide skirt from above: these are not judged. The test needs no track, so that it holds before a search and
-after a wrong fit. Of the two ends of that direction the sensor is where the cloud bulges. An error of 20 degrees costs no
-accuracy: only what faces the sensor has to be told from what does not.
+itself and is not judged. From above wide skirts and capes have one too: these are judged along level directions alone. The test
+needs no track, so that it holds before a search and after a wrong fit. Of the two ends of that direction the sensor is where the
+cloud bulges. An error of 20 degrees costs no accuracy: only what faces the sensor has to be told from what does not.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from ddakf.config import PlaneAssociation, Sidedness
 from ddakf.kernels import sidedness as kernels
 from ddakf.kernels.preprocess import bounds, crop
 from ddakf.kernels.visibility import perpendicular_axes
-from ddakf.types import FrameInput, Model, Setup, Track, View
+from ddakf.types import FrameInput, Model, Setup, Sides, Track, View
 
 BESIDE = 0.5  # least cosine between directions of one plateau
+STEEP = 0.5  # cosine to the vertical up to which a direction is level
+FLAT = 0.9  # length of the mean normal, from which a sheet is flat; level directions see its edge
 
 
 def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View]:
@@ -34,10 +36,11 @@ def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View
         return frame, View()
     if view.wait > 0:
         view = view._replace(wait=view.wait - 1)
-    elif setup.reference.hidden_share >= config.one_sided:
+    elif not setup.reference.sides.sheet:
         points = _near(frame.points, last, config)
         if len(points) >= config.least_points:
-            view = look(points, setup.model.area, view, config)
+            up = setup.config.start.to_y_up[1] if setup.reference.sides.level else None
+            view = look(points, setup.model.area, view, config, up)
     oriented = config.estimate and isinstance(setup.config.associate, PlaneAssociation)
     if view.one_sided and oriented and len(frame.points):
         origin = frame.points.mean(axis=0, dtype=np.float64) + config.distance * np.array(view.side)
@@ -45,15 +48,25 @@ def seen(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput, View
     return frame, view
 
 
-def look(points: np.ndarray, area: float, view: View, config: Sidedness) -> View:
-    """The view after a look at (N, 3) points, metres, of a garment of ``area`` square metres."""
-    cloud, cell = thinned(points, area, config)
-    share = hidden_shares(cloud, cell, config)
+def look(points: np.ndarray, area: float, view: View, config: Sidedness, up: np.ndarray | None = None) -> View:
+    """The view after a look at (N, 3) points of a garment.
+
+    Args:
+        points: near the garment, metres.
+        area: of the garment, m^2.
+        view: before.
+        config: of the look.
+        up: (3,) unit vector, where level directions alone are judged.
+    """
+    (cloud, cell), axes = thinned(points, area, config), all_axes(config.directions)
+    if up is not None:
+        axes = axes[_level(axes, up)]
+    share = hidden_shares(cloud, cell, axes, config)
     old = config.memory if view.looked else 0.0
     hidden = old * view.hidden_share + (1.0 - old) * float(share.min())
     if hidden >= (config.all_sides if view.one_sided else config.one_sided):
         return View(True, hidden, wait=config.interval - 1)
-    axes = _axes(share, np.array(view.side), config)
+    axes = _middle(axes, share, np.array(view.side), config)
     side = old * np.array(view.side) + (1.0 - old) * axes[2]
     side /= np.linalg.norm(side)
     bulge = old * view.bulge + (1.0 - old) * kernels.bulge(cloud, axes, cell) / cell
@@ -62,11 +75,26 @@ def look(points: np.ndarray, area: float, view: View, config: Sidedness) -> View
     return View(True, hidden, tuple(side.tolist()), bulge, config.interval - 1)
 
 
-def hidden_share(garment: Model, config: Sidedness) -> float:
-    """Share of a garment's surface that lies in a second layer along the direction where that is least."""
-    vertices, faces = garment.mesh.vertices, garment.faces
-    points = np.concatenate([vertices, vertices[faces].mean(axis=1)]).astype(np.float32)
-    return float(hidden_shares(*thinned(points, garment.area, config), config).min())
+def sides(garment: Model, config: Sidedness, up: np.ndarray) -> Sides:
+    """Sides of a garment whose upward unit vector is (3,) ``up``.
+
+    A sheet has one layer along a level direction, or is flat. A garment that has one along a steep direction alone is judged
+    along level ones.
+    """
+    vertices, corners, axes = garment.mesh.vertices, garment.mesh.vertices[garment.faces], all_axes(config.directions)
+    points = np.concatenate([vertices, corners.mean(axis=1)]).astype(np.float32)
+    share = hidden_shares(*thinned(points, garment.area, config), axes, config)
+    if (every := float(share.min())) >= config.one_sided:
+        return Sides(every)
+    level = float(share[_level(axes, up)].min(initial=1.0))
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = np.linalg.norm(normal.sum(axis=0)) > FLAT * np.linalg.norm(normal, axis=1).sum()
+    return Sides(level, True, bool(flat) or level < config.one_sided)
+
+
+def _level(axes: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """(D,) bool: directions that are level."""
+    return np.abs(axes[:, 2] @ up) < STEEP
 
 
 def thinned(points: np.ndarray, area: float, config: Sidedness) -> tuple[np.ndarray, float]:
@@ -75,17 +103,16 @@ def thinned(points: np.ndarray, area: float, config: Sidedness) -> tuple[np.ndar
     return chosen - chosen.mean(axis=0), float(np.sqrt(config.points_per_cell * area / len(chosen)))
 
 
-def hidden_shares(cloud: np.ndarray, cell: float, config: Sidedness) -> np.ndarray:
-    """Share of the points that are hidden along each direction, of what :func:`thinned` returns."""
-    axes = all_axes(config.directions)
+def hidden_shares(cloud: np.ndarray, cell: float, axes: np.ndarray, config: Sidedness) -> np.ndarray:
+    """(D,) share of the points that are hidden along the direction of each of (D, 3, 3) axes, of what :func:`thinned` returns."""
     share = np.empty(len(axes))
     kernels.hidden_shares(cloud, axes, cell, config.gap * cell, share)
     return share
 
 
-def _axes(share: np.ndarray, last: np.ndarray, config: Sidedness) -> np.ndarray:
+def _middle(axes: np.ndarray, share: np.ndarray, last: np.ndarray, config: Sidedness) -> np.ndarray:
     """(3, 3) axes of the middle of the directions with one layer, at the end nearer to the ``last`` (3,) side."""
-    toward = all_axes(config.directions)[:, 2]
+    toward = axes[:, 2]
     best = toward[share.argmin()] * (-1.0 if toward[share.argmin()] @ last < 0.0 else 1.0)
     cosine = toward @ best
     alike = (share <= share.min() + config.plateau) & (np.abs(cosine) > BESIDE)

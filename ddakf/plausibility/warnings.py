@@ -28,7 +28,7 @@ def _sensor_origin_missing(problem: Problem, estimate: Estimate) -> Sign | None:
     if not view.one_sided:
         return None
     x, y, z = view.side
-    seen = f"{view.hidden_share:.0%} of it lies in a second layer, of the garment {problem.reference.hidden_share:.0%}"
+    seen = f"{view.hidden_share:.0%} of it lies in a second layer, of the garment {problem.reference.sides.hidden_share:.0%}"
     return Sign("sensor_origin", f"the cloud shows one side ({seen}), seen from about ({x:.2f}, {y:.2f}, {z:.2f})")
 
 
@@ -51,11 +51,11 @@ CHECKS: Mapping[WarningCode, Check] = {
 
 def reference(given: Mesh, garment: Model, body: Mesh | None, config: Config) -> InputReference:
     """What the frames of a garment are held against: the mesh as given, the garment that is tracked, and its body."""
-    hidden, outward = sidedness.hidden_share(garment, config.sidedness), handedness.outward(garment.mesh)
+    sides, outward = sidedness.sides(garment, config.sidedness, config.start.to_y_up[1]), handedness.outward(garment.mesh)
     if body is None:
-        return InputReference(hidden, outward, 1.0, given.split_edges)
+        return InputReference(sides, outward, 1.0, given.split_edges)
     fallen = handedness.fallen(body, config.start.to_y_up)
-    return InputReference(hidden, outward, handedness.outward(body), given.split_edges, fallen)
+    return InputReference(sides, outward, handedness.outward(body), given.split_edges, fallen)
 
 
 def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:

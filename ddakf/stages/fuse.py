@@ -119,9 +119,8 @@ def _folds_unseen(problem: Problem) -> bool:
 
 
 def _sheet(problem: Problem) -> bool:
-    """The garment has one layer along a direction: a cape, a template of one depth frame, from above a wide skirt too."""
-    reference = problem.reference
-    return reference is not None and reference.hidden_share < problem.config.sidedness.one_sided
+    """The garment has one side, as a template of one depth frame has."""
+    return problem.reference is not None and problem.reference.sides.sheet
 
 
 def _all_around(problem: Problem) -> bool:

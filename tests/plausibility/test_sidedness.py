@@ -12,10 +12,11 @@ from ddakf.garment import model
 from ddakf.plausibility import sidedness
 from ddakf.types import View
 from tests.stages.scenes import FPS, scan, turn
-from tests.tracker_runs import SAMPLE, SHIRT, TUBE, assert_same
+from tests.tracker_runs import SAMPLE, SHIRT, assert_same
 
 AREA = model.build(SHIRT).area
 CONFIG = Sidedness()
+UP = np.array([0.0, 1.0, 0.0])
 BLIND = dataclasses.replace(Config(), sidedness=Sidedness(estimate=False))
 
 
@@ -82,12 +83,35 @@ def test_a_sheet_has_one_layer_itself():
     corner = (x[:-1, :-1] * 20 + y[:-1, :-1]).ravel()
     faces = np.concatenate([np.stack([corner, corner + 20, corner + 1], 1), np.stack([corner + 1, corner + 20, corner + 21], 1)])
     sheet = Mesh(0.03 * np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], 1).astype(float), faces)
-    assert (
-        sidedness.hidden_share(model.build(sheet), CONFIG) < CONFIG.one_sided < sidedness.hidden_share(model.build(TUBE), CONFIG)
-    )
+    lying = Mesh(sheet.vertices[:, [0, 2, 1]], sheet.faces)
+    assert all(sidedness.sides(model.build(each), CONFIG, UP).sheet for each in (sheet, lying))
     tracker = Tracker(sheet)
     for k in range(3):
         assert not tracker.step(scan(sheet.vertices, sheet, 2000, seed=k), timestamp=k / FPS).warnings
+
+
+def cone(width):
+    """A skirt of 60 cm with a waist of 20 and a hem of ``width`` metres across."""
+    ring, column = np.meshgrid(np.arange(21), np.arange(48), indexing="ij")
+    radius, turned = 0.1 + (width / 2 - 0.1) * ring / 20, 2 * np.pi * column / 48
+    vertices = np.stack([radius * np.sin(turned), -0.03 * ring, radius * np.cos(turned)], axis=2).reshape(-1, 3)
+    corner, beside = (ring * 48 + column)[:-1].ravel(), (ring * 48 + (column + 1) % 48)[:-1].ravel()
+    faces = np.concatenate([np.stack([corner, corner + 48, beside], 1), np.stack([beside, corner + 48, beside + 48], 1)])
+    return Mesh(vertices, faces)
+
+
+def test_a_wide_skirt_is_no_sheet_and_its_side_is_found_along_level_directions():
+    skirt = cone(1.2)
+    sides = sidedness.sides(model.build(skirt), CONFIG, UP)
+    assert sides.level
+    assert not sides.sheet
+    assert not sidedness.sides(model.build(cone(0.5)), CONFIG, UP).level
+    for front in (False, True):
+        tracker = Tracker(skirt)
+        for k in range(3):
+            points = scan(skirt.vertices, skirt, 4000, seed=k)
+            result = tracker.step(points[points[:, 2] > 0] if front else points, timestamp=k / FPS)
+        assert [each.code for each in result.warnings] == ["sensor_origin_missing"] * front
 
 
 def run(frames, config=None, view="front", given=True):
