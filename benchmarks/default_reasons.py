@@ -141,7 +141,7 @@ REASONS = {
     "Physics.rest_rigidity": "tuned: more supports a loose skirt, but lifts a hidden half off its body",
     "Physics.coarse_edge": "chosen: about the edges of the working meshes on which both rigidities were tuned",
     "Physics.coarse_share": "chosen: with 0.25 a tube with edges of 4 cm slips about itself after a loss",
-    "Physics.hidden_edge": "chosen: edges of the templates on which both rigidities were tuned",
+    "Physics.hidden_edge": "chosen on seven tuned recordings from one camera, with little data: see docs/algorithm.md",
     "Physics.uneven_rigidity": "tuned: prevents crumpling of soft cloth",
     "Physics.strain_followed": "tuned: the rest stops an even strain from wandering",
     "Physics.start_strain_kept": "tuned: clips of 2 s gain 1 % more with 0.5 to 0.85; sequences of 8 s lose 3 % with 0.7",
