@@ -101,7 +101,7 @@ class Settings(BaseSettings):
     lossless_queue: int = Field(8, ge=1, le=1024, description="queued frames of a lossless session before reading stops")
     max_watchers: int = Field(16, ge=0, le=1024, description="watchers per session")
     max_frame_rate: float = Field(0.0, ge=0, description="frames per second of a session; 0: not limited")
-    idle_timeout: float = Field(300.0, gt=0, description="seconds without a frame after which a session ends")
+    idle_timeout: float = Field(300.0, gt=0, description="seconds without frames or calls on the tracker that end a session")
     departure_timeout: float = Field(
         60.0, gt=0, description="seconds that a session waits for its client after its stream ends; at most idle_timeout"
     )

@@ -65,7 +65,7 @@ class RestoreSession(BaseModel):
     api_version: str = Field(API_VERSION, description="version of the contract that the client speaks")
     max_points: int = Field(0, ge=0, le=2**32 - 1, description="points per frame")
     max_frame_rate: float = Field(0.0, ge=0, description="frames per second")
-    idle_timeout: float = Field(0.0, ge=0, description="seconds without a frame after which the session expires")
+    idle_timeout: float = Field(0.0, ge=0, description="seconds without frames or calls on the tracker that end the session")
     max_lifetime: float = Field(0.0, ge=0, description="seconds after its creation at which the session expires")
     max_frames_in_flight: int = Field(0, ge=0, le=2**32 - 1, description="queued frames in lossless flow")
     departure_timeout: float = Field(0.0, ge=0, description="seconds that a session waits for a client that left its stream")

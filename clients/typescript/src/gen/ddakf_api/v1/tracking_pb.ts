@@ -301,7 +301,7 @@ export type SessionLimits = Message<"ddakf_api.v1.SessionLimits"> & {
   maxFrameRate: number;
 
   /**
-   * Seconds without a frame after which the session expires.
+   * Seconds without a frame, and without another call on the tracker, after which the session expires.
    *
    * @generated from field: double idle_timeout = 3;
    */
@@ -1316,7 +1316,7 @@ export type TrackRequest = Message<"ddakf_api.v1.TrackRequest"> & {
     case: "frame";
   } | {
     /**
-     * Answered at once by a Pong, also while frames wait.
+     * Answered by a Pong, also while frames wait; not before a full lossless queue or frame rate lets the server read on.
      *
      * @generated from field: ddakf_api.v1.Ping ping = 3;
      */
