@@ -63,6 +63,9 @@ const CLOUD_CODECS: Record<CloudCodec, PointCodec> = {
 };
 const DEPTH_COMPRESSIONS: Record<DepthCodec, DepthCompression> = { rvl: DepthCompression.RVL, none: DepthCompression.NONE };
 
+const LAST_ROW = [0, 0, 0, 1]; // of a pose of 16 numbers
+const LAST_ROW_ERROR = 1e-6;
+
 /**
  * The message of a frame.
  *
@@ -107,7 +110,7 @@ async function depthPayload(frame: DepthFrame, { depthCodec }: FrameCodecs, enco
   const more = { ...(mask && { mask }), ...(confidence && { confidence }), ...(colors && { colors }) };
   const image = { depth, width, height, depthScale, ...more };
   const [fx, fy, cx, cy] = numbers("intrinsics", frame.intrinsics, [4]) as [number, number, number, number];
-  const matrix = frame.pose === undefined ? [] : numbers("pose", frame.pose, [12, 16]).slice(0, 12);
+  const matrix = frame.pose === undefined ? [] : rows(frame.pose);
   if (!(Number.isInteger(minConfidence) && minConfidence >= 0 && minConfidence <= 255))
     throw new InvalidFrame("", { field: "minConfidence", expected: "0 to 255", got: String(minConfidence) });
   const encoded = await encoder.depth(image, depthCodec);
@@ -166,6 +169,15 @@ function numbers(field: string, values: ArrayLike<number> | undefined, lengths: 
   if (lengths.includes(given.length) && given.every(Number.isFinite)) return given;
   const got = given.every(Number.isFinite) ? `${given.length}` : "a number that is not finite";
   throw new InvalidFrame("", { field, expected: `${lengths.join(" or ")} finite numbers`, got });
+}
+
+/** The 12 numbers of a pose. WebXR and ARKit have columns, whose shift would be dropped and whose turn would be reversed. */
+function rows(pose: ArrayLike<number>): number[] {
+  const given = numbers("pose", pose, [12, 16]);
+  const last = given.slice(12);
+  if (last.some((value, column) => Math.abs(value - LAST_ROW[column]!) > LAST_ROW_ERROR))
+    throw new InvalidFrame("", { field: "pose", expected: "rows, the last one 0, 0, 0, 1", got: last.join(", ") });
+  return given.slice(0, 12);
 }
 
 function bodyBytes(vertices: Points): Uint8Array<ArrayBuffer> {

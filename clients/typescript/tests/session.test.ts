@@ -194,6 +194,7 @@ describe("flow", () => {
 });
 
 describe("a refused frame", () => {
+  const COLUMNS = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 1, -2, 1]; // as XRRigidTransform.matrix
   const bad: Record<string, [unknown, string]> = {
     "no frame": [7, "frame: expected an object with points or depth, got number"],
     "text as points": [{ points: "abc", timestamp: 1 }, "points: expected"],
@@ -203,6 +204,10 @@ describe("a refused frame", () => {
     "both kinds": [{ points: new Float32Array(), depth: new Float32Array(), timestamp: 1 }, "got both"],
     "a body of another size": [{ points: new Float32Array(), bodyVertices: new Float32Array(4), timestamp: 1 }, "bodyVertices"],
     "an image without a camera": [{ depth: new Float32Array(1), width: 1, height: 1, timestamp: 1 }, "intrinsics: expected 4"],
+    "a pose by columns": [
+      { depth: new Float32Array(1), width: 1, height: 1, intrinsics: [1, 1, 0, 0], pose: COLUMNS, timestamp: 1 },
+      "pose: expected rows, the last one 0, 0, 0, 1, got 0.5, 1, -2, 1",
+    ],
     "an origin of two": [{ points: new Float32Array(9), sensorOrigin: [1, 2], timestamp: 1 }, "sensorOrigin: expected 3 or 9"],
   };
 
