@@ -110,7 +110,16 @@ def test_a_frame_without_points_and_depth_is_refused():
         Frame.of(SimpleNamespace(timestamp=1.0))
 
 
-@pytest.mark.parametrize("change", [{"depth_codec": "jpeg"}, {"compact": 1}, {"every_nth": 0}, {"every_nth": True}])
+STEPS = [0, -0.001, float("nan"), float("inf"), "0.001", True]  # none of them metres
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"depth_codec": "jpeg"}, {"compact": 1}, {"every_nth": 0}, {"every_nth": True}, {"on_notice": None}),
+        *({"step": step} for step in STEPS),
+    ],
+)
 def test_a_plan_with_unknown_options_is_refused(change):
     with pytest.raises(InvalidArgument) as refusal:
         Plan("sessions/a", 10.0, **change)

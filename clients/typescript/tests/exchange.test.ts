@@ -346,6 +346,7 @@ test.each([
   [{ codec: "morton-zstd" }, 'got "morton-zstd"'],
   [{ everyNth: 0 }, "everyNth: expected a whole number from 1 on, got 0"],
   [{ resume: -1 }, "resume: expected seconds, got -1"],
+  [{ step: NaN }, "step: expected metres above 0, got NaN"],
 ])("options that do not exist are named: %o", (options, sentence) => {
   expect(() => plan("sessions/a", 10, options as object)).toThrow(sentence);
 });

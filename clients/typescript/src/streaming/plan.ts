@@ -70,6 +70,8 @@ export function plan(name: string, timeout: number, options: TrackOptions): Plan
   requireOneOf("depthCodec", made.depthCodec, DEPTH_CODECS);
   requireOneOf("onError", made.onError, ["throw", "yield"]);
   requireEveryNth(made.everyNth);
+  if (!(Number.isFinite(made.step) && made.step > 0))
+    throw new InvalidArgument("", { field: "step", expected: "metres above 0", got: String(made.step) });
   for (const field of ["resume", "timeout"] as const)
     if (!(made[field] >= 0)) throw new InvalidArgument("", { field, expected: "seconds", got: String(made[field]) });
   return made;
