@@ -24,7 +24,7 @@ from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, Invali
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import require_every_nth, require_step, require_timeout
-from ddakf_client.frames import Frame, to_message
+from ddakf_client.frames import Frame, time_of, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
 FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}
@@ -204,11 +204,7 @@ class Exchange:
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
             self.failure = self.failure or error
-        try:
-            timestamp = getattr(offered.frame, "timestamp", None)
-        except Exception:  # of the caller's object, which may be why the frame is refused
-            timestamp = None
-        self._refused.append(FrameError(offered.sequence, timestamp, error))
+        self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
 
     # Answers out ----------------------------------------------------------------------------------------------------
 

@@ -74,6 +74,14 @@ class Frame:
         raise InvalidFrame(field="frame", expected=expected, got=type(frame).__name__)
 
 
+def time_of(frame: object) -> float | None:
+    """The seconds of a frame that may be why it is refused; None: it has none."""
+    try:
+        return _seconds("timestamp", frame[1] if isinstance(frame, tuple) else frame.timestamp)
+    except Exception:  # of the caller's object too
+        return None
+
+
 def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec: str = DEFAULT_DEPTH_CODEC) -> pb.Frame:
     """The message of a frame.
 
