@@ -75,6 +75,14 @@ def test_an_object_may_have_any_of_the_attributes():
 
 
 @pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("points", [[], (), np.empty(0), np.empty((0, 3)), np.empty((3, 0), np.float32)], ids=repr)
+def test_any_empty_array_is_a_frame_without_measurements(points, codec):
+    frame = Frame(points, 1.0, np.zeros(3), colors=np.empty(0, np.uint8))
+    sent = to_message(frame, 1, codec, 0.0005)
+    assert (sent.WhichOneof("payload"), sent.point_cloud.point_count) == ("point_cloud", 0)
+
+
+@pytest.mark.parametrize("codec", CODECS)
 def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
     sent = to_message(Frame(np.zeros((3, 3)), 1.0), 1, codec, 0.0005)
     assert (sent.display_time, sent.deadline, sent.point_cloud.point_count) == (0.0, 0.0, 3)

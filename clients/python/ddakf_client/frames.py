@@ -105,12 +105,20 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
 
 
 def _add_points(message: pb.Frame, frame: Frame, codec: str, step: float) -> None:
-    points, runs = checked_array("points", frame.points, expected="numbers of shape (N, 3)", error=CodecError), None
-    colors = None if frame.colors is None else checked_colors(frame.colors, points.shape)
+    points, runs = _points(frame.points), None
+    colors = None if frame.colors is None or len(points) == 0 else checked_colors(frame.colors, points.shape)
     if frame.sensor_origin is not None:
         points, runs, order = _with_sensors(message, points, frame.sensor_origin)
         colors = colors if colors is None or order is None else colors[order]
     message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs, colors=colors).cloud)
+
+
+def _points(points: object) -> np.ndarray:
+    expected = "numbers of shape (N, 3)"
+    array = checked_array("points", points, expected=expected, columns=None, error=CodecError)
+    if array.size == 0:  # an empty list has no second axis; it is a frame without measurements, as for the library
+        return np.empty((0, 3))
+    return checked_array("points", array, expected=expected, error=CodecError)
 
 
 def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:
