@@ -1,7 +1,7 @@
 /** Client: the connection to a server and the calls on its sessions. */
 import { create, toJson, type JsonObject } from "@bufbuild/protobuf";
 import { pack } from "./codec/arrays.js";
-import type { Points } from "./codec/quantise.js";
+import { typeName, type Points } from "./codec/quantise.js";
 import { Encoder } from "./encoder/encoder.js";
 import { InvalidArgument, InvalidMesh } from "./errors.js";
 import { CreateMeshRequestSchema, ListMeshesResponseSchema, StoredMeshSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
@@ -272,10 +272,16 @@ function pairs(labels: Record<string, string>): string[] {
   return Object.entries(labels).map(([key, value]) => `${key}=${value}`);
 }
 
-function packedMesh({ vertices, faces }: Mesh, field: string): { vertices: PackedArray; faces: PackedArray } {
+function packedMesh(mesh: Partial<Mesh> | null | undefined, field: string): { vertices: PackedArray; faces: PackedArray } {
+  const { vertices, faces } = mesh ?? {};
+  if (!vertices || !faces)
+    throw new InvalidMesh("", { field, expected: "an object with vertices and faces", got: typeName(mesh) });
+  const packedVertices = packed(vertices, `${field}.vertices`, InvalidMesh);
   const count = vertices.length / 3;
-  const valid = Array.prototype.every.call(faces, (index: number) => Number.isInteger(index) && index >= 0 && index < count);
-  if (!valid || faces.length % 3)
-    throw new InvalidMesh("", { field: `${field}.faces`, expected: `rows of three indices below ${count}`, got: "others" });
-  return { vertices: packed(vertices), faces: pack(Uint32Array.from(faces)) };
+  const bad = Array.from(faces).findIndex((index) => !(Number.isInteger(index) && index >= 0 && index < count));
+  if (bad >= 0 || faces.length % 3) {
+    const got = bad >= 0 ? String(faces[bad]) : `${faces.length} indices`;
+    throw new InvalidMesh("", { field: `${field}.faces`, expected: `rows of three indices below ${count}`, got });
+  }
+  return { vertices: packedVertices, faces: pack(Uint32Array.from(faces)) };
 }

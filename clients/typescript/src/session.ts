@@ -3,7 +3,7 @@ import { create, type JsonObject } from "@bufbuild/protobuf";
 import { pack, unpack } from "./codec/arrays.js";
 import { requirePoints, type Points } from "./codec/quantise.js";
 import { Display, DEFAULT_MOTION } from "./display.js";
-import { SessionNotFound } from "./errors.js";
+import { InvalidArgument, SessionNotFound } from "./errors.js";
 import type { Answer } from "./streaming/exchange.js";
 import type { Frame } from "./frames.js";
 import { ResetSessionRequestSchema, SessionSchema, UpdateSessionRequestSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
@@ -123,17 +123,17 @@ export class Session {
   }
 
   /** Restarts the tracker from (V, 3) metres (default: the rest shape) with (V, 3) metres per second (default: zero). */
-  reset(vertices?: Points, velocities?: Points): Promise<SessionMessage> {
+  async reset(vertices?: Points, velocities?: Points): Promise<SessionMessage> {
     const request = create(ResetSessionRequestSchema, {
-      ...(vertices && { vertices: packed(vertices) }),
-      ...(velocities && { velocities: packed(velocities) }),
+      ...(vertices && { vertices: packed(vertices, "vertices") }),
+      ...(velocities && { velocities: packed(velocities, "velocities") }),
     });
     const body = bodyOf(ResetSessionRequestSchema, request);
     return this.host.rest.message(SessionSchema, "POST", `/v1/${this.name}:reset`, { body });
   }
 
   /** Changes the given fields, also during a stream; the tracker keeps its state. */
-  update({ config, etag = "", ...changes }: Changes): Promise<SessionMessage> {
+  async update({ config, etag = "", ...changes }: Changes): Promise<SessionMessage> {
     const paths = Object.keys(changes);
     if (config) paths.push("config_json");
     const session = { ...changes, configJson: configText(config), etag };
@@ -171,8 +171,8 @@ export class Session {
 }
 
 /** Positions as they are sent: float64 stays float64, so that the server has the same. */
-export function packed(points: Points): PackedArray {
-  requirePoints(points);
+export function packed(points: Points | undefined, field: string, Refusal = InvalidArgument): PackedArray {
+  requirePoints(points, field, Refusal);
   return pack(points);
 }
 

@@ -1,7 +1,7 @@
 /** Sessions and streams, with a running service. */
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, test, vi } from "vitest";
 import { Client, FrameError, Result, connect, decodeCloud, messages } from "../dist/index.js";
-import type { Notice, PointFrame, Session } from "../dist/index.js";
+import type { Mesh, Notice, PointFrame, Session } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
 import { Proxy } from "./proxy.js";
 import { camera, collected, makeSheet, pause, sample, sheetFrame, sheetFrames } from "./scenes.js";
@@ -208,6 +208,10 @@ describe("a refused frame", () => {
       { depth: new Float32Array(1), width: 1, height: 1, intrinsics: [1, 1, 0, 0], pose: COLUMNS, timestamp: 1 },
       "pose: expected rows, the last one 0, 0, 0, 1, got 0.5, 1, -2, 1",
     ],
+    "an origin that is an object": [
+      { points: new Float32Array(9), sensorOrigin: { x: 1, y: 2, z: 3 }, timestamp: 1 },
+      "got Object",
+    ],
     "an origin of two": [{ points: new Float32Array(9), sensorOrigin: [1, 2], timestamp: 1 }, "sensorOrigin: expected 3 or 9"],
   };
 
@@ -255,6 +259,27 @@ describe("errors have the server's names", () => {
     const later = sheetFrames(sheet, 1001).slice(1000);
     expect(await collected(session.track(later, { takeover: true, flow: "lossless" }))).toHaveLength(1);
     await expect(collected(first)).rejects.toThrow(errors.StreamTakenOver);
+  });
+
+  test("arrays of a mesh or of a start that cannot be sent", async () => {
+    const { vertices } = sheet;
+    for (const [bad, sentence] of [
+      [vertices, "garment: expected an object with vertices and faces, got Float64Array"],
+      [{ vertices }, "garment: expected an object with vertices and faces, got Object"],
+      [null, "garment: expected an object with vertices and faces, got null"],
+      [
+        { ...sheet, vertices: [...vertices] },
+        "garment.vertices: expected a Float32Array or Float64Array of 3 N numbers, got Array",
+      ],
+      [
+        { ...sheet, faces: sheet.faces.map((index) => index + 1) },
+        "garment.faces: expected rows of three indices below 144, got 144",
+      ],
+      [{ ...sheet, faces: [0, 1] }, "garment.faces: expected rows of three indices below 144, got 2 indices"],
+    ] as [Mesh, string][]) {
+      await expect(client.createSession(bad)).rejects.toMatchObject({ name: "InvalidMesh", message: sentence });
+    }
+    await expect(session.reset(vertices.subarray(1))).rejects.toThrow("vertices: expected a Float32Array");
   });
 
   test("a mesh, a configuration, an id in use, a stale etag", async () => {
