@@ -10,7 +10,7 @@ import { ResetSessionRequestSchema, SessionSchema, UpdateSessionRequestSchema } 
 import type { PackedArray, Session as SessionMessage, SessionLimits } from "./gen/ddakf_api/v1/tracking_pb.js";
 import type { LineEvents, Line } from "./streaming/line.js";
 import { Meter } from "./streaming/meter.js";
-import { logNotice, plan, requireEveryNth, type TrackOptions } from "./streaming/plan.js";
+import { given, logNotice, plan, requireEveryNth, type TrackOptions } from "./streaming/plan.js";
 import { Pressure } from "./streaming/pressure.js";
 import { bodyOf, type Rest } from "./rest.js";
 import type { Result } from "./results.js";
@@ -134,7 +134,7 @@ export class Session {
 
   /** Changes the given fields, also during a stream; the tracker keeps its state. */
   async update({ config, etag = "", ...changes }: Changes): Promise<SessionMessage> {
-    const paths = Object.keys(changes);
+    const paths = Object.keys(given(changes));
     if (config) paths.push("config_json");
     const session = { ...changes, configJson: configText(config), etag };
     const request = create(UpdateSessionRequestSchema, { session, updateMask: { paths } });

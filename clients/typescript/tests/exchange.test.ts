@@ -341,6 +341,11 @@ test("a refused frame is thrown or yielded, as the caller asked", () => {
   expect(yielding.receive(refusal(1), 0)[0]).toBeInstanceOf(FrameError);
 });
 
+test("an option that is undefined has its default", () => {
+  const absent = { flow: undefined, codec: undefined, timeout: undefined, onNotice: undefined };
+  expect(plan("sessions/a", 10, absent as object)).toEqual(plan("sessions/a", 10, {}));
+});
+
 test.each([
   [{ flow: "fast" }, 'flow: expected realtime or lossless, got "fast"'],
   [{ codec: "morton-zstd" }, 'got "morton-zstd"'],

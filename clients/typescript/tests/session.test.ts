@@ -319,6 +319,8 @@ describe("calls", () => {
     const scene = { scene: `web-${session.sessionId}` };
     const updated = await session.update({ labels: scene, limits: { idleTimeout: 60 }, fabric: "silk" });
     expect(updated).toMatchObject({ labels: scene, fabric: "silk", limits: { idleTimeout: 60 } });
+    const absent = { labels: undefined, fabric: undefined, config: undefined } as object;
+    expect(await session.update(absent)).toMatchObject({ labels: scene, fabric: "silk" });
     expect(await collected(client.sessions({ labels: scene }))).toMatchObject([{ name: session.name }]);
     const frames = sheetFrames(sheet, 6);
     const [third] = results(await collected(session.track(frames.slice(0, 3), { flow: "lossless" }))).slice(-1);

@@ -63,7 +63,7 @@ export function plan(name: string, timeout: number, options: TrackOptions): Plan
     everyNth: 1,
     timeout,
     resume: RESUME,
-    ...options,
+    ...given(options),
   };
   requireOneOf("flow", made.flow, Object.keys(FLOWS));
   requireOneOf("codec", made.codec, CLOUD_CODECS);
@@ -96,6 +96,11 @@ export function startRequest(made: Plan, answeredThrough?: number): TrackRequest
     ...(made.flow === "lossless" && answeredThrough !== undefined && { answeredThrough: BigInt(answeredThrough) }),
   };
   return create(TrackRequestSchema, { message: { case: "start", value } });
+}
+
+/** The options that are given: undefined, as of a setting that may be absent, leaves the default. */
+export function given<T extends object>(options: T): T {
+  return Object.fromEntries(Object.entries(options).filter(([, value]) => value !== undefined)) as T;
 }
 
 /** @throws InvalidArgument unless it is a whole number of at least 1. */
