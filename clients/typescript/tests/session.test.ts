@@ -375,6 +375,10 @@ describe("calls", () => {
     expect(frames.length).toBeGreaterThanOrEqual(2);
   });
 
+  test("do not watch with a signal that has come already", async () => {
+    expect(await collected(session.watch({ signal: AbortSignal.abort() }))).toEqual([]);
+  });
+
   test("watch a session to its end", async () => {
     const seen: number[] = [];
     const watching = (async () => {
