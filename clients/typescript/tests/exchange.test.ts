@@ -350,7 +350,9 @@ test.each([
   [{ flow: "fast" }, 'flow: expected realtime or lossless, got "fast"'],
   [{ codec: "morton-zstd" }, 'got "morton-zstd"'],
   [{ everyNth: 0 }, "everyNth: expected a whole number from 1 on, got 0"],
-  [{ resume: -1 }, "resume: expected seconds, got -1"],
+  [{ resume: -1 }, "resume: expected seconds, or 0, got -1"],
+  [{ timeout: 0 }, "timeout: expected seconds above 0, at most 2000000, got 0"],
+  [{ onNotice: null }, "onNotice: expected a function of a Notice, got null"],
   [{ step: NaN }, "step: expected metres above 0, got NaN"],
 ])("options that do not exist are named: %o", (options, sentence) => {
   expect(() => plan("sessions/a", 10, options as object)).toThrow(sentence);
