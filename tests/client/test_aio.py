@@ -22,6 +22,12 @@ async def test_frames_in_results_out(service, mesh, frames):
     assert results[0].covariance.shape == (4, 3, 3)
 
 
+async def test_an_option_that_is_none_is_the_sessions(service, mesh, frames):
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        results = await collected(session.track(frames(5), flow=None, codec=None, step=None, timeout=None))
+    assert [r.sequence for r in results] == [1, 2, 3, 4, 5]
+
+
 async def test_an_asynchronous_source_in_realtime(service, mesh, frames):
     service.delay = 0.03
 

@@ -15,8 +15,8 @@ import logging
 import random
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypedDict
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
@@ -48,6 +48,23 @@ log = logging.getLogger("ddakf_client")
 def log_notice(notice: Notice) -> None:
     """Default handler of notices."""
     log.warning("%s: %s", notice.kind, notice.message)
+
+
+class TrackOptions(TypedDict, total=False):
+    """Options of :meth:`ddakf_client.Session.track`, but ``on_error``, which decides what it yields."""
+
+    flow: str | None
+    codec: str | None
+    step: float | None
+    on_notice: Callable[[Notice], None]
+    velocities: bool
+    covariance: bool
+    takeover: bool
+    depth_codec: str
+    compact: bool
+    every_nth: int
+    timeout: float | None
+    resume: float
 
 
 @dataclass(frozen=True)
@@ -88,6 +105,12 @@ class Plan:
         require_step(self.step)
         if isinstance(self.resume, bool) or not isinstance(self.resume, (int, float)) or not self.resume >= 0:
             raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
+
+    def of_stream(self, *, on_error: str, **options: Any) -> Plan:
+        """The plan of a stream, whose options other than None replace those of the session."""
+        of_session = ("flow", "codec", "step", "timeout")
+        given = {name: value for name, value in options.items() if value is not None or name not in of_session}
+        return replace(self, on_error=on_error, **given)
 
     def start(self, answered_through: int | None = None) -> pb.TrackRequest:
         """The first request.
