@@ -1,4 +1,5 @@
 /** Client: the connection to a server and the calls on its sessions. */
+/// <reference lib="esnext.disposable" preserve="true" />
 import { create, toJson, type JsonObject } from "@bufbuild/protobuf";
 import { pack } from "./codec/arrays.js";
 import { typeName, type Points } from "./codec/quantise.js";

@@ -1,4 +1,5 @@
 /** Session: a garment on the server. */
+/// <reference lib="esnext.disposable" preserve="true" />
 import { create, type JsonObject } from "@bufbuild/protobuf";
 import { pack, unpack } from "./codec/arrays.js";
 import { requirePoints, type Points } from "./codec/quantise.js";
