@@ -7,6 +7,8 @@ import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import FrameError, aconnect, errors
 
+from .conftest import in_one_buffer
+
 
 async def collected(stream):
     return [answer async for answer in stream]
@@ -181,8 +183,9 @@ async def test_a_stream_reconnects_without_losing_a_frame(outage, mesh, frames, 
     outage.service.delay = 0.01
     notices, sequences = [], []
     async with aconnect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        async for result in session.track(frames(40), on_notice=notices.append):
+        async for result in session.track(in_one_buffer(frames(40)), on_notice=notices.append):
             sequences.append(result.sequence)
+            assert result.vertices[0, 0] == pytest.approx((result.sequence - 1) / 100, abs=0.001)
             if result.sequence in (10, 25):
                 await asyncio.to_thread(outage.strike, forget=forget)
     assert sequences == sorted(sequences)

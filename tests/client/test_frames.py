@@ -9,7 +9,7 @@ from ddakf_api.errors import CodecError, InvalidArgument, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 from ddakf_client.exchange import Plan
-from ddakf_client.frames import to_message
+from ddakf_client.frames import held, to_message
 
 DEPTH = np.arange(12, dtype=np.uint16).reshape(3, 4)
 LENS = (100.0, 101.0, 1.5, 1.0)
@@ -111,6 +111,14 @@ def test_invalid_frames_are_refused_by_field(frame, error, field):
     with pytest.raises(error) as refusal:
         message(frame)
     assert refusal.value.field == field
+
+
+def test_a_held_frame_stays_when_the_camera_writes_the_next_one():
+    buffer = np.zeros((3, 3))
+    kinds = Frame(buffer, 1.0), (buffer, 1.0), SimpleNamespace(points=buffer, timestamp=1.0)
+    kept = [held(frame) for frame in kinds]
+    buffer += 1
+    assert not any(frame.points.any() for frame in kept)
 
 
 def test_a_frame_without_points_and_depth_is_refused():

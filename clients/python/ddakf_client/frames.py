@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from ddakf_api.arrays import checked_array
@@ -72,6 +72,18 @@ class Frame:
             return cls(**{name: getattr(frame, name) for name in names if hasattr(frame, name)})
         expected = "a Frame, a tuple (points, timestamp[, sensor_origin[, body_vertices]]) or an object with these"
         raise InvalidFrame(field="frame", expected=expected, got=type(frame).__name__)
+
+
+def held(frame: object) -> object:
+    """The frame with arrays of its own: a camera writes the next image into the same buffer, before this one is sent or sent again.
+
+    What is no frame stays as it is, and is refused when it is to be sent.
+    """
+    try:
+        given = Frame.of(frame)
+    except Exception:  # of the caller's object too
+        return frame
+    return replace(given, **{name: array.copy() for name, array in vars(given).items() if isinstance(array, np.ndarray)})
 
 
 def time_of(frame: object) -> float | None:
