@@ -63,8 +63,32 @@ const CLOUD_CODECS: Record<CloudCodec, PointCodec> = {
 };
 const DEPTH_COMPRESSIONS: Record<DepthCodec, DepthCompression> = { rvl: DepthCompression.RVL, none: DepthCompression.NONE };
 
+const FIELDS: readonly (keyof PointFrame | keyof DepthFrame)[] = [
+  ...(["timestamp", "bodyVertices", "displayTime", "deadline", "points", "sensorOrigin", "colors", "depth"] as const),
+  ...(["width", "height", "depthScale", "mask", "confidence", "minConfidence", "intrinsics", "pose"] as const),
+];
 const LAST_ROW = [0, 0, 0, 1]; // of a pose of 16 numbers
 const LAST_ROW_ERROR = 1e-6;
+
+/**
+ * The frame with arrays of its own: a camera writes the next one into the same buffer, before this one is sent, or sent again.
+ * What is no frame stays as it is, and is refused when it is to be sent.
+ */
+export function held(frame: Frame): Frame {
+  try {
+    if (!("points" in frame || "depth" in frame)) return frame;
+    const given: Partial<Record<keyof PointFrame | keyof DepthFrame, unknown>> = frame;
+    const fields = FIELDS.filter((name) => given[name] !== undefined);
+    return Object.fromEntries(fields.map((name) => [name, copied(given[name])])) as unknown as Frame;
+  } catch {
+    return frame; // of the caller's object, or no object
+  }
+}
+
+function copied(value: unknown): unknown {
+  const isArray = Array.isArray(value) || (ArrayBuffer.isView(value) && !(value instanceof DataView));
+  return isArray ? (value as Float32Array).slice() : value;
+}
 
 /**
  * The message of a frame.

@@ -2,7 +2,8 @@
 import { create } from "@bufbuild/protobuf";
 import { expect, test } from "vitest";
 import { InvalidFrame, Unavailable } from "../dist/errors.js";
-import type { Frame } from "../dist/index.js";
+import { held } from "../dist/frames.js";
+import type { Frame, PointFrame } from "../dist/index.js";
 import { NoticeKind, TrackResponseSchema } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import type { Start, TrackRequest, TrackResponse } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import { FrameError, Result } from "../dist/results.js";
@@ -339,6 +340,15 @@ test("a refused frame is thrown or yielded, as the caller asked", () => {
   yielding.offer(frame("a"), 0);
   yielding.take(0);
   expect(yielding.receive(refusal(1), 0)[0]).toBeInstanceOf(FrameError);
+});
+
+test("a held frame stays when the camera writes the next one, and has what is given alone", () => {
+  const points = new Float32Array(3);
+  const kept = held({ points, timestamp: 1, depth: undefined } as PointFrame);
+  points.fill(7);
+  expect(kept).toEqual({ points: new Float32Array(3), timestamp: 1 });
+  expect("depth" in kept).toBe(false);
+  expect(held(7 as unknown as PointFrame)).toBe(7);
 });
 
 test("an option that is undefined has its default", () => {

@@ -427,6 +427,30 @@ describe("a lost connection", () => {
     expect((await session.info()).statistics).toMatchObject({ framesApplied: 40n, framesRejected: 0n });
   });
 
+  test("does not mix the frames of a camera that writes into one buffer", async () => {
+    const opened = await through.openSession(session.sessionId);
+    const points = new Float32Array(sheet.vertices.length);
+    const inOneBuffer = async function* () {
+      for await (const frame of camera(sheetFrames(sheet, 40), 0.002)) {
+        points.set(frame.points);
+        yield { ...frame, points };
+      }
+    };
+    const heights: [number, number][] = []; // along z: as received, and as the camera saw it
+    const onFrame = ({ captureTime, payload }: messages.Frame) => {
+      const { data } = payload.value as messages.PointCloud;
+      heights.push([new DataView(data.buffer, data.byteOffset).getFloat32(8, true), 0.03 * captureTime]);
+    };
+    const enough = new AbortController();
+    const watching = collected(session.watch({ onFrame, signal: enough.signal }));
+    const options = { flow: "lossless", codec: "raw", onNotice: () => undefined } as const;
+    for await (const { sequence } of opened.track(inOneBuffer(), options)) if (sequence % 8 === 0) proxy.cut();
+    enough.abort();
+    await watching;
+    expect(heights.length).toBeGreaterThan(0);
+    for (const [received, seen] of heights) expect(received).toBeCloseTo(seen, 6);
+  });
+
   test("that only falls silent is given up after the timeout and replaced", async () => {
     const opened = await through.openSession(session.sessionId);
     let answers = 0;
