@@ -75,7 +75,7 @@ class Frame:
 
 
 def held(frame: object) -> object:
-    """The frame with arrays of its own: a camera writes the next one into the same buffer, before this one is sent, or sent again.
+    """The frame with its own arrays: a camera writes the next one into the same buffer, before this one is sent or sent again.
 
     What is no frame stays as it is, and is refused when it is to be sent.
     """

@@ -344,7 +344,7 @@ test("a refused frame is thrown or yielded, as the caller asked", () => {
 
 test("a held frame stays when the camera writes the next one, and has what is given alone", () => {
   const points = new Float32Array(3);
-  const kept = held({ points, timestamp: 1, depth: undefined } as PointFrame);
+  const kept = held({ points, timestamp: 1, depth: undefined });
   points.fill(7);
   expect(kept).toEqual({ points: new Float32Array(3), timestamp: 1 });
   expect("depth" in kept).toBe(false);
