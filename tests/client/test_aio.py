@@ -114,6 +114,8 @@ async def test_invalid_arguments_are_refused_before_sending(service, mesh):
                 await call()
             assert refusal.value.field == field
         session = await client.create_session(*mesh)
+        with pytest.raises(errors.InvalidArgument, match=r"^on_notice: expected"):
+            session.watch(on_notice=None)
         with pytest.raises(errors.InvalidArgument, match=r"^vertices: expected"):
             await session.reset([[0, 0, 0], [1, 0]])
 

@@ -288,6 +288,7 @@ class AsyncSession:
         self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
     ) -> AsyncIterator[Result | FrameError]:
         """As :meth:`ddakf_client.Session.watch`."""
+        calls.require_handler(on_notice)
         return awatch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     async def info(self) -> SessionInfo:

@@ -150,6 +150,12 @@ def require_step(step: object) -> None:
         raise InvalidArgument(field="step", expected="metres above 0", got=repr(step)[:80])
 
 
+def require_handler(on_notice: object) -> None:
+    """Raises :class:`InvalidArgument` unless it can be called with a notice, which may come late."""
+    if not callable(on_notice):
+        raise InvalidArgument(field="on_notice", expected="a function of a Notice", got=repr(on_notice)[:80])
+
+
 def require_every_nth(every_nth: object) -> None:
     """Raises :class:`InvalidArgument` unless it is an integer of at least 1."""
     if not isinstance(every_nth, int) or isinstance(every_nth, bool) or not 1 <= every_nth < 2**32:

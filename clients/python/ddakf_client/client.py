@@ -424,6 +424,7 @@ class Session:
             SessionNotFound, SessionExpired, WorkerLost, Draining, Unavailable: reason for the end, always one of them.
             ResourceExhausted: the session has the maximum number of watchers.
         """
+        calls.require_handler(on_notice)
         return watch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     def info(self) -> SessionInfo:

@@ -23,7 +23,7 @@ from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_
 from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import require_every_nth, require_step, require_timeout
+from ddakf_client.calls import require_every_nth, require_handler, require_step, require_timeout
 from ddakf_client.frames import Frame, time_of, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
@@ -98,8 +98,7 @@ class Plan:
         for field in ("velocities", "covariance", "takeover", "compact"):
             if not isinstance(getattr(self, field), bool):
                 raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
-        if not callable(self.on_notice):
-            raise InvalidArgument(field="on_notice", expected="a function of a Notice", got=repr(self.on_notice)[:80])
+        require_handler(self.on_notice)
         require_every_nth(self.every_nth)
         require_timeout(self.timeout)
         require_step(self.step)
