@@ -113,6 +113,12 @@ def test_invalid_frames_are_refused_by_field(frame, error, field):
     assert refusal.value.field == field
 
 
+@pytest.mark.parametrize("points", [None, "points", iter([]), {1.0}])
+def test_points_that_are_no_array_are_named_by_their_type(points):
+    with pytest.raises(CodecError, match=rf"^points: expected numbers of shape \(N, 3\), got {type(points).__name__}$"):
+        message(Frame(points, 1.0))
+
+
 def test_a_held_frame_stays_when_the_camera_writes_the_next_one():
     buffer = np.zeros((3, 3))
     kinds = Frame(buffer, 1.0), (buffer, 1.0), SimpleNamespace(points=buffer, timestamp=1.0)
