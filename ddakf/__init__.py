@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from ddakf.results import FrameResult as FrameResult
     from ddakf.tracker import Tracker as Tracker
 
+    __version__: str
+
 _MODULES = {
     "Config": "ddakf.config",
     "DdakfError": "ddakf.errors",

@@ -129,11 +129,12 @@ def same_mesh(one: Mesh | None, other: Mesh | None) -> bool:
 
 
 def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
+    given = vertices, faces
     vertices, faces = _rectangular("mesh.vertices", vertices), _rectangular("mesh.faces", faces)
     if vertices.ndim != 2 or vertices.shape[1] != 3 or vertices.dtype.kind not in "fiu":
-        raise InvalidMesh("mesh.vertices", "numbers of shape (V, 3)", f"{vertices.dtype} of shape {vertices.shape}")
+        raise InvalidMesh("mesh.vertices", "numbers of shape (V, 3)", _described(vertices, given[0]))
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
-        raise InvalidMesh("mesh.faces", "integers of shape (F, 3)", f"{faces.dtype} of shape {faces.shape}")
+        raise InvalidMesh("mesh.faces", "integers of shape (F, 3)", _described(faces, given[1]))
     if len(vertices) == 0 or len(faces) == 0:
         raise InvalidMesh("mesh", "at least one face", f"{len(vertices)} vertices and {len(faces)} faces")
     vertices = np.array(vertices, np.float64, order="C")
@@ -149,6 +150,10 @@ def _checked_arrays(vertices, faces) -> tuple[np.ndarray, np.ndarray]:
     if not (_areas(vertices, faces) > MIN_FACE_AREA).any():
         raise InvalidMesh("mesh", "a surface with an area", "only degenerate faces")
     return vertices, faces
+
+
+def _described(array: np.ndarray, given) -> str:
+    return f"{array.dtype} of shape {array.shape}" if array.ndim else type(given).__name__
 
 
 def _rectangular(field: str, values) -> np.ndarray:

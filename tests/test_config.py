@@ -104,6 +104,21 @@ def test_unknown_names_and_types_are_refused_by_name(values, field):
     assert "\n" not in str(refusal.value)
 
 
+@pytest.mark.parametrize("stage", list(Config().to_dict()))
+def test_a_stage_of_another_type_is_refused_where_it_is_given(stage):
+    """It would fail in the first frame otherwise, with an error that names no field."""
+    for value in ({"up": "z"}, None, "paper", Fabric()):
+        with pytest.raises(InvalidConfig) as refusal:
+            Config(**{stage: value})
+        assert (refusal.value.field, refusal.value.got) == (f"config.{stage}", type(value).__name__)
+
+
+def test_a_fabrics_name_is_not_taken_for_a_fabric():
+    with pytest.raises(InvalidConfig) as refusal:
+        Config().with_fabric("denim")
+    assert str(refusal.value) == "Physics.fabric: expected a ddakf.Fabric, such as Fabric.named finds by name, got 'denim'"
+
+
 @pytest.mark.parametrize("text", ["k" * 5000, "two\nlines", "\ud800", "'" * 5000, "\n" * 5000], ids=range(5))
 @pytest.mark.parametrize(
     "values",

@@ -154,6 +154,13 @@ def test_what_cannot_be_repaired_is_refused_by_both(what):
         assert "\n" not in str(error)
 
 
+def test_what_is_no_array_is_named_by_its_type():
+    with pytest.raises(InvalidMesh, match=r"^mesh\.vertices: expected numbers of shape \(V, 3\), got NoneType$"):
+        Mesh(None, F)
+    with pytest.raises(InvalidMesh, match=r"^mesh\.faces: expected integers of shape \(F, 3\), got generator$"):
+        Mesh(V, (face for face in F))
+
+
 def test_rows_of_different_lengths_are_refused():
     with pytest.raises(InvalidMesh):
         Mesh([[0, 0, 0], [1, 0]], [[0, 1, 0]])

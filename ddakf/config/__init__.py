@@ -8,6 +8,7 @@ algorithms, sizes of buffers, limits on input. ``docs/configuration.md`` lists t
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from dataclasses import dataclass, field
 
@@ -116,6 +117,10 @@ class Config:
     omission: Omission = field(default_factory=Omission)
 
     def __post_init__(self) -> None:
+        for stage, variants in _variants().items():
+            if not isinstance(value := getattr(self, stage), variants):
+                names = " or ".join(kind.__name__ for kind in variants)
+                raise InvalidConfig(f"config.{stage}", f"{names} (Config.from_dict takes mappings)", type(value).__name__)
         points = isinstance(self.associate, NearestPoint)
         if points and isinstance(self.adapt, ResidualNoise):
             raise InvalidConfig("config.adapt", "InnovationNoise, as NearestPoint measures no normals", "ResidualNoise")
@@ -201,8 +206,7 @@ class Config:
         if not isinstance(preset, str) or preset not in presets:
             raise InvalidConfig("config.preset", "default, fast or paper", shown(preset))
         base = presets[preset]()
-        variants = typing.get_type_hints(cls)
-        changes = {}
+        variants, changes = _variants(), {}
         for stage, fields in values.items():
             if stage not in variants:
                 hint = nearest(stage, variants)
@@ -220,11 +224,17 @@ def _plain(value):
     return value
 
 
-def _stage(name: str, fields, base, variants):
+@functools.cache
+def _variants() -> dict[str, tuple[type, ...]]:
+    """The classes that each stage may be configured with."""
+    return {stage: typing.get_args(hint) or (hint,) for stage, hint in typing.get_type_hints(Config).items()}
+
+
+def _stage(name: str, fields, base, variants: tuple[type, ...]):
     if not isinstance(fields, dict):
         raise InvalidConfig(name, "a mapping", type(fields).__name__)
     fields = dict(fields)
-    allowed = {t.__name__: t for t in (typing.get_args(variants) or (variants,))}
+    allowed = {t.__name__: t for t in variants}
     kind = fields.pop("type", type(base).__name__)
     if not isinstance(kind, str) or kind not in allowed:
         raise InvalidConfig(f"{name}.type", f"one of {', '.join(allowed)}", shown(kind))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ddakf.config.checked import Checked, bounded
+from ddakf.errors import InvalidConfig, shown
 from ddakf.physics.fabric import Fabric
 
 
@@ -49,6 +50,11 @@ class Physics(Checked):
     rotation_steps: int = bounded(2, 1, 50)  # steps of a rotation fit, which starts from the last pass's rotations
     first_rotation_steps: int = bounded(4, 1, 50)  # the same in the first pass, to which other passes moved the garment
     fabric: Fabric = field(default_factory=lambda: Fabric.NORMALISED)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not isinstance(self.fabric, Fabric):
+            raise InvalidConfig("Physics.fabric", "a ddakf.Fabric, such as Fabric.named finds by name", shown(self.fabric))
 
     @property
     def in_plane(self) -> float:

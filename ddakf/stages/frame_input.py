@@ -93,7 +93,7 @@ def _array(name: str, values, shape: str) -> np.ndarray:
     except ValueError:
         raise InvalidFrame(name, f"an array of shape {shape}", "rows of different lengths") from None
     if array.dtype.kind not in "fiu" and array.size:
-        raise InvalidFrame(name, "numbers", f"dtype {array.dtype}")
+        raise InvalidFrame(name, "numbers", f"dtype {array.dtype}" if array.ndim else type(values).__name__)
     return array
 
 

@@ -54,7 +54,8 @@ def checked_array(
         raise error(field=field, expected=expected, got=got) from None
     has_shape = columns is None or (array.ndim == 2 and array.shape[1] == columns)
     if not has_shape or array.dtype.kind not in kinds:
-        raise error(field=field, expected=expected, got=_described(array))
+        got = f"{array.dtype} of shape {array.shape}" if array.ndim else type(values).__name__
+        raise error(field=field, expected=expected, got=got)
     return array
 
 
@@ -170,7 +171,3 @@ def _offset(packed: pb.PackedArray, components: int, field: str, error: type[Inv
 
 def _encoding_name(encoding: int) -> str:
     return pb.ArrayEncoding.Name(encoding) if encoding in pb.ArrayEncoding.values() else f"unknown encoding {encoding}"
-
-
-def _described(array: np.ndarray) -> str:
-    return f"{array.dtype} of shape {array.shape}"

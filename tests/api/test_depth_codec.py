@@ -264,6 +264,16 @@ def test_invalid_images_and_options_are_refused_by_field(depth, options, field):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_pose_by_columns_is_not_taken_for_one_by_rows():
+    """ARKit, WebXR and glTF write columns: the shift would be dropped and the turn reversed."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.5, 1.25, -2.0
+    assert encode_depth(np.ones((2, 2)), LENS, pose=pose).pose.matrix[3::4] == [0.5, 1.25, -2.0]
+    with pytest.raises(CodecError) as refusal:
+        encode_depth(np.ones((2, 2)), LENS, pose=pose.T)
+    assert str(refusal.value) == "pose: expected a last row of 0, 0, 0, 1, got 0.5, 1.25, -2, 1"
+
+
 def test_intrinsics_are_four_numbers():
     with pytest.raises(CodecError, match="fx, fy, cx, cy"):
         encode_depth(np.ones((2, 2)), (1.0, 2.0))

@@ -90,6 +90,14 @@ def frames():
     return make
 
 
+def in_one_buffer(frames):
+    """The frames as of a camera that writes each into the same memory."""
+    buffer = np.empty_like(frames[0][0])
+    for points, seconds in frames:
+        buffer[:] = points
+        yield buffer, seconds
+
+
 @pytest.fixture
 def outage():
     outage = Outage(fake_server.FakeService())

@@ -7,6 +7,8 @@ import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import FrameError, aconnect, errors
 
+from .conftest import in_one_buffer
+
 
 async def collected(stream):
     return [answer async for answer in stream]
@@ -20,6 +22,12 @@ async def test_frames_in_results_out(service, mesh, frames):
     assert [r.sequence for r in results] == list(range(1, 21))
     assert np.abs(results[19].vertices - (mesh[0] + [0.19, 0, 0])).max() < 0.0003
     assert results[0].covariance.shape == (4, 3, 3)
+
+
+async def test_an_option_that_is_none_is_the_sessions(service, mesh, frames):
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        results = await collected(session.track(frames(5), flow=None, codec=None, step=None, timeout=None))
+    assert [r.sequence for r in results] == [1, 2, 3, 4, 5]
 
 
 async def test_an_asynchronous_source_in_realtime(service, mesh, frames):
@@ -106,6 +114,8 @@ async def test_invalid_arguments_are_refused_before_sending(service, mesh):
                 await call()
             assert refusal.value.field == field
         session = await client.create_session(*mesh)
+        with pytest.raises(errors.InvalidArgument, match=r"^on_notice: expected"):
+            session.watch(on_notice=None)
         with pytest.raises(errors.InvalidArgument, match=r"^vertices: expected"):
             await session.reset([[0, 0, 0], [1, 0]])
 
@@ -175,8 +185,9 @@ async def test_a_stream_reconnects_without_losing_a_frame(outage, mesh, frames, 
     outage.service.delay = 0.01
     notices, sequences = [], []
     async with aconnect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        async for result in session.track(frames(40), on_notice=notices.append):
+        async for result in session.track(in_one_buffer(frames(40)), on_notice=notices.append):
             sequences.append(result.sequence)
+            assert result.vertices[0, 0] == pytest.approx((result.sequence - 1) / 100, abs=0.001)
             if result.sequence in (10, 25):
                 await asyncio.to_thread(outage.strike, forget=forget)
     assert sequences == sorted(sequences)

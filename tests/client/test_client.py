@@ -104,6 +104,7 @@ def test_invalid_arguments_are_refused_before_sending(service, mesh):
             (lambda: client.delete_mesh(5), "name"),
             (lambda: list(client.sessions(labels={"a": 1})), "labels['a']"),
             (lambda: list(client.sessions(state=["idle"])), "state"),
+            (lambda: client.create_session(*mesh).watch(on_notice=None), "on_notice"),
         ]:
             with pytest.raises(errors.InvalidArgument) as refusal:
                 call()

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from ddakf_api import errors
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_client import Frame
 from ddakf_client.exchange import IN_FLIGHT, Exchange, Plan
 from hypothesis import given
 from hypothesis import strategies as st
@@ -132,6 +133,16 @@ def test_frames_to_resend_survive_a_second_lost_connection():
         sent.append([exchange.take(1.0).sequence for _ in range(count)])
     assert sent == [[1], [1, 2, 3]]
     assert not exchange.can_take()
+
+
+@pytest.mark.parametrize(
+    ("frame", "seconds"), [(([[0, 0]], np.float32(0.5)), 0.5), (Frame(timestamp="now"), None), (object(), None), ((), None)]
+)
+def test_the_time_of_a_refused_frame_is_a_number_or_none(frame, seconds):
+    exchange = opened("lossless")
+    exchange.offer(frame, 0.0)
+    exchange.refuse(exchange.take(0.0), errors.InvalidFrame("bad"))
+    assert [refused.timestamp for refused in exchange.refused()] == [seconds]
 
 
 def test_an_invalid_frame_is_refused_once_across_a_lost_connection():

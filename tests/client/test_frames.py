@@ -9,7 +9,7 @@ from ddakf_api.errors import CodecError, InvalidArgument, InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame
 from ddakf_client.exchange import Plan
-from ddakf_client.frames import to_message
+from ddakf_client.frames import held, to_message
 
 DEPTH = np.arange(12, dtype=np.uint16).reshape(3, 4)
 LENS = (100.0, 101.0, 1.5, 1.0)
@@ -75,6 +75,14 @@ def test_an_object_may_have_any_of_the_attributes():
 
 
 @pytest.mark.parametrize("codec", CODECS)
+@pytest.mark.parametrize("points", [[], (), np.empty(0), np.empty((0, 3)), np.empty((3, 0), np.float32)], ids=repr)
+def test_any_empty_array_is_a_frame_without_measurements(points, codec):
+    frame = Frame(points, 1.0, np.zeros(3), colors=np.empty(0, np.uint8))
+    sent = to_message(frame, 1, codec, 0.0005)
+    assert (sent.WhichOneof("payload"), sent.point_cloud.point_count) == ("point_cloud", 0)
+
+
+@pytest.mark.parametrize("codec", CODECS)
 def test_without_a_display_time_or_a_deadline_none_is_asked_for(codec):
     sent = to_message(Frame(np.zeros((3, 3)), 1.0), 1, codec, 0.0005)
     assert (sent.display_time, sent.deadline, sent.point_cloud.point_count) == (0.0, 0.0, 3)
@@ -105,12 +113,35 @@ def test_invalid_frames_are_refused_by_field(frame, error, field):
     assert refusal.value.field == field
 
 
+@pytest.mark.parametrize("points", [None, "points", iter([]), {1.0}])
+def test_points_that_are_no_array_are_named_by_their_type(points):
+    with pytest.raises(CodecError, match=rf"^points: expected numbers of shape \(N, 3\), got {type(points).__name__}$"):
+        message(Frame(points, 1.0))
+
+
+def test_a_held_frame_stays_when_the_camera_writes_the_next_one():
+    buffer = np.zeros((3, 3))
+    kinds = Frame(buffer, 1.0), (buffer, 1.0), SimpleNamespace(points=buffer, timestamp=1.0)
+    kept = [held(frame) for frame in kinds]
+    buffer += 1
+    assert not any(frame.points.any() for frame in kept)
+
+
 def test_a_frame_without_points_and_depth_is_refused():
     with pytest.raises(InvalidFrame, match="frame: expected a Frame"):
         Frame.of(SimpleNamespace(timestamp=1.0))
 
 
-@pytest.mark.parametrize("change", [{"depth_codec": "jpeg"}, {"compact": 1}, {"every_nth": 0}, {"every_nth": True}])
+STEPS = [0, -0.001, float("nan"), float("inf"), "0.001", True]  # none of them metres
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *({"depth_codec": "jpeg"}, {"compact": 1}, {"every_nth": 0}, {"every_nth": True}, {"on_notice": None}),
+        *({"step": step} for step in STEPS),
+    ],
+)
 def test_a_plan_with_unknown_options_is_refused(change):
     with pytest.raises(InvalidArgument) as refusal:
         Plan("sessions/a", 10.0, **change)

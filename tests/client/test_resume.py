@@ -8,14 +8,17 @@ import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import connect, errors
 
+from .conftest import in_one_buffer
+
 
 @pytest.mark.parametrize("forget", [0, 3])
 def test_a_stream_reconnects_without_losing_a_frame(outage, mesh, frames, forget):
     outage.service.delay = 0.01
     notices, sequences = [], []
     with connect(outage.target) as client, client.create_session(*mesh, flow="lossless") as session:
-        for result in session.track(frames(40), on_notice=notices.append):
+        for result in session.track(in_one_buffer(frames(40)), on_notice=notices.append):
             sequences.append(result.sequence)
+            assert result.vertices[0, 0] == pytest.approx((result.sequence - 1) / 100, abs=0.001)
             if result.sequence in (10, 25):
                 outage.strike(forget=forget)
     assert sequences == sorted(sequences)

@@ -3,15 +3,25 @@
 import logging
 import threading
 import time
+from collections.abc import AsyncIterator, Iterator
 from types import SimpleNamespace
+from typing import Literal, get_overloads, get_type_hints
 
 import numpy as np
 import pytest
 from ddakf_api import transport
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import CODECS, Frame, connect, errors
+from ddakf_client import CODECS, AsyncSession, Frame, FrameError, Result, Session, connect, errors
 
 from . import fake_server
+
+
+@pytest.mark.parametrize(("session", "answers"), [(Session, Iterator), (AsyncSession, AsyncIterator)])
+def test_refused_frames_are_answers_only_where_they_are_asked_for(session, answers):
+    """For a type checker, which otherwise finds no vertices in what a loop over the results gets."""
+    raising, yielding = map(get_type_hints, get_overloads(session.track))
+    assert (raising["on_error"], raising["return"]) == (Literal["raise"], answers[Result])
+    assert yielding["return"] == answers[Result | FrameError]
 
 
 def test_frames_in_results_out(service, mesh, frames):

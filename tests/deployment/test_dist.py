@@ -23,7 +23,7 @@ UV = Path(sys.executable).with_name("uv")
 WEB = ROOT / "clients/typescript"
 NAMES = ("ddakf", "ddakf_api", "ddakf_client")
 CONTENT = {
-    "ddakf": ["ddakf/data/sample.npz", "ddakf_service/static/dashboard/index.html", "ddakf_service/BUILD",
+    "ddakf": ["ddakf/py.typed", "ddakf/data/sample.npz", "ddakf_service/static/dashboard/index.html", "ddakf_service/BUILD",
               "ddakf_service/store/tables/migrations/versions/0001_tables.py"],
     "ddakf_api": ["ddakf_api/v1/tracking.proto", "ddakf_api/v1/tracking_pb2.pyi", "ddakf_api/py.typed"],
     "ddakf_client": ["ddakf_client/py.typed", "ddakf_client/recordings/__init__.py"],

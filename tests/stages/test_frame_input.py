@@ -39,7 +39,8 @@ BAD = {
     "complex numbers": (dict(points=CLOUD.astype(complex)), "points", "numbers", "dtype complex"),
     "objects": (dict(points=np.full((2, 3), None)), "points", "numbers", "dtype object"),
     "rows of different lengths": (dict(points=[[0, 0, 0], [1, 2]]), "points", "(N, 3)", "different lengths"),
-    "nothing": (dict(points=None), "points", "numbers", "object"),
+    "nothing": (dict(points=None), "points", "numbers", "NoneType"),
+    "an iterator": (dict(points=iter(CLOUD)), "points", "numbers", "iterator"),
     "five million points": (
         dict(points=np.zeros((5_000_000, 3), np.float32)), "points", "at most 1000000 points", "5000000"),
     "time that is text": (dict(timestamp="now"), "timestamp", "seconds", "now"),
@@ -56,6 +57,7 @@ BAD = {
     "an origin of its own for each point": (
         dict(points=MANY, sensor_origin=MANY), "sensor_origin", "at most 64 sensors", "65 distinct origins"),
     "an origin that is not a number": (dict(sensor_origin=[0, np.nan, 0]), "sensor_origin", "finite", "nan"),
+    "an origin by name": (dict(sensor_origin="front"), "sensor_origin", "numbers", "str"),
     "an origin of text": (dict(sensor_origin=["a", "b", "c"]), "sensor_origin", "numbers", "dtype"),
     "an origin of truth values": (dict(sensor_origin=[True, False, True]), "sensor_origin", "numbers", "dtype"),
     "a ragged origin": (dict(sensor_origin=[[0.0], [0.0, 1.0]]), "sensor_origin", "(3,)", "different lengths"),

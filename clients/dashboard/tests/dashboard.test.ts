@@ -254,6 +254,10 @@ describe("a server that needs a key", () => {
     await page.getByRole("button", { name: "Open" }).click();
     await page.getByRole("alert").waitFor();
     expect(await page.locator("table").count()).toBe(0);
+    await field.fill("schlüssel"); // no header can have it
+    await page.getByRole("button", { name: "Open" }).click();
+    await page.getByText('got "ü" among 9').waitFor();
+    await field.waitFor();
   });
 
   test("a key opens the page, until it is reloaded or forgotten", async () => {

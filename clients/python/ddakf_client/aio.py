@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Generator, Iterable, Sequence
 from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Literal, TypeVar, Unpack, overload
 
 import grpc
 import numpy as np
@@ -17,7 +17,7 @@ from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ddakf_client import calls
 from ddakf_client.aio_stream import track
-from ddakf_client.exchange import Plan, log_notice
+from ddakf_client.exchange import Plan, TrackOptions, log_notice
 from ddakf_client.history import History, history_from, history_request
 from ddakf_client.results import (
     FrameError,
@@ -262,9 +262,25 @@ class AsyncSession:
             if error_type is None:  # else the error inside the context takes precedence
                 raise
 
-    def track(self, frames: AsyncIterable[object] | Iterable[object], **options: Any) -> AsyncIterator[Result | FrameError]:
+    @overload
+    def track(
+        self,
+        frames: AsyncIterable[object] | Iterable[object],
+        *,
+        on_error: Literal["raise"] = "raise",
+        **options: Unpack[TrackOptions],
+    ) -> AsyncIterator[Result]: ...
+
+    @overload
+    def track(
+        self, frames: AsyncIterable[object] | Iterable[object], *, on_error: str, **options: Unpack[TrackOptions]
+    ) -> AsyncIterator[Result | FrameError]: ...
+
+    def track(
+        self, frames: AsyncIterable[object] | Iterable[object], *, on_error: str = "raise", **options: Unpack[TrackOptions]
+    ) -> AsyncIterator[Result | FrameError]:
         """As :meth:`ddakf_client.Session.track`, with the same options; an ordinary iterator runs in a thread."""
-        plan = replace(self._plan, **options)
+        plan = self._plan.of_stream(on_error=on_error, **options)
         calls.require_codec(plan.codec, self._client.server)
         return track(self._client, frames, plan)
 
@@ -272,6 +288,7 @@ class AsyncSession:
         self, *, every_nth: int = 1, on_notice: Callable[[Notice], None] = log_notice
     ) -> AsyncIterator[Result | FrameError]:
         """As :meth:`ddakf_client.Session.watch`."""
+        calls.require_handler(on_notice)
         return awatch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     async def info(self) -> SessionInfo:

@@ -13,6 +13,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import CLOSED, failure
 from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
+from ddakf_client.frames import held
 from ddakf_client.results import FrameError, Notice, Result
 
 _END = object()
@@ -196,7 +197,7 @@ class _Stream:
             while await self._until(self._exchange.can_offer):
                 if (frame := await anext(frames, _END)) is _END:
                     break
-                self._exchange.offer(frame, time.monotonic())
+                self._exchange.offer(held(frame), time.monotonic())
                 self._changed.set()
         except Exception as error:  # of the iterator of the caller: raised where the results are read
             self._fail(error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import math
 import uuid
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -138,10 +139,21 @@ def require_codec(codec: str, server: ServerInfo) -> None:
 
 def require_timeout(timeout: object) -> None:
     """Raises :class:`InvalidArgument` unless it is a number of seconds above 0, at most :data:`LONGEST_TIMEOUT`."""
-    is_number = isinstance(timeout, (int, float, np.integer, np.floating)) and not isinstance(timeout, bool)
-    if not is_number or not 0 < timeout <= LONGEST_TIMEOUT:
+    if not _is_number(timeout) or not 0 < timeout <= LONGEST_TIMEOUT:
         expected = f"seconds above 0, at most {LONGEST_TIMEOUT:g}"
         raise InvalidArgument(field="timeout", expected=expected, got=repr(timeout)[:80])
+
+
+def require_step(step: object) -> None:
+    """Raises :class:`InvalidArgument` unless it is a finite number of metres above 0."""
+    if not _is_number(step) or not 0 < step < math.inf:
+        raise InvalidArgument(field="step", expected="metres above 0", got=repr(step)[:80])
+
+
+def require_handler(on_notice: object) -> None:
+    """Raises :class:`InvalidArgument` unless it can be called with a notice, which may come late."""
+    if not callable(on_notice):
+        raise InvalidArgument(field="on_notice", expected="a function of a Notice", got=repr(on_notice)[:80])
 
 
 def require_every_nth(every_nth: object) -> None:
@@ -262,6 +274,10 @@ def session_name(session_id: str) -> str:
     """The name "sessions/{id}" of an id, or the name itself."""
     _text("session_id", session_id)
     return session_id if session_id.startswith("sessions/") else f"sessions/{session_id}"
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
 
 
 def _require_type(field: str, value: object, types: type | tuple[type, ...], expected: str) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
+from typing import Any, Literal, Unpack, overload
 
 import grpc
 import numpy as np
@@ -17,7 +17,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 
 from ddakf_client import calls
-from ddakf_client.exchange import RESUME, Plan, log_notice
+from ddakf_client.exchange import RESUME, Plan, TrackOptions, log_notice
 from ddakf_client.history import History, history_from, history_request
 from ddakf_client.results import (
     FrameError,
@@ -337,6 +337,16 @@ class Session:
             if error_type is None:  # else the error inside the context takes precedence
                 raise
 
+    @overload
+    def track(
+        self, frames: Iterable[object], *, on_error: Literal["raise"] = "raise", **options: Unpack[TrackOptions]
+    ) -> Iterator[Result]: ...
+
+    @overload
+    def track(
+        self, frames: Iterable[object], *, on_error: str, **options: Unpack[TrackOptions]
+    ) -> Iterator[Result | FrameError]: ...
+
     def track(
         self,
         frames: Iterable[object],
@@ -382,10 +392,11 @@ class Session:
             WorkerLost, Unavailable, DeadlineExceeded, SessionNotFound, ...: reason for the early end of the stream.
             InvalidFrame: a frame was refused; ``sequence`` is its number.
         """
-        given = {"flow": flow, "codec": codec, "step": step, "timeout": timeout}
-        plan = replace(
-            self._plan,
-            **{name: value for name, value in given.items() if value is not None},
+        plan = self._plan.of_stream(
+            flow=flow,
+            codec=codec,
+            step=step,
+            timeout=timeout,
             on_error=on_error,
             on_notice=on_notice,
             velocities=velocities,
@@ -413,6 +424,7 @@ class Session:
             SessionNotFound, SessionExpired, WorkerLost, Draining, Unavailable: reason for the end, always one of them.
             ResourceExhausted: the session has the maximum number of watchers.
         """
+        calls.require_handler(on_notice)
         return watch(self._client.open_watch(watch_request(self.name, every_nth)), on_notice, self._client.target)
 
     def info(self) -> SessionInfo:

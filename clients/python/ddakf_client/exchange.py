@@ -15,16 +15,16 @@ import logging
 import random
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypedDict
 
 from ddakf_api import API_VERSION
 from ddakf_api.codec import CODECS, DEFAULT_CODEC, DEFAULT_DEPTH_CODEC, DEFAULT_STEP, DEPTH_CODECS
 from ddakf_api.errors import DeadlineExceeded, Draining, InvalidArgument, InvalidFrame, ServiceError, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 
-from ddakf_client.calls import require_every_nth, require_timeout
-from ddakf_client.frames import Frame, to_message
+from ddakf_client.calls import require_every_nth, require_handler, require_step, require_timeout
+from ddakf_client.frames import Frame, time_of, to_message
 from ddakf_client.results import FrameError, Notice, Result, frame_error_from, notice_from, result_from
 
 FLOWS = {"realtime": pb.FLOW_MODE_REALTIME, "lossless": pb.FLOW_MODE_LOSSLESS}
@@ -48,6 +48,23 @@ log = logging.getLogger("ddakf_client")
 def log_notice(notice: Notice) -> None:
     """Default handler of notices."""
     log.warning("%s: %s", notice.kind, notice.message)
+
+
+class TrackOptions(TypedDict, total=False):
+    """Options of :meth:`ddakf_client.Session.track`, but ``on_error``, which decides what it yields."""
+
+    flow: str | None
+    codec: str | None
+    step: float | None
+    on_notice: Callable[[Notice], None]
+    velocities: bool
+    covariance: bool
+    takeover: bool
+    depth_codec: str
+    compact: bool
+    every_nth: int
+    timeout: float | None
+    resume: float
 
 
 @dataclass(frozen=True)
@@ -81,10 +98,18 @@ class Plan:
         for field in ("velocities", "covariance", "takeover", "compact"):
             if not isinstance(getattr(self, field), bool):
                 raise InvalidArgument(field=field, expected="True or False", got=repr(getattr(self, field))[:80])
+        require_handler(self.on_notice)
         require_every_nth(self.every_nth)
         require_timeout(self.timeout)
+        require_step(self.step)
         if isinstance(self.resume, bool) or not isinstance(self.resume, (int, float)) or not self.resume >= 0:
             raise InvalidArgument(field="resume", expected="seconds, or 0", got=repr(self.resume)[:80])
+
+    def of_stream(self, *, on_error: str, **options: Any) -> Plan:
+        """The plan of a stream, whose options other than None replace those of the session."""
+        of_session = ("flow", "codec", "step", "timeout")
+        given = {name: value for name, value in options.items() if value is not None or name not in of_session}
+        return replace(self, on_error=on_error, **given)
 
     def start(self, answered_through: int | None = None) -> pb.TrackRequest:
         """The first request.
@@ -201,11 +226,7 @@ class Exchange:
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
             self.failure = self.failure or error
-        try:
-            timestamp = getattr(offered.frame, "timestamp", None)
-        except Exception:  # of the caller's object, which may be why the frame is refused
-            timestamp = None
-        self._refused.append(FrameError(offered.sequence, timestamp, error))
+        self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
 
     # Answers out ----------------------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from ddakf_api.arrays import checked_array
@@ -74,6 +74,26 @@ class Frame:
         raise InvalidFrame(field="frame", expected=expected, got=type(frame).__name__)
 
 
+def held(frame: object) -> object:
+    """The frame with its own arrays: a camera writes the next one into the same buffer, before this one is sent or sent again.
+
+    What is no frame stays as it is, and is refused when it is to be sent.
+    """
+    try:
+        given = Frame.of(frame)
+    except Exception:  # of the caller's object too
+        return frame
+    return replace(given, **{name: array.copy() for name, array in vars(given).items() if isinstance(array, np.ndarray)})
+
+
+def time_of(frame: object) -> float | None:
+    """The seconds of a frame that may be why it is refused; None: it has none."""
+    try:
+        return _seconds("timestamp", frame[1] if isinstance(frame, tuple) else frame.timestamp)
+    except Exception:  # of the caller's object too
+        return None
+
+
 def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec: str = DEFAULT_DEPTH_CODEC) -> pb.Frame:
     """The message of a frame.
 
@@ -97,12 +117,20 @@ def to_message(frame: Frame, sequence: int, codec: str, step: float, depth_codec
 
 
 def _add_points(message: pb.Frame, frame: Frame, codec: str, step: float) -> None:
-    points, runs = checked_array("points", frame.points, expected="numbers of shape (N, 3)", error=CodecError), None
-    colors = None if frame.colors is None else checked_colors(frame.colors, points.shape)
+    points, runs = _points(frame.points), None
+    colors = None if frame.colors is None or len(points) == 0 else checked_colors(frame.colors, points.shape)
     if frame.sensor_origin is not None:
         points, runs, order = _with_sensors(message, points, frame.sensor_origin)
         colors = colors if colors is None or order is None else colors[order]
     message.point_cloud.CopyFrom(encode(points, codec, step=step, runs=runs, colors=colors).cloud)
+
+
+def _points(points: object) -> np.ndarray:
+    expected = "numbers of shape (N, 3)"
+    array = checked_array("points", points, expected=expected, columns=None, error=CodecError)
+    if array.size == 0:  # an empty list has no second axis; it is a frame without measurements, as for the library
+        return np.empty((0, 3))
+    return checked_array("points", array, expected=expected, error=CodecError)
 
 
 def _add_depth(message: pb.Frame, frame: Frame, codec: str) -> None:

@@ -14,6 +14,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 
 from ddakf_client.calls import failure
 from ddakf_client.exchange import Exchange, Plan, encode_request, without_notices
+from ddakf_client.frames import held
 from ddakf_client.results import FrameError, Notice, Result
 
 _JOIN_SECONDS = 1.0
@@ -177,8 +178,9 @@ class _Stream:
         try:
             frames = iter(self._frames)
             while self._wait_to_offer() and (frame := next(frames, _END)) is not _END:
+                own = held(frame)
                 with self._change():
-                    self._exchange.offer(frame, time.monotonic())
+                    self._exchange.offer(own, time.monotonic())
         except BaseException as error:  # of the iterator of the caller: raised where the results are read
             self._fail(error)
         with self._change():

@@ -1,7 +1,8 @@
 /** Client: the connection to a server and the calls on its sessions. */
+/// <reference lib="esnext.disposable" preserve="true" />
 import { create, toJson, type JsonObject } from "@bufbuild/protobuf";
 import { pack } from "./codec/arrays.js";
-import type { Points } from "./codec/quantise.js";
+import { typeName, type Points } from "./codec/quantise.js";
 import { Encoder } from "./encoder/encoder.js";
 import { InvalidArgument, InvalidMesh } from "./errors.js";
 import { CreateMeshRequestSchema, ListMeshesResponseSchema, StoredMeshSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
@@ -11,6 +12,7 @@ import type { PackedArray, ServerInfo, Session as SessionMessage, SessionHistory
 import type { StoredMesh } from "./gen/ddakf_api/v1/tracking_pb.js";
 import { Line, type LineEvents } from "./streaming/line.js";
 import { INFO, Rest, bodyOf } from "./rest.js";
+import { requireTimeout } from "./streaming/plan.js";
 import { Session, configText, packed, type Host, type Limits } from "./session.js";
 import { API_VERSION, requireCompatible } from "./version.js";
 
@@ -60,6 +62,7 @@ export interface SessionOptions {
  *
  * @param url of the HTTP interface, `http://host:7702`; a path before `/v1` stays. Or several of servers that share their
  *   sessions: the first one that answers is used, and the next one when it stops to, or is lost by a stream.
+ * @throws InvalidArgument: no address, a timeout out of range, or a key that cannot be sent.
  * @throws Unavailable, DeadlineExceeded: no server answers. VersionMismatch: incompatible versions.
  */
 export async function connect(url: string | readonly string[], options: ConnectOptions = {}): Promise<Client> {
@@ -80,12 +83,13 @@ export class Client implements Host {
   private readonly redirect: ((target: string) => string) | undefined;
 
   constructor(url: string | readonly string[], { apiKey, timeout = 10, worker = true, redirect }: ConnectOptions) {
-    this.apiKey = apiKey;
+    requireTimeout(timeout);
+    this.apiKey = keyOf(apiKey);
     this.timeout = timeout;
     this.redirect = redirect;
     const urls = [url].flat();
     if (urls.length === 0) throw new InvalidArgument("", { field: "url", expected: "an address", got: "an empty list" });
-    this.rest = new Rest(urls.map(withoutSlash), apiKey, timeout);
+    this.rest = new Rest(urls.map(addressOf), this.apiKey, timeout);
     this.encoder = new Encoder(worker);
   }
 
@@ -240,7 +244,7 @@ export class Client implements Host {
 
   /** @internal */
   move(target: string): void {
-    if (this.redirect) this.rest.move(withoutSlash(this.redirect(target)));
+    if (this.redirect) this.rest.move(addressOf(this.redirect(target)));
   }
 
   /** @internal */
@@ -253,10 +257,33 @@ export class Client implements Host {
   }
 }
 
-/** Without its last slash; a relative address is completed by the page's. */
-function withoutSlash(url: string): string {
+/**
+ * The address without its last slash; a relative one is completed by the page's.
+ *
+ * @throws InvalidArgument unless it is one of HTTP.
+ */
+function addressOf(url: string): string {
   const base = (globalThis as { location?: { href: string } }).location?.href;
-  return new URL(url, base).href.replace(/\/$/, "");
+  try {
+    const { href, protocol } = new URL(url, base);
+    if (/^https?:$/.test(protocol)) return href.replace(/\/$/, "");
+  } catch {
+    // it is none
+  }
+  throw new InvalidArgument("", { field: "url", expected: "http://HOST:PORT or https://HOST:PORT", got: JSON.stringify(url) });
+}
+
+/**
+ * The key without the white space around it that a file has.
+ *
+ * @throws InvalidArgument: a header and a subprotocol cannot have it; the error does not show it.
+ */
+function keyOf(apiKey: string | undefined): string | undefined {
+  const key = apiKey?.trim();
+  const bad = /[^!#$%&'*+.^_`|~\w-]/.exec(key ?? "");
+  if (!bad) return key;
+  const got = `${JSON.stringify(bad[0])} among ${key!.length}`;
+  throw new InvalidArgument("", { field: "apiKey", expected: "characters that a WebSocket's subprotocol can have", got });
 }
 
 function path(sessionId: string): string {
@@ -272,10 +299,16 @@ function pairs(labels: Record<string, string>): string[] {
   return Object.entries(labels).map(([key, value]) => `${key}=${value}`);
 }
 
-function packedMesh({ vertices, faces }: Mesh, field: string): { vertices: PackedArray; faces: PackedArray } {
+function packedMesh(mesh: Partial<Mesh> | null | undefined, field: string): { vertices: PackedArray; faces: PackedArray } {
+  const { vertices, faces } = mesh ?? {};
+  if (!vertices || !faces)
+    throw new InvalidMesh("", { field, expected: "an object with vertices and faces", got: typeName(mesh) });
+  const packedVertices = packed(vertices, `${field}.vertices`, InvalidMesh);
   const count = vertices.length / 3;
-  const valid = Array.prototype.every.call(faces, (index: number) => Number.isInteger(index) && index >= 0 && index < count);
-  if (!valid || faces.length % 3)
-    throw new InvalidMesh("", { field: `${field}.faces`, expected: `rows of three indices below ${count}`, got: "others" });
-  return { vertices: packed(vertices), faces: pack(Uint32Array.from(faces)) };
+  const bad = Array.from(faces).findIndex((index) => !(Number.isInteger(index) && index >= 0 && index < count));
+  if (bad >= 0 || faces.length % 3) {
+    const got = bad >= 0 ? String(faces[bad]) : `${faces.length} indices`;
+    throw new InvalidMesh("", { field: `${field}.faces`, expected: `rows of three indices below ${count}`, got });
+  }
+  return { vertices: packedVertices, faces: pack(Uint32Array.from(faces)) };
 }

@@ -63,6 +63,33 @@ const CLOUD_CODECS: Record<CloudCodec, PointCodec> = {
 };
 const DEPTH_COMPRESSIONS: Record<DepthCodec, DepthCompression> = { rvl: DepthCompression.RVL, none: DepthCompression.NONE };
 
+const FIELDS: readonly (keyof PointFrame | keyof DepthFrame)[] = [
+  ...(["timestamp", "bodyVertices", "displayTime", "deadline", "points", "sensorOrigin", "colors", "depth"] as const),
+  ...(["width", "height", "depthScale", "mask", "confidence", "minConfidence", "intrinsics", "pose"] as const),
+];
+const LAST_ROW = [0, 0, 0, 1]; // of a pose of 16 numbers
+const LAST_ROW_ERROR = 1e-6;
+
+/**
+ * The frame with arrays of its own: a camera writes the next one into the same buffer, before this one is sent, or sent again.
+ * What is no frame stays as it is, and is refused when it is to be sent.
+ */
+export function held(frame: Frame): Frame {
+  try {
+    if (!("points" in frame || "depth" in frame)) return frame;
+    const given: Partial<Record<keyof PointFrame | keyof DepthFrame, unknown>> = frame;
+    const fields = FIELDS.filter((name) => given[name] !== undefined);
+    return Object.fromEntries(fields.map((name) => [name, copied(given[name])])) as unknown as Frame;
+  } catch {
+    return frame; // of the caller's object, or no object
+  }
+}
+
+function copied(value: unknown): unknown {
+  const isArray = Array.isArray(value) || (ArrayBuffer.isView(value) && !(value instanceof DataView));
+  return isArray ? (value as Float32Array).slice() : value;
+}
+
 /**
  * The message of a frame.
  *
@@ -107,7 +134,7 @@ async function depthPayload(frame: DepthFrame, { depthCodec }: FrameCodecs, enco
   const more = { ...(mask && { mask }), ...(confidence && { confidence }), ...(colors && { colors }) };
   const image = { depth, width, height, depthScale, ...more };
   const [fx, fy, cx, cy] = numbers("intrinsics", frame.intrinsics, [4]) as [number, number, number, number];
-  const matrix = frame.pose === undefined ? [] : numbers("pose", frame.pose, [12, 16]).slice(0, 12);
+  const matrix = frame.pose === undefined ? [] : rows(frame.pose);
   if (!(Number.isInteger(minConfidence) && minConfidence >= 0 && minConfidence <= 255))
     throw new InvalidFrame("", { field: "minConfidence", expected: "0 to 255", got: String(minConfidence) });
   const encoded = await encoder.depth(image, depthCodec);
@@ -166,6 +193,15 @@ function numbers(field: string, values: ArrayLike<number> | undefined, lengths: 
   if (lengths.includes(given.length) && given.every(Number.isFinite)) return given;
   const got = given.every(Number.isFinite) ? `${given.length}` : "a number that is not finite";
   throw new InvalidFrame("", { field, expected: `${lengths.join(" or ")} finite numbers`, got });
+}
+
+/** The 12 numbers of a pose. WebXR and ARKit have columns, whose shift would be dropped and whose turn would be reversed. */
+function rows(pose: ArrayLike<number>): number[] {
+  const given = numbers("pose", pose, [12, 16]);
+  const last = given.slice(12);
+  if (last.some((value, column) => Math.abs(value - LAST_ROW[column]!) > LAST_ROW_ERROR))
+    throw new InvalidFrame("", { field: "pose", expected: "rows, the last one 0, 0, 0, 1", got: last.join(", ") });
+  return given.slice(0, 12);
 }
 
 function bodyBytes(vertices: Points): Uint8Array<ArrayBuffer> {

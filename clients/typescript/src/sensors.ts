@@ -1,6 +1,6 @@
 /** Sensors of a point cloud: one run of consecutive points per sensor. */
 import { requireColors } from "./codec/colors.js";
-import type { Points, Position } from "./codec/quantise.js";
+import { typeName, type Points, type Position } from "./codec/quantise.js";
 import { InvalidFrame } from "./errors.js";
 
 const MAX_SENSORS = 64;
@@ -25,6 +25,10 @@ export function groupBySensor(points: Points, origin: ArrayLike<number> | undefi
   if (colors) requireColors(colors, points.length, `${points.length / 3} points`);
   const given = { points, ...(colors && { colors }) };
   if (origin === undefined) return { ...given, origins: [] };
+  if (typeof (origin as ArrayLike<number> | null)?.length !== "number") {
+    const expected = `3 or ${points.length} finite numbers`;
+    throw new InvalidFrame("", { field: "sensorOrigin", expected, got: typeName(origin) });
+  }
   const perPoint = origin.length === points.length && points.length !== 3;
   if ((origin.length !== 3 && !perPoint) || !Array.from(origin).every(Number.isFinite)) {
     const got = origin.length === 3 || perPoint ? "a number that is not finite" : `${origin.length} numbers`;

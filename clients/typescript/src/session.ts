@@ -1,16 +1,17 @@
 /** Session: a garment on the server. */
+/// <reference lib="esnext.disposable" preserve="true" />
 import { create, type JsonObject } from "@bufbuild/protobuf";
 import { pack, unpack } from "./codec/arrays.js";
 import { requirePoints, type Points } from "./codec/quantise.js";
 import { Display, DEFAULT_MOTION } from "./display.js";
-import { SessionNotFound } from "./errors.js";
+import { InvalidArgument, SessionNotFound } from "./errors.js";
 import type { Answer } from "./streaming/exchange.js";
 import type { Frame } from "./frames.js";
 import { ResetSessionRequestSchema, SessionSchema, UpdateSessionRequestSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
 import type { PackedArray, Session as SessionMessage, SessionLimits } from "./gen/ddakf_api/v1/tracking_pb.js";
 import type { LineEvents, Line } from "./streaming/line.js";
 import { Meter } from "./streaming/meter.js";
-import { logNotice, plan, requireEveryNth, type TrackOptions } from "./streaming/plan.js";
+import { given, logNotice, plan, requireEveryNth, type TrackOptions } from "./streaming/plan.js";
 import { Pressure } from "./streaming/pressure.js";
 import { bodyOf, type Rest } from "./rest.js";
 import type { Result } from "./results.js";
@@ -123,18 +124,18 @@ export class Session {
   }
 
   /** Restarts the tracker from (V, 3) metres (default: the rest shape) with (V, 3) metres per second (default: zero). */
-  reset(vertices?: Points, velocities?: Points): Promise<SessionMessage> {
+  async reset(vertices?: Points, velocities?: Points): Promise<SessionMessage> {
     const request = create(ResetSessionRequestSchema, {
-      ...(vertices && { vertices: packed(vertices) }),
-      ...(velocities && { velocities: packed(velocities) }),
+      ...(vertices && { vertices: packed(vertices, "vertices") }),
+      ...(velocities && { velocities: packed(velocities, "velocities") }),
     });
     const body = bodyOf(ResetSessionRequestSchema, request);
     return this.host.rest.message(SessionSchema, "POST", `/v1/${this.name}:reset`, { body });
   }
 
   /** Changes the given fields, also during a stream; the tracker keeps its state. */
-  update({ config, etag = "", ...changes }: Changes): Promise<SessionMessage> {
-    const paths = Object.keys(changes);
+  async update({ config, etag = "", ...changes }: Changes): Promise<SessionMessage> {
+    const paths = Object.keys(given(changes));
     if (config) paths.push("config_json");
     const session = { ...changes, configJson: configText(config), etag };
     const request = create(UpdateSessionRequestSchema, { session, updateMask: { paths } });
@@ -171,8 +172,8 @@ export class Session {
 }
 
 /** Positions as they are sent: float64 stays float64, so that the server has the same. */
-export function packed(points: Points): PackedArray {
-  requirePoints(points);
+export function packed(points: Points | undefined, field: string, Refusal = InvalidArgument): PackedArray {
+  requirePoints(points, field, Refusal);
   return pack(points);
 }
 

@@ -53,6 +53,24 @@ async function answeredAcross(event: () => void): Promise<number[]> {
   return answered;
 }
 
+test.each([
+  ["127.0.0.1:7702", {}, 'url: expected http://HOST:PORT or https://HOST:PORT, got "127.0.0.1:7702"'],
+  ["localhost:7702", {}, 'url: expected http://HOST:PORT or https://HOST:PORT, got "localhost:7702"'],
+  ["http://localhost:7702", { timeout: -1 }, "timeout: expected seconds above 0, at most 2000000, got -1"],
+  ["http://localhost:7702", { timeout: NaN }, "timeout: expected seconds above 0, at most 2000000, got NaN"],
+  ["http://localhost:7702", { apiKey: "schlüssel" }, 'subprotocol can have, got "ü" among 9'],
+])("what cannot connect is named: %s %o", async (url, options, sentence) => {
+  const refusal = await connect(url, options).catch((error: unknown) => error);
+  expect(refusal).toBeInstanceOf(errors.InvalidArgument);
+  expect((refusal as Error).message).toContain(sentence);
+});
+
+test("the white space around a key, as a file has it, is not sent", async () => {
+  const other = await connect(service.http, { apiKey: "\n" });
+  expect(await collected((await other.openSession(session.sessionId)).track(sheetFrames(sheet, 1)))).toHaveLength(1);
+  other.close();
+});
+
 test("the first that answers is used", async () => {
   const other = await connect([await nobody(), proxies[1]!.url, await nobody()]);
   expect(other.url).toBe(proxies[1]!.url);

@@ -2,7 +2,8 @@
 import { create } from "@bufbuild/protobuf";
 import { expect, test } from "vitest";
 import { InvalidFrame, Unavailable } from "../dist/errors.js";
-import type { Frame } from "../dist/index.js";
+import { held } from "../dist/frames.js";
+import type { Frame, PointFrame } from "../dist/index.js";
 import { NoticeKind, TrackResponseSchema } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import type { Start, TrackRequest, TrackResponse } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
 import { FrameError, Result } from "../dist/results.js";
@@ -341,11 +342,28 @@ test("a refused frame is thrown or yielded, as the caller asked", () => {
   expect(yielding.receive(refusal(1), 0)[0]).toBeInstanceOf(FrameError);
 });
 
+test("a held frame stays when the camera writes the next one, and has what is given alone", () => {
+  const points = new Float32Array(3);
+  const kept = held({ points, timestamp: 1, depth: undefined });
+  points.fill(7);
+  expect(kept).toEqual({ points: new Float32Array(3), timestamp: 1 });
+  expect("depth" in kept).toBe(false);
+  expect(held(7 as unknown as PointFrame)).toBe(7);
+});
+
+test("an option that is undefined has its default", () => {
+  const absent = { flow: undefined, codec: undefined, timeout: undefined, onNotice: undefined };
+  expect(plan("sessions/a", 10, absent as object)).toEqual(plan("sessions/a", 10, {}));
+});
+
 test.each([
   [{ flow: "fast" }, 'flow: expected realtime or lossless, got "fast"'],
   [{ codec: "morton-zstd" }, 'got "morton-zstd"'],
   [{ everyNth: 0 }, "everyNth: expected a whole number from 1 on, got 0"],
-  [{ resume: -1 }, "resume: expected seconds, got -1"],
+  [{ resume: -1 }, "resume: expected seconds, or 0, got -1"],
+  [{ timeout: 0 }, "timeout: expected seconds above 0, at most 2000000, got 0"],
+  [{ onNotice: null }, "onNotice: expected a function of a Notice, got null"],
+  [{ step: NaN }, "step: expected metres above 0, got NaN"],
 ])("options that do not exist are named: %o", (options, sentence) => {
   expect(() => plan("sessions/a", 10, options as object)).toThrow(sentence);
 });

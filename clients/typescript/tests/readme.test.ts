@@ -43,3 +43,18 @@ test("the code of the README compiles", () => {
   const messages = ts.getPreEmitDiagnostics(program).map(({ messageText }) => ts.flattenDiagnosticMessageText(messageText, "\n"));
   expect(messages).toEqual([]);
 });
+
+test("a project that knows no disposable types, and checks those of its packages, compiles", () => {
+  const options: ts.CompilerOptions = {
+    strict: true,
+    noEmit: true,
+    target: ts.ScriptTarget.ES2022,
+    module: ts.ModuleKind.ESNext,
+    moduleResolution: ts.ModuleResolutionKind.Bundler,
+    lib: ["lib.es2022.d.ts", "lib.dom.d.ts"],
+    types: [],
+  };
+  const entries = ["index", "adapters/index", "recordings/index"].map((name) => `${ROOT}dist/${name}.d.ts`);
+  const program = ts.createProgram(entries, options);
+  expect(ts.getPreEmitDiagnostics(program).map(({ messageText }) => messageText)).toEqual([]);
+});

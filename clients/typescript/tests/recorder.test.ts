@@ -148,6 +148,12 @@ test("a recording ends on demand, whole, although no frame comes", async () => {
   expect(await collected(recording.frames())).toEqual([]);
 });
 
+test("a recording whose signal has come already has no frame", async () => {
+  await using session = await client.createSession(sheet);
+  const empty = await Recording.open(await record(session, { signal: AbortSignal.abort() }));
+  expect(await collected(empty.frames())).toEqual([]);
+});
+
 test("a session that is not there is not recorded", async () => {
   const session = await client.createSession(sheet);
   await session.delete();

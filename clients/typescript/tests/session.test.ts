@@ -1,7 +1,7 @@
 /** Sessions and streams, with a running service. */
 import { afterAll, afterEach, beforeAll, beforeEach, describe, expect, test, vi } from "vitest";
 import { Client, FrameError, Result, connect, decodeCloud, messages } from "../dist/index.js";
-import type { Notice, PointFrame, Session } from "../dist/index.js";
+import type { Mesh, Notice, PointFrame, Session } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
 import { Proxy } from "./proxy.js";
 import { camera, collected, makeSheet, pause, sample, sheetFrame, sheetFrames } from "./scenes.js";
@@ -194,6 +194,7 @@ describe("flow", () => {
 });
 
 describe("a refused frame", () => {
+  const COLUMNS = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 1, -2, 1]; // as XRRigidTransform.matrix
   const bad: Record<string, [unknown, string]> = {
     "no frame": [7, "frame: expected an object with points or depth, got number"],
     "text as points": [{ points: "abc", timestamp: 1 }, "points: expected"],
@@ -203,6 +204,14 @@ describe("a refused frame", () => {
     "both kinds": [{ points: new Float32Array(), depth: new Float32Array(), timestamp: 1 }, "got both"],
     "a body of another size": [{ points: new Float32Array(), bodyVertices: new Float32Array(4), timestamp: 1 }, "bodyVertices"],
     "an image without a camera": [{ depth: new Float32Array(1), width: 1, height: 1, timestamp: 1 }, "intrinsics: expected 4"],
+    "a pose by columns": [
+      { depth: new Float32Array(1), width: 1, height: 1, intrinsics: [1, 1, 0, 0], pose: COLUMNS, timestamp: 1 },
+      "pose: expected rows, the last one 0, 0, 0, 1, got 0.5, 1, -2, 1",
+    ],
+    "an origin that is an object": [
+      { points: new Float32Array(9), sensorOrigin: { x: 1, y: 2, z: 3 }, timestamp: 1 },
+      "got Object",
+    ],
     "an origin of two": [{ points: new Float32Array(9), sensorOrigin: [1, 2], timestamp: 1 }, "sensorOrigin: expected 3 or 9"],
   };
 
@@ -252,6 +261,27 @@ describe("errors have the server's names", () => {
     await expect(collected(first)).rejects.toThrow(errors.StreamTakenOver);
   });
 
+  test("arrays of a mesh or of a start that cannot be sent", async () => {
+    const { vertices } = sheet;
+    for (const [bad, sentence] of [
+      [vertices, "garment: expected an object with vertices and faces, got Float64Array"],
+      [{ vertices }, "garment: expected an object with vertices and faces, got Object"],
+      [null, "garment: expected an object with vertices and faces, got null"],
+      [
+        { ...sheet, vertices: [...vertices] },
+        "garment.vertices: expected a Float32Array or Float64Array of 3 N numbers, got Array",
+      ],
+      [
+        { ...sheet, faces: sheet.faces.map((index) => index + 1) },
+        "garment.faces: expected rows of three indices below 144, got 144",
+      ],
+      [{ ...sheet, faces: [0, 1] }, "garment.faces: expected rows of three indices below 144, got 2 indices"],
+    ] as [Mesh, string][]) {
+      await expect(client.createSession(bad)).rejects.toMatchObject({ name: "InvalidMesh", message: sentence });
+    }
+    await expect(session.reset(vertices.subarray(1))).rejects.toThrow("vertices: expected a Float32Array");
+  });
+
   test("a mesh, a configuration, an id in use, a stale etag", async () => {
     const faces = Uint32Array.from([...sheet.faces, 0, 0, 0]);
     const degenerate = client.createSession({ ...sheet, faces });
@@ -289,6 +319,8 @@ describe("calls", () => {
     const scene = { scene: `web-${session.sessionId}` };
     const updated = await session.update({ labels: scene, limits: { idleTimeout: 60 }, fabric: "silk" });
     expect(updated).toMatchObject({ labels: scene, fabric: "silk", limits: { idleTimeout: 60 } });
+    const absent = { labels: undefined, fabric: undefined, config: undefined } as object;
+    expect(await session.update(absent)).toMatchObject({ labels: scene, fabric: "silk" });
     expect(await collected(client.sessions({ labels: scene }))).toMatchObject([{ name: session.name }]);
     const frames = sheetFrames(sheet, 6);
     const [third] = results(await collected(session.track(frames.slice(0, 3), { flow: "lossless" }))).slice(-1);
@@ -343,6 +375,10 @@ describe("calls", () => {
     expect(frames.length).toBeGreaterThanOrEqual(2);
   });
 
+  test("do not watch with a signal that has come already", async () => {
+    expect(await collected(session.watch({ signal: AbortSignal.abort() }))).toEqual([]);
+  });
+
   test("watch a session to its end", async () => {
     const seen: number[] = [];
     const watching = (async () => {
@@ -389,6 +425,30 @@ describe("a lost connection", () => {
     expect(sequences).toEqual(Array.from({ length: 40 }, (_, i) => i + 1)); // answers that were under way are repeated
     expect(notices.map((notice) => notice.kind)).toEqual(["resumed", "resumed"]);
     expect((await session.info()).statistics).toMatchObject({ framesApplied: 40n, framesRejected: 0n });
+  });
+
+  test("does not mix the frames of a camera that writes into one buffer", async () => {
+    const opened = await through.openSession(session.sessionId);
+    const points = new Float32Array(sheet.vertices.length);
+    const inOneBuffer = async function* () {
+      for await (const frame of camera(sheetFrames(sheet, 40), 0.002)) {
+        points.set(frame.points);
+        yield { ...frame, points };
+      }
+    };
+    const heights: [number, number][] = []; // along z: as received, and as the camera saw it
+    const onFrame = ({ captureTime, payload }: messages.Frame) => {
+      const { data } = payload.value as messages.PointCloud;
+      heights.push([new DataView(data.buffer, data.byteOffset).getFloat32(8, true), 0.03 * captureTime]);
+    };
+    const enough = new AbortController();
+    const watching = collected(session.watch({ onFrame, signal: enough.signal }));
+    const options = { flow: "lossless", codec: "raw", onNotice: () => undefined } as const;
+    for await (const { sequence } of opened.track(inOneBuffer(), options)) if (sequence % 8 === 0) proxy.cut();
+    enough.abort();
+    await watching;
+    expect(heights.length).toBeGreaterThan(0);
+    for (const [received, seen] of heights) expect(received).toBeCloseTo(seen, 6);
   });
 
   test("that only falls silent is given up after the timeout and replaced", async () => {

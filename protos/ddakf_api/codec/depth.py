@@ -28,6 +28,7 @@ DEFAULT_SCALE = 0.001
 """Metres per unit of uint16 depth."""
 
 _ROTATION_ERROR = 1e-3  # largest element of R R' - I; float32 poses stay far below
+_LAST_ROW_ERROR = 1e-6  # of a 4 x 4 pose
 _BYTES_PER_PIXEL, _HEADER_BYTES = 5, 1 << 16  # upper bounds of a compressed float32 pixel and of a header
 
 
@@ -235,6 +236,8 @@ def _pose_rows(pose: np.ndarray) -> list[float]:
     pose = checked_array("pose", pose, expected="numbers of shape (3, 4) or (4, 4)", columns=None, error=CodecError)
     if pose.shape not in ((3, 4), (4, 4)):
         raise CodecError(field="pose", expected="shape (3, 4) or (4, 4)", got=str(pose.shape))
+    if len(pose) == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=_LAST_ROW_ERROR):  # as AR platforms write it, by columns
+        raise CodecError(field="pose", expected="a last row of 0, 0, 0, 1", got=", ".join(f"{x:.6g}" for x in pose[3].tolist()))
     return pose[:3].ravel().tolist()
 
 

@@ -1,5 +1,5 @@
 /** Connection: the page's own server, the key of its user, and the address that a proxy may have put before it. */
-import { connect, PermissionDenied, Unauthenticated, type Client } from "ddakf-client";
+import { connect, InvalidArgument, PermissionDenied, Unauthenticated, type Client } from "ddakf-client";
 
 const STORED = "ddakf.key"; // of this tab, where the user asks for it
 
@@ -42,7 +42,8 @@ export async function connected(): Promise<Client> {
 
 /** Whether another key may help. */
 export function needsKey(error: unknown): boolean {
-  return error instanceof Unauthenticated || (error instanceof PermissionDenied && hasKey());
+  const cannotBeSent = error instanceof InvalidArgument && error.field === "apiKey";
+  return error instanceof Unauthenticated || cannotBeSent || (error instanceof PermissionDenied && hasKey());
 }
 
 /** Why something failed, as a sentence. */

@@ -1,5 +1,5 @@
 /** Quantisation: positions as whole steps from an origin, q = round((p - origin) / step), |error| <= step / 2 per axis. */
-import { CodecError } from "../errors.js";
+import { CodecError, type InvalidArgument } from "../errors.js";
 
 /** (N, 3) positions in metres, row by row. */
 export type Points = Float32Array | Float64Array;
@@ -68,12 +68,16 @@ export function requireFiniteRange(origin: Position, step: number, bits: number)
     });
 }
 
-/** @throws CodecError unless these are floats in rows of three. */
-export function requirePoints(points: unknown): asserts points is Points {
+/** @throws an error of the field unless these are floats in rows of three. */
+export function requirePoints(
+  points: unknown,
+  field = "points",
+  Refusal: typeof CodecError | typeof InvalidArgument = CodecError,
+): asserts points is Points {
   const isFloats = points instanceof Float32Array || points instanceof Float64Array;
   if (isFloats && points.length % 3 === 0) return;
   const got = isFloats ? `${points.length} numbers` : typeName(points);
-  throw new CodecError("", { field: "points", expected: "a Float32Array or Float64Array of 3 N numbers", got });
+  throw new Refusal("", { field, expected: "a Float32Array or Float64Array of 3 N numbers", got });
 }
 
 /** Name of a value's type, for errors. */

@@ -54,6 +54,7 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
     leaving.abort();
   };
   signal?.addEventListener("abort", leave);
+  if (signal?.aborted) leave();
   const sent = new Map<bigint, Frame>();
   let begun: Promise<Recorder> | undefined;
   const begin = () => {

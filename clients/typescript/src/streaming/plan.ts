@@ -2,7 +2,7 @@
 import { create } from "@bufbuild/protobuf";
 import { CLOUD_CODECS, DEFAULT_CODEC, type CloudCodec } from "../codec/cloud.js";
 import { DEFAULT_DEPTH_CODEC, DEPTH_CODECS, type DepthCodec } from "../codec/depth.js";
-import { DEFAULT_STEP } from "../codec/quantise.js";
+import { DEFAULT_STEP, typeName } from "../codec/quantise.js";
 import { InvalidArgument } from "../errors.js";
 import { ArrayEncoding, FlowMode, TrackRequestSchema, type TrackRequest } from "../gen/ddakf_api/v1/tracking_pb.js";
 import type { Notice } from "../results.js";
@@ -45,6 +45,7 @@ export type Plan = Required<TrackOptions> & { name: string };
 
 const FLOWS: Record<Flow, FlowMode> = { realtime: FlowMode.REALTIME, lossless: FlowMode.LOSSLESS };
 const RESUME = 30;
+const LONGEST_TIMEOUT = 2e6; // seconds: a timer has 31 bits of milliseconds
 
 /** @throws InvalidArgument: an option has an invalid value. */
 export function plan(name: string, timeout: number, options: TrackOptions): Plan {
@@ -63,15 +64,20 @@ export function plan(name: string, timeout: number, options: TrackOptions): Plan
     everyNth: 1,
     timeout,
     resume: RESUME,
-    ...options,
+    ...given(options),
   };
   requireOneOf("flow", made.flow, Object.keys(FLOWS));
   requireOneOf("codec", made.codec, CLOUD_CODECS);
   requireOneOf("depthCodec", made.depthCodec, DEPTH_CODECS);
   requireOneOf("onError", made.onError, ["throw", "yield"]);
   requireEveryNth(made.everyNth);
-  for (const field of ["resume", "timeout"] as const)
-    if (!(made[field] >= 0)) throw new InvalidArgument("", { field, expected: "seconds", got: String(made[field]) });
+  if (!(Number.isFinite(made.step) && made.step > 0))
+    throw new InvalidArgument("", { field: "step", expected: "metres above 0", got: String(made.step) });
+  requireTimeout(made.timeout);
+  if (!(made.resume >= 0))
+    throw new InvalidArgument("", { field: "resume", expected: "seconds, or 0", got: String(made.resume) });
+  if (typeof made.onNotice !== "function")
+    throw new InvalidArgument("", { field: "onNotice", expected: "a function of a Notice", got: typeName(made.onNotice) });
   return made;
 }
 
@@ -94,6 +100,18 @@ export function startRequest(made: Plan, answeredThrough?: number): TrackRequest
     ...(made.flow === "lossless" && answeredThrough !== undefined && { answeredThrough: BigInt(answeredThrough) }),
   };
   return create(TrackRequestSchema, { message: { case: "start", value } });
+}
+
+/** The options that are given: undefined, as of a setting that may be absent, leaves the default. */
+export function given<T extends object>(options: T): T {
+  return Object.fromEntries(Object.entries(options).filter(([, value]) => value !== undefined)) as T;
+}
+
+/** @throws InvalidArgument unless it is a number of seconds that a timer can have. */
+export function requireTimeout(timeout: number): void {
+  if (timeout > 0 && timeout <= LONGEST_TIMEOUT) return;
+  const got = String(timeout);
+  throw new InvalidArgument("", { field: "timeout", expected: `seconds above 0, at most ${LONGEST_TIMEOUT}`, got });
 }
 
 /** @throws InvalidArgument unless it is a whole number of at least 1. */

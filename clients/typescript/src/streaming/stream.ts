@@ -4,7 +4,7 @@ import type { Encoder } from "../encoder/encoder.js";
 import { DeadlineExceeded, InvalidFrame, ServiceError, Unavailable } from "../errors.js";
 import { Answers } from "./answers.js";
 import { Exchange, type Answer } from "./exchange.js";
-import { toMessage, type Frame } from "../frames.js";
+import { held, toMessage, type Frame } from "../frames.js";
 import { TrackRequestSchema, type TrackResponse } from "../gen/ddakf_api/v1/tracking_pb.js";
 import { Line } from "./line.js";
 import { Meter } from "./meter.js";
@@ -167,7 +167,7 @@ export class Stream {
       if (!(await this.waiting.until(() => this.exchange.canOffer()))) return;
       const next = await source.next();
       if (next.done) break;
-      this.exchange.offer(next.value, now());
+      this.exchange.offer(held(next.value), now());
       this.waiting.changed();
     }
     this.exchange.exhausted = true;

@@ -34,6 +34,7 @@ export async function* watch(
     answers.finish();
   };
   signal?.addEventListener("abort", finish);
+  if (signal?.aborted) finish(); // it has no event any more
   const line = openLine({
     onOpen: () => undefined,
     onResponse: ({ message }: TrackResponse) => {
