@@ -31,6 +31,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
       { label: "99 %", colour: "series-2" },
     ],
     show: milliseconds,
+    least: 0.001,
     columns: [(s) => s.median, (s) => s.slowest],
   },
   {
@@ -50,6 +51,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
       { label: "watchers", colour: "series-3" },
     ],
     show: (value) => fixed(value, 0),
+    least: 4,
     columns: [(s) => s.sessions, (s) => s.streams, (s) => s.watchers],
   },
   {
@@ -57,6 +59,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
     group: GROUP,
     lines: [{ label: "cores", colour: "series-1", filled: true }],
     show: (value) => percent(value, value > 0 && value < 0.1 ? 1 : 0),
+    least: 0.01,
     columns: [(s) => s.processor],
   },
   {
