@@ -11,6 +11,7 @@ import {
   figure,
   hasBand,
   lastMoment,
+  overflow,
   picture,
   setUp,
   stopPlaying,
@@ -176,6 +177,9 @@ describe("a server without keys", () => {
     await setting.service.stop();
     await page.locator(".stage-notice", { hasText: "Connection lost" }).waitFor();
     await expect.poll(() => page.locator(".server-status").innerText()).toBe("No answer");
+    await page.getByRole("link", { name: "Server" }).click();
+    expect(await page.locator(".card", { hasText: "Readiness" }).locator("strong").innerText()).toBe("No answer");
+    await page.goBack();
     setting.service = await Service.start(arguments_);
     await page.locator(".stage-notice", { hasText: "Connection lost" }).waitFor({ state: "hidden" });
     await page.locator(TRACKING).waitFor();
@@ -268,6 +272,9 @@ describe("a server that needs a key", () => {
     await page.getByText("No garment is tracked now").waitFor();
     await page.reload();
     await page.getByText("No garment is tracked now").waitFor();
+    await page.setViewportSize({ width: 320, height: 844 }); // a window of 1280 pixels at four times their size
+    expect(await overflow(page)).toBeLessThanOrEqual(0);
+    await page.setViewportSize({ width: 390, height: 844 });
   });
 
   test("what the key may not do is said in words", async () => {

@@ -9,6 +9,9 @@ const SPARK_SAMPLES = 60;
 const MAX_HEALTH = 600; // samples of the server, half an hour
 const MAX_HISTORIES = 40; // sessions whose past is asked for
 
+/** Conditions of a server in words; empty: not asked yet. */
+export const CONDITIONS = { "": "", ready: "Ready", degraded: "Degraded", unready: "Not ready", away: "No answer" };
+
 /** A session as the list shows it. */
 export interface Row {
   id: string;
@@ -76,6 +79,12 @@ export class Fleet {
   onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
+  }
+
+  /** Whether the server accepts sessions. */
+  get condition(): keyof typeof CONDITIONS {
+    if (this.failure) return "away";
+    return this.readiness === "ready" || this.readiness === "degraded" ? this.readiness : this.readiness && "unready";
   }
 
   close(): void {
