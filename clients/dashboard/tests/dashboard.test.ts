@@ -44,6 +44,17 @@ describe("a server without keys", () => {
     expect(complaints()).toEqual([]);
   });
 
+  test("what is not there is said in words: a session, the partner of a comparison, values", async () => {
+    await page.goto(`${setting.service.http}/#/sessions/nosuch`);
+    await page.locator(".stage-notice", { hasText: "There is no session nosuch" }).waitFor();
+    expect(await page.locator(".session .pill").getAttribute("data-state")).toBe("unknown");
+    expect(await page.locator(".chart:visible", { hasText: "No values yet" }).count()).toBe(4);
+    await page.goto(`${setting.service.http}/#/compare/nosuch`);
+    await page.getByText("There is no session 'sessions/nosuch'").waitFor();
+    expect(await page.locator("select[aria-label='Right session']").innerText()).toBe("Choose …");
+    expect(complaints().filter((line) => !line.includes("404"))).toEqual([]);
+  });
+
   test("the sample is tracked within ten seconds of opening the page, and the garment moves", async () => {
     const begun = performance.now();
     await page.goto(setting.service.http);
