@@ -3,6 +3,7 @@ import { execFileSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { describe, expect, test, vi } from "vitest";
 import { PYTHON } from "../../typescript/tests/server.js";
+import { lastSeconds, recency } from "../src/api/fleet.js";
 import { Exposition, quantile } from "../src/api/prometheus.js";
 import { bandsOf } from "../src/charts/bands.js";
 import { Pace } from "../src/pace.js";
@@ -158,4 +159,15 @@ test("bands are the times of disturbed tracking", () => {
     { from: 1, to: 3, colour: "state-lost" },
     { from: 3, to: 4, colour: "state-recovering" },
   ]);
+});
+
+test("sessions at work keep their order in the list, before those that rest", () => {
+  expect(recency({ state: "tracking", lastFrame: 7 })).toBe(recency({ state: "lost", lastFrame: 8 }));
+  expect(recency({ state: "idle", lastFrame: 9 })).toBeLessThan(recency({ state: "tracking", lastFrame: 7 }));
+});
+
+test("a history of two seconds per sample fills every second of a course", () => {
+  const sample = (second: number, reliability: number) => ({ startTime: { seconds: BigInt(second), nanos: 0 }, reliability });
+  const history = { samples: [sample(100, 0.2), sample(102, 0.4), sample(106, 0.8)], resolution: 2 };
+  expect(lastSeconds(history as never, 107.5, 9)).toEqual([NaN, 0.2, 0.2, 0.4, 0.4, NaN, NaN, 0.8, 0.8]);
 });
