@@ -57,6 +57,8 @@ export interface ChartData {
 }
 
 const AXIS_WIDTH = 52;
+const LEAST = 2; // times of a course
+const NOTHING = "No course yet";
 const RIGHT = 28; // pixels beside the plot, for half of the last time below it
 const ROUND = Array.from({ length: 18 }, (_, k) => [1, 2, 5].map((part) => part * 10 ** (k - 9))).flat(); // short as text
 const POWERS_OF_TWO = Array.from({ length: 45 }, (_, power) => 2 ** power);
@@ -66,7 +68,7 @@ export class TimeChart {
   readonly element: HTMLElement;
   private readonly readout = h("span.chart-value", {}, "–");
   private readonly legend = h("span.chart-legend");
-  private readonly plotted = h("div.chart-plot", {}, "No values yet");
+  private readonly plotted = h("div.chart-plot", {}, NOTHING);
   private plot: uPlot | undefined;
   private data: ChartData = { times: [], values: [] };
   private readonly observer: ResizeObserver;
@@ -94,10 +96,7 @@ export class TimeChart {
 
   set(data: ChartData): void {
     this.data = data;
-    if (this.plotted.clientWidth === 0 || (data.times.length === 0 && !this.plot)) return;
-    if (data.times.length === 0) this.clear();
-    else if (this.plot) this.plot.setData(this.columns());
-    else this.plot = this.make();
+    if (this.plotted.clientWidth > 0) this.draw();
     this.showValue();
   }
 
@@ -112,10 +111,16 @@ export class TimeChart {
     this.plot?.destroy();
   }
 
+  private draw(): void {
+    if (this.data.times.length < LEAST) this.clear();
+    else if (this.plot) this.plot.setData(this.columns());
+    else this.plot = this.make();
+  }
+
   private clear(): void {
     this.plot?.destroy();
     this.plot = undefined;
-    this.plotted.replaceChildren("No values yet");
+    text(this.plotted, NOTHING);
   }
 
   private resize(): void {
