@@ -57,16 +57,28 @@ def paint(axes, vertices: np.ndarray, faces: np.ndarray, values: np.ndarray | No
     axes.add_collection(PolyCollection(seen[order][:, :, :2], facecolors=colours[order], edgecolors="none", antialiased=False))
 
 
+def key(figure, column: int, scale) -> None:
+    """Draws the colours of a column below it: of the ends of a scale, or of hidden and measured vertices."""
+    name, low, high = scale
+    values = np.linspace(low, high, 256) if low == 0 else np.array([0.0, 1.0])
+    labels = {0: f"{low:g}", 1: f"{high:g}"} if low == 0 else {0.25: "hidden", 0.75: "measured"}
+    axes = figure.add_axes((0.025 + 0.2425 * (column + 0.25), 0.055, 0.2425 / 2, 0.018))
+    axes.imshow(plt.get_cmap(name)((values - low) / (high - low))[None], aspect="auto", extent=(0, 1, 0, 1))
+    axes.set_yticks([])
+    axes.set_xticks(list(labels), list(labels.values()), fontsize=9)
+    axes.tick_params(length=0)
+
+
 def main(out: str) -> None:
     sequence, points, predicted, result = tracked()
     faces = sequence.garment_faces
     panels = (
         ("A  prediction, and the cloud", predicted, None, None),
         ("B  measured vertices", result.vertices, result.observed.astype(float), ("viridis", -0.3, 1.2)),
-        ("F  sigma after the fusion, 0 to 25 mm", result.vertices, result.sigma, ("RdYlBu_r", 0.0, 0.025)),
-        ("G  reliability, 0 to 1", result.vertices, result.vertex_reliability, ("RdYlBu", 0.0, 1.0)),
+        ("F  sigma after the fusion, mm", result.vertices, 1e3 * result.sigma, ("RdYlBu_r", 0.0, 25.0)),
+        ("G  reliability", result.vertices, result.vertex_reliability, ("RdYlBu", 0.0, 1.0)),
     )
-    figure, grid = plt.subplots(2, 4, figsize=(12, 6.2))
+    figure, grid = plt.subplots(2, 4, figsize=(12, 6.7))
     for column, (title, vertices, values, scale) in enumerate(panels):
         for axes, angle in zip(grid[:, column], (FRONT, BEHIND), strict=True):
             paint(axes, vertices, faces, values, angle, scale)
@@ -78,9 +90,11 @@ def main(out: str) -> None:
             axes.set(aspect="equal", xlim=(x - HALF, x + HALF), ylim=(y - HALF, y + HALF))
             axes.axis("off")
         grid[0, column].set_title(title, fontsize=11)
-    figure.text(0.01, 0.72, "from the camera's side", rotation=90, va="center", fontsize=9, color="0.4")
-    figure.text(0.01, 0.28, "from behind", rotation=90, va="center", fontsize=9, color="0.4")
-    figure.subplots_adjust(left=0.025, right=0.995, top=0.95, bottom=0.005, wspace=0.02, hspace=0.02)
+        if scale:
+            key(figure, column, scale)
+    figure.text(0.01, 0.74, "from the camera's side", rotation=90, va="center", fontsize=9, color="0.4")
+    figure.text(0.01, 0.3, "from behind", rotation=90, va="center", fontsize=9, color="0.4")
+    figure.subplots_adjust(left=0.025, right=0.995, top=0.95, bottom=0.08, wspace=0.02, hspace=0.02)
     figure.savefig(out, dpi=96)
 
 

@@ -6,6 +6,11 @@ export function fixed(value: number, digits = 1): string {
   return Number.isFinite(value) ? value.toFixed(digits) : "–";
 }
 
+/** Words that begin with a capital, unless an address comes first. */
+export function sentence(words: string): string {
+  return /^\w+:\/\//.test(words) ? words : words.charAt(0).toUpperCase() + words.slice(1);
+}
+
 /** A share as a percentage. */
 export function percent(share: number, digits = 0): string {
   return Number.isFinite(share) ? `${(100 * share).toFixed(digits)} %` : "–";

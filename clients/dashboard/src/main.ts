@@ -1,5 +1,5 @@
 /** Dashboard: the shell of the page, its views by address, and the connection that they share. */
-import { Fleet } from "./api/fleet.js";
+import { CONDITIONS, Fleet } from "./api/fleet.js";
 import { connected, forgetKey, hasKey, needsKey, reasonOf } from "./api/connection.js";
 import { button, h, icon, set, text } from "./dom.js";
 import { Player, prepare, type PlayOptions, type Prepared } from "./play/player.js";
@@ -107,17 +107,15 @@ function show(next: View): void {
 
 function followHealth(): void {
   if (!app) return;
-  const { failure, readiness, problems } = app.fleet;
+  const { failure, readiness, problems, condition } = app.fleet;
   if (failure && needsKey(failure)) {
     app.fleet.close();
     app = undefined;
     show(loginView(reasonOf(failure), () => void start()));
     return;
   }
-  const state = failure ? "away" : readiness === "ready" ? "ready" : readiness === "degraded" ? "degraded" : "unready";
-  const words = { away: "No answer", ready: "Ready", degraded: "Degraded", unready: readiness ? "Not ready" : "" };
-  set(status, { "data-state": state, title: failure ? reasonOf(failure) : problems.join("\n") || readiness });
-  text(status, words[state]);
+  set(status, { "data-state": condition, title: failure ? reasonOf(failure) : problems.join("\n") || readiness });
+  text(status, CONDITIONS[condition]);
 }
 
 async function trySample(onStep: (step: string) => void): Promise<void> {

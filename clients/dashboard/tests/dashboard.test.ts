@@ -11,6 +11,7 @@ import {
   figure,
   hasBand,
   lastMoment,
+  overflow,
   picture,
   setUp,
   stopPlaying,
@@ -41,6 +42,20 @@ describe("a server without keys", () => {
   });
   afterEach(() => {
     expect(complaints()).toEqual([]);
+  });
+
+  test("what is not there is said in words: a session, the partner of a comparison, values", async () => {
+    await page.goto(`${setting.service.http}/#/sessions/nosuch`);
+    await page.locator(".stage-notice", { hasText: "There is no session nosuch" }).waitFor();
+    expect(await page.locator(".session .pill").getAttribute("data-state")).toBe("unknown");
+    expect(await page.locator(".chart:visible", { hasText: "No course yet" }).count()).toBe(4);
+    await page.getByRole("link", { name: "Server" }).click();
+    await page.locator(".chart", { hasText: "Memory" }).getByText("No course yet").waitFor(); // of one value
+    await page.locator(".chart", { hasText: "Memory" }).locator(".uplot").waitFor();
+    await page.goto(`${setting.service.http}/#/compare/nosuch`);
+    await page.getByText("There is no session 'sessions/nosuch'").waitFor();
+    expect(await page.locator("select[aria-label='Right session']").innerText()).toBe("Choose …");
+    expect(complaints().filter((line) => !line.includes("404"))).toEqual([]);
   });
 
   test("the sample is tracked within ten seconds of opening the page, and the garment moves", async () => {
@@ -176,6 +191,9 @@ describe("a server without keys", () => {
     await setting.service.stop();
     await page.locator(".stage-notice", { hasText: "Connection lost" }).waitFor();
     await expect.poll(() => page.locator(".server-status").innerText()).toBe("No answer");
+    await page.getByRole("link", { name: "Server" }).click();
+    expect(await page.locator(".card", { hasText: "Readiness" }).locator("strong").innerText()).toBe("No answer");
+    await page.goBack();
     setting.service = await Service.start(arguments_);
     await page.locator(".stage-notice", { hasText: "Connection lost" }).waitFor({ state: "hidden" });
     await page.locator(TRACKING).waitFor();
@@ -272,6 +290,9 @@ describe("a server that needs a key", () => {
     await page.getByText("No garment is tracked now").waitFor();
     await page.reload();
     await page.getByText("No garment is tracked now").waitFor();
+    await page.setViewportSize({ width: 320, height: 844 }); // a window of 1280 pixels at four times their size
+    expect(await overflow(page)).toBeLessThanOrEqual(0);
+    await page.setViewportSize({ width: 390, height: 844 });
   });
 
   test("what the key may not do is said in words", async () => {

@@ -9,7 +9,7 @@ import { PYTHON, Service, temporaryFolder } from "../../typescript/tests/server.
 import { seriousProblems } from "./axe.js";
 import { Browser } from "./browser.js";
 import * as dashboard from "./dashboard.js";
-import { TRACKING, ddakf, download, exported, lastMoment, overflow, setUp, stopPlaying, trySample } from "./dashboard.js";
+import { TRACKING, ddakf, download, exported, figure, lastMoment, overflow, setUp, stopPlaying, trySample } from "./dashboard.js";
 import type { Files, Setting } from "./dashboard.js";
 
 const FILES = `
@@ -78,6 +78,9 @@ test("a mesh with defects is named, repaired and tracked in a folder of clouds",
   await page.locator(TRACKING).waitFor();
   await page.getByText("all frames were sent").waitFor();
   await expect.poll(() => lastMoment(page)).toBe(11); // the first frame of the recording is among them
+  await page.locator(".session .pill[data-state=idle]").waitFor(); // it had no frame for two seconds
+  expect(await figure(page, "frames/s")).toBe(0);
+  await page.locator(".signs", { hasText: "No frames come" }).waitFor();
 });
 
 test("a folder of depth images is tracked with a mesh", async () => {
@@ -181,6 +184,7 @@ test("two live sessions are compared, on a phone too", async () => {
     await expect.poll(() => other.page.locator(".compare-side .pill[data-state=tracking]").count()).toBe(2);
     await other.page.locator(".verdict", { hasText: /apart on average|different frames/ }).waitFor();
     expect(await other.page.locator("select[aria-label='Right session']").inputValue()).toBe(id);
+    expect(await other.page.locator(".legend").innerText()).toMatch(/Distance between the garments\s+0 mm\s+20 mm/);
     await other.page.locator("select[aria-label='Left session']").selectOption(id);
     await other.page.locator(".verdict", { hasText: "bit for bit" }).waitFor(); // of a session and itself
     expect(await seriousProblems(other.page)).toEqual([]);

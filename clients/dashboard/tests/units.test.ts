@@ -3,13 +3,17 @@ import { execFileSync } from "node:child_process";
 import { readFileSync } from "node:fs";
 import { describe, expect, test, vi } from "vitest";
 import { PYTHON } from "../../typescript/tests/server.js";
+import { lastSeconds, recency } from "../src/api/fleet.js";
 import { Exposition, quantile } from "../src/api/prometheus.js";
 import { bandsOf } from "../src/charts/bands.js";
+import { sentence } from "../src/format.js";
 import { Pace } from "../src/pace.js";
 import { Camera } from "../src/play/camera.js";
 import { readMotion } from "../src/play/motion.js";
 import { RADIUS_90, ellipsoid90 } from "../src/scene/ellipsoid.js";
 import { cloudOf } from "../src/session/cloud.js";
+import { diagnose } from "../src/session/diagnosis.js";
+import type { Moment } from "../src/session/memory.js";
 import { distancesTo, vertexNormals } from "../src/session/surface.js";
 
 /** Prints what a Python expression gives, as JSON, with the packages of the server. */
@@ -158,4 +162,39 @@ test("bands are the times of disturbed tracking", () => {
     { from: 1, to: 3, colour: "state-lost" },
     { from: 3, to: 4, colour: "state-recovering" },
   ]);
+});
+
+test("sessions at work keep their order in the list, before those that rest", () => {
+  expect(recency({ state: "tracking", lastFrame: 7 })).toBe(recency({ state: "lost", lastFrame: 8 }));
+  expect(recency({ state: "idle", lastFrame: 9 })).toBeLessThan(recency({ state: "tracking", lastFrame: 7 }));
+});
+
+test("a history of two seconds per sample fills every second of a course", () => {
+  const sample = (second: number, reliability: number) => ({ startTime: { seconds: BigInt(second), nanos: 0 }, reliability });
+  const history = { samples: [sample(100, 0.2), sample(102, 0.4), sample(106, 0.8)], resolution: 2 };
+  expect(lastSeconds(history as never, 107.5, 9)).toEqual([NaN, 0.2, 0.2, 0.4, 0.4, NaN, NaN, 0.8, 0.8]);
+});
+
+describe("signs of trouble", () => {
+  const moment = (state: string, captureTime: number, x: number, message?: string): Moment => {
+    const shape = { vertices: Float32Array.of(x, 0, 0), observed: Uint8Array.of(1) };
+    const warnings = message ? [{ field: "sensors", message }] : [];
+    const numbers = { time: captureTime, captureTime, applied: 1, dropped: 0, coverage: 1, reliability: 0.4 };
+    return { ...numbers, state, shape, warnings, timings: {} } as unknown as Moment;
+  };
+  const titles = (...moments: Moment[]) => diagnose(moments, new Uint32Array()).map(({ title }) => title);
+
+  test("the leap from where it was lost to where it was found is no fast motion", () => {
+    expect(titles(moment("tracking", 0, 0), moment("tracking", 0.1, 0.9))).toEqual(["Fast motion"]);
+    expect(titles(moment("lost", 0, 0), moment("tracking", 0.1, 0.9))).toEqual([]);
+  });
+
+  test("reliability has the scale of the charts, and warnings are sentences", () => {
+    const signs = diagnose([moment("recovering", 0, 0, "the cloud shows one side")], new Uint32Array());
+    expect(signs.map(({ text }) => text)).toEqual(["The cloud shows one side", expect.stringContaining("Reliability is 0.40")]);
+  });
+});
+
+test("an address keeps its small letters at the beginning of a sentence", () => {
+  expect([sentence("no worker"), sentence("http://host does not answer")]).toEqual(["No worker", "http://host does not answer"]);
 });

@@ -173,7 +173,8 @@ def save_animation(path, painter: Painter, shots: Sequence[Shot], fps: float) ->
     frames = [painter.paint(shot) for shot in shots[::stride]]
     if path.suffix.lower() == ".gif":
         pil = _pillow()
-        palette = painter.paint(shots[len(shots) // 2]).quantize(96, dither=pil.Image.Dither.NONE)
+        seen = painter.paint(shots[len(shots) // 2])
+        palette = seen.quantize(192, method=pil.Image.Quantize.MAXCOVERAGE)  # with rare colours: those of the whole scale
         frames = [frame.quantize(palette=palette, dither=pil.Image.Dither.NONE) for frame in frames]
     milliseconds = round(1000 * stride / fps)
     _save(path, frames[0], save_all=True, append_images=frames[1:], duration=milliseconds, loop=0, quality=70)

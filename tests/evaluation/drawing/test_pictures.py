@@ -72,6 +72,20 @@ def test_animations_have_all_frames_at_their_speed_and_are_small(recording, tmp_
     assert (tmp_path / f"a{suffix}").stat().st_size < 3 * 80_000
 
 
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_the_scale_of_an_animation_has_all_its_colours(recording, tmp_path, suffix):
+    sequence, shots = recording
+    rare = np.where(np.arange(len(shots[0].vertices)) < 40, 0.02, 0.004)  # hardly any vertex is as uncertain as the scale's end
+    shots = [Shot(shot.points, shot.vertices, rare, shot.caption, shot.body) for shot in shots]
+    painter = Painter(shots, sequence.garment_faces, sequence.body_faces, title="test")
+    pictures.save_animation(tmp_path / f"a{suffix}", painter, shots, fps=10)
+    with Image.open(tmp_path / f"a{suffix}") as animation:
+        row = np.asarray(animation.convert("RGB"), float)[pictures.HEADER + pictures.PANEL_HEIGHT + 24]
+    left, right = len(row) // 2 + 60, len(row) - 24
+    true = pictures.colours(np.linspace(0, 1, right - left, endpoint=False), 1)
+    assert np.abs(row[left:right] - true).max(axis=1)[4:-4].max() < 40
+
+
 def test_a_still_without_points_and_body(recording, tmp_path):
     sequence, shots = recording
     shot = Shot(np.zeros((0, 3)), shots[0].vertices, shots[0].sigma, "empty")

@@ -1,5 +1,6 @@
 /** Connection: the page's own server, the key of its user, and the address that a proxy may have put before it. */
 import { connect, InvalidArgument, PermissionDenied, Unauthenticated, type Client } from "ddakf-client";
+import { sentence } from "../format.js";
 
 const STORED = "ddakf.key"; // of this tab, where the user asks for it
 
@@ -48,6 +49,5 @@ export function needsKey(error: unknown): boolean {
 
 /** Why something failed, as a sentence. */
 export function reasonOf(error: unknown): string {
-  const words = error instanceof Error ? error.message : String(error);
-  return words.charAt(0).toUpperCase() + words.slice(1);
+  return sentence(error instanceof Error ? error.message : String(error));
 }

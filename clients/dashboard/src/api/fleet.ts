@@ -9,6 +9,9 @@ const SPARK_SAMPLES = 60;
 const MAX_HEALTH = 600; // samples of the server, half an hour
 const MAX_HISTORIES = 40; // sessions whose past is asked for
 
+/** Conditions of a server in words; empty: not asked yet. */
+export const CONDITIONS = { "": "", ready: "Ready", degraded: "Degraded", unready: "Not ready", away: "No answer" };
+
 /** A session as the list shows it. */
 export interface Row {
   id: string;
@@ -27,6 +30,11 @@ export interface Row {
   memory: number;
   /** Newest last, NaN where no frame came. */
   spark: number[];
+}
+
+/** How recent a session's last frame is, for an order. Those at work are equal: the newest frame is of another one each time. */
+export function recency({ state, lastFrame }: Pick<Row, "state" | "lastFrame">): number {
+  return state === "idle" ? lastFrame : Number.MAX_VALUE;
 }
 
 /** The server at one time. Rates are per second since the sample before. */
@@ -76,6 +84,12 @@ export class Fleet {
   onChange(listener: () => void): () => void {
     this.listeners.add(listener);
     return () => this.listeners.delete(listener);
+  }
+
+  /** Whether the server accepts sessions. */
+  get condition(): keyof typeof CONDITIONS {
+    if (this.failure) return "away";
+    return this.readiness === "ready" || this.readiness === "degraded" ? this.readiness : this.readiness && "unready";
   }
 
   close(): void {
@@ -154,12 +168,7 @@ export class Fleet {
     const span = { start: new Date(1000 * (end - SPARK_SAMPLES)), resolution: 1, maxSamples: SPARK_SAMPLES };
     const history = await this.client.history(id, span).catch(() => undefined); // an ended session, or no database
     if (!history || history.samples.length === 0) return;
-    const values = Array.from({ length: SPARK_SAMPLES }, () => NaN);
-    for (const sample of history.samples) {
-      const age = Math.round(end - seconds(sample.startTime));
-      if (age >= 0 && age < SPARK_SAMPLES) values[SPARK_SAMPLES - 1 - age] = sample.reliability;
-    }
-    spark.unshift(...values.slice(spark.length));
+    spark.unshift(...lastSeconds(history, end, SPARK_SAMPLES).slice(spark.length - 1, -1)); // the first of them was at the end
   }
 
   private async askReadiness(): Promise<void> {
@@ -184,6 +193,17 @@ export class Fleet {
       this.noMetrics = error;
     }
   }
+}
+
+/** Reliability in each of the last seconds, newest last, as a history has it; NaN: no frame. */
+export function lastSeconds({ samples, resolution }: messages.SessionHistory, end: number, count: number): number[] {
+  const values = Array.from({ length: count }, () => NaN);
+  for (const { startTime, reliability } of samples)
+    for (let second = 0; second < resolution; second++) {
+      const age = Math.floor(end - seconds(startTime) - second);
+      if (age >= 0 && age < count) values[count - 1 - age] = reliability;
+    }
+  return values;
 }
 
 interface Scrape {

@@ -23,7 +23,7 @@ export interface ChartOptions {
   show: (value: number) => string;
   /** Ends of the vertical axis; default: of the values, from zero. */
   range?: [number, number];
-  /** The vertical axis reaches at least so far. */
+  /** The vertical axis reaches at least so far: far enough that its numbers differ where all values are 0. */
   least?: number;
   height?: number;
   /** Charts of the same group have one cursor. */
@@ -57,15 +57,18 @@ export interface ChartData {
 }
 
 const AXIS_WIDTH = 52;
-const RIGHT = 14; // pixels beside the plot, for half of the last time below it
+const LEAST = 2; // times of a course
+const NOTHING = "No course yet";
+const RIGHT = 28; // pixels beside the plot, for half of the last time below it
+const ROUND = Array.from({ length: 18 }, (_, k) => [1, 2, 5].map((part) => part * 10 ** (k - 9))).flat(); // short as text
 const POWERS_OF_TWO = Array.from({ length: 45 }, (_, power) => 2 ** power);
 const MUTED_BAND = 0.16;
 
 export class TimeChart {
   readonly element: HTMLElement;
-  private readonly readout = h("span.chart-value");
+  private readonly readout = h("span.chart-value", {}, "–");
   private readonly legend = h("span.chart-legend");
-  private readonly plotted = h("div.chart-plot");
+  private readonly plotted = h("div.chart-plot", {}, NOTHING);
   private plot: uPlot | undefined;
   private data: ChartData = { times: [], values: [] };
   private readonly observer: ResizeObserver;
@@ -84,6 +87,7 @@ export class TimeChart {
         swatch.style.backgroundColor = `var(--${line.colour})`;
         this.legend.append(h("span", {}, swatch, line.label));
       }
+    this.plotted.style.minHeight = `${this.height}px`;
     this.observer = new ResizeObserver(() => {
       this.resize();
     });
@@ -92,22 +96,31 @@ export class TimeChart {
 
   set(data: ChartData): void {
     this.data = data;
-    if (this.plotted.clientWidth === 0) return;
-    this.plot ??= this.make();
-    this.plot.setData(this.columns());
+    if (this.plotted.clientWidth > 0) this.draw();
     this.showValue();
   }
 
   /** Draws with the colours of another theme. */
   restyle(): void {
-    this.plot?.destroy();
-    this.plot = undefined;
+    this.clear();
     this.set(this.data);
   }
 
   close(): void {
     this.observer.disconnect();
     this.plot?.destroy();
+  }
+
+  private draw(): void {
+    if (this.data.times.length < LEAST) this.clear();
+    else if (this.plot) this.plot.setData(this.columns());
+    else this.plot = this.make();
+  }
+
+  private clear(): void {
+    this.plot?.destroy();
+    this.plot = undefined;
+    text(this.plotted, NOTHING);
   }
 
   private resize(): void {
@@ -138,7 +151,8 @@ export class TimeChart {
   }
 
   private make(): uPlot {
-    const { lines, range, show, stacked, group, noTimes, binary, sinceBeginning = false, least = 1e-6 } = this.options;
+    const { lines, range, show, stacked, group, noTimes, binary, sinceBeginning = false, least = 1 } = this.options;
+    this.plotted.replaceChildren();
     const ordered = stacked ? [...lines].reverse() : lines;
     const [grid, muted] = [colour("grid"), colour("muted")];
     const axis = {
@@ -161,7 +175,8 @@ export class TimeChart {
       axes: [
         {
           ...axis,
-          size: noTimes ? 7 : 20,
+          size: noTimes ? 7 : 24,
+          gap: 8, // below the number of the vertical axis in the corner
           space: 70,
           values: (_, times) =>
             times.map((time) => (noTimes ? "" : sinceBeginning ? `${Number(time.toFixed(3))} s` : clock(time))),
@@ -171,7 +186,7 @@ export class TimeChart {
           size: AXIS_WIDTH,
           space: 26,
           values: (_, values) => values.map((value) => show(value)),
-          ...(binary && { incrs: POWERS_OF_TWO }),
+          incrs: binary ? POWERS_OF_TWO : ROUND,
         },
       ],
       series: [{}, ...ordered.map((line) => lineStyle(line, stacked ?? false))],
@@ -207,7 +222,8 @@ export class TimeChart {
   private readonly showValue = () => {
     const at = this.plot?.cursor.idx ?? this.data.times.length - 1;
     const { values } = this.data;
-    const value = this.options.stacked ? values.reduce((sum, column) => sum + (column[at] ?? NaN), 0) : (values[0]?.[at] ?? NaN);
+    const sum = () => values.reduce((below, column) => below + (column[at] ?? NaN), values.length > 0 ? 0 : NaN);
+    const value = this.options.stacked ? sum() : (values[0]?.[at] ?? NaN);
     text(this.readout, Number.isNaN(value) ? "–" : this.options.show(value));
   };
 }

@@ -1,5 +1,5 @@
 /** Diagnosis: what degrades the fit at a moment, in words with the numbers that say so. */
-import { millimetres, percent } from "../format.js";
+import { fixed, millimetres, percent, sentence } from "../format.js";
 import type { Moment } from "./memory.js";
 import { distancesTo, vertexNormals } from "./surface.js";
 
@@ -53,7 +53,7 @@ function stateSigns({ state, reliability }: Moment): Sign[] {
       {
         severity: "poor",
         title: "Recovering",
-        text: `Reliability is ${percent(reliability)}: the shape is doubtful until measurements agree again.`,
+        text: `Reliability is ${fixed(reliability, 2)}: the shape is doubtful until measurements agree again.`,
       },
     ];
   if (state === "initializing")
@@ -62,7 +62,11 @@ function stateSigns({ state, reliability }: Moment): Sign[] {
 }
 
 function warningSigns({ warnings }: Moment): Sign[] {
-  return warnings.map(({ field, message }) => ({ severity: "bad", title: `Check ${field || "the input"}`, text: message }));
+  return warnings.map(({ field, message }) => ({
+    severity: "bad",
+    title: `Check ${field || "the input"}`,
+    text: sentence(message),
+  }));
 }
 
 function measurementSigns({ shape, coverage }: Moment): Sign[] {
@@ -112,7 +116,14 @@ function dropSigns(moments: readonly Moment[]): Sign[] {
 function motionSigns(moments: readonly Moment[]): Sign[] {
   const [before, now] = moments.filter(({ shape }) => shape).slice(-2);
   const elapsed = before && now ? now.captureTime - before.captureTime : 0;
-  if (!before || !now || !(elapsed > 0) || before.shape!.vertices.length !== now.shape!.vertices.length) return [];
+  if (
+    !before ||
+    !now ||
+    !(elapsed > 0) ||
+    before.state === "lost" ||
+    before.shape!.vertices.length !== now.shape!.vertices.length
+  )
+    return [];
   const [from, to] = [before.shape!.vertices, now.shape!.vertices];
   const speeds: number[] = [];
   for (let i = 0; i < to.length; i += 3 * STEP)

@@ -120,6 +120,7 @@ export class Watching {
   }
 }
 
-function isPassing(error: unknown): error is Error {
+/** Whether the same call may succeed later. */
+export function isPassing(error: unknown): error is Error {
   return error instanceof Unavailable || error instanceof DeadlineExceeded || error instanceof Draining;
 }

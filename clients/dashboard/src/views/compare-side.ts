@@ -1,6 +1,6 @@
 /** One side of a comparison: a session that is watched, or the recorded answers of the recording that this page replays. */
 import { button, h, icon, set, text } from "../dom.js";
-import type { StateName } from "../format.js";
+import { stateName, type StateName } from "../format.js";
 import type { Mode } from "../scene/colours.js";
 import { Scene } from "../scene/scene.js";
 import { Memory, momentOf, type Moment } from "../session/memory.js";
@@ -24,7 +24,7 @@ export class CompareSide {
   private watching: Watching | undefined;
   private other: CompareSide | undefined;
   private mode: Mode = "difference";
-  private listed = "";
+  private listed: string | undefined;
   private closed = false;
 
   constructor(
@@ -122,6 +122,7 @@ export class CompareSide {
     const session = await this.app.client.openSession(this.id);
     const whole = await session.info({ full: true });
     if (this.closed) return;
+    this.showState(stateName(whole.state));
     const garment = meshOf(whole.garment);
     if (garment) this.begin(garment, meshOf(whole.body));
     const player = this.app.player?.id === this.id ? this.app.player : undefined;

@@ -9,6 +9,7 @@ import type { Moment } from "../session/memory.js";
 import { Agreement, distanceOf, newestPair, type Distance, type Pair } from "../session/pairing.js";
 import { onTheme } from "../theme.js";
 import { CompareSide, RECORDED } from "./compare-side.js";
+import { drawLegend } from "./stage.js";
 import type { App, View } from "./view.js";
 
 const WINDOW = 30; // seconds of the charts
@@ -47,6 +48,7 @@ class CompareView {
   private readonly sides: [CompareSide, CompareSide];
   private readonly verdict = h("p.verdict", { role: "status" }, "Waiting for frames");
   private readonly table = h("tbody");
+  private readonly legend = h("div.legend");
   private readonly charts: TimeChart[];
   private readonly rows: Row[] = [];
   private readonly endings: (() => void)[] = [];
@@ -78,6 +80,7 @@ class CompareView {
       {},
       h("h1", {}, "Compare"),
       h("span.space"),
+      this.legend,
       h("label.colour-by", {}, h("span", {}, "Colour"), this.mode()),
     );
     const charts = this.charts.map(({ element }) => element);
@@ -121,9 +124,12 @@ class CompareView {
       { "aria-label": "Colour by" },
       ...Object.entries(MODES).map(([value, words]) => h("option", { value }, words)),
     );
-    mode.addEventListener("change", () => {
+    const draw = () => {
       for (const each of this.sides) each.setMode(mode.value as Mode);
-    });
+      drawLegend(this.legend, mode.value as Mode);
+    };
+    mode.addEventListener("change", draw);
+    draw();
     return mode;
   }
 

@@ -10,8 +10,12 @@ export class DiagnosisPanel {
   private readonly list = h("ul.signs");
   private readonly heading = h("h2", { id: "diagnosis" }, "What degrades the fit");
   readonly element = h("section.card.diagnosis", { "aria-labelledby": "diagnosis" }, this.heading, this.list);
-  private last = 0;
+  private last = -Infinity;
   private shown = "";
+
+  constructor() {
+    this.say("No frame since this page was opened.");
+  }
 
   /** @param moments up to the one that is shown. */
   show(moments: readonly Moment[], faces: Uint32Array): void {
@@ -36,15 +40,19 @@ export class DiagnosisPanel {
       ),
     );
     this.list.replaceChildren(
-      ...(items.length > 0 ? items : [fine("Nothing: the garment is seen well, and frames come in time.")]),
+      ...(items.length > 0 ? items : [item("fine", "check", "Nothing: the garment is seen well, and frames come in time.")]),
     );
   }
 
-  end(): void {
-    this.list.replaceChildren(fine("The session is not live."));
+  /** Words instead of signs, until the next moment. */
+  say(words: string): void {
+    this.last = -Infinity;
+    if (this.shown === words) return;
+    this.shown = words;
+    this.list.replaceChildren(item("note", "info", words));
   }
 }
 
-function fine(words: string): HTMLElement {
-  return h("li", { "data-severity": "fine" }, icon("check"), h("div", {}, h("p", {}, words)));
+function item(severity: string, picture: Parameters<typeof icon>[0], words: string): HTMLElement {
+  return h("li", { "data-severity": severity }, icon(picture), h("div", {}, h("p", {}, words)));
 }

@@ -1,5 +1,5 @@
 /** Fleet: all sessions of the server with their state, reliability, rate, drops and latency. */
-import type { Row } from "../api/fleet.js";
+import { recency, type Row } from "../api/fleet.js";
 import { reasonOf } from "../api/connection.js";
 import { Sparkline } from "../charts/sparkline.js";
 import { button, h, icon, set, text } from "../dom.js";
@@ -168,7 +168,7 @@ class FleetView {
 
 /** A row's value for the order; no value comes last when rising. */
 function numberOf(row: Row, key: Exclude<Key, "id" | "state">): number {
-  const value = key === "age" ? -row.lastFrame : row[key];
+  const value = key === "age" ? -recency(row) : row[key];
   return Number.isNaN(value) ? Number.MAX_VALUE : value;
 }
 
@@ -217,7 +217,8 @@ class RowView {
     const age = `${duration(Math.max(0, Date.now() / 1000 - row.lastFrame))} ago`;
     text(this.cells.age, Number.isNaN(row.lastFrame) ? "none yet" : age);
     const rate = row.frameRate > 0 ? `${fixed(row.frameRate)} frames/s` : Number.isNaN(row.lastFrame) ? "no frame yet" : age;
-    text(this.brief, [rate, `${percent(share)} dropped`, milliseconds(row.latency)].join(" · "));
+    const brief = [rate, `${percent(share)} dropped`, milliseconds(row.latency)];
+    text(this.brief, brief.map((part) => part.replaceAll(" ", "\u00a0")).join(" · ")); // a number stays with its unit
   }
 }
 

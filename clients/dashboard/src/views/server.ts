@@ -1,9 +1,9 @@
 /** Server: its health and workers, and its metrics as charts, collected while this page is open. */
-import type { Fleet, Health } from "../api/fleet.js";
+import { CONDITIONS, type Fleet, type Health } from "../api/fleet.js";
 import { reasonOf } from "../api/connection.js";
 import { TimeChart, type ChartOptions } from "../charts/timechart.js";
 import { h, icon, text } from "../dom.js";
-import { bytes, fixed, milliseconds, percent } from "../format.js";
+import { bytes, fixed, milliseconds, percent, sentence } from "../format.js";
 import { onTheme } from "../theme.js";
 import type { App, View } from "./view.js";
 
@@ -31,6 +31,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
       { label: "99 %", colour: "series-2" },
     ],
     show: milliseconds,
+    least: 0.001,
     columns: [(s) => s.median, (s) => s.slowest],
   },
   {
@@ -50,6 +51,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
       { label: "watchers", colour: "series-3" },
     ],
     show: (value) => fixed(value, 0),
+    least: 4,
     columns: [(s) => s.sessions, (s) => s.streams, (s) => s.watchers],
   },
   {
@@ -57,6 +59,7 @@ const CHARTS: (ChartOptions & { columns: Column[] })[] = [
     group: GROUP,
     lines: [{ label: "cores", colour: "series-1", filled: true }],
     show: (value) => percent(value, value > 0 && value < 0.1 ? 1 : 0),
+    least: 0.01,
     columns: [(s) => s.processor],
   },
   {
@@ -73,7 +76,7 @@ const CARDS: { name: string; hint: string; value: (fleet: Fleet, last: Health | 
   {
     name: "Readiness",
     hint: "Whether the server accepts sessions",
-    value: ({ readiness }) => (readiness ? readiness[0]!.toUpperCase() + readiness.slice(1) : "–"),
+    value: ({ condition }) => CONDITIONS[condition] || "–",
   },
   { name: "Workers ready", hint: "Processes that track frames", value: (_, last) => fixed(last?.ready ?? NaN, 0) },
   { name: "Spare workers", hint: "Warm processes in reserve", value: (_, last) => fixed(last?.spare ?? NaN, 0) },
@@ -126,7 +129,8 @@ function explanation(): HTMLElement {
   return h("p.muted", {}, words, h("code", {}, "/metrics"), "; the REST interface is described in ", docs, ".");
 }
 
-function troubleOf({ failure, noMetrics, problems }: Fleet): string {
+function troubleOf({ condition, failure, readiness, noMetrics, problems }: Fleet): string {
   if (failure) return reasonOf(failure);
+  if (condition === "unready") return sentence(readiness);
   return noMetrics ? `No metrics: ${reasonOf(noMetrics)}` : problems.join(" ");
 }

@@ -5,13 +5,14 @@ import { h } from "../dom.js";
 import { fixed, stateName } from "../format.js";
 import type { Cloud } from "../session/cloud.js";
 import { Memory } from "../session/memory.js";
-import { Watching } from "../session/watching.js";
+import { Watching, isPassing } from "../session/watching.js";
 import { PlayerPanel } from "./player-panel.js";
 import { RecordButton } from "./record-button.js";
 import { Workbench, type MeshArrays } from "./workbench.js";
 import type { App, View } from "./view.js";
 
 const NOTICE_SECONDS = 8;
+const RETRY_INTERVAL = 2; // seconds between attempts to read a session from a server that does not answer
 
 export function sessionView(app: App, id: string): View {
   const view = new SessionView(app, id);
@@ -23,6 +24,8 @@ class SessionView {
   private readonly bench: Workbench;
   private readonly recording: RecordButton;
   private watching: Watching | undefined;
+  private readonly unlisten: () => void;
+  private retryTimer: ReturnType<typeof setTimeout> | undefined;
   private closed = false;
 
   constructor(
@@ -38,11 +41,16 @@ class SessionView {
     const actions = [this.recording.element, compare];
     this.bench = new Workbench({ title: id, memory: new Memory(), past: { client: app.client, id }, panel, actions });
     this.element = this.bench.element;
+    this.unlisten = app.fleet.onChange(() => {
+      if (app.fleet.rows.some((row) => row.id === id && row.state === "idle")) this.bench.rest();
+    });
     void this.open();
   }
 
   readonly close = () => {
     this.closed = true;
+    clearTimeout(this.retryTimer);
+    this.unlisten();
     this.watching?.close();
     this.recording.stop();
     this.bench.close();
@@ -58,8 +66,17 @@ class SessionView {
       this.bench.showState(stateName(whole.state));
       this.begin(whole);
     } catch (error) {
-      if (!this.closed) this.end(error);
+      if (this.closed) return;
+      if (!isPassing(error)) this.end(error);
+      else {
+        this.sayLost(error.message);
+        this.retryTimer = setTimeout(() => void this.open(), 1000 * RETRY_INTERVAL);
+      }
     }
+  }
+
+  private sayLost(reason: string): void {
+    this.bench.say(`Connection lost, trying again. ${reason}`, "poor", 0);
   }
 
   private begin(session: messages.Session): void {
@@ -74,7 +91,8 @@ class SessionView {
       onResult: this.onResult,
       onNotice: this.onNotice,
       onLost: (lost, reason) => {
-        this.bench.say(lost ? `Connection lost, trying again. ${reason}` : "", "poor", 0);
+        if (lost) this.sayLost(reason);
+        else this.bench.say("", "poor", 0);
       },
       onEnd: (error) => {
         this.end(error);
@@ -104,7 +122,7 @@ class SessionView {
     this.bench.showState(this.bench.ended);
     if (error instanceof SessionNotFound) void this.sayEnded();
     else this.bench.say(reasonOf(error), "bad", 0);
-    this.bench.diagnosis.end();
+    this.bench.diagnosis.say("The session is not live.");
     this.recording.end();
     this.bench.charts.showAll();
   }
@@ -113,6 +131,7 @@ class SessionView {
     const isStored = await this.bench.charts.loadHistory();
     const words = isStored ? "The session has ended; the charts have its history." : `There is no session ${this.id}.`;
     if (this.closed) return;
+    if (!isStored && !this.bench.memory.newest) this.bench.showState((this.bench.ended = "unknown"));
     this.bench.say(words, "note", 0);
     if (this.bench.memory.moments.length === 0) this.bench.stage.say(isStored ? "No garment is kept of an ended session" : "");
   }

@@ -3,7 +3,7 @@ import { button, h, icon, set, text } from "../dom.js";
 import { MODES, SCALES, legendStops, type Mode } from "../scene/colours.js";
 import type { Layers, Scene } from "../scene/scene.js";
 import type { Moment } from "../session/memory.js";
-import { percent } from "../format.js";
+import { fixed, percent } from "../format.js";
 
 const LABELS: Record<(typeof MODES)[number], string> = {
   reliability: "Reliability",
@@ -24,7 +24,7 @@ export class Stage {
   readonly notice = h("div.stage-notice", { role: "status" });
   readonly readout = h("p.readout", { hidden: true, id: "readout" });
   private readonly words = h("p.stage-words", { role: "status" });
-  private readonly legend = h("div.legend");
+  private readonly legend = h("div.legend", { hidden: true });
   private readonly modes = h(
     "select",
     { "aria-label": "Colour by" },
@@ -83,7 +83,7 @@ export class Stage {
 
   /** What the canvas shows, for those who do not see it. */
   describe({ state, reliability, coverage }: Moment): void {
-    const words = `Garment in 3D: ${state}, reliability ${percent(reliability)}, ${percent(coverage)} measured. ${KEYS}`;
+    const words = `Garment in 3D: ${state}, reliability ${fixed(reliability, 2)}, ${percent(coverage)} measured. ${KEYS}`;
     if (this.scene && document.activeElement !== this.scene.canvas) set(this.scene.canvas, { "aria-label": words });
   }
 
@@ -105,13 +105,7 @@ export class Stage {
   private setMode(mode: Mode): void {
     if (this.scene) this.scene.mode = mode;
     this.scene?.refresh();
-    const scale = SCALES[mode];
-    this.legend.replaceChildren();
-    set(this.legend, { hidden: !scale });
-    if (!scale) return;
-    const bar = h("i.legend-bar");
-    bar.style.backgroundImage = `linear-gradient(90deg, ${legendStops(mode).join(", ")})`;
-    this.legend.append(h("span.legend-label", {}, scale.label), h("span", {}, scale.low), bar, h("span", {}, scale.high));
+    drawLegend(this.legend, mode);
   }
 
   private turnUp(): void {
@@ -140,4 +134,15 @@ export class Stage {
     event.preventDefault();
     this.scene?.orbit(...turn);
   };
+}
+
+/** Fills a legend with the scale of a mode; hides it where the mode has none. */
+export function drawLegend(legend: HTMLElement, mode: Mode): void {
+  const scale = SCALES[mode];
+  legend.replaceChildren();
+  set(legend, { hidden: !scale });
+  if (!scale) return;
+  const bar = h("i.legend-bar");
+  bar.style.backgroundImage = `linear-gradient(90deg, ${legendStops(mode).join(", ")})`;
+  legend.append(h("span.legend-label", {}, scale.label), h("span", {}, scale.low), bar, h("span", {}, scale.high));
 }

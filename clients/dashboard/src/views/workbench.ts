@@ -53,6 +53,7 @@ export class Workbench {
   private readonly inspector: Inspector;
   private readonly endings: (() => void)[] = [];
   private scene: Scene | undefined;
+  private isIdle = false;
   private noticeTimer: ReturnType<typeof setTimeout> | undefined;
 
   constructor(private readonly options: WorkbenchOptions) {
@@ -99,10 +100,20 @@ export class Workbench {
 
   /** Draws what has been added to the memory, soon; `isWhole`: nothing more will be added. */
   follow(isWhole = false): void {
+    this.isIdle = false;
     this.stage.say("");
     this.timeline.follow();
     this.charts.follow(isWhole);
     if (isWhole) this.timeline.draw();
+  }
+
+  /** No frames come; what is added to the memory ends that. */
+  rest(): void {
+    if (this.isIdle || this.ended) return;
+    this.isIdle = true;
+    const { moment } = this.timeline;
+    if (moment) this.showMoment(moment, this.memory.moments.lastIndexOf(moment));
+    else this.showState("idle");
   }
 
   showState(state: StateName): void {
@@ -152,15 +163,17 @@ export class Workbench {
   private readonly showMoment = (moment: Moment, index: number) => {
     if (moment.shape) this.scene?.show(moment.shape);
     this.inspector.show(moment);
-    this.diagnosis.show(this.memory.moments.slice(Math.max(0, index - 90), index + 1), this.faces);
-    this.showState(this.ended ?? (moment.state as StateName)); // a moment may be drawn after the end
+    const isIdle = this.isIdle && moment === this.memory.newest;
+    if (isIdle) this.diagnosis.say("No frames come.");
+    else this.diagnosis.show(this.memory.moments.slice(Math.max(0, index - 90), index + 1), this.faces);
+    this.showState(this.ended ?? (isIdle ? "idle" : (moment.state as StateName))); // a moment may be drawn after the end
     this.stage.describe(moment);
     const recent = this.memory.moments.slice(Math.max(0, index - 120), index + 1).filter(({ time }) => time > moment.time - 2);
     const first = recent[0] ?? moment;
     const rate = (moment.applied - first.applied) / (moment.time - first.time);
     const total = moment.dropped + moment.applied;
     this.figure("reliability", fixed(moment.reliability, 2));
-    this.figure("frames/s", fixed(rate));
+    this.figure("frames/s", fixed(isIdle ? 0 : rate));
     this.figure("latency", milliseconds(moment.timings["server"] ?? NaN));
     this.figure("dropped", moment.dropped > 0 ? percent(moment.dropped / total, 1) : "0");
   };
