@@ -36,9 +36,9 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
 
 
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
-    """Whether the template is level at its top, as on shoulders; a waistband is upright, and a cape, a sheet, is fastened."""
+    """Whether the template is level at its top, as on shoulders; a waistband is upright, and a cape, a flap, is fastened."""
     mesh, position, normal = model.mesh, model.mesh.vertices, np.empty_like(model.mesh.vertices)
-    if mesh.n_vertices - len(mesh.edges) + len(mesh.faces) > 0:  # Euler's: a sheet has 1, a tube 0, a shirt with sleeves -2
+    if mesh.n_vertices - len(mesh.edges) + len(mesh.faces) > 0:  # Euler's: a flap has 1, a tube 0, a shirt with sleeves -2
         return False
     vertex_normals(position, model.faces, normal)
     height = position @ up

@@ -147,10 +147,7 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """Two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes.
-
-        Edges of such a mesh span folds, so that large strains count less.
-        """
+        """Two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
         return cls(
             discretisation=Discretisation(
                 working_edge=0.025,
@@ -163,8 +160,7 @@ class Config:
                 aggregates=20,
             ),
             preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
-            associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.003),
-            physics=Physics(strain_scale=0.05),
+            associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.002),
             evidence=ErrorEvidence(points=300),
         )
 
