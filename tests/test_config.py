@@ -116,7 +116,7 @@ def test_a_stage_of_another_type_is_refused_where_it_is_given(stage):
 def test_a_fabrics_name_is_not_taken_for_a_fabric():
     with pytest.raises(InvalidConfig) as refusal:
         Config().with_fabric("denim")
-    assert str(refusal.value) == "Physics.fabric: expected a ddakf.Fabric, such as Fabric.named finds by name, got 'denim'"
+    assert str(refusal.value) == "Physics.fabric: expected a ddakf.Fabric (Fabric.named finds one by name), got 'denim'"
 
 
 @pytest.mark.parametrize("text", ["k" * 5000, "two\nlines", "\ud800", "'" * 5000, "\n" * 5000], ids=range(5))

@@ -54,7 +54,7 @@ class Physics(Checked):
     def __post_init__(self) -> None:
         super().__post_init__()
         if not isinstance(self.fabric, Fabric):
-            raise InvalidConfig("Physics.fabric", "a ddakf.Fabric, such as Fabric.named finds by name", shown(self.fabric))
+            raise InvalidConfig("Physics.fabric", "a ddakf.Fabric (Fabric.named finds one by name)", shown(self.fabric))
 
     @property
     def in_plane(self) -> float:
