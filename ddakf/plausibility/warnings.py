@@ -29,7 +29,8 @@ def _sensor_origin_missing(problem: Problem, estimate: Estimate) -> Sign | None:
         return None
     x, y, z = view.side
     seen = f"{view.hidden_share:.0%} of it lies in a second layer, of the garment {problem.reference.sides.hidden_share:.0%}"
-    return Sign("sensor_origin", f"the cloud shows one side ({seen}), seen from about ({x:.2f}, {y:.2f}, {z:.2f})")
+    side = f"one side ({seen}), from about ({x:.2f}, {y:.2f}, {z:.2f})"
+    return Sign("sensor_origin", f"no sensor origin came, and the cloud shows {side}")
 
 
 CHECKS: Mapping[WarningCode, Check] = {
