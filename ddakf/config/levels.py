@@ -45,6 +45,6 @@ class Omission(Checked):
     """Growth of the error (of its logarithm) by the work that a budget leaves out of a frame."""
 
     sparsest: float = bounded(1.0, 0.01, 100)  # points per vertex that thinning leaves at least
-    points_growth: float = bounded(0.142, 0, 10)  # of each halving of the cloud
-    clusters_growth: float = bounded(0.162, 0, 10)  # of cluster alignment
-    passes_growth: float = bounded(0.075, 0, 10)  # of passes at full size after the last one
+    points_growth: float = bounded(0.147, 0, 10)  # of each halving of the cloud
+    clusters_growth: float = bounded(0.226, 0, 10)  # of cluster alignment
+    passes_growth: float = bounded(0.1, 0, 10)  # of passes at full size after the last one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ddakf.body import contact
 from ddakf.config import PaperReliability
+from ddakf.planning import omission
 from ddakf.stages.reliability import Verdict
 from ddakf.types import Estimate, Problem
 
@@ -13,7 +14,7 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
 
     A single frame of nonsense, of another camera or damaged on its way, lies in part within the gates of single vertices and
     tears the garment, which takes a second to come back. The second such frame in a row is believed, as the reliability before it
-    was low.
+    was low. What the work that was left out of the frame takes off its reliability says nothing about the cloud.
 
     Args:
         problem: the frame.
@@ -23,7 +24,9 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
     config, before = problem.config.reliability, problem.health.reliability
     if isinstance(config, PaperReliability) or estimate.rejected or before < config.gate_above:
         return False
-    return verdict.reliability < config.gate_ratio * before
+    share, widening = verdict.reliability, omission.widening(problem, estimate)
+    whole = share / (share + (1.0 - share) / widening**2)  # the score of an error that is not widened
+    return whole < config.gate_ratio * before
 
 
 def held(problem: Problem, estimate: Estimate, verdict: Verdict) -> tuple[Estimate, Verdict]:

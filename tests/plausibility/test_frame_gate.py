@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Tracker
+from ddakf.config import Omission
 from ddakf.data import sample
 from ddakf.evaluation.metrics import rmse_mm
 from ddakf.evaluation.sensors import Sensor
@@ -68,3 +69,12 @@ def test_fast_motion_passes(every):
     """Up to 6 cm between frames."""
     for gated, free in zip(results(Config(), every=every), results(OPEN, every=every), strict=True):
         assert_same(gated, free)
+
+
+def test_a_frame_whose_work_was_cut_is_not_held():
+    tracker = Tracker(SHIRT, config=dataclasses.replace(Config(), omission=Omission(points_growth=4.0)))
+    tracker.reset(vertices=SAMPLE.garment_vertices[START])
+    for k, budget in ((1, 60.0), (2, 60.0), (3, 60.0), (4, 1e-6)):
+        result = tracker.step(captured(START + k), timestamp=(START + k) / 30, budget=budget)
+    assert result.usage.widening > 10.0
+    assert result.observed.mean() > 0.4
