@@ -48,9 +48,9 @@ describe("a server without keys", () => {
     await page.goto(`${setting.service.http}/#/sessions/nosuch`);
     await page.locator(".stage-notice", { hasText: "There is no session nosuch" }).waitFor();
     expect(await page.locator(".session .pill").getAttribute("data-state")).toBe("unknown");
-    expect(await page.locator(".chart:visible", { hasText: "No course yet" }).count()).toBe(4);
+    expect(await page.locator(".chart:visible", { hasText: "No values yet" }).count()).toBe(4);
     await page.getByRole("link", { name: "Server" }).click();
-    await page.locator(".chart", { hasText: "Memory" }).getByText("No course yet").waitFor(); // of one value
+    await page.locator(".chart", { hasText: "Memory" }).getByText("No values yet").waitFor(); // of one value
     await page.locator(".chart", { hasText: "Memory" }).locator(".uplot").waitFor();
     await page.goto(`${setting.service.http}/#/compare/nosuch`);
     await page.getByText("There is no session 'sessions/nosuch'").waitFor();

@@ -57,8 +57,8 @@ export interface ChartData {
 }
 
 const AXIS_WIDTH = 52;
-const LEAST = 2; // times of a course
-const NOTHING = "No course yet";
+const LEAST = 2; // values of a line
+const NOTHING = "No values yet";
 const RIGHT = 28; // pixels beside the plot, for half of the last time below it
 const ROUND = Array.from({ length: 18 }, (_, k) => [1, 2, 5].map((part) => part * 10 ** (k - 9))).flat(); // short as text
 const POWERS_OF_TWO = Array.from({ length: 45 }, (_, power) => 2 ** power);
