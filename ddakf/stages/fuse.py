@@ -21,6 +21,8 @@ from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
+OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
+
 
 def begin(problem: Problem) -> Estimate:
     """The estimate before the first pass: the prediction, with its locally rigid terms."""
@@ -125,7 +127,18 @@ def _sheet(problem: Problem) -> bool:
 
 def _all_around(problem: Problem) -> bool:
     """No body tells where the garment is, which is no sheet, and sensors may see all of it."""
-    return problem.body is None and not _sheet(problem) and not (problem.cloud is not None and problem.cloud.oriented)
+    return problem.body is None and not _sheet(problem) and not _seen_from_one_side(problem)
+
+
+def _seen_from_one_side(problem: Problem) -> bool:
+    """The places of the sensors are known, and no two of them look at the garment from opposite sides."""
+    if problem.cloud is None or problem.cloud.sensor is None:
+        return False
+    if len(problem.cloud.sensor) == 1:
+        return True
+    toward = problem.cloud.sensor - problem.prior.position.mean(axis=0)
+    toward /= np.maximum(np.linalg.norm(toward, axis=1), 1e-12)[:, None]
+    return bool((toward @ toward.T).min() > OPPOSITE)
 
 
 def _softer(problem: Problem) -> float:

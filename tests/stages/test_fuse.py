@@ -104,7 +104,11 @@ def test_only_hidden_cloth_without_a_body_is_stiffened():
 
 
 TRACKED = Health(state="tracking")
-ALL_AROUND, ONE_SIDE = (SimpleNamespace(oriented=oriented, cell=0.01, empty=False) for oriented in (False, True))
+FRONT, BESIDE, BEHIND = [0.0, 0.0, 5.0], [5.0, 0.0, 0.5], [0.0, 0.0, -5.0]  # m
+ALL_AROUND, ONE_SIDE, TWO_NEAR, RIG = (
+    SimpleNamespace(sensor=sensors and np.array(sensors), cell=0.01, empty=False)
+    for sensors in (None, [FRONT], [FRONT, BESIDE], [FRONT, BESIDE, BEHIND])
+)
 
 
 @pytest.mark.parametrize(
@@ -113,12 +117,14 @@ ALL_AROUND, ONE_SIDE = (SimpleNamespace(oriented=oriented, cell=0.01, empty=Fals
         (ALL_AROUND, False, TRACKED, 0.4, True),
         (ONE_SIDE, True, TRACKED, 0.4, True),
         (ONE_SIDE, False, TRACKED, 0.4, False),
+        (TWO_NEAR, False, TRACKED, 0.4, False),
+        (RIG, False, TRACKED, 0.4, True),
         (ALL_AROUND, False, TRACKED, 0.0, False),
         (ALL_AROUND, True, TRACKED, 0.0, True),
         (ALL_AROUND, False, Health(state="recovering"), 0.4, False),
         (ALL_AROUND, True, TRACKED._replace(settling=1), 0.4, False),
     ],
-    ids=["all around", "body", "one side", "sheet", "sheet on a body", "recovering", "settling"],
+    ids=["all around", "body", "one side", "two beside", "rig", "sheet", "sheet on a body", "recovering", "settling"],
 )
 def test_a_coarse_mesh_is_as_soft_per_area_as_a_finer_one_where_the_garment_is_known(cloud, body, health, sides, soft):
     problem, contact = scene(0, body=True)
