@@ -1,7 +1,7 @@
 """Short clips of training recordings under a stranger's conditions: ``python benchmarks/conditions.py [--against ROWS.json]``.
 
-Each recording is tracked from one camera and from all around, with and without the body, undisturbed, at 10 frames per second,
-with 1,000 points, with 10 mm of noise, and with a side that is never seen; with ``--seeds`` several times. Printed are RMSE,
+Each recording is tracked from one camera, with and without the body, from four and from all around; undisturbed, at 10 frames per
+second, with 1,000 points, with 10 mm of noise, and with a side that is never seen; with ``--seeds`` several times. Printed are RMSE,
 reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against`` the change of
 the error since other rows, which another version of the tracker has left with ``--out``. Changes are chosen here, so held-out
 recordings are not among these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors by garment
@@ -34,8 +34,8 @@ from ddakf.files.sequence import Sequence
 RESULT = Path(__file__).parent / "results/conditions.json"
 FIRST, FRAMES = 30, 48  # frame of the start, when all are in motion, and frames of the clip
 INSIDE = 6.251  # squared Mahalanobis distance of the 90 % ellipsoid
-VIEWS = ("full", "front", "front+body")
-TITLES = {"full": "all around", "front+body": "one camera, body", "front": "one camera alone"}
+VIEWS = ("full", "ring4", "front", "front+body")
+TITLES = {"full": "all around", "ring4": "four cameras", "front+body": "one camera, body", "front": "one camera alone"}
 CONDITIONS = {
     "plain": {},
     "10 fps": {"every": 3},
