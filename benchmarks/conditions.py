@@ -1,11 +1,11 @@
 """Short clips of training recordings under a stranger's conditions: ``python benchmarks/conditions.py [--against ROWS.json]``.
 
-Each recording is tracked from one camera, with and without the body, from four and from all around; undisturbed, at 10 frames per
-second, with 1,000 points, with 10 mm of noise, and with a side that is never seen; with ``--seeds`` several times. Printed are RMSE,
-reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against`` the change of
-the error since other rows, which another version of the tracker has left with ``--out``. Changes are chosen here, so held-out
-recordings are not among these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors by garment
-into benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md.
+Each recording is tracked from one camera, with and without the body, from four and from all around; undisturbed, at 10 frames
+per second, with 1,000 points, with 10 mm of noise, and with a side that is never seen; with ``--seeds`` several times. Printed
+are RMSE, reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against``
+the change of the error since other rows, which another version of the tracker has left with ``--out``. Changes are chosen here,
+so held-out recordings are not among these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors
+by garment into benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md.
 """
 
 from __future__ import annotations
