@@ -150,6 +150,14 @@ def test_the_quoted_measurements_are_those_of_the_result_file():
     assert json.loads((ROOT / "benchmarks/results/bench.json").read_text())["size"] != "quick"
 
 
+def test_the_errors_by_reliability_are_those_of_the_result_file():
+    rows = json.loads((ROOT / "benchmarks/results/error_size.json").read_text())["said"]["held-out"]
+    frames, document = sum(row["frames"] for row in rows), (ROOT / "docs/read_reliability.md").read_text()
+    for row in rows:
+        errors = f"{row['said_mm']:.0f} | {row['median_mm']:.0f}, {row['p90_mm']:.0f} | {100 * row['below']:.0f} % |"
+        assert f" {100 * row['frames'] / frames:.0f} % | {errors}\n" in document
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_no_link_is_dead(document):
     for target in LINK.findall(CODE.sub("", document.read_text())):
