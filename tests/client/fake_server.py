@@ -54,6 +54,7 @@ class FakeService(rpc.TrackingServiceServicer):
         drains_at: number of the frame at which the stream ends with Draining.
         refused: numbers of frames that are refused.
         notice: sent after the first result.
+        answered: responses of each session by frame number: those after the last one that a client has are repeated to it.
         most_waiting: largest number of frames that waited at once.
     """
 
@@ -65,6 +66,7 @@ class FakeService(rpc.TrackingServiceServicer):
         self.notice = None
         self.starts = True
         self.sessions: dict[str, pb.Session] = {}
+        self.answered: dict[str, dict[int, pb.TrackResponse]] = {}
         self.requests: list[pb.CreateSessionRequest] = []
         self.frames: list[pb.Frame] = []
         self.keys: list[str | None] = []
@@ -143,10 +145,21 @@ class FakeService(rpc.TrackingServiceServicer):
             while not self.starts and context.is_active():
                 time.sleep(0.01)
             last = session.statistics.last_sequence_number
-            yield pb.TrackResponse(started=pb.Started(name=start.name, last_sequence_number=last, max_frames_in_flight=4))
+            repeated = self._lost_answers(start, last)
+            started = pb.Started(
+                name=start.name, last_sequence_number=last, max_frames_in_flight=4, repeated_answers=len(repeated)
+            )
+            yield pb.TrackResponse(started=started)
+            yield from repeated
             yield from self._answers(session, start, self._mailbox(requests, start.flow_mode), context)
         except errors.ServiceError as error:
             abort(context, error)
+
+    def _lost_answers(self, start, last):
+        if not start.HasField("answered_through"):
+            return []
+        answered = self.answered.get(start.name, {})
+        return [answered[number] for number in range(start.answered_through + 1, last + 1) if number in answered]
 
     def _mailbox(self, requests, mode):
         """A queue of the frames of the stream; in realtime mode it holds the newest frame and the number of replaced ones."""
@@ -190,7 +203,9 @@ class FakeService(rpc.TrackingServiceServicer):
             statistics.frames_applied += 1
             statistics.frames_dropped = dropped
             statistics.last_sequence_number = frame.sequence_number
-            yield pb.TrackResponse(result=self._result(frame, vertices, statistics, start.result_options))
+            response = pb.TrackResponse(result=self._result(frame, vertices, statistics, start.result_options))
+            self.answered.setdefault(start.name, {})[frame.sequence_number] = response
+            yield response
             if self.notice:
                 yield pb.TrackResponse(notice=self.notice)
                 self.notice = None

@@ -116,6 +116,7 @@ async def test_an_asynchronous_client_leaves_it_too(pair, mesh, frames):
 
 async def test_an_asynchronous_stream_goes_on_at_the_next_server(pair, mesh, frames):
     one, two = pair
+    two.answered = one.answered
     one.drains_at = 3
     async with aconnect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
         answered = [result.sequence async for result in session.track(frames(6), on_notice=lambda _: None)]
@@ -125,7 +126,7 @@ async def test_an_asynchronous_stream_goes_on_at_the_next_server(pair, mesh, fra
 
 def test_a_redirection_wins_over_the_next_address(pair, service, mesh, frames):
     one, two = pair
-    service.sessions = one.sessions
+    service.sessions, service.answered = one.sessions, one.answered
     one.drains_at = 3
     one.notice = redirection(service.target)
     with connect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:

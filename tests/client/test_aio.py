@@ -210,6 +210,7 @@ async def test_a_connection_lost_for_too_long_is_an_error(outage, mesh, frames):
 async def test_a_reconnect_notice_redirects_the_client(outage, service, mesh, frames):
     async with aconnect(outage.target) as client:
         session = await client.create_session(*mesh, flow="lossless")
+        service.answered = outage.service.answered
         moved = service.sessions[session.name] = pb.Session()
         moved.CopyFrom(outage.service.sessions[session.name])
         moved.statistics.last_sequence_number = 2

@@ -80,6 +80,7 @@ def test_a_reconnect_notice_redirects_the_client(outage, service, mesh, frames):
     """The other server has the session and has tracked its first two frames."""
     with connect(outage.target) as client:
         session = client.create_session(*mesh, flow="lossless")
+        service.answered = outage.service.answered
         moved = service.sessions[session.name] = pb.Session()
         moved.CopyFrom(outage.service.sessions[session.name])
         moved.statistics.last_sequence_number = 2
