@@ -11,9 +11,9 @@ from . import fake_server
 
 @pytest.fixture
 def pair():
-    """Two services with the same sessions; each stops with ``stop``."""
+    """Two services with the same sessions and answers; each stops with ``stop``."""
     services = fake_server.FakeService(), fake_server.FakeService()
-    services[1].sessions = services[0].sessions
+    services[1].sessions, services[1].answered = services[0].sessions, services[0].answered
     servers = []
     for service in services:
         server, service.target = fake_server.start(service)
@@ -79,6 +79,7 @@ def test_an_answer_of_the_server_is_no_reason_to_go_elsewhere(pair, mesh):
 def test_a_stream_goes_on_at_the_next_server(pair, mesh, frames):
     """The second server has the session as the first one left it, and repeats no answers."""
     one, two = pair
+    two.answered = {}
     one.delay = two.delay = 0.005
     answered = []
     with connect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
@@ -116,7 +117,6 @@ async def test_an_asynchronous_client_leaves_it_too(pair, mesh, frames):
 
 async def test_an_asynchronous_stream_goes_on_at_the_next_server(pair, mesh, frames):
     one, two = pair
-    two.answered = one.answered
     one.drains_at = 3
     async with aconnect([one.target, two.target]) as client, client.create_session(*mesh, flow="lossless") as session:
         answered = [result.sequence async for result in session.track(frames(6), on_notice=lambda _: None)]
@@ -136,8 +136,9 @@ def test_a_redirection_wins_over_the_next_address(pair, service, mesh, frames):
 
 @pytest.fixture
 def handover(pair):
-    """Both services; the first one redirects its stream to the second one and drains at the third frame."""
+    """Both services; the first one redirects its stream to the second one, which is slow, and drains at the third frame."""
     one, two = pair
+    two.delay = 0.1
     one.drains_at, one.notice = 3, redirection(two.target)
     return one, two
 
