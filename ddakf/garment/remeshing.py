@@ -22,6 +22,8 @@ PACKING = 0.9  # distance that seeds keep, over the mean edge that they give whe
 RELAXATIONS = 8  # afterwards the lengths of the edges hardly change
 LOOP_EDGES = 12  # round an opening, at least; a narrower one is surrounded by shorter edges
 GRADING = 0.3  # growth of the edges with the distance from a narrow opening
+TRIES = 8  # with ever shorter edges, until pieces, openings and handles of the mesh are kept
+SHORTER = 0.75  # edges of the next try, where they become shorter
 SHORTEST = 1.0 / 3.0  # edges round a buttonhole, over the wanted ones
 
 
@@ -44,21 +46,40 @@ class OnFaces(NamedTuple):
 def remesh(mesh: Mesh, edge: float) -> Remeshed | None:
     """A mesh of about this edge length; None where the surface cannot be kept: pieces, openings and handles.
 
+    Edges are shorter where the surface is thinner than they are long, such as at fingers.
+
     Args:
         mesh: of V vertices.
         edge: metres.
     """
-    if (found := subdivided(mesh, edge / FINER)) is None:
-        return None
-    fine, place = found
-    loops = boundary_loops(fine)
-    graph = _graph(fine, _spacing(fine, loops, edge))
-    fixed = _on_loops(fine, loops, graph)
-    seeds = _relaxed(fine, graph, _spread(fine, graph, fixed), fixed)
-    even, owner, seeds = _dual(fine, graph, seeds)
-    if even is None or _topology(even) != _topology(mesh):
-        return None
-    return Remeshed(even, place.corner[seeds], place.share[seeds], owner[: mesh.n_vertices])
+    wanted = np.full(mesh.n_vertices, edge)
+    for _ in range(TRIES):
+        if (found := subdivided(mesh, wanted / FINER)) is None:
+            return None
+        fine, place = found
+        loops = boundary_loops(fine)
+        spacing = np.minimum(_spacing(fine, loops, edge), (place.share * wanted[place.corner]).sum(axis=1))
+        graph = _graph(fine, spacing)
+        fixed = _on_loops(fine, loops, graph)
+        seeds = _relaxed(fine, graph, _spread(fine, graph, fixed), fixed)
+        even, owner, seeds = _dual(fine, graph, seeds)
+        if even is not None and _topology(even) == _topology(mesh):
+            return Remeshed(even, place.corner[seeds], place.share[seeds], owner[: mesh.n_vertices])
+        wanted = SHORTER * wanted if even is None else np.minimum(wanted, _finer(fine, even, seeds, spacing)[: mesh.n_vertices])
+    return None
+
+
+def _finer(mesh: Mesh, even: Mesh, seeds: np.ndarray, spacing: np.ndarray) -> np.ndarray:
+    """(V,) metres, the edges of the next try: shorter where the dual of the seeds has an opening that the mesh does not have.
+
+    A part there is thinner than an edge. Without such an opening edges become shorter everywhere.
+    """
+    loops = [seeds[loop] for loop in boundary_loops(even)]
+    torn = [loop for loop in loops if not mesh.boundary_vertices[loop].all()]
+    if not torn:
+        return SHORTER * spacing
+    rim = np.concatenate(torn)
+    return _graded(mesh, rim, SHORTER * spacing[rim])
 
 
 def _dual(mesh: Mesh, graph: Graph, seeds: np.ndarray) -> tuple[Mesh | None, np.ndarray, np.ndarray]:
@@ -78,18 +99,19 @@ def _dual(mesh: Mesh, graph: Graph, seeds: np.ndarray) -> tuple[Mesh | None, np.
         seeds = seeds[used]
 
 
-def subdivided(mesh: Mesh, longest: float) -> tuple[Mesh, OnFaces] | None:
-    """The same surface with edges of at most ``longest`` metres, and the place of its N vertices on the mesh.
+def subdivided(mesh: Mesh, longest: np.ndarray | float) -> tuple[Mesh, OnFaces] | None:
+    """The same surface with edges of at most ``longest`` metres, (V,) or one, and the place of its N vertices on the mesh.
 
     Edges that are longer are split in the middle until none is left; the first V vertices are those of the mesh. None where that
     takes more than ``MOST_SPLITS`` vertices: the mesh consists of needles.
     """
-    vertices, faces = mesh.vertices, mesh.faces
+    vertices, faces, longest = mesh.vertices, mesh.faces, np.broadcast_to(longest, mesh.n_vertices)
     own = np.repeat(np.arange(mesh.n_vertices, dtype=np.int32), 3).reshape(-1, 3)
     place = OnFaces(own, np.tile([1.0, 0.0, 0.0], (mesh.n_vertices, 1)))
     while True:
         sides = np.stack([faces, np.roll(faces, -1, axis=1)], axis=2)
-        long = np.linalg.norm(np.subtract(*vertices[sides.transpose(2, 0, 1)]), axis=2) > longest
+        limit = 0.5 * longest[sides].sum(axis=2)
+        long = np.linalg.norm(np.subtract(*vertices[sides.transpose(2, 0, 1)]), axis=2) > limit
         if not long.any():
             return Mesh(vertices, faces), place
         ends = np.sort(sides[long], axis=1)
@@ -100,6 +122,7 @@ def subdivided(mesh: Mesh, longest: float) -> tuple[Mesh, OnFaces] | None:
         middle[long] = len(vertices) + number
         a, b = np.divmod(key, len(vertices))
         vertices = np.concatenate([vertices, 0.5 * (vertices[a] + vertices[b])])
+        longest = np.concatenate([longest, 0.5 * (longest[a] + longest[b])])
         place = OnFaces(*map(np.concatenate, zip(place, _middle(place, a, b), strict=True)))
         faces = _split(faces, middle)
 
@@ -165,11 +188,15 @@ def _spacing(mesh: Mesh, loops: list[np.ndarray], edge: float) -> np.ndarray:
     narrow = np.flatnonzero(length < edge)
     if len(narrow) == 0:
         return np.full(n, edge)
-    # the distance from each opening begins with the length of its edges
     rim = np.concatenate([loops[k] for k in narrow])
-    short = np.repeat(np.maximum(length[narrow], SHORTEST * edge), [len(loops[k]) for k in narrow]) / GRADING
-    distance, _ = geodesic.distances(_graph(mesh, np.ones(n)), rim, short)
-    return np.minimum(edge, GRADING * distance)
+    short = np.repeat(np.maximum(length[narrow], SHORTEST * edge), [len(loops[k]) for k in narrow])
+    return np.minimum(edge, _graded(mesh, rim, short))
+
+
+def _graded(mesh: Mesh, vertex: np.ndarray, length: np.ndarray) -> np.ndarray:
+    """(V,) metres, the length of edges that are so long (n,) at some vertices (n,) and grow with the distance from these."""
+    distance, _ = geodesic.distances(_graph(mesh, np.ones(mesh.n_vertices)), vertex, length / GRADING)
+    return GRADING * distance
 
 
 def _graph(mesh: Mesh, spacing: np.ndarray) -> Graph:

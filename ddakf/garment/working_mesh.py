@@ -15,9 +15,7 @@ from ddakf.mesh import Mesh
 from ddakf.results import FrameResult
 from ddakf.types import variances
 
-TRIES = 3  # with ever shorter edges, until pieces, openings and handles of the template are kept
 SHORTEST = 1e-6  # m: the square of less may be 0
-SHORTER = 0.8  # edges of the next try
 
 
 class Places(NamedTuple):
@@ -91,12 +89,10 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
     edge = working_edge(template, config)
     if template.edge_length > config.working_finest * edge and unevenness(template) < config.working_unevenness:
         return own
-    for _ in range(TRIES):
-        even = remeshing.remesh(template, edge)
-        if even is not None:
-            return WorkingMesh(template, even.mesh, Places((even.corner, even.share), _on_mesh(template, even)))
-        edge *= SHORTER
-    return own
+    even = remeshing.remesh(template, edge)
+    if even is None:
+        return own
+    return WorkingMesh(template, even.mesh, Places((even.corner, even.share), _on_mesh(template, even)))
 
 
 def working_edge(template: Mesh, config: Discretisation) -> float:

@@ -1,4 +1,4 @@
-"""Other triangulations of a surface."""
+"""Other triangulations of a surface, and surfaces of simple shapes."""
 
 import numpy as np
 
@@ -27,3 +27,19 @@ def sheet(n: int = 24, size: float = 0.6) -> Mesh:
     first = np.flatnonzero((i < n - 1) & (j < n - 1))
     faces = np.concatenate([np.stack([first, first + n, first + 1], 1), np.stack([first + 1, first + n, first + n + 1], 1)])
     return Mesh(np.stack([size * i / (n - 1), size * j / (n - 1), np.zeros(n * n)], axis=1), faces)
+
+
+def turned_about_y(profile: np.ndarray, around: int = 24) -> Mesh:
+    """The closed surface of a line of (radius, height) points from one pole to the other, which are its ends' heights."""
+    radius, height = profile[1:-1].T
+    angle = 2 * np.pi * np.arange(around) / around
+    x, y, z = np.outer(radius, np.cos(angle)), np.repeat(height[:, None], around, axis=1), np.outer(radius, np.sin(angle))
+    rings = np.stack([x, y, z], axis=-1)
+    poles = [[0.0, profile[0, 1], 0.0], [0.0, profile[-1, 1], 0.0]]
+    a, b = np.arange(around), (np.arange(around) + 1) % around
+    lower = around * np.arange(len(radius) - 1)[:, None]
+    quads = [(lower + a, lower + around + a, lower + b), (lower + b, lower + around + a, lower + around + b)]
+    n, top = rings.size // 3, around * (len(radius) - 1)
+    faces = [np.stack([*map(np.ravel, corners)], axis=1) for corners in quads]
+    faces += [np.stack([np.full(around, n), a, b], axis=1), np.stack([top + b, top + a, np.full(around, n + 1)], axis=1)]
+    return Mesh(np.concatenate([rings.reshape(-1, 3), poles]), np.concatenate(faces))

@@ -6,7 +6,7 @@ import pytest
 from ddakf import Config, Mesh
 from ddakf.garment import remeshing, working_mesh
 from ddakf.garment.remeshing import areas, boundary_loops, remesh, subdivided
-from tests.garment.shapes import centre_split, sheet, turned_numbers
+from tests.garment.shapes import centre_split, sheet, turned_about_y, turned_numbers
 from tests.stages.scenes import tube
 from tests.tracker_runs import SHIRT
 
@@ -75,6 +75,21 @@ def test_a_narrow_opening_is_surrounded_by_short_edges():
     assert around > 6
     assert even is not None
     assert min(len(loop) for loop in boundary_loops(even.mesh)) >= 6
+
+
+def test_a_part_thinner_than_an_edge_stays_and_the_rest_keeps_its_edges():
+    """A ball of 0.15 m with a finger of 6 mm, closed."""
+    ball, finger = np.linspace(-np.pi / 2, 1.53, 40), np.linspace(0.16, 0.25, 30)
+    profile = [*0.15 * np.stack([np.cos(ball), np.sin(ball)], axis=1), *[(0.006, y) for y in finger], (0.0, 0.256)]
+    mesh = turned_about_y(np.array(profile))
+    even = remesh(mesh, EDGE)
+    assert even is not None
+    assert pieces_openings_handles(even.mesh) == pieces_openings_handles(mesh)
+    middle = even.mesh.vertices[even.mesh.edges].mean(axis=1)[:, 1]
+    length = lengths(even.mesh)
+    assert length[middle > 0.17].mean() < 0.015
+    assert length[middle < 0.0].mean() == pytest.approx(EDGE, rel=0.15)
+    assert areas(even.mesh).sum() == pytest.approx(areas(mesh).sum(), rel=0.04)
 
 
 @pytest.mark.parametrize("longest", [0.05, 0.02, 0.009])
