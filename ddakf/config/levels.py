@@ -38,6 +38,10 @@ class Coarse(Checked):
     prior_sd: float = bounded(0.03, 1e-4, 10)  # m, of the prediction of a vertex 1/30 s ahead; in proportion to the time
     longest_prior_sd: float = bounded(0.1, 1e-4, 10)  # m, at most
     contact_sd: float = bounded(0.004, 1e-4, 10)  # m, of the body's surface that pushes a cluster out
+    points: int = bounded(1200, 0, 100_000)  # of the cloud that pull the vertices nearest to them, about; 0: none
+    points_weight: float = bounded(2.0, 0, 100)  # of all these points together, over that of all vertices
+    points_far: float = bounded(0.03, 0, 10)  # m from the nearest vertex, beyond which a point pulls across its normal too
+    points_tangential_sd: float = bounded(0.01, 1e-4, 10)  # m, of such a far point across its normal
 
 
 @dataclass(frozen=True)

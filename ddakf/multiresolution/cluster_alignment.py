@@ -8,6 +8,7 @@ unknowns and is solved exactly. It only gives the first estimate of the passes t
 from __future__ import annotations
 
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,14 +17,23 @@ from ddakf.config import PlaneAssociation
 from ddakf.config.stages import USUAL_RATE
 from ddakf.kernels import cluster_alignment as kernels
 from ddakf.kernels.cluster_alignment import ClusterFrames, SampleNoise, SamplePlanes, SeamStiffness
+from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.planning.work import Work
 from ddakf.stages import associate, fuse, robust
+from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, Problem, variances
 
 EDGE_STRETCH = 0.577  # 4 A / (3 l^2) of an equilateral triangle: stretch of an edge in units of the stretch of its faces
 MOST = 0.7  # of the vertices; one camera sees half of a garment
 RIDGE = 1e-6  # of the mean diagonal: a cluster that nothing holds
+
+
+class Pulling(NamedTuple):
+    """P points of the cloud, each with the vertex nearest to it."""
+
+    vertex: np.ndarray  # (P,) int32
+    planes: SamplePlanes  # the points with their normals
 
 
 def align(problem: Problem) -> Estimate:
@@ -48,7 +58,7 @@ def align(problem: Problem) -> Estimate:
     work = Work()
     for gate in gates:
         estimate = _measured(problem, estimate, clusters.sample, gate)
-        motion, center = _solve(problem, estimate, floor)
+        motion, center = _solve(problem, estimate, floor, gate)
         if not np.isfinite(motion).all():
             return begun
         moved = np.empty_like(estimate.position)
@@ -97,11 +107,12 @@ def _prior_sd(problem: Problem) -> float:
 
 
 def _solve(
-    problem: Problem, estimate: Estimate, floor: tuple[np.ndarray, np.ndarray] | None
+    problem: Problem, estimate: Estimate, floor: tuple[np.ndarray, np.ndarray] | None, gate: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K, 6) rotation vector and translation of each cluster about its centre (K, 3): Gauss-Newton of the MAP problem.
 
-    ``floor`` is the point and the normal, (V, 3) each, of the body's plane beside each vertex; None without a body.
+    ``floor`` is the point and the normal, (V, 3) each, of the body's plane beside each vertex; None without a body. ``gate`` is
+    the reach of points, metres.
     """
     model, config, position, measurement = problem.model, problem.config, estimate.position, estimate.evidence.measurement
     clusters, physics, k = model.clusters, config.physics, model.n_clusters
@@ -113,6 +124,12 @@ def _solve(
     frames, planes = ClusterFrames(model.cluster, center), SamplePlanes(measurement.target, measurement.normal, weight)
     noise = SampleNoise(variance, config.associate.tangential_sd**2, 1.0 / _prior_sd(problem) ** 2, stands_for)
     kernels.add_planes(position, problem.prior.position, clusters.sample, frames, planes, noise, A, b)
+    vertex, planes = _pulling(problem, position, gate)
+    pulled, frames_there = position[vertex], frames._replace(cluster=model.cluster[vertex])
+    far = np.square(planes.target - pulled).sum(axis=1) > config.coarse.points_far**2
+    for chosen, tangential in ((far, config.coarse.points_tangential_sd**2), (~far, np.inf)):
+        noise = SampleNoise(variance, tangential, 0.0, config.coarse.points_weight * len(position) / max(len(vertex), 1))
+        kernels.add_planes(pulled, pulled, np.flatnonzero(chosen), frames_there, planes, noise, A, b)
     if floor is not None:
         point, normal = floor
         inside = np.einsum("va,va->v", normal, point - position) > 0
@@ -126,3 +143,23 @@ def _solve(
     if kernels.factorise(A, clusters.elimination, RIDGE * np.trace(A) / (6 * k), factor):
         kernels.substitute(factor, clusters.elimination, b, moves)
     return moves.reshape(k, 6), center
+
+
+def _pulling(problem: Problem, position: np.ndarray, gate: float) -> Pulling:
+    """Points that pull the vertices (V, 3) nearest to them within the gate, metres, where the normals agree.
+
+    Vertices look for the cloud. A part of it that lies beyond them all, such as a limb that moved fast, pulls only this way. A
+    point beside the surface tells nothing across its normal, since the garment may slide there. Of a cloud that always has
+    points of something else, nothing pulls.
+    """
+    config, cloud = problem.config, problem.cloud
+    count = config.coarse.points if problem.health.least_unexplained <= config.evidence.foreign_share else 0
+    surfels = cloud.surfels[:, :: -(-cloud.surfels.shape[1] // max(count, 1))].T[: 2 * count].astype(np.float64)
+    point, plane = surfels[:, :3] + cloud.origin, surfels[:, 3:]
+    vertex, _ = nearest_vertices(point, position, gate)
+    normal = np.empty_like(position)
+    vertex_normals(position, problem.model.faces, normal)
+    agreement = np.einsum("pa,pa->p", plane, normal[vertex])
+    agreeing = agreement if cloud.oriented else np.abs(agreement)
+    chosen = (vertex >= 0) & (agreeing > config.associate.normal_cosine)
+    return Pulling(vertex[chosen], SamplePlanes(point[chosen], plane[chosen], np.ones(np.count_nonzero(chosen))))

@@ -7,8 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import preprocess as kernels
+from ddakf.kernels import vertex_search
 from ddakf.kernels.preprocess import Grid
 
+# Cells in the reach of a search, and at most along each axis of the grid: they change its time, not its result.
+RINGS, CELLS = 4, 127
 CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
 ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
 
@@ -51,6 +54,20 @@ def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: floa
     vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
     kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), grid, vertices, index)
     return VertexGrid(vertices, index, grid)
+
+
+def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
+
+    Args:
+        points: (N, 3) metres.
+        position: (V, 3) metres.
+        reach: metres.
+    """
+    _, index, grid = vertex_grid(position, reach / RINGS, CELLS)
+    nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
+    vertex_search.nearest_vertices(points, position, index, grid, reach, nearest, away)
+    return nearest, away
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:

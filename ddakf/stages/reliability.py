@@ -12,11 +12,9 @@ from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliabilit
 from ddakf.kernels import reliability as kernels
 from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
-from ddakf.stages.grid import vertex_grid
+from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, FrameInput, Health, Posterior, Problem, variances
 
-# Cells in the reach, and at most along each axis of the vertices' grid: they change the time of a search, not its result.
-RINGS, CELLS = 4, 127
 FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
 
@@ -82,20 +80,6 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
         unexplained=_follow(health.unexplained, share - (least if least > config.foreign_share else 0.0), dt, memory),
         least_unexplained=least,
     )
-
-
-def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
-
-    Args:
-        points: (N, 3) metres.
-        position: (V, 3) metres.
-        reach: metres.
-    """
-    _, index, grid = vertex_grid(position, reach / RINGS, CELLS)
-    nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
-    kernels.nearest_vertices(points, position, index, grid, reach, nearest, away)
-    return nearest, away
 
 
 def clumped(points: np.ndarray, config: ErrorEvidence) -> int:

@@ -12,7 +12,7 @@ from ddakf.kernels import cluster_alignment as kernels
 from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.multiresolution import cluster_alignment
 from ddakf.physics.fabric import Fabric
-from ddakf.types import State
+from ddakf.types import Health, State
 from tests.stages.scenes import about, cloud_of, inner_body, posed, problem_of, rms, scan, tube
 
 CONFIG = Config()
@@ -26,12 +26,13 @@ def moved_by(rotation, shift) -> np.ndarray:
     return (MESH.vertices - middle) @ rotation.T + middle + shift
 
 
-def aligned(truth, config=CONFIG, body=None, seen=None) -> np.ndarray:
+def aligned(truth, config=CONFIG, body=None, seen=None, health=None) -> np.ndarray:
     """(V, 3) the estimate after the coarse passes, from the rest shape as prediction and a scan of ``truth``, or a part of it."""
     prior = State.at(MESH.vertices, np.zeros_like(MESH.vertices), 0.01, 0.5, 0.004)
     points = scan(truth, MESH, 5000, 0.002)
     cloud = cloud_of(points if seen is None else points[seen(points)], None, prior.position, GARMENT.area, config)
-    return cluster_alignment.align(problem_of(GARMENT, prior, config, cloud=cloud, body=body)).position
+    problem = problem_of(GARMENT, prior, config, cloud=cloud, body=body, health=health or Health())
+    return cluster_alignment.align(problem).position
 
 
 def system(position, target, normal, weight):
@@ -158,6 +159,22 @@ def test_seams_are_as_stiff_as_the_faces():
 def test_a_part_alone_does_not_drag_a_hidden_side_along():
     truth = end_moved(MESH.vertices)
     np.testing.assert_array_equal(aligned(truth, seen=lambda points: points[:, 2] > MESH.vertices[:, 2].mean()), MESH.vertices)
+
+
+LONG_FORWARD = moved_by(np.eye(3), [0.02, 0.06, 0.0])  # along the tube too, which no normal shows
+
+
+def test_what_lies_beyond_all_vertices_pulls_them():
+    without = dataclasses.replace(CONFIG, coarse=dataclasses.replace(CONFIG.coarse, points=0))
+    only_garment = Health(least_unexplained=0.0)
+    one, other = (aligned(LONG_FORWARD, config, health=only_garment) for config in (CONFIG, without))
+    assert rms(one - LONG_FORWARD) < 0.9 * rms(other - LONG_FORWARD)
+
+
+def test_of_a_cloud_that_always_has_something_else_nothing_pulls():
+    without = dataclasses.replace(CONFIG, coarse=dataclasses.replace(CONFIG.coarse, points=0))
+    one, other = (aligned(LONG_FORWARD, config, health=Health(least_unexplained=0.3)) for config in (CONFIG, without))
+    np.testing.assert_array_equal(one, other)
 
 
 def test_no_passes_no_change():

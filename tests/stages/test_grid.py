@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ddakf.stages.grid import CROWDED, distinct, vertex_grid
-from ddakf.stages.reliability import nearest_vertices
+from ddakf.stages.grid import CROWDED, distinct, nearest_vertices, vertex_grid
 from ddakf.stages.skin_removal import apart
 
 RNG = np.random.default_rng(0)

@@ -12,13 +12,13 @@ from ddakf import Config, Mesh, Tracker
 from ddakf.config import KnnFilter, PaperReliability, Start
 from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
+from ddakf.stages.grid import nearest_vertices
 from ddakf.stages.reliability import (
     FrameEvidence,
     Outcome,
     advance,
     clumped,
     misfit,
-    nearest_vertices,
     paper_score,
     predicted_error,
     score,
