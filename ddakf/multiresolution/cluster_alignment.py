@@ -154,7 +154,8 @@ def _pulling(problem: Problem, position: np.ndarray, gate: float) -> Pulling:
     """
     config, cloud = problem.config, problem.cloud
     count = config.coarse.points if problem.health.least_unexplained <= config.evidence.foreign_share else 0
-    surfels = cloud.surfels[:, :: -(-cloud.surfels.shape[1] // max(count, 1))].T[: 2 * count].astype(np.float64)
+    stride = max(-(-cloud.surfels.shape[1] // max(count, 1)), 1)
+    surfels = np.ascontiguousarray(cloud.surfels[:, ::stride].T[:count], np.float64)
     point, plane = surfels[:, :3] + cloud.origin, surfels[:, 3:]
     vertex, _ = nearest_vertices(point, position, gate)
     normal = np.empty_like(position)
