@@ -23,7 +23,9 @@ RELAXATIONS = 8  # afterwards the lengths of the edges hardly change
 LOOP_EDGES = 12  # round an opening, at least; a narrower one is surrounded by shorter edges
 GRADING = 0.3  # growth of the edges with the distance from a narrow opening
 TRIES = 8  # with ever shorter edges, until pieces, openings and handles of the mesh are kept
-SHORTER = 0.75  # edges of the next try, where they become shorter
+SHORTER = 0.75  # edges of the next try where the surface was torn, or everywhere if it was nowhere and yet has changed
+MOST_TORN = 50  # places; a whole body with fingers has ten, and each try takes a second
+SHORTEST_OF_ALL = 0.5  # longest edge of a try over the wanted one, at least
 SHORTEST = 1.0 / 3.0  # edges round a buttonhole, over the wanted ones
 
 
@@ -65,21 +67,20 @@ def remesh(mesh: Mesh, edge: float) -> Remeshed | None:
         even, owner, seeds = _dual(fine, graph, seeds)
         if even is not None and _topology(even) == _topology(mesh):
             return Remeshed(even, place.corner[seeds], place.share[seeds], owner[: mesh.n_vertices])
-        wanted = SHORTER * wanted if even is None else np.minimum(wanted, _finer(fine, even, seeds, spacing)[: mesh.n_vertices])
+        torn = [] if even is None else _torn(fine, even, seeds)
+        if len(torn) > MOST_TORN:
+            return None
+        rim = np.concatenate(torn) if torn else np.arange(fine.n_vertices)
+        wanted = np.minimum(wanted, _graded(fine, rim, SHORTER * spacing[rim])[: mesh.n_vertices])
+        if wanted.max() < SHORTEST_OF_ALL * edge:
+            return None
     return None
 
 
-def _finer(mesh: Mesh, even: Mesh, seeds: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-    """(V,) metres, the edges of the next try: shorter where the dual of the seeds has an opening that the mesh does not have.
-
-    A part there is thinner than an edge. Without such an opening edges become shorter everywhere.
-    """
-    loops = [seeds[loop] for loop in boundary_loops(even)]
-    torn = [loop for loop in loops if not mesh.boundary_vertices[loop].all()]
-    if not torn:
-        return SHORTER * spacing
-    rim = np.concatenate(torn)
-    return _graded(mesh, rim, SHORTER * spacing[rim])
+def _torn(mesh: Mesh, even: Mesh, seeds: np.ndarray) -> list[np.ndarray]:
+    """The vertices round each opening of the seeds' dual that the mesh does not have: a part there is thinner than an edge."""
+    loops = (seeds[loop] for loop in boundary_loops(even))
+    return [loop for loop in loops if not mesh.boundary_vertices[loop].all()]
 
 
 def _dual(mesh: Mesh, graph: Graph, seeds: np.ndarray) -> tuple[Mesh | None, np.ndarray, np.ndarray]:

@@ -43,3 +43,20 @@ def turned_about_y(profile: np.ndarray, around: int = 24) -> Mesh:
     faces = [np.stack([*map(np.ravel, corners)], axis=1) for corners in quads]
     faces += [np.stack([np.full(around, n), a, b], axis=1), np.stack([top + b, top + a, np.full(around, n + 1)], axis=1)]
     return Mesh(np.concatenate([rings.reshape(-1, 3), poles]), np.concatenate(faces))
+
+
+def sieve(n: int, cell: float, every: int) -> Mesh:
+    """A closed slab of n by n by 2 vertices, ``cell`` metres apart, with a square hole through it in every so-many-th cell."""
+    i, j = np.divmod(np.arange(n * n), n)
+    lower = np.stack([cell * i, cell * j, np.zeros(n * n)], axis=1)
+    cells = np.flatnonzero((i < n - 1) & (j < n - 1))
+    a, b = np.divmod(cells, n)
+    open_ = (a % every == 1) & (b % every == 1) & (a < n - 2) & (b < n - 2)
+    around = np.stack([cells, cells + n, cells + n + 1, cells + 1], axis=1)
+    flat, holes = around[~open_], around[open_]
+    walls = [np.stack([y, x, x + n * n, y + n * n], axis=1) for x, y in zip(holes.T, np.roll(holes, -1, axis=1).T, strict=True)]
+    k = np.arange(n - 1)
+    rims = ((n * k, n * (k + 1)), (n * (k + 1) + n - 1, n * k + n - 1), (k + 1, k), (n * (n - 1) + k, n * (n - 1) + k + 1))
+    walls += [np.stack([y, x, x + n * n, y + n * n], axis=1) for x, y in rims]
+    quads = np.concatenate([flat[:, ::-1], flat + n * n, *walls])
+    return Mesh(np.concatenate([lower, lower + [0, 0, cell]]), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))

@@ -6,7 +6,7 @@ import pytest
 from ddakf import Config, Mesh
 from ddakf.garment import remeshing, working_mesh
 from ddakf.garment.remeshing import areas, boundary_loops, remesh, subdivided
-from tests.garment.shapes import centre_split, sheet, turned_about_y, turned_numbers
+from tests.garment.shapes import centre_split, sheet, sieve, turned_about_y, turned_numbers
 from tests.stages.scenes import tube
 from tests.tracker_runs import SHIRT
 
@@ -113,6 +113,15 @@ def test_needles_are_refused_before_they_take_memory():
     assert subdivided(needle, 0.001) is None
     assert remesh(needle, 0.001) is None
     assert working_mesh.build(needle, Config().discretisation).mesh is needle
+
+
+def test_a_sieve_is_tried_once(monkeypatch):
+    """Its holes are smaller than the edges and too many to be kept; finer and finer tries would take half a minute."""
+    tries = []
+    monkeypatch.setattr(remeshing, "subdivided", lambda *what: tries.append(what) or subdivided(*what))
+    mesh = sieve(100, 0.005, 3)
+    assert working_mesh.build(mesh, Config().discretisation).mesh is mesh
+    assert len(tries) == 1
 
 
 @pytest.mark.parametrize("fold", ["point", "line"])
