@@ -57,6 +57,6 @@ def sieve(n: int, cell: float, every: int) -> Mesh:
     walls = [np.stack([y, x, x + n * n, y + n * n], axis=1) for x, y in zip(holes.T, np.roll(holes, -1, axis=1).T, strict=True)]
     k = np.arange(n - 1)
     rims = ((n * k, n * (k + 1)), (n * (k + 1) + n - 1, n * k + n - 1), (k + 1, k), (n * (n - 1) + k, n * (n - 1) + k + 1))
-    walls += [np.stack([y, x, x + n * n, y + n * n], axis=1) for x, y in rims]
+    walls += [np.stack([x, y, y + n * n, x + n * n], axis=1) for x, y in rims]
     quads = np.concatenate([flat[:, ::-1], flat + n * n, *walls])
     return Mesh(np.concatenate([lower, lower + [0, 0, cell]]), np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]))
