@@ -146,7 +146,7 @@ def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:
         arrays["contact_asked_at"] = track.contacts.asked_at
     if track.gap is not None:
         arrays["contact_gap"] = track.gap
-    return arrays
+    return arrays | {"contact_intruded": np.array(track.intruded)}
 
 
 def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
@@ -174,7 +174,10 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
     if not 0.0 <= unposed < math.inf or (motion is not None and motion.dtype != np.float32):
         raise ValueError("contact_motion is no motion")
     velocity, gap = arrays.get("contact_velocity"), arrays.get("contact_gap")
-    return BodyTrack(vertices, present, velocity, contacts, gap, turn, motion, unposed)
+    intruded = tuple(arrays.get("contact_intruded", np.zeros(2)).tolist())  # absent from earlier snapshots
+    if len(intruded) != 2 or not all(0.0 <= value < math.inf for value in intruded):
+        raise ValueError("contact_intruded is no pair of numbers that are not negative")
+    return BodyTrack(vertices, present, velocity, contacts, gap, turn, motion, unposed, intruded)
 
 
 def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:

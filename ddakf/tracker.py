@@ -298,7 +298,7 @@ def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict
         strain2=adaptive_stiffness.learned(problem, position, measured),
         health=verdict.health,
         time=problem.frame.timestamp,
-        body=contact.learned(problem, estimate.contacts, position, measured),
+        body=contact.learned(problem, estimate, position),
         anchor=body_anchor.learned(problem, position, measured),
         view=problem.last.view,
         signs=verdict.signs,

@@ -49,7 +49,7 @@ def reconfigured(track: Track, setup: Setup) -> Track:
     anchor, resting = track.anchor, track.resting
     if anchor is not None:
         new = body_anchor.start(setup, anchor.bound.pose, anchor.bound.position)
-        anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip)
+        anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip, held=new.held)
     return track._replace(anchor=anchor, resting=None if resting is None else rigidity.resting(resting.position, setup))
 
 

@@ -193,6 +193,7 @@ class BodyPose(NamedTuple):
     gap: np.ndarray | None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
     hint: np.ndarray | None  # (V,) int32, faces that were closest in the last frame
     turn: int  # of the search in the whole body, see Physics.faces_followed
+    error2: float  # m^2, variance of the place of its surface along the normal
 
     @property
     def vertices(self) -> np.ndarray:
@@ -210,6 +211,7 @@ class BodyTrack(NamedTuple):
     turn: int = 0  # frames
     motion: np.ndarray | None = None  # (B, 3) float32 m/s, from its last pose but one to the last
     unposed: float = 0.0  # s since that pose, for which it has been moved on
+    intruded: tuple[float, float] = (0.0, 0.0)  # m^2, 1: squared depth of seen vertices inside the gap, and how many, over V
 
 
 class Bound(NamedTuple):
@@ -229,6 +231,7 @@ class BodyAnchor(NamedTuple):
     measured: np.ndarray  # (V,) bool, in the last frame
     guess: np.ndarray  # (L,) m^2, the same of a patch of which all is measured, as guessed before anything is
     slip: np.ndarray  # (L,) m^2, squared deviation along either tangent
+    held: np.ndarray  # (V,) m^2, the same of a waistband's vertex, which is held where it is seen too; 0: of another vertex
 
 
 # What changes from frame to frame -----------------------------------------------------------------------------------
@@ -476,7 +479,7 @@ class Problem(NamedTuple):
     health: Health  # as the frame begins
     garment: FrameInput | None = None  # the frame without the body's skin
     cloud: Cloud | None = None
-    anchored: Planes | None = None  # pseudo-measurements of unseen vertices by the body anchor
+    anchored: Planes | None = None  # pseudo-measurements of unseen vertices and waistbands by the body anchor
     reference: InputReference | None = None
     overturned: tuple[float, float] | None = None  # m, costs of the garment upright and upside down, where a search prefers that
     rival: float | None = None  # degrees by which a garment that was just found may as well be turned, with equal fit

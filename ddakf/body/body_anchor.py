@@ -1,4 +1,4 @@
-"""Body anchor: the garment's place on the body as a pseudo-measurement of its unseen vertices.
+"""Body anchor: the garment's place on the body as a pseudo-measurement of its unseen vertices, and of its waistband.
 
 Prediction rides on the body from frame to frame, and unseen cloth adds up the errors of all frames. Its place on the body since
 the start does not. Along the normal it deviates the more, the wider the cloth hangs around the body and the farther below its
@@ -8,7 +8,8 @@ is held, a skirt that swings is not.
 Across the normal cloth slips on the body. A garment hangs by its top. A waistband goes with the body, and what lies on the
 shoulders slips by some millimetres; the farther below, the more the cloth goes with itself: shorts turn as their waistband does,
 and not as the thighs inside. What the fit shows of that slip is not learned, as cloth that is held along itself seems to stay
-where it is held.
+where it is held. A cloud does not show how a skirt is turned either, so that a waistband is held along itself where it is seen
+too.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from ddakf.config import Anchor, Config
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
-TOP = 0.05  # m below the highest vertex that are a garment's top
+TOP = 0.05  # m below the highest vertex, or of cloth below it, that are a garment's top
+UNKNOWN = 1e6  # m^2, variance of what is not measured
 LEVEL = 0.5  # mean vertical part of its normals there, in size: waistbands have a third at most, shoulders two thirds at least
 
 
@@ -30,9 +32,11 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     """The anchor of a garment at (V, 3) ``position`` on the body in a (B, 3) ``pose``, metres; nothing is learned yet."""
     model, config, n = setup.model, setup.config.anchor, len(setup.model.likeness)
     bound = contact.bind(setup.body, pose, position, config.reach)
-    slip = config.shoulder_slip_sd if _lies_on_shoulders(model, setup.config.start.to_y_up[1]) else config.slip_sd
-    slip = slip + config.slip_slope * _patch_means(model, model.hanging)
-    return BodyAnchor(bound, np.zeros(n), np.zeros(n), np.zeros(len(position), bool), _first_guess(setup, bound), np.square(slip))
+    lying = _lies_on_shoulders(model, setup.config.start.to_y_up[1])
+    slip = (config.shoulder_slip_sd if lying else config.slip_sd) + config.slip_slope * _patch_means(model, model.hanging)
+    held = np.square(config.slip_sd + config.slip_slope * model.hanging) * (model.hanging <= TOP) * (not lying)
+    measured = np.zeros(len(position), bool)
+    return BodyAnchor(bound, np.zeros(n), np.zeros(n), measured, _first_guess(setup, bound), np.square(slip), held)
 
 
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
@@ -64,11 +68,11 @@ def enabled(config: Config) -> bool:
 
 
 def measure(problem: Problem) -> Problem:
-    """The problem with the pseudo-measurements of the vertices that were not measured in the last frame.
+    """The problem with the pseudo-measurements of the vertices that were not measured in the last frame, and of the waistband.
 
-    There are none where the pose of the body is not known, and while a relocalized garment settles. The deviations of a patch
-    count as one. A patch of which nothing was seen deviates along the normal as the patches around it do, each over its first
-    guess.
+    What was measured is held along the surface alone. The error of the body adds to the slip. There are none where the pose of
+    the body is not known, and while a relocalized garment settles. The deviations of a patch count as one. A patch of which
+    nothing was seen deviates along the normal as the patches around it do, each over its first guess.
     """
     anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.anchor
     if anchor is None or body is None or problem.health.settling:
@@ -76,13 +80,13 @@ def measure(problem: Problem) -> Problem:
     target = contact.follow(anchor.bound, body, config.reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
-    size = len(target) / len(model.likeness)
+    size, seen = len(target) / len(model.likeness), anchor.measured
     planes = Planes(
         target=target,
         normal=normal,
-        weight=np.where(anchor.measured | (anchor.bound.contact.face < 0), 0.0, 1.0),
-        variance=size * _along(anchor, model, config)[model.patch],
-        tangential=size * anchor.slip[model.patch],
+        weight=np.where((seen & (anchor.held == 0.0)) | (anchor.bound.contact.face < 0), 0.0, 1.0),
+        variance=np.where(seen, UNKNOWN, size * _along(anchor, model, config)[model.patch]),
+        tangential=size * (np.where(seen, anchor.held, anchor.slip[model.patch]) + body.error2),
     )
     return problem._replace(anchored=planes)
 
@@ -92,7 +96,7 @@ def slack(problem: Problem) -> np.ndarray | None:
     if problem.anchored is None:
         return None
     anchor = problem.last.anchor
-    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * anchor.slip)
+    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * (anchor.slip + problem.body.error2))
 
 
 def _along(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:

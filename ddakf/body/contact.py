@@ -8,10 +8,11 @@ from ddakf.body import proximity
 from ddakf.config import Physics
 from ddakf.kernels import collision as kernels
 from ddakf.mesh import Mesh
-from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Problem, State
+from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Estimate, Problem, State
 
 MOTION_LASTS = 0.1  # s, time constant with which the motion of a body without a new pose ends
 LONGEST_UNPOSED = 0.3  # s after which the pose of such a body is unknown
+FEW = 0.02  # of the vertices: as many that are seen inside say as much of the error as its first guess, none
 
 
 def build(
@@ -57,7 +58,8 @@ def _first_gap(pose: BodyPose, position: np.ndarray, config: Physics) -> np.ndar
 def posed(body: BodyModel, track: BodyTrack, vertices: np.ndarray | None = None) -> BodyPose:
     """The body with its (B, 3) ``vertices``, metres; None: in the pose of the track."""
     surface = proximity.refresh(body.tree, track.vertices if vertices is None else vertices)
-    return BodyPose(body, surface, track.gap, None if track.contacts is None else track.contacts.closest.face, track.turn)
+    hint, (squares, share) = None if track.contacts is None else track.contacts.closest.face, track.intruded
+    return BodyPose(body, surface, track.gap, hint, track.turn, squares / (share + FEW))
 
 
 def moved_on(body: BodyModel, track: BodyTrack, dt: float) -> np.ndarray | None:
@@ -172,29 +174,35 @@ def within(pose: BodyPose, points: np.ndarray, radius: float) -> np.ndarray:
     return proximity.closest_points(pose.model.tree, pose.surface, points, radius).face >= 0
 
 
-def learned(problem: Problem, contacts: Contacts | None, position: np.ndarray, observed: np.ndarray) -> BodyTrack | None:
+def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyTrack | None:
     """The body after a frame: where a sensor sees them, vertices may be as close as they turn out to be.
+
+    A body is a model that was fitted to something, and wrong by millimetres or centimetres. What lasts, each vertex's gap takes
+    up. What changes from frame to frame shows as cloth that is seen inside, and contact yields by as much.
 
     Args:
         problem: the frame.
-        contacts: when last searched; None: not in this frame.
+        estimate: the last one, with its measurement, and its contacts if they were searched.
         position: (V, 3) the posterior, metres.
-        observed: (V,) bool, vertices with a measurement.
     """
     track, pose, config = problem.last.body, problem.body, problem.config.physics
     if track is None:
         return None
     vertices = track.vertices if pose is None else pose.vertices
     velocity = None if problem.carried is None else problem.carried / problem.dt
-    gap = track.gap
-    if gap is not None and contacts is not None:
-        found = contacts.closest
+    gap, intruded, observed = track.gap, track.intruded, estimate.learnable
+    if gap is not None and estimate.contacts is not None and observed.any():
+        found, old, measurement = estimate.contacts.closest, np.exp(-problem.dt / config.gap_time), estimate.evidence.measurement
+        across = found.normal if measurement.normal is None else measurement.normal
+        inside = kernels.intruded(position, observed, measurement.target, across, found, gap)
+        pairs = zip(intruded, inside, strict=True)
+        intruded = tuple(old * before + (1.0 - old) * now / len(position) for before, now in pairs)
         distance = np.einsum("va,va->v", found.normal, position - found.point)
-        share = 1.0 - np.exp(-problem.dt / config.gap_time)
         change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
-        gap = np.where(observed & (found.face >= 0), gap + share * change, gap)
+        gap = np.where(observed & (found.face >= 0), gap + (1.0 - old) * change, gap)
     motion, unposed = _motion(problem)
-    return BodyTrack(vertices, pose is not None, velocity, contacts, gap, track.turn + 1, motion, unposed)
+    present = pose is not None
+    return BodyTrack(vertices, present, velocity, estimate.contacts, gap, track.turn + 1, motion, unposed, intruded)
 
 
 def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:

@@ -7,7 +7,7 @@ from numba import njit
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def linearize(position, contact, gap, area, residual, jacobian, weight):
+def linearize(position, contact, gap, area, yielding, residual, jacobian, weight):
     """Residual, Jacobian and weight of every vertex; zero where it does not touch the body.
 
     Args:
@@ -15,6 +15,7 @@ def linearize(position, contact, gap, area, residual, jacobian, weight):
         contact: the ``Contact`` of the vertices; its faces, points q and normals n are read.
         gap: (V,) metres.
         area: (V,) m^2, weight of a vertex that touches.
+        yielding: 1/m^2, k times the variance of the body's surface along its normal.
         residual: (V,) out, metres, at most 0.
         jacobian: (V, 1, 3) out.
         weight: (V,) out, m^2.
@@ -28,9 +29,38 @@ def linearize(position, contact, gap, area, residual, jacobian, weight):
             r -= gap[i]
         touching = r < 0.0
         residual[i] = r if touching else 0.0
-        weight[i] = area[i] if touching else 0.0
+        weight[i] = area[i] / (1.0 + yielding * area[i]) if touching else 0.0
         for a in range(3):
             jacobian[i, 0, a] = normal[i, a] if touching else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def intruded(position, observed, target, across, contact, gap):
+    """Sum of the squared depths, m^2, at which cloth is seen inside its gap, and the number of these vertices.
+
+    Args:
+        position: (V, 3) metres.
+        observed: (V,) bool.
+        target, across: (V, 3) metres and unit normals of the planes in which the cloth was measured; its place is the nearest
+            in the plane.
+        contact: the ``Contact`` of the vertices; its faces, points and normals are read.
+        gap: (V,) metres.
+    """
+    face, point, normal = contact.face, contact.point, contact.normal
+    squares, count = 0.0, 0
+    for i in range(position.shape[0]):
+        if not observed[i] or face[i] < 0:
+            continue
+        off, slope, height = 0.0, 0.0, 0.0
+        for a in range(3):
+            off += across[i, a] * (target[i, a] - position[i, a])
+            slope += across[i, a] * normal[i, a]
+            height += normal[i, a] * (position[i, a] - point[i, a])
+        depth = gap[i] - height - off * slope
+        if depth > 0.0:
+            squares += depth * depth
+            count += 1
+    return squares, count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

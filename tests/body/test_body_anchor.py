@@ -14,6 +14,7 @@ from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
 from tests.physics.shapes import ball
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
+from tests.tracker_runs import SAMPLE, SHIRT
 
 MESH = tube()
 BODY = inner_body(MESH)
@@ -55,9 +56,25 @@ def test_a_rigidly_moving_body_takes_the_garment_along_exactly():
     np.testing.assert_allclose(held.target, MESH.vertices @ turned + [0.3, 0.0, -1.0], atol=1e-9)
 
 
-def test_what_was_measured_is_not_held():
+def test_of_what_was_measured_only_the_top_is_held_and_only_along_itself():
     _, held = after(np.zeros(3), frames=1)
-    np.testing.assert_array_equal(held.weight, np.where(FRONT, 0.0, 1.0))
+    top = GARMENT.hanging <= body_anchor.TOP
+    np.testing.assert_array_equal(held.weight, np.where(FRONT & ~top, 0.0, 1.0))
+    assert (held.variance[FRONT & top] > 1e3).all()
+    wanted = CONFIG.slip_sd + CONFIG.slip_slope * GARMENT.hanging[FRONT & top]
+    np.testing.assert_allclose(np.sqrt(held.tangential / PER_VERTEX)[FRONT & top], wanted, rtol=1e-6)
+
+
+def test_what_lies_on_the_shoulders_is_not_held_where_it_is_measured():
+    body = Mesh(SAMPLE.body_vertices[0], SAMPLE.body_faces)
+    anchor = body_anchor.start(Setup(model.build(SHIRT), contact.build(body, 0.1), Config()), body.vertices, SHIRT.vertices)
+    assert not anchor.held.any()
+
+
+def test_the_place_on_a_body_that_is_wrong_is_as_uncertain():
+    wrong = posed(BODY)._replace(error2=0.01**2)
+    known, held = (frame(anchored(), body).anchored for body in (posed(BODY), wrong))
+    np.testing.assert_allclose(held.tangential - known.tangential, PER_VERTEX * 0.01**2)
 
 
 def test_cloth_slips_on_the_body_the_more_the_farther_below_the_top_it_hangs():
@@ -183,3 +200,19 @@ def test_a_hidden_part_that_goes_with_the_body_follows_it_more_closely_for_being
 
 def test_a_hidden_part_of_what_swings_freely_is_not_pinned():
     assert hidden_error(0.06, CONFIG.memory) < 1.1 * hidden_error(0.06, 0.0)
+
+
+def test_a_garment_turns_with_its_waistband_where_the_cloud_does_not_show_it():
+    """A round tube, of which no scan shows how it is turned, on a body whose upper end alone turns to and fro."""
+    angle = np.arctan2(MESH.vertices[:, 2], MESH.vertices[:, 0])
+    round_ = Mesh(np.column_stack([0.16 * np.cos(angle), MESH.vertices[:, 1], 0.16 * np.sin(angle)]), MESH.faces)
+    body, errors = inner_body(round_, 0.95), []
+    share = np.clip((body.vertices[:, 1] / body.vertices[:, 1].max() - 0.5) / 0.4, 0.0, 1.0)  # of the turn, up the body
+    tracker = Tracker(round_, body=body)
+    for k in range(1, 50):
+        turned = 0.6 * np.sin(0.12 * k)
+        truth = round_.vertices @ about([0.0, 1.0, 0.0], turned).T
+        pose = np.stack([about([0.0, 1.0, 0.0], turned * s) @ v for s, v in zip(share, body.vertices, strict=True)])
+        result = tracker.step(scan(truth, round_, 4000, 0.003, seed=k), timestamp=k / FPS, body_vertices=pose)
+        errors.append(rms(result.vertices - truth))
+    assert np.mean(errors) < 0.3 * 0.16 * 0.6 / np.sqrt(2)  # of how far it is turned

@@ -1,17 +1,19 @@
-"""Contact: how close a garment may come to the body, and what moves that."""
+"""Contact: how close a garment may come to the body, what moves that, and how contact yields where the body is wrong."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 
-from ddakf import Config
+from ddakf import Config, Tracker
 from ddakf.body import contact
 from ddakf.config import Physics
+from ddakf.evaluation.sensors import Sensor
 from ddakf.physics import collision
-from ddakf.types import Health, Track
+from ddakf.types import Evidence, Health, Track
 from tests.physics.shapes import ball, sheet
-from tests.stages.scenes import posed, problem_of
+from tests.stages.scenes import about, estimate_at, measured, posed, problem_of, rms
+from tests.tracker_runs import FPS, SAMPLE, SHIRT, WEARER
 
 MESH, BODY, RADIUS = sheet(), ball(3), 0.2
 CONFIG = Physics(thickness=0.004, gap_time=0.5)
@@ -20,12 +22,12 @@ HEIGHTS = np.linspace(-0.05, 0.02, MESH.n_vertices)  # m, of the vertices above 
 
 def above(heights):
     """(V, 3) points above the middle of a face, where the distance is the height."""
-    corners = BODY.vertices[BODY.faces[0]]
-    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
-    normal /= np.linalg.norm(normal)
-    return corners.mean(axis=0) + np.outer(heights, normal)
+    return CORNERS.mean(axis=0) + np.outer(heights, NORMAL)
 
 
+CORNERS = BODY.vertices[BODY.faces[0]]
+NORMAL = np.cross(CORNERS[1] - CORNERS[0], CORNERS[2] - CORNERS[0])
+NORMAL /= np.linalg.norm(NORMAL)
 MODEL = contact.build(BODY, 0.1)
 
 
@@ -45,7 +47,14 @@ def after(track, heights, observed, dt, searched=True):
     last = Track(None, None, None, 0.0, Health(), None, track, None)
     pose, position = contact.posed(MODEL, track), above(heights)
     problem = problem_of(None, None, dataclasses.replace(Config(), physics=CONFIG), last=last, body=pose, dt=dt)
-    return contact.learned(problem, contact.nearest(pose, position) if searched else None, position, observed)
+    return contact.learned(problem, seen(position, observed, contact.nearest(pose, position) if searched else None), position)
+
+
+def seen(position, observed, contacts, at=None):
+    """An estimate whose observed vertices were measured where they are, or in planes ``at`` these places."""
+    measurement = measured(position if at is None else at, np.tile(NORMAL, (len(position), 1)), observed)
+    evidence = Evidence(measurement, observed.astype(float), None, None)
+    return estimate_at(position, evidence)._replace(contacts=contacts)
 
 
 def test_what_starts_inside_may_stay_and_may_not_go_deeper():
@@ -150,7 +159,7 @@ def test_each_vertex_is_searched_in_the_whole_body_once_in_a_round_of_frames(mon
         right = found.closest.face == exact
         assert right[turn::every].all()
         assert right.sum() == sum(len(right[t::every]) for t in range(turn + 1))
-        track = contact.learned(problem, found, position, np.ones(len(position), bool))
+        track = contact.learned(problem, seen(position, np.ones(len(position), bool), found), position)
     assert right.all()
 
 
@@ -164,3 +173,65 @@ def test_all_vertices_are_searched_in_the_whole_body_while_the_garment_is_not_tr
         problem = problem_of(None, None, Config(), last=last, body=pose, health=health)
         found, exact = contact.followed(problem, position), contact.nearest(pose, position)
         np.testing.assert_array_equal(found.closest.face, exact.closest.face)
+
+
+# A body that is wrong -------------------------------------------------------------------------------------------------
+
+
+def intrusions(depths, observed, frames, dt=1 / FPS):
+    """The body after frames with cloth at the height of its gap, seen in planes these depths (frames, V) deeper."""
+    track = contact_at(np.full(len(HEIGHTS), CONFIG.thickness))
+    for depth in depths[:frames]:
+        last = Track(None, None, None, 0.0, Health(), None, track, None)
+        pose, position = contact.posed(MODEL, track), above(track.gap)
+        problem = problem_of(None, None, dataclasses.replace(Config(), physics=CONFIG), last=last, body=pose, dt=dt)
+        estimate = seen(position, observed, contact.nearest(pose, position), above(track.gap - depth))
+        track = contact.learned(problem, estimate, position)
+    return contact.posed(MODEL, track)
+
+
+def test_cloth_that_is_seen_inside_shows_the_error_of_the_body():
+    rng, everything = np.random.default_rng(0), np.ones(len(HEIGHTS), bool)
+    for sd in (0.002, 0.01):
+        found = intrusions(rng.normal(scale=sd, size=(90, len(HEIGHTS))), everything, 90).error2
+        np.testing.assert_allclose(np.sqrt(found), sd, rtol=0.1)
+
+
+def test_cloth_outside_and_cloth_that_nobody_sees_show_no_error():
+    depth, everything = np.full((30, len(HEIGHTS)), 0.01), np.ones(len(HEIGHTS), bool)
+    assert intrusions(-depth, everything, 30).error2 == 0.0
+    assert intrusions(depth, ~everything, 30).error2 == 0.0
+    half = np.arange(len(HEIGHTS)) % 2 == 0
+    np.testing.assert_allclose(intrusions(depth, half, 30).error2, 1e-4, rtol=0.1)
+
+
+def test_one_vertex_says_little():
+    depth, one, every = np.full((30, len(HEIGHTS)), 0.01), np.arange(len(HEIGHTS)) == 0, np.ones(len(HEIGHTS), bool)
+    assert intrusions(depth, one, 30).error2 < 0.7 * intrusions(depth, every, 30).error2
+
+
+def test_contact_yields_by_the_error_of_the_body():
+    """As much as a body that is known, whose surface gives way like a spring of that variance."""
+    position, constants = above(np.full(len(HEIGHTS), -0.01)), collision.build(MESH, CONFIG.thickness)
+    contacts, stiffness, variance = contact.nearest(posed(BODY), position).closest, 3.0e9, 0.008**2
+    firm = collision.linearize(position, constants, contacts).weight * stiffness
+    soft = collision.linearize(position, constants, contacts, yielding=stiffness * variance).weight * stiffness
+    assert (firm > 0).all()
+    np.testing.assert_allclose(1 / soft, 1 / firm + variance)
+
+
+def test_a_body_that_is_misplaced_costs_cloth_that_is_seen_little():
+    """By 20 mm in the mean, to and fro, where contact firmer than the measurement would push the cloth along."""
+    errors = []
+    for off in (0.0, 1.0):
+        tracker, rng = Tracker(SHIRT, body=WEARER), np.random.default_rng(0)
+        tracker.reset(vertices=SAMPLE.garment_vertices[0])
+        for k in range(1, 40):
+            cloud, body = Sensor("full").capture(SAMPLE, k, rng), SAMPLE.body_vertices[k]
+            middle, turned = body.mean(axis=0), about([np.cos(0.4 * k), 0.5, 1.0], 0.05 * off * np.sin(0.5 * k)).T
+            shift = 0.012 * off * np.array([np.sin(0.5 * k), 0.3 * np.sin(0.31 * k), np.cos(0.4 * k)])
+            wrong = (body - middle) @ turned + middle + shift
+            result = tracker.step(cloud.points, timestamp=k / FPS, body_vertices=wrong)
+            errors.append((off, rms(result.vertices - SAMPLE.garment_vertices[k])))
+    exact, misplaced = (np.mean([error for each, error in errors if each == off]) for off in (0.0, 1.0))
+    assert misplaced < 1.25 * exact

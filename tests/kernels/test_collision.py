@@ -14,11 +14,12 @@ def test_agrees_with_the_formula():
     face, area = rng.integers(-1, 2, n).astype(np.int32), rng.uniform(1.0, 2.0, n)
     residual, jacobian, weight = np.full(n, np.nan), np.full((n, 1, 3), np.nan), np.full(n, np.nan)
     contact = Contact(face, np.zeros((n, 3)), q, normal, np.zeros(n))
-    collision.linearize(x, contact, gap, area, residual, jacobian, weight)
+    yielding = 0.7
+    collision.linearize(x, contact, gap, area, yielding, residual, jacobian, weight)
     depth = np.where(face >= 0, np.einsum("va,va->v", normal, x - q) - gap, 0.0)
     touching = depth < 0.0
     np.testing.assert_allclose(residual, np.minimum(0.0, depth), atol=1e-12)
-    np.testing.assert_array_equal(weight, np.where(touching, area, 0.0))
+    np.testing.assert_array_equal(weight, np.where(touching, area / (1.0 + yielding * area), 0.0))
     np.testing.assert_array_equal(jacobian[:, 0], np.where(touching[:, None], normal, 0.0))
     assert 0 < touching.sum() < n
 
