@@ -193,7 +193,7 @@ class BodyPose(NamedTuple):
     gap: np.ndarray | None  # (V,) m, signed distance that each vertex keeps at least; None: the thickness
     hint: np.ndarray | None  # (V,) int32, faces that were closest in the last frame
     turn: int  # of the search in the whole body, see Physics.faces_followed
-    error2: float  # m^2, variance of the place of its surface along the normal
+    intruded: tuple[float, float]  # as in BodyTrack
 
     @property
     def vertices(self) -> np.ndarray:

@@ -86,7 +86,7 @@ def measure(problem: Problem) -> Problem:
         normal=normal,
         weight=np.where((seen & (anchor.held == 0.0)) | (anchor.bound.contact.face < 0), 0.0, 1.0),
         variance=np.where(seen, UNKNOWN, size * _along(anchor, model, config)[model.patch]),
-        tangential=size * (np.where(seen, anchor.held, anchor.slip[model.patch]) + body.error2),
+        tangential=size * (np.where(seen, anchor.held, anchor.slip[model.patch]) + contact.error2(body)),
     )
     return problem._replace(anchored=planes)
 
@@ -96,7 +96,7 @@ def slack(problem: Problem) -> np.ndarray | None:
     if problem.anchored is None:
         return None
     anchor = problem.last.anchor
-    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * (anchor.slip + problem.body.error2))
+    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * (anchor.slip + contact.error2(problem.body)))
 
 
 def _along(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:

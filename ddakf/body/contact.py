@@ -12,7 +12,7 @@ from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Estimat
 
 MOTION_LASTS = 0.1  # s, time constant with which the motion of a body without a new pose ends
 LONGEST_UNPOSED = 0.3  # s after which the pose of such a body is unknown
-FEW = 0.02  # of the vertices: as many that are seen inside say as much of the error as its first guess, none
+FEW = 0.02  # of the vertices: as many that are seen inside say as much of the body's error as a first guess
 
 
 def build(
@@ -58,8 +58,8 @@ def _first_gap(pose: BodyPose, position: np.ndarray, config: Physics) -> np.ndar
 def posed(body: BodyModel, track: BodyTrack, vertices: np.ndarray | None = None) -> BodyPose:
     """The body with its (B, 3) ``vertices``, metres; None: in the pose of the track."""
     surface = proximity.refresh(body.tree, track.vertices if vertices is None else vertices)
-    hint, (squares, share) = None if track.contacts is None else track.contacts.closest.face, track.intruded
-    return BodyPose(body, surface, track.gap, hint, track.turn, squares / (share + FEW))
+    hint = None if track.contacts is None else track.contacts.closest.face
+    return BodyPose(body, surface, track.gap, hint, track.turn, track.intruded)
 
 
 def moved_on(body: BodyModel, track: BodyTrack, dt: float) -> np.ndarray | None:
@@ -167,6 +167,12 @@ def planes(pose: BodyPose, contacts: Contacts, config: Physics) -> tuple[np.ndar
     found = contacts.closest
     gap = np.full(len(found.face), config.thickness) if pose.gap is None else pose.gap
     return found.point + gap[:, None] * found.normal, found.normal
+
+
+def error2(pose: BodyPose, first_sd: float = 0.0) -> float:
+    """m^2, variance of the place of the body's surface along its normal, of which ``first_sd`` in metres is the first guess."""
+    squares, share = pose.intruded
+    return (squares + FEW * first_sd**2) / (share + FEW)
 
 
 def within(pose: BodyPose, points: np.ndarray, radius: float) -> np.ndarray:

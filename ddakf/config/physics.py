@@ -27,6 +27,7 @@ class Physics(Checked):
     thickness: float = bounded(0.003, 0, 0.1)  # m, distance from the body that collision enforces
     deepest_gap: float = bounded(0.03, 0, 1)  # m inside the body, up to which a vertex is an error of the body model
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
+    body_sd: float = bounded(0.006, 0, 1)  # m, first guess of the error of the body's surface, by which contact yields
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
     faces_followed: int = bounded(16, 1, 1000)  # frames in which each vertex's nearest face is sought in the whole body once
     weight: float = bounded(9.0e3, 0, 1e12)  # 1/m^3: weight of cloth that the body holds, force per area

@@ -134,7 +134,7 @@ def _solve(
         point, normal = floor
         inside = np.einsum("va,va->v", normal, point - position) > 0
         planes = SamplePlanes(point, normal, inside.astype(float))
-        noise = SampleNoise(config.coarse.contact_sd**2 + problem.body.error2, np.inf, 0.0, stands_for)
+        noise = SampleNoise(config.coarse.contact_sd**2 + contact.error2(problem.body, physics.body_sd), np.inf, 0.0, stands_for)
         kernels.add_planes(position, position, clusters.sample, frames, planes, noise, A, b)
     stretch = clusters.weakening * EDGE_STRETCH * problem.health.physics_lambda * physics.in_plane
     stiffness = SeamStiffness(clusters.weakening, stretch, physics.strain_scale)

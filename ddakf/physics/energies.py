@@ -35,10 +35,8 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
     if problem.body is not None and config.collision > 0:
         contacts = contact.followed(problem, position) if contacts is None else contacts
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)
-        body = problem.body
-        touching = collision.linearize(
-            position, model.collision, contacts.closest, body.gap, config.collision * body.error2
-        )
+        yielding = config.collision * contact.error2(problem.body, config.body_sd)
+        touching = collision.linearize(position, model.collision, contacts.closest, problem.body.gap, yielding)
     in_plane = physics_lambda * config.in_plane
     stiffness = in_plane, in_plane, physics_lambda * config.bend * config.fabric.bend, config.collision
     bending = bend.summed(position, model.bend, stiffness[2]) if last is None else last.bending

@@ -72,7 +72,7 @@ def test_what_lies_on_the_shoulders_is_not_held_where_it_is_measured():
 
 
 def test_the_place_on_a_body_that_is_wrong_is_as_uncertain():
-    wrong = posed(BODY)._replace(error2=0.01**2)
+    wrong = posed(BODY)._replace(intruded=(0.01**2, 1.0 - contact.FEW))
     known, held = (frame(anchored(), body).anchored for body in (posed(BODY), wrong))
     np.testing.assert_allclose(held.tangential - known.tangential, PER_VERTEX * 0.01**2)
 
