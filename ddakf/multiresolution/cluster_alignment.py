@@ -152,9 +152,10 @@ def _pulling(problem: Problem, position: np.ndarray, gate: float) -> Pulling:
     point beside the surface tells nothing across its normal, since the garment may slide there. Of a cloud that always has
     points of something else, nothing pulls.
     """
-    config, cloud = problem.config, problem.cloud
-    count = config.coarse.points if problem.health.least_unexplained <= config.evidence.foreign_share else 0
-    stride = max(-(-cloud.surfels.shape[1] // max(count, 1)), 1)
+    config, cloud, count = problem.config, problem.cloud, problem.config.coarse.points
+    if count == 0 or problem.health.least_unexplained > config.evidence.foreign_share:
+        return Pulling(np.empty(0, np.int32), SamplePlanes(np.empty((0, 3)), np.empty((0, 3)), np.empty(0)))
+    stride = max(-(-cloud.surfels.shape[1] // count), 1)
     surfels = np.ascontiguousarray(cloud.surfels[:, ::stride].T[:count], np.float64)
     point, plane = surfels[:, :3] + cloud.origin, surfels[:, 3:]
     vertex, _ = nearest_vertices(point, position, gate)
