@@ -16,6 +16,7 @@ from tests.stages.scenes import FPS, inner_body, scan, tube
 
 GARMENT = tube(around=16, along=8)
 BODY = inner_body(GARMENT)
+TIGHT = inner_body(GARMENT, 0.99)  # cloth is seen inside it
 EYE = np.array([0.0, 0.3, 2.0])
 
 
@@ -55,7 +56,7 @@ PRESETS = {
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))
-@pytest.mark.parametrize("body", [None, BODY], ids=["cloth alone", "body"])
+@pytest.mark.parametrize("body", [None, BODY, TIGHT], ids=["cloth alone", "body", "tight"])
 @pytest.mark.parametrize("after", [0, 1, 5, 7])
 def test_the_next_steps_are_exact_to_the_bit(preset, body, after):
     tracker = tracked(after, body, PRESETS[preset])
@@ -63,6 +64,8 @@ def test_the_next_steps_are_exact_to_the_bit(preset, body, after):
     for points, how in frames(after, 4 if preset == "default" else 2, body):
         assert_same(twin.step(points, **how), tracker.step(points, **how))
     assert twin.snapshot() == tracker.snapshot()
+    if body is TIGHT and preset == "default" and after > 1:
+        assert min(tracker._track.body.intruded) > 0
 
 
 @pytest.mark.parametrize("body", [None, BODY], ids=["cloth alone", "body"])
@@ -304,6 +307,8 @@ UNCHECKED = {
     "a state that is not finite": put("state_position", np.full(GARMENT.vertices.shape, np.nan)),
     "rotations of another garment": put("rotation", np.zeros((5, 3, 3))),
     "a body's pose of another size": put("contact_vertices", np.zeros((5, 3))),
+    "a body that is seen inside by less than nothing": put("contact_intruded", np.array([-1.0, 0.1])),
+    "a body that is seen inside by what is no pair": put("contact_intruded", np.zeros(3)),
     "an unknown state": number("health", {"state": "happy", "physics_lambda": 1.0, "poor_for": 0.0, "empty_for": 0.0}),
     "settled for fewer than no frames": health("settling", -1),
     "a search in half a frame": health("frames_unplaced", 2.5),
