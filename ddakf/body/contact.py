@@ -175,6 +175,18 @@ def error2(pose: BodyPose, first_sd: float = 0.0) -> float:
     return (squares + FEW * first_sd**2) / (share + FEW)
 
 
+def variances(problem: Problem) -> np.ndarray:
+    """(V,) m^2, of the body's surface along its normal beside each vertex. What nobody saw in the last frame has no first guess.
+
+    There the body is all that keeps cloth in its place. What is seen is kept there by its measurement.
+    """
+    pose, anchor = problem.body, problem.last.anchor
+    learned, guessed = error2(pose), error2(pose, problem.config.physics.body_sd)
+    if anchor is None or problem.last.time is None:
+        return np.full(len(problem.prior.position), guessed)
+    return np.where(anchor.measured, guessed, learned)
+
+
 def within(pose: BodyPose, points: np.ndarray, radius: float) -> np.ndarray:
     """(N,) bool: (N, 3) points that lie within ``radius`` metres of the body's surface, on either side."""
     return proximity.closest_points(pose.model.tree, pose.surface, points, radius).face >= 0

@@ -15,7 +15,7 @@ def linearize(position, contact, gap, area, yielding, residual, jacobian, weight
         contact: the ``Contact`` of the vertices; its faces, points q and normals n are read.
         gap: (V,) metres.
         area: (V,) m^2, weight of a vertex that touches.
-        yielding: 1/m^2, k times the variance of the body's surface along its normal.
+        yielding: (V,) 1/m^2, k times the variance of the body's surface along its normal.
         residual: (V,) out, metres, at most 0.
         jacobian: (V, 1, 3) out.
         weight: (V,) out, m^2.
@@ -29,7 +29,7 @@ def linearize(position, contact, gap, area, yielding, residual, jacobian, weight
             r -= gap[i]
         touching = r < 0.0
         residual[i] = r if touching else 0.0
-        weight[i] = area[i] / (1.0 + yielding * area[i]) if touching else 0.0
+        weight[i] = area[i] / (1.0 + yielding[i] * area[i]) if touching else 0.0
         for a in range(3):
             jacobian[i, 0, a] = normal[i, a] if touching else 0.0
 

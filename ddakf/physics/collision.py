@@ -51,7 +51,7 @@ def linearize(
     constants: CollisionConstants,
     contact: Contact,
     gap: np.ndarray | None = None,
-    yielding: float = 0.0,
+    yielding: np.ndarray | None = None,
 ) -> Linearization:
     """Residuals (penetration, metres, at most 0) and Jacobians at positions (V, 3) metres.
 
@@ -60,12 +60,14 @@ def linearize(
         constants: of the garment.
         contact: for every vertex, the body's closest point.
         gap: (V,) metres, negative inside; the thickness if None.
-        yielding: k times the variance of the body's surface along its normal, 1/m^2: a weight w becomes w / (1 + yielding w), as
-            if a spring that holds the surface to within its variance were in series.
+        yielding: (V,) 1/m^2, k times the variance of the body's surface along its normal; 0 if None. A weight w becomes
+            w / (1 + yielding w), as if a spring that holds the surface to within its variance were in series.
     """
     if gap is None:
         gap = np.full(len(constants.stencil), constants.thickness)
     count = len(constants.stencil)
+    if yielding is None:
+        yielding = np.zeros(count)
     out = Linearization(constants.stencil, np.zeros(count), np.zeros((count, 1, 3)), np.zeros(count))
     kernels.linearize(positions, contact, gap, constants.weight, yielding, out.residual, out.jacobian, out.weight)
     return out

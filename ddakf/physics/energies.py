@@ -35,7 +35,7 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
     if problem.body is not None and config.collision > 0:
         contacts = contact.followed(problem, position) if contacts is None else contacts
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)
-        yielding = config.collision * contact.error2(problem.body, config.body_sd)
+        yielding = config.collision * contact.variances(problem)
         touching = collision.linearize(position, model.collision, contacts.closest, problem.body.gap, yielding)
     in_plane = physics_lambda * config.in_plane
     stiffness = in_plane, in_plane, physics_lambda * config.bend * config.fabric.bend, config.collision

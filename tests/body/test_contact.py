@@ -1,6 +1,7 @@
 """Contact: how close a garment may come to the body, what moves that, and how contact yields where the body is wrong."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from ddakf.body import contact
 from ddakf.config import Physics
 from ddakf.evaluation.sensors import Sensor
 from ddakf.physics import collision
-from ddakf.types import Evidence, Health, Track
+from ddakf.types import Evidence, Health, State, Track
 from tests.physics.shapes import ball, sheet
 from tests.stages.scenes import about, estimate_at, measured, posed, problem_of, rms
 from tests.tracker_runs import FPS, SAMPLE, SHIRT, WEARER
@@ -212,6 +213,17 @@ def test_a_first_guess_counts_as_much_as_a_few_vertices():
     np.testing.assert_allclose(contact.error2(told, 0.006), (0.006**2 + 0.01**2) / 2)
 
 
+def test_what_nobody_saw_has_no_first_guess():
+    """Before anything is seen, everything has."""
+    position, seen = above(np.abs(HEIGHTS)), np.arange(len(HEIGHTS)) % 2 == 0
+    track = contact.start(MODEL, position, CONFIG)
+    anchor = SimpleNamespace(measured=seen)
+    for time, wanted in ((None, np.ones(len(seen), bool)), (1.0, seen)):
+        last = Track(None, None, None, 0.0, Health(), time, track, anchor)
+        problem = problem_of(None, State.at(position, 0 * position, 0.01, 0.1, 0.01), last=last, body=contact.posed(MODEL, track))
+        np.testing.assert_array_equal(contact.variances(problem), np.where(wanted, Physics.body_sd**2, 0.0))
+
+
 def test_one_vertex_says_little():
     depth, one, every = np.full((30, len(HEIGHTS)), 0.01), np.arange(len(HEIGHTS)) == 0, np.ones(len(HEIGHTS), bool)
     assert intrusions(depth, one) < 0.7 * intrusions(depth, every)
@@ -222,7 +234,8 @@ def test_contact_yields_by_the_error_of_the_body():
     position, constants = above(np.full(len(HEIGHTS), -0.01)), collision.build(MESH, CONFIG.thickness)
     contacts, stiffness, variance = contact.nearest(posed(BODY), position).closest, 3.0e9, 0.008**2
     firm = collision.linearize(position, constants, contacts).weight * stiffness
-    soft = collision.linearize(position, constants, contacts, yielding=stiffness * variance).weight * stiffness
+    yielding = np.full(len(HEIGHTS), stiffness * variance)
+    soft = collision.linearize(position, constants, contacts, yielding=yielding).weight * stiffness
     assert (firm > 0).all()
     np.testing.assert_allclose(1 / soft, 1 / firm + variance)
 

@@ -14,7 +14,7 @@ def test_agrees_with_the_formula():
     face, area = rng.integers(-1, 2, n).astype(np.int32), rng.uniform(1.0, 2.0, n)
     residual, jacobian, weight = np.full(n, np.nan), np.full((n, 1, 3), np.nan), np.full(n, np.nan)
     contact = Contact(face, np.zeros((n, 3)), q, normal, np.zeros(n))
-    yielding = 0.7
+    yielding = rng.uniform(0.0, 1.0, n)
     collision.linearize(x, contact, gap, area, yielding, residual, jacobian, weight)
     depth = np.where(face >= 0, np.einsum("va,va->v", normal, x - q) - gap, 0.0)
     touching = depth < 0.0
