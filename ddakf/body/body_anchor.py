@@ -21,6 +21,7 @@ import numpy as np
 from ddakf.body import contact
 from ddakf.config import Anchor, Config
 from ddakf.kernels.normals import vertex_normals
+from ddakf.mesh import Mesh
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
 TOP = 0.05  # m below the highest vertex, or of cloth below it, that are a garment's top
@@ -34,7 +35,8 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     bound = contact.bind(setup.body, pose, position, config.reach)
     lying = _lies_on_shoulders(model, setup.config.start.to_y_up[1])
     slip = (config.shoulder_slip_sd if lying else config.slip_sd) + config.slip_slope * _patch_means(model, model.hanging)
-    held = np.square(config.slip_sd + config.slip_slope * model.hanging) * (model.hanging <= TOP) * (not lying)
+    waistband = (model.hanging <= TOP) & (not lying and not _is_flap(model.mesh))
+    held = np.square(config.slip_sd + config.slip_slope * model.hanging) * waistband
     measured = np.zeros(len(position), bool)
     return BodyAnchor(bound, np.zeros(n), np.zeros(n), measured, _first_guess(setup, bound), np.square(slip), held)
 
@@ -42,11 +44,16 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
     """Whether the template is level at its top, as on shoulders; a waistband is upright, and a cape, a flap, is fastened."""
     mesh, position, normal = model.mesh, model.mesh.vertices, np.empty_like(model.mesh.vertices)
-    if mesh.n_vertices - len(mesh.edges) + len(mesh.faces) > 0:  # Euler's: a flap has 1, a tube 0, a shirt with sleeves -2
+    if _is_flap(mesh):
         return False
     vertex_normals(position, model.faces, normal)
     height = position @ up
     return bool(np.abs(normal @ up)[height > height.max() - TOP].mean() > LEVEL)
+
+
+def _is_flap(mesh: Mesh) -> bool:
+    """Whether the template is one sheet, as a cape; by Euler's number: a sheet has 1, a tube 0, a shirt with sleeves -2."""
+    return mesh.n_vertices - len(mesh.edges) + len(mesh.faces) > 0
 
 
 def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:

@@ -94,7 +94,9 @@ def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_or_a_cape_does_n
         mesh, _ = Mesh.cleaned(closed.vertices, faces)
         anchor = body_anchor.start(Setup(model.build(mesh), contact.build(BODY, 0.1), config), BODY.vertices, mesh.vertices)
         slips.append(np.sqrt(anchor.slip).tolist())
+        assert not anchor.held.any()
     waist = body_anchor.start(Setup(GARMENT, contact.build(BODY, 0.1), config), BODY.vertices, MESH.vertices)
+    assert waist.held.any()
     assert set(slips[0]) == set(np.sqrt(waist.slip)) == {CONFIG.slip_sd}
     assert set(slips[1]) == {CONFIG.shoulder_slip_sd}
 
