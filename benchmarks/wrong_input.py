@@ -126,6 +126,12 @@ def mistakes() -> dict:
     def apart(frame):
         return dataclasses.replace(frame, body_vertices=frame.body_vertices + [2.0, 0.0, 0.0])
 
+    poses = []
+
+    def late(frame):
+        poses.append(frame.body_vertices)
+        return dataclasses.replace(frame, body_vertices=poses[-4:][0])
+
     return {
         "none": lambda frame: frame,
         "no sensor origin": origin(lambda frame: None),
@@ -140,6 +146,7 @@ def mistakes() -> dict:
         "depth axis reversed": points(lambda p: p * [1, 1, -1] + [0, 0, 2 * p[:, 2].mean()]),
         "upside down": overturned,
         "body elsewhere": apart,
+        "body three frames late": late,
         "z taken for the vertical, with a body": lambda frame: frame,
         "body on its head": lambda frame: frame,
         "template split along a seam": lambda frame: frame,
@@ -171,7 +178,7 @@ def mistake(case: tuple[str, int]) -> list[str]:
     if "split" in name:
         source = dataclasses.replace(source, sequence=split(source.sequence))
     config = dataclasses.replace(ddakf.Config(), start=Start(up=VERTICAL.get(name, "y")))
-    run = track((mistakes()[name](frame) for frame in source), source, config)
+    run = track(map(mistakes()[name], source), source, config)
     lines = [f"{name}: {dict(run.states)}"]
     if len(run.rmse):
         lines[0] += f", RMSE {run.rmse.mean():.0f} mm, reliability {run.reliability.mean():.2f}, sigma {run.sigma.mean():.0f} mm"

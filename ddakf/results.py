@@ -22,6 +22,7 @@ WarningCode = Literal[
     "mirrored",
     "points_behind_sensor",
     "body_apart",
+    "body_off",
 ]
 
 

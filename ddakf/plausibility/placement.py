@@ -1,15 +1,17 @@
-"""Placement of cloud, sensor and body: points out of reach, points behind their sensor, a body apart from the garment."""
+"""Placement of cloud, sensor and body: points out of reach or behind their sensor, a body apart from the garment or off."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from ddakf.body import contact
 from ddakf.kernels.preprocess import bounds
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
 SPLIT = 8  # edges; a few may be a slit that is closed at rest
+OFF = 0.005  # m; exact bodies show 3 mm at most, where points have 10 mm of noise
 SEEN = 0.2  # share of the vertices, with which the garment's place is known
 
 
@@ -61,4 +63,15 @@ def body_apart(problem: Problem, estimate: Estimate) -> Sign | None:
     middle = estimate.position.mean(axis=0) - problem.frame.body_vertices.mean(axis=0)
     reach, apart = 100 * problem.body.model.reach, float(np.linalg.norm(middle))
     sentence = f"no vertex of the garment is within {reach:.0f} cm of the body: their middles are {apart:.2g} m apart"
+    return Sign("body_vertices", sentence)
+
+
+def body_off(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a body that cloth is seen inside, here and there and not always at the same depth."""
+    if problem.frame.body_vertices is None or problem.body is None:
+        return None
+    off = float(np.sqrt(contact.error2(problem.body)))
+    if off < OFF:
+        return None
+    sentence = f"cloth is seen {1e3 * off:.0f} mm inside the body, which is late or misplaced, if the cloud is not that noisy"
     return Sign("body_vertices", sentence)

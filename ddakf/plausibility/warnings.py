@@ -47,6 +47,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "mirrored": Check(handedness.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
     "body_apart": Check(placement.body_apart, 3),
+    "body_off": Check(placement.body_off, 10),
 }
 
 
