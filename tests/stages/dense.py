@@ -89,7 +89,8 @@ def cloth(x: np.ndarray, held: np.ndarray, problem: Problem) -> dict[str, np.nda
         np.add.at(share, mesh.faces.ravel(), np.repeat(area / 3, 3))
         point, normal = problem.touching
         depth = np.minimum(np.einsum("va,va->v", normal, x - point) - numbers.thickness, 0.0)
-        parts["collision"] = np.sqrt(numbers.collision * share) * depth
+        firm = numbers.collision * share
+        parts["collision"] = np.sqrt(firm / (1.0 + firm * numbers.body_sd**2)) * depth
     return parts
 
 

@@ -13,7 +13,7 @@ from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, Health, InputReference, Sides
+from ddakf.types import Evidence, Health, InputReference, Sides, Track
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
 from tests.stages.scenes import FPS, blocks, full, measured, posed, problem_of, random_state, rms, scan, tube
@@ -71,8 +71,16 @@ def frame(problem, contact=None):
     last = MESH.vertices + 0.001 * np.sin(100 * MESH.vertices)
     rotation = rigidity.rotations(problem.prior.position, problem.model)
     health = Health(physics_lambda=problem.physics_lambda)
+    before = Track(None, None, None, 0.0, Health(), 0.0, None, None)
     return problem_of(
-        problem.model, problem.prior, problem.config, motion_start=last, rotation=rotation, health=health, body=contact
+        problem.model,
+        problem.prior,
+        problem.config,
+        last=before,
+        motion_start=last,
+        rotation=rotation,
+        health=health,
+        body=contact,
     )
 
 

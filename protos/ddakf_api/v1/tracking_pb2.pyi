@@ -94,6 +94,7 @@ class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     WARNING_CODE_HEADING_UNCERTAIN: _ClassVar[WarningCode]
     WARNING_CODE_WRONG_UP: _ClassVar[WarningCode]
     WARNING_CODE_SPLIT_SEAMS: _ClassVar[WarningCode]
+    WARNING_CODE_BODY_OFF: _ClassVar[WarningCode]
 
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -159,6 +160,7 @@ WARNING_CODE_CLOCK_JUMP: WarningCode
 WARNING_CODE_HEADING_UNCERTAIN: WarningCode
 WARNING_CODE_WRONG_UP: WarningCode
 WARNING_CODE_SPLIT_SEAMS: WarningCode
+WARNING_CODE_BODY_OFF: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind
