@@ -52,6 +52,7 @@ CONDITIONS = {
     "hidden side": {"occlude": (FIRST + 1, 10_000)},
     "body 10 mm off": {},
 }
+BODY_SD = {"body 10 mm off": 0.01}  # m, of the body's error where there is one
 RECORDINGS = (
     "trousers_dance_loose_11", "trousers_jump_loose_33", "shorts_turn_close_26", "straight-skirt_random_close_02",
     "straight-skirt_dance_close_24", "skirt_squat_loose_53", "dress_sit_loose_29", "cape_turn_loose_39",
@@ -77,7 +78,7 @@ def run(job: tuple[str, str, str, int, str, int]) -> dict:
     """The row of a recording in a view under a condition: so many frames of it, a configuration in JSON, and a seed."""
     name, view, condition, frames, config, seed = job
     sequence, (side, _, with_body) = _loaded(name), view.partition("+")
-    sensor, body_sd = Sensor(side, **CONDITIONS[condition]), 0.01 if condition == "body 10 mm off" else 0.0
+    sensor, body_sd = Sensor(side, **CONDITIONS[condition]), BODY_SD.get(condition, 0.0)
     tracker = _tracker(name, bool(with_body), config)
     tracker.reset(vertices=sequence.garment_vertices[FIRST])
     # a low rate gives few frames, so that its clip goes to the recording's end
@@ -259,7 +260,7 @@ def main(argv: list[str] | None = None) -> int:
         (name, view, condition, arguments.frames, arguments.config, seed)
         for name, view, condition, seed in itertools.product(chosen, arguments.views, arguments.conditions, seeds)
         # one camera hides a side already
-        if (condition != "hidden side" or view == "full") and (condition != "body 10 mm off" or view.endswith("+body"))
+        if (condition != "hidden side" or view == "full") and (condition not in BODY_SD or view.endswith("+body"))
     ]
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         rows = []

@@ -139,7 +139,7 @@ REASONS = {
     "Physics.collision": "tuned: mean penetration below 0.1 mm; ten times stiffer makes tight garments stick",
     "Physics.thickness": "chosen",
     "Physics.self_collision": "off: it preserves crossings where the estimate is wrong",
-    "Physics.body_sd": "tuned: 3 to 10 mm all help where parts of a body are turned inside out; exact bodies lose 1 %",
+    "Physics.body_sd": "tuned: 3 to 10 mm all help where parts of a body are turned inside out; shirts on exact ones lose",
     "Physics.gap_time": "chosen: about fifteen frames, so that no single one decides",
     "Physics.motion_rigidity": "tuned",
     "Physics.motion_time": "chosen: nothing changes at 30 frames per second and more",

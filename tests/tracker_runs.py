@@ -5,7 +5,8 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.data import sample
-from tests.stages.scenes import FPS, inner_body, scan, tube
+from ddakf.evaluation.sensors import Sensor
+from tests.stages.scenes import FPS, inner_body, rms, scan, tube
 
 SAMPLE = sample()
 SHIRT = Mesh(SAMPLE.template, SAMPLE.garment_faces)
@@ -47,3 +48,13 @@ def tracked(count, **how) -> Tracker:
     for k in range(count):
         tracker.step(cloud(k), timestamp=k / FPS, sensor_origin=EYE)
     return tracker
+
+
+def worn(view, pose, count=40):
+    """The results of the sample's first frames in a view, with its body in ``pose(k)`` or None, and their RMS errors (m)."""
+    tracker, rng = Tracker(SHIRT, body=WEARER), np.random.default_rng(0)
+    tracker.reset(vertices=SAMPLE.garment_vertices[0])
+    for k in range(1, count):
+        seen = Sensor(view).capture(SAMPLE, k, rng)
+        result = tracker.step(seen.points, timestamp=k / FPS, sensor_origin=seen.sensor_origin, body_vertices=pose(k))
+        yield result, rms(result.vertices - SAMPLE.garment_vertices[k])

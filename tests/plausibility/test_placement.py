@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from ddakf import Mesh, Tracker
-from ddakf.evaluation.sensors import Sensor
 from tests.stages.scenes import FPS
-from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud, swaying
+from tests.tracker_runs import BODY, EYE, SAMPLE, TUBE, cloud, swaying, worn
 
 
 def last_of(frames, body=None):
@@ -75,13 +74,8 @@ def test_a_body_elsewhere_is_told():
 
 @pytest.mark.parametrize(("late", "told"), [(0, False), (3, True)])
 def test_a_body_that_is_late_is_told(late, told):
-    tracker, rng = Tracker(SHIRT, body=WEARER), np.random.default_rng(0)
-    tracker.reset(vertices=SAMPLE.garment_vertices[0])
-    found = []
-    for k in range(1, 40):
-        points, pose = Sensor("front").capture(SAMPLE, k, rng), SAMPLE.body_vertices[max(0, k - late)]
-        result = tracker.step(points.points, timestamp=k / FPS, sensor_origin=points.sensor_origin, body_vertices=pose)
-        found += [warning for warning in result.warnings if warning.code == "body_off"]
+    results = worn("front", lambda k: SAMPLE.body_vertices[max(0, k - late)])
+    found = [warning for result, _ in results for warning in result.warnings if warning.code == "body_off"]
     assert bool(found) == told
     assert all(warning.field == "body_vertices" and "mm inside the body" in warning.message for warning in found)
 
