@@ -35,7 +35,8 @@ def load_kernels(tracker: Callable, config: Config, with_body: bool) -> None:
     usual = Config(**{name: stage() for name, stage in kinds.items()})
     garment, body = tube(0.1, 12, 8), tube(0.09, 10, 8)
     cloud = np.concatenate([garment.vertices[garment.faces].mean(axis=1), garment.vertices, ASTRAY])
-    for eye in (None, np.array([0.0, 0.0, 2.0])):
+    one, opposite = np.array([[0.0, 0.0, 2.0], [0.0, 0.0, -2.0]])
+    for eye in (None, one, np.where(cloud[:, 2:] > 0.0, one, opposite)):
         tracked = tracker(garment, body=body if with_body else None, config=usual)
         tracked.reset(vertices=garment.vertices)
         for shift, timestamp in STEPS:

@@ -23,6 +23,7 @@ WarningCode = Literal[
     "points_behind_sensor",
     "body_apart",
     "body_off",
+    "sensors_off",
 ]
 
 

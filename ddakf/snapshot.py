@@ -20,8 +20,23 @@ from ddakf.errors import InvalidSnapshot
 from ddakf.mesh import Mesh
 from ddakf.physics import rigidity
 from ddakf.planning.work import Costs, Rate
+from ddakf.plausibility import sensor_poses
 from ddakf.results import TrackerState, WarningCode
-from ddakf.types import Appearance, BodyAnchor, BodyModel, BodyTrack, Contacts, Drift, Health, Resting, State, Track, View
+from ddakf.stages.frame_input import MAX_SENSORS
+from ddakf.types import (
+    Appearance,
+    BodyAnchor,
+    BodyModel,
+    BodyTrack,
+    Contacts,
+    Drift,
+    Health,
+    Resting,
+    Sensors,
+    State,
+    Track,
+    View,
+)
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
@@ -58,6 +73,7 @@ MOVED = {  # part and field of the configuration before 19, and since
     ("associate", "sighting"): ("associate", "visibility_motion"),
 }
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
+FOUND = ("origin", "shift", "information", "vector")  # of the sensors
 
 
 def save(tracker, level: int) -> bytes:
@@ -87,11 +103,14 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
         arrays |= {f"appearance_{name}": getattr(track.appearance, name) for name in SEEN}
     if track.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **_body_arrays(track.body)}
+    if track.sensors is not None:
+        arrays |= {f"sensors_{name}": getattr(track.sensors, name) for name in FOUND}
     numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
     drift = track.drift
     numbers["drift"], arrays["drift_missed"] = [drift.speed2, drift.stored2, drift.hem2], drift.missed
     numbers["elasticity"] = track.strain2
     numbers["view"], numbers["signs"] = track.view._asdict(), dict(track.signs)
+    numbers["sensors"] = None if track.sensors is None else [track.sensors.time, track.sensors.wait]
     numbers["costs"] = track.costs
     return numbers, arrays
 
@@ -123,6 +142,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             body=None if body is None else _body(tracker._setup.body, arrays, tracker._setup.model.mesh.n_vertices),
             anchor=_anchor(tracker, arrays) if "worn_pose" in arrays and body is not None else None,
             view=_view(numbers["view"]),
+            sensors=_sensors(arrays, numbers.get("sensors")),  # absent from earlier snapshots
             signs=_signs(numbers["signs"]),
             costs=_costs(numbers.get("costs")),  # absent from earlier snapshots
             resting=_resting(tracker, arrays),
@@ -256,6 +276,20 @@ def _view(values: dict) -> View:
     if not numbers or len(view.side) != 3 or not (length == 0 or abs(length - 1) < 1e-6):
         raise InvalidSnapshot("snapshot.view", "a share, a unit vector or 0, and a count", str(values))
     return view
+
+
+def _sensors(arrays: dict[str, np.ndarray], values: list | None) -> Sensors | None:
+    if values is None:
+        return None
+    time, wait = values
+    count = len(arrays["sensors_origin"])
+    fresh = sensor_poses.unknown(np.zeros((count, 3)))
+    found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}") for name in FOUND}
+    if not 1 <= count <= MAX_SENSORS or not _like_number(wait, 0):
+        raise InvalidSnapshot("snapshot.sensors", f"1 to {MAX_SENSORS} sensors, and a count", f"{count} sensors, {wait!r}")
+    if np.linalg.eigvalsh(found["information"])[0] < -1e-6 * np.abs(found["information"]).max():
+        raise InvalidSnapshot("snapshot.sensors_information", "a matrix with no negative eigenvalue", "another one")
+    return Sensors(**found, time=_time(time), wait=wait)
 
 
 def _signs(values: dict) -> dict[str, int]:

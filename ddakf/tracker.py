@@ -301,6 +301,7 @@ def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict
         body=contact.learned(problem, estimate, position),
         anchor=body_anchor.learned(problem, position, measured),
         view=problem.last.view,
+        sensors=problem.last.sensors,
         signs=verdict.signs,
         costs=problem.last.costs,
         resting=problem.last.resting,

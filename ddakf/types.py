@@ -294,6 +294,25 @@ class View(NamedTuple):
         return any(self.side)
 
 
+class Sensors(NamedTuple):
+    """C sensors of one stream, and how far each is misplaced."""
+
+    origin: np.ndarray  # (C, 3) m, as last given
+    shift: np.ndarray  # (C, 3) m, from where they are
+    information: np.ndarray  # (3C, 3C) 1/m^2, of the shifts, from the places where two see the same surface
+    vector: np.ndarray  # (3C,) 1/m, that times the shifts
+    time: float | None = None  # s, of the last look; None before the first
+    wait: int = 0  # frames until the next
+
+    @property
+    def common2(self) -> float:
+        """m^2, variance in each direction of what all are misplaced by alike: of the mean of as many as scatter so."""
+        n = len(self.shift)
+        if n < 2:
+            return 0.0
+        return float(((self.shift - self.shift.mean(axis=0)) ** 2).sum()) / (3.0 * (n - 1) * n)
+
+
 class Resting(NamedTuple):
     """Shape in which the cloth is at rest: where tracking started. There gravity and the body balance its folds and strain."""
 
@@ -327,6 +346,7 @@ class Track(NamedTuple):
     body: BodyTrack | None  # None: no body was declared
     anchor: BodyAnchor | None  # None: not known yet
     view: View = View()
+    sensors: Sensors | None = None  # None: there never were several
     signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
     costs: Costs | None = None  # learned in frames with a budget; None: there was none
     resting: Resting | None = None  # None: the rest shape is the template's

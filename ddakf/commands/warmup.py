@@ -30,6 +30,7 @@ def warm(progress: Progress = lambda activity, done, total, name: None) -> None:
     cloud = np.concatenate([cloud, garment.vertices])
     astray = np.array([[0.0, 0.1, 0.5], [0.3, 0.2, 0.3], [-0.4, 0.3, 0.1]])  # what a filter removes
     eye = np.array([0.0, 0.0, 2.0])
+    sensors = np.where(np.concatenate([cloud, astray])[:, 2:] > 0.0, eye, -eye)
     layers = dataclasses.replace(Config(), physics=dataclasses.replace(Config().physics, self_collision=1e8, strain_sd=1e-4))
     working = dataclasses.replace(Config().discretisation, working_vertices_least=100, working_vertices_most=200)
     fine = dataclasses.replace(Config(), discretisation=working)  # the tube is fine beside so few vertices
@@ -38,7 +39,7 @@ def warm(progress: Progress = lambda activity, done, total, name: None) -> None:
     steps = [
         ("cloud alone", None, Config(), dict(sensor_origin=None), (*near, far)),
         ("one camera and a body", body, Config(), dict(sensor_origin=eye, body_vertices=body.vertices), near),
-        ("several cameras", None, Config(), dict(sensor_origin=np.tile(eye, (len(cloud) + len(astray), 1))), near),
+        ("several cameras", None, Config(), dict(sensor_origin=sensors), near),
         ("soft layers that collide", None, layers, dict(sensor_origin=None), near),
         ("a fine template", None, fine, dict(sensor_origin=None), near),
         ("colours", None, Config(), dict(sensor_origin=eye, colors=np.full((len(cloud) + len(astray), 3), 128, np.uint8)), near),

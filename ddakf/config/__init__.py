@@ -16,7 +16,7 @@ from ddakf.config.checked import Checked, bounded, derived
 from ddakf.config.colour import Colour
 from ddakf.config.levels import Coarse, Discretisation, Omission
 from ddakf.config.physics import Physics
-from ddakf.config.plausibility import Sidedness
+from ddakf.config.plausibility import SensorPoses, Sidedness
 from ddakf.config.search import Registration, Relocalization, Start
 from ddakf.config.stages import (
     Anchor,
@@ -73,6 +73,7 @@ __all__ = [
     "Reliability",
     "Relocalization",
     "ResidualNoise",
+    "SensorPoses",
     "Sidedness",
     "SkinRemoval",
     "Start",
@@ -92,6 +93,7 @@ class Config:
     """
 
     sidedness: Sidedness = field(default_factory=Sidedness)
+    sensor_poses: SensorPoses = field(default_factory=SensorPoses)
     start: Start = field(default_factory=Start)
     relocalization: Relocalization = field(default_factory=Relocalization)
     registration: Registration = field(default_factory=Registration)
@@ -133,6 +135,7 @@ class Config:
         return cls(
             discretisation=Discretisation(working_edge=0.0),
             start=Start(search=False),
+            sensor_poses=SensorPoses(sd=0.0),
             predict=ConstantVelocity(damping=0.0, carry_reach=0.0, acceleration_time=10.0),
             preprocess=KnnFilter(),
             coarse=Coarse(iterations=0),

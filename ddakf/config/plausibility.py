@@ -25,3 +25,16 @@ class Sidedness(Checked):
     distance: float = bounded(20.0, 1, 1e4)  # m from the cloud to the place where its sensor is assumed
     blind_error: float = bounded(0.06, 0, 10)  # m, least error of a one-sided cloud without an origin, and of a garment not found
     margin: float = bounded(0.3, 0, 100)  # m around the garment; farther points do not count
+
+
+@dataclass(frozen=True)
+class SensorPoses(Checked):
+    """How far each of several sensors is misplaced, from the places where two of them see the same surface."""
+
+    sd: float = bounded(0.01, 0, 1)  # m, of a sensor's place in each direction; 0: sensors are where they are said to be
+    distance_sd: float = bounded(0.01, 1e-4, 1)  # m, of the distance between two sensors' surfaces around one point
+    memory: float = bounded(3.0, 0.1, 1e4)  # s, time constant with which looks are forgotten
+    interval: int = bounded(3, 1, 1000)  # frames from one look to the next
+    points: int = bounded(8000, 100, 100_000)  # near the garment that are looked at, at most about
+    neighbourhoods: int = bounded(400, 10, 10_000)  # of these points around which surfaces are compared, at most about
+    radius: float = bounded(0.03, 0.005, 0.2)  # m, of such a neighbourhood; up to twice that where points are few

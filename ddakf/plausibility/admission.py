@@ -1,14 +1,14 @@
-"""Admission of a frame: its arguments are checked, and its sensor is estimated where none is given."""
+"""Admission of a frame: its arguments are checked, a sensor that is not given is estimated, and several are aligned."""
 
 from __future__ import annotations
 
-from ddakf.plausibility import sidedness, units
+from ddakf.plausibility import sensor_poses, sidedness, units
 from ddakf.stages import frame_input
 from ddakf.types import FrameInput, Setup, Track
 
 
 def admitted(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, Track]:
-    """The checked frame, and the track with what the cloud says of its sensor.
+    """The checked frame, and the track with what the cloud says of its sensors.
 
     Args:
         setup: constants of the tracker.
@@ -21,4 +21,5 @@ def admitted(setup: Setup, last: Track, given: FrameInput) -> tuple[FrameInput, 
     frame = frame_input.checked(given, last.time, None if setup.body is None else setup.body.mesh)
     units.require_scale(setup, last, frame)
     frame, view = sidedness.seen(setup, last, frame)
-    return frame, last._replace(view=view)
+    frame, sensors = sensor_poses.corrected(setup, last, frame)
+    return frame, last._replace(view=view, sensors=sensors)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from ddakf.config import Config
 from ddakf.mesh import Mesh
-from ddakf.plausibility import handedness, placement, sidedness, units
+from ddakf.plausibility import handedness, placement, sensor_poses, sidedness, units
 from ddakf.results import InputWarning, WarningCode
 from ddakf.stages.reliability import Verdict
 from ddakf.types import Estimate, InputReference, Model, Problem, Sign
@@ -48,6 +48,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
     "body_apart": Check(placement.body_apart, 3),
     "body_off": Check(placement.body_off, 10),
+    "sensors_off": Check(sensor_poses.misplaced, 10),
 }
 
 

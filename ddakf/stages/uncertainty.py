@@ -37,6 +37,8 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
         covariance = _capped(blind, problem.config.uncertainty)
+    if problem.last.sensors is not None:
+        covariance = _capped(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
     widening = omission.widening(problem, estimate)
     if widening > 1.0:
         covariance = _capped(widening**2 * covariance, problem.config.uncertainty)
