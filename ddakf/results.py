@@ -12,6 +12,7 @@ WarningCode = Literal[
     "sensor_origin_missing",
     "nothing_in_reach",
     "length_unit",
+    "garment_size",
     "time_unit",
     "stale_clock",
     "clock_jump",

@@ -72,6 +72,7 @@ MOVED = {  # part and field of the configuration before 19, and since
     ("associate", "turned"): ("associate", "normal_distance"),
     ("associate", "sighting"): ("associate", "visibility_motion"),
 }
+LARGEST = 3.0  # of the logarithm of a stretch
 SEEN = ("mean", "weight", "registered2", "noise2")  # of the appearance
 FOUND = ("origin", "shift", "information", "vector")  # of the sensors
 
@@ -95,8 +96,11 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
     if track.anchor is not None:
         arrays |= {"worn_pose": track.anchor.bound.pose, "worn_position": track.anchor.bound.position}
         arrays |= {f"worn_{name}": getattr(track.anchor, name) for name in LEARNED}
+    arrays["size"] = track.size
     if track.resting is not None:
-        arrays["resting_position"] = track.resting.position
+        arrays["resting_size"] = track.resting.size
+        if track.resting.given:
+            arrays["resting_position"] = track.resting.position
     if track.offset is not None:
         arrays["offset"] = track.offset
     if track.appearance is not None:
@@ -146,6 +150,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             signs=_signs(numbers["signs"]),
             costs=_costs(numbers.get("costs")),  # absent from earlier snapshots
             resting=_resting(tracker, arrays),
+            size=_size(arrays, "size"),
             appearance=_appearance(tracker, arrays),
             offset=like(first.state.position, arrays, "offset") if "offset" in arrays else None,
         )
@@ -220,9 +225,10 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:
+    size, first = _size(arrays, "resting_size"), tracker._track.state.position
     if "resting_position" not in arrays:
-        return None
-    return rigidity.resting(like(tracker._track.state.position, arrays, "resting_position"), tracker._setup)
+        return rigidity.resized(None, size, tracker._setup)
+    return rigidity.resting(like(first, arrays, "resting_position"), tracker._setup, size)
 
 
 def _appearance(tracker, arrays: dict[str, np.ndarray]) -> Appearance | None:
@@ -253,6 +259,16 @@ def _strain2(variance) -> float:
     if isinstance(variance, bool) or not isinstance(variance, int | float) or not 0 <= variance < math.inf:
         raise InvalidSnapshot("snapshot.elasticity", "a finite square", repr(variance))
     return float(variance)
+
+
+def _size(arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """(3, 3); zeros in earlier snapshots."""
+    if name not in arrays:
+        return np.zeros((3, 3))
+    size = like(np.zeros((3, 3)), arrays, name)
+    if np.abs(size).max() > LARGEST or (size != size.T).any():
+        raise InvalidSnapshot(f"snapshot.{name}", f"a symmetric matrix of numbers up to {LARGEST:g}", "another one")
+    return size
 
 
 def _health(values: dict) -> Health:

@@ -18,7 +18,7 @@ from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh, is_number,
 from ddakf.garment import model, working_mesh
 from ddakf.mesh import Mesh, same_mesh
 from ddakf.multiresolution import cluster_alignment, follow
-from ddakf.physics import adaptive_stiffness, energies, rigidity
+from ddakf.physics import adaptive_stiffness, energies, rigidity, size
 from ddakf.planning import omission, plan
 from ddakf.planning.clock import Clock
 from ddakf.plausibility import admission, frame_gate, units, warnings
@@ -94,7 +94,8 @@ class Tracker:
         units.require_start(self.garment, position, velocity)
         track = _start(self._setup, self._working.sampled(position), self._working.sampled(velocity))
         if vertices is not None:
-            track = track._replace(resting=rigidity.resting(track.state.position, self._setup))
+            resting = rigidity.resting(track.state.position, self._setup)
+            track = track._replace(resting=resting, size=resting.size)
         self._track = track
 
     def step(
@@ -152,7 +153,7 @@ class Tracker:
             problem = problem._replace(last=problem.last._replace(view=self._track.view))
             posterior = uncertainty.posterior(problem, estimate)
         posterior, offset = follow.follow(problem, estimate, posterior)
-        track = _learned(problem, estimate, posterior, verdict)._replace(offset=offset)
+        track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
         result = _result(problem, estimate, posterior, verdict, track.shown(posterior.state.position))
         return track, self._working.result(result, track.rotation)
 
@@ -288,9 +289,12 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
     )
 
 
-def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict) -> Track:
+def _learned(
+    setup: Setup, problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict
+) -> Track:
     """The track after a frame."""
     state, position, measured = posterior.state, posterior.state.position, estimate.learnable
+    larger = size.learned(problem, position, measured, verdict.reliability)
     return Track(
         state=state,
         rotation=problem.rotation if estimate.rejected else rigidity.against_template(estimate.rest, problem.resting),
@@ -304,7 +308,8 @@ def _learned(problem: Problem, estimate: Estimate, posterior: Posterior, verdict
         sensors=problem.last.sensors,
         signs=verdict.signs,
         costs=problem.last.costs,
-        resting=problem.last.resting,
+        resting=rigidity.resized(problem.last.resting, larger, setup),
+        size=larger,
         appearance=colour.learned(problem, estimate, posterior, verdict.reliability),
     )
 

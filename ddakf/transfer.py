@@ -50,7 +50,14 @@ def reconfigured(track: Track, setup: Setup) -> Track:
     if anchor is not None:
         new = body_anchor.start(setup, anchor.bound.pose, anchor.bound.position)
         anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip, held=new.held)
-    return track._replace(anchor=anchor, resting=None if resting is None else rigidity.resting(resting.position, setup))
+    return track._replace(anchor=anchor, resting=_again(resting, setup))
+
+
+def _again(shape: Resting | None, setup: Setup) -> Resting | None:
+    """The same rest shape with the constants of another configuration."""
+    if shape is None:
+        return None
+    return rigidity.resting(shape.position, setup, shape.size, shape.given)
 
 
 def _resampled(values: np.ndarray, source: Discretised, target: Discretised) -> np.ndarray:
@@ -102,8 +109,10 @@ def _resting(shape: Resting | None, source: Discretised, target: Discretised, ke
         return None
     if kept is not None and (kept.source is shape.edge or shape.source is kept.edge):
         return kept
+    if not shape.given:
+        return rigidity.resized(None, shape.size, target.setup)._replace(source=shape.edge)
     position = _moved(shape.position, rigidity.rotations(shape.position, source.setup.model), source, target)
-    return rigidity.resting(position, target.setup)._replace(source=shape.edge)
+    return rigidity.resting(position, target.setup, shape.size)._replace(source=shape.edge)
 
 
 def _appearance(appearance: Appearance | None, source: Discretised, target: Discretised) -> Appearance | None:

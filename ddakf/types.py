@@ -321,6 +321,9 @@ class Resting(NamedTuple):
     rotation: np.ndarray  # (V, 3, 3) of the one-rings against the template
     strain: StrainConstants  # of the faces, a share of whose strain there is at rest
     upward: np.ndarray  # (V,) 1/m, forces against what the rest of that strain draws
+    size: np.ndarray  # (3, 3) logarithm of the stretch of the template
+    length: np.ndarray  # (2E,) float32 m, of the one-rings' edges in the template so stretched
+    given: bool  # the caller gave that shape; if not, it is the template so stretched
     source: np.ndarray | None = None  # ``edge`` on the working mesh from which it was carried over; None: it was not
 
 
@@ -350,6 +353,7 @@ class Track(NamedTuple):
     signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
     costs: Costs | None = None  # learned in frames with a budget; None: there was none
     resting: Resting | None = None  # None: the rest shape is the template's
+    size: np.ndarray = np.zeros((3, 3))  # logarithm of the stretch of the template that makes it as large as the garment
     appearance: Appearance | None = None  # None: no frame had colours
     offset: np.ndarray | None = None  # (V, 3) m, by which hidden cloth is shown off its state; None: by nothing
 

@@ -31,12 +31,16 @@ def rest_frames(mesh: Mesh, warp=None) -> RestFrames:
     Raises:
         InvalidConfig: ``warp`` of another shape, or not finite.
     """
-    corners = mesh.vertices[mesh.faces]
+    return frames_of(mesh.vertices[mesh.faces], None if warp is None else _checked_warp(warp, mesh.n_faces))
+
+
+def frames_of(corners: np.ndarray, warp: np.ndarray | None = None) -> RestFrames:
+    """The same of (F, 3, 3) ``corners``, metres, with a direction (F, 3) of each."""
     edge1, edge2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     normal = np.cross(edge1, edge2)
     double_area = np.linalg.norm(normal, axis=1)
     normal = normal / double_area[:, None]
-    u = _unit(edge1) if warp is None else _warp_in_plane(_checked_warp(warp, mesh.n_faces), normal, edge1)
+    u = _unit(edge1) if warp is None else _warp_in_plane(warp, normal, edge1)
     v = np.cross(normal, u)
     # p(a, b) = p0 + a edge1 + b edge2 over rest coordinates: invert the 2x2 matrix of the edges in (u, v)
     u1, v1 = _dot(edge1, u), _dot(edge1, v)

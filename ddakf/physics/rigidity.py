@@ -15,27 +15,57 @@ from ddakf.body import weight as cloth_weight
 from ddakf.config import Physics
 from ddakf.kernels import rigidity as kernels
 from ddakf.kernels.rigidity import LocalRigidity
+from ddakf.kernels.strain import StrainConstants
+from ddakf.physics import size as sizes
 from ddakf.physics import strain
 from ddakf.types import Model, Resting, Setup
 
+NOTICED = 0.01  # strain from which on a garment of another size is at rest in another shape
 
-def resting(position: np.ndarray, setup: Setup) -> Resting:
+
+def resting(position: np.ndarray, setup: Setup, size: np.ndarray | None = None, given: bool = True) -> Resting:
     """The rest shape with which :func:`to_rest` exerts no force at (V, 3) ``position``, metres, where that is a shape of cloth,
     and stretch and shear little.
 
     There s = x_j - x_i. Cloth folds and hardly stretches: a ring strained by ``start_strain`` has half of its shape from the
-    template, and one that noise has strained farther nearly all.
+    template, and one that noise has strained farther nearly all. That strain is against the template at the size of the position;
+    at another ``size`` (3, 3) cloth at rest differs as much from a template of that size.
     """
     model, strain_sd, kept = setup.model, setup.config.physics.start_strain, setup.config.physics.start_strain_kept
+    first = sizes.at_start(position, model, setup.config.physics)
+    size = first if size is None else size
+    rest_edge, constants = _of_size(model, first)
     row, degree = np.repeat(np.arange(len(position)), np.diff(model.start)), np.maximum(np.diff(model.start), 1)
     edge, rotation = edges(position, model), rotations(position, model)
-    length, rest_length = (np.linalg.norm(each, axis=1) for each in (edge, model.rest_edge))
+    length, rest_length = (np.linalg.norm(each, axis=1) for each in (edge, rest_edge))
     strain2 = np.bincount(row, np.square(length / np.maximum(rest_length, 1e-12) - 1.0), len(position)) / degree
     share = 1.0 / (1.0 + 0.5 * (strain2[row] + strain2[model.neighbour]) / strain_sd**2)
-    turned = np.einsum("eab,eb->ea", 0.5 * (rotation[row] + rotation[model.neighbour]), model.rest_edge)
-    shape = (turned + share[:, None] * (edge - turned)).astype(np.float32)
-    strained = strain.at_start(model.strain, position, kept, strain_sd)
-    return Resting(position, shape, rotation, strained, cloth_weight.at_start(position, strained, setup))
+    along = 0.5 * (rotation[row] + rotation[model.neighbour])
+    turned = np.einsum("eab,eb->ea", along, rest_edge)
+    shape = turned + share[:, None] * (edge - turned)
+    strained = strain.at_start(constants, position, kept, strain_sd)
+    upward = cloth_weight.at_start(position, strained, setup)
+    if not np.array_equal(size, first):
+        now, constants_now = _of_size(model, size)
+        shape += np.einsum("eab,eb->ea", along, now - rest_edge)
+        strained, rest_length = strain.at_start(constants, position, kept, strain_sd, constants_now), np.linalg.norm(now, axis=1)
+    return Resting(position, shape.astype(np.float32), rotation, strained, upward, size, rest_length.astype(np.float32), given)
+
+
+def _of_size(model: Model, size: np.ndarray) -> tuple[np.ndarray, StrainConstants]:
+    """Edges of the one-rings (2E, 3), metres, and constants of the faces of the template at a size (3, 3)."""
+    if not size.any():
+        return model.rest_edge, model.strain
+    return sizes.stretched(model.rest_edge, size), strain.of_shape(model.strain, sizes.stretched(model.mesh.vertices, size))
+
+
+def resized(shape: Resting | None, size: np.ndarray, setup: Setup) -> Resting | None:
+    """The rest shape at a size (3, 3) that differs noticeably from its own; None: the template."""
+    if np.abs(size - (0.0 if shape is None else shape.size)).max() < NOTICED:
+        return shape
+    if shape is not None and shape.given:
+        return resting(shape.position, setup, size)
+    return resting(sizes.stretched(setup.model.mesh.vertices, size), setup, size, given=False)
 
 
 def to_rest(model: Model, weight: float, rotation: np.ndarray, share: float = 0.0, shape: Resting | None = None) -> LocalRigidity:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ddakf.kernels.strain import StrainConstants
 from ddakf.mesh import Mesh
-from ddakf.physics.rest import rest_frames
+from ddakf.physics.rest import frames_of, rest_frames
 
 SMALLEST = 1e-3  # squared length at rest, over that of the template: a face that has collapsed at the start has none
 
@@ -27,12 +27,22 @@ def build(mesh: Mesh) -> StrainConstants:
     return StrainConstants(corner.astype(np.uint32), np.searchsorted(keys, pairs).astype(np.uint32), warp, weft, frames.area)
 
 
-def at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> StrainConstants:
+def of_shape(constants: StrainConstants, vertices: np.ndarray) -> StrainConstants:
+    """The constants of a garment whose shape at rest has its (V, 3) vertices there, metres."""
+    frames = frames_of(vertices[constants.corner])
+    return constants._replace(warp=frames.warp, weft=frames.weft, area=frames.area)
+
+
+def at_start(
+    constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float, now: StrainConstants | None = None
+) -> StrainConstants:
     """The constants of a garment that starts at (V, 3) ``position``, metres, where a share of its strain is at rest.
 
     Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
     shows it. With D = [w_u w_v] of a face at the start and C = D'D, its metric at rest becomes B = I + s (C - I), for which the
     tangents are D B^-1/2. The share s is ``kept``, and half of that for a face strained by ``strain_sd``.
+
+    Changed as much, if given, are the constants ``now``, of the garment at another size.
     """
     corner = position[constants.corner]
     sides = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2)
@@ -43,6 +53,8 @@ def at_start(constants: StrainConstants, position: np.ndarray, kept: float, stra
     share = kept / (1.0 + strain2 / strain_sd**2)
     values, vectors = np.linalg.eigh(np.eye(2) + share[:, None, None] * excess)
     root = np.einsum("fab,fb,fcb->fac", vectors, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), vectors)
+    if now is not None:
+        constants, coefficient = now, np.stack([now.warp[:, 1:], now.weft[:, 1:]], axis=2)
     warp, weft = np.moveaxis(coefficient @ root, 2, 0)
     return constants._replace(warp=_from_first(warp), weft=_from_first(weft))
 

@@ -19,6 +19,7 @@ NEAR = 0.01  # share of the points about the garment with which a large cloud is
 LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
 LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
 LARGEST = 10.0  # m: no garment is
+OTHER_SIZE = 0.05  # growth along an axis of the template, from which on it is of another size
 LIKE = 3.0  # ratio of two time steps that are alike
 POSE = 1.6  # a pose, or a view, changes a size by less
 UNITS = {1000.0: "millimetres", 100.0: "centimetres", 39.37: "inches"}  # in a metre
@@ -85,6 +86,15 @@ def length_unit(problem: Problem, estimate: Estimate) -> Sign | None:
     if garment / SMALLEST < size < SCALE * garment or (size > garment and not problem.cloud.empty):
         return None
     return Sign("points", f"the cloud is {size:.3g} m in size and the garment {garment:.2g} m{_as_if(size / garment)}")
+
+
+def garment_size(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a template of another size than the garment."""
+    growth = np.expm1(np.diag(problem.last.size))
+    if np.abs(growth).max() < OTHER_SIZE:
+        return None
+    along = ", ".join(f"{100.0 * share:+.0f} % along {axis}" for share, axis in zip(growth, "xyz", strict=True))
+    return Sign("garment", f"the garment is larger or smaller than its template, by {along}, and is tracked in that size")
 
 
 def time_unit(problem: Problem, estimate: Estimate) -> Sign | None:

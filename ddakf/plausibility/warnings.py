@@ -37,6 +37,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "sensor_origin_missing": Check(_sensor_origin_missing, 1),
     "nothing_in_reach": Check(placement.nothing_in_reach, 5),
     "length_unit": Check(units.length_unit, 2, spaced=True),
+    "garment_size": Check(units.garment_size, 10, spaced=True),
     "time_unit": Check(units.time_unit, 2),
     "stale_clock": Check(units.stale_clock, 3),
     "clock_jump": Check(units.clock_jump, 1),

@@ -12,6 +12,7 @@ from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.physics import rigidity
+from ddakf.physics.size import stretched
 from ddakf.search.nonrigid_registration import NO_TURN, Target, register, rows
 from ddakf.stages import skin_removal
 from ddakf.types import Drift, FrameInput, Health, Model, Problem, State
@@ -25,6 +26,7 @@ class Search(NamedTuple):
     model: Model
     target: Target  # the cloud
     config: Config
+    size: np.ndarray = np.zeros((3, 3))  # logarithm of the stretch of the template
 
 
 class CandidatePose(NamedTuple):
@@ -267,7 +269,7 @@ def locate(problem: Problem) -> Problem:
     turn = config.start.to_y_up  # the search turns garments about y
     shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
-        shapes.append(model.mesh.vertices)
+        shapes.append(stretched(model.mesh.vertices, problem.last.size))
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
     if staying < rule.in_place_cost:
@@ -275,7 +277,8 @@ def locate(problem: Problem) -> Problem:
     unseen = problem.dt + health.empty_for + health.poor_for
     doubt = rule.heading_doubt if health.state == "initializing" else 0.0
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
-    search, shapes = Search(model, _target(frame, config), config), [shape @ turn.T for shape in shapes]
+    search = Search(model, _target(frame, config), config, problem.last.size)
+    shapes = [shape @ turn.T for shape in shapes]
     found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
@@ -375,11 +378,12 @@ def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tupl
     """
     model, config, trial = search.model, search.config.relocalization, search.config.registration.trial()
     trials, squared = [], np.empty(len(shapes[0]))
+    rest_length = np.linalg.norm(stretched(model.rest_edge, search.size), axis=1)
     for k, shape in enumerate(shapes):
         for pose in candidate_poses(shape, search, prior)[: config.candidates]:
             registered = register(pose.apply(shape), search.target, model, trial)
             cost = cost_in_place(registered, search)
-            strain = math.sqrt(strains(registered, model.start, model.neighbour, model.rest_length, squared))
+            strain = math.sqrt(strains(registered, model.start, model.neighbour, rest_length, squared))
             total = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
             order = _negative_log_posterior(total, config.registered_samples, prior)
             trials.append((order, len(trials), cost, registered, total))

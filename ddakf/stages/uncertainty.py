@@ -21,6 +21,7 @@ from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.uncertainty import MeasuredPlanes, PatchMeans, PatchSums
+from ddakf.physics.size import rest_length
 from ddakf.planning import omission
 from ddakf.stages import error_size, predict
 from ddakf.stages.error_size import PatchEvidence
@@ -189,7 +190,7 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
     sums = PatchSums(*map(np.empty, ((n,), (n,), (n, 6), (n, 3), (n, 4), (n, 4), (n,), (n,))))
     means = PatchMeans(*map(np.empty, ((n, 6), (n,), (n,), (n,), (n,), (n,))))
     isotropic = isinstance(problem.config.associate, NearestPoint)
-    strains(surface.position, model.start, model.neighbour, model.rest_length, ring_strain)
+    strains(surface.position, model.start, model.neighbour, rest_length(problem), ring_strain)
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
     prior = problem.prior.position
     kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)

@@ -95,6 +95,8 @@ class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     WARNING_CODE_WRONG_UP: _ClassVar[WarningCode]
     WARNING_CODE_SPLIT_SEAMS: _ClassVar[WarningCode]
     WARNING_CODE_BODY_OFF: _ClassVar[WarningCode]
+    WARNING_CODE_SENSORS_OFF: _ClassVar[WarningCode]
+    WARNING_CODE_GARMENT_SIZE: _ClassVar[WarningCode]
 
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -161,6 +163,8 @@ WARNING_CODE_HEADING_UNCERTAIN: WarningCode
 WARNING_CODE_WRONG_UP: WarningCode
 WARNING_CODE_SPLIT_SEAMS: WarningCode
 WARNING_CODE_BODY_OFF: WarningCode
+WARNING_CODE_SENSORS_OFF: WarningCode
+WARNING_CODE_GARMENT_SIZE: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind

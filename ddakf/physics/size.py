@@ -1,0 +1,96 @@
+"""Stage E, size: how large the worn garment is against its template (not in the paper).
+
+A template may be of another size than what is worn: cut for somebody else, captured at another scale, of another fabric. Cloud
+and forces then agree in the middle, and all seen cloth is strained alike. So the template is stretched by a symmetric matrix
+until no such strain is left. Strain up to the slack is that of cloth in its own weight.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ddakf.config import Physics
+from ddakf.kernels import size as kernels
+from ddakf.types import Model, Problem
+
+LONGEST_LESSON = 0.04  # s that a frame counts for, at most
+ALIKE = 0.01  # weight of the edges with which the matrix is a multiple of the identity: no edge shows it across a sheet
+BELIEVED = 0.1  # root mean square strain of what is left, from which a start is believed by half
+
+
+def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
+    """(3, 3) logarithm of the stretch of a garment that starts at (V, 3) ``position``, metres.
+
+    Noise of a start strains the edges unevenly, and makes them longer. So the more their strains differ, the less it counts.
+    """
+    if config.size_memory == 0:
+        return np.zeros((3, 3))
+    strain, _ = _strain(position, np.ones(len(position), bool), model, model.rest_length)
+    row = np.repeat(np.arange(len(position)), np.diff(model.start))
+    length = np.linalg.norm(position[model.neighbour] - position[row], axis=1)
+    direction = model.rest_edge / np.maximum(model.rest_length, 1e-12)[:, None]
+    left = length / np.maximum(model.rest_length, 1e-12) - 1.0 - np.einsum("ea,ab,eb->e", direction, strain, direction)
+    return _bounded(_beyond(strain, config.size_slack_start) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
+
+
+def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliability: float) -> np.ndarray:
+    """(3, 3) logarithm of the stretch after a frame: it follows the strain that the measured edges have in common.
+
+    Nothing is learned while the garment's place is not known, or less than ``strain_coverage`` of the edges is measured. A frame
+    counts for at most a time.
+
+    Args:
+        problem: the frame.
+        position: (V, 3) the posterior, metres.
+        measured: (V,) bool.
+        reliability: of the frame, by which it counts.
+    """
+    size, config, model = problem.last.size, problem.config.physics, problem.model
+    if config.size_memory == 0 or problem.last.health.unplaced:
+        return size
+    strain, share = _strain(position, measured, model, rest_length(problem))
+    if share < config.strain_coverage:
+        return size
+    new = reliability * (1.0 - math.exp(-min(problem.dt, LONGEST_LESSON) / config.size_memory))
+    alike = np.trace(strain) / 3.0 * np.eye(3)
+    grown = _beyond(alike, config.size_slack) + _beyond(strain - alike, config.size_slack_across)
+    return _bounded(size + new * grown, config)
+
+
+def rest_length(problem: Problem) -> np.ndarray:
+    """(2E,) float32 metres, of the edges at rest."""
+    return problem.model.rest_length if problem.resting is None else problem.resting.length
+
+
+def stretched(points: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(N, 3) points or edges of the template, metres, at a size (3, 3)."""
+    values, vectors = np.linalg.eigh(size)
+    return points @ ((vectors * np.exp(values)) @ vectors.T).astype(points.dtype)
+
+
+def _strain(position: np.ndarray, measured: np.ndarray, model: Model, length: np.ndarray) -> tuple[np.ndarray, float]:
+    """(3, 3) strain that the measured edges have in common, beyond that of their ``length`` at rest, and their share."""
+    matrix, vector = np.zeros((6, 6)), np.zeros(6)
+    n = kernels.accumulate(position, measured, model.start, model.neighbour, model.rest_edge, length, matrix, vector)
+    if n == 0:
+        return np.zeros((3, 3)), 0.0
+    matrix += np.tril(matrix, -1).T
+    matrix[:3, :3] += ALIKE * n * (np.eye(3) - 1.0 / 3.0)
+    matrix[3:, 3:] += 2.0 * ALIKE * n * np.eye(3)
+    xx, yy, zz, xy, xz, yz = np.linalg.solve(matrix + 1e-9 * n * np.eye(6), vector)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), 2.0 * n / len(length)
+
+
+def _beyond(strain: np.ndarray, slack: float) -> np.ndarray:
+    """The strain, its principal values nearer to 0 by the slack."""
+    values, vectors = np.linalg.eigh(strain)
+    return (vectors * np.copysign(np.maximum(np.abs(values) - slack, 0.0), values)) @ vectors.T
+
+
+def _bounded(size: np.ndarray, config: Physics) -> np.ndarray:
+    values, vectors = np.linalg.eigh(size)
+    most = math.log1p(config.size_most)
+    bounded = (vectors * np.clip(values, -most, most)) @ vectors.T
+    return 0.5 * (bounded + bounded.T)

@@ -1,0 +1,179 @@
+"""The garment's size: what all edges are strained by alike is a stretch of the template, learned where it is seen all around."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from ddakf import Config, Mesh, Tracker, snapshot
+from ddakf.errors import InvalidSnapshot
+from ddakf.evaluation.sensors import Sensor
+from ddakf.garment import model
+from ddakf.physics import rigidity, size
+from tests.stages.scenes import FPS, rms, scan, tube
+from tests.tracker_runs import EYE, SAMPLE, SHIRT, assert_same
+
+TUBE = tube()
+GARMENT = model.build(TUBE, Config())
+NUMBERS = Config().physics
+OF_ONE_SIZE = dataclasses.replace(Config(), physics=dataclasses.replace(NUMBERS, size_memory=0.0))
+STRETCH = np.array([[0.05, 0.01, -0.02], [0.01, -0.04, 0.0], [-0.02, 0.0, 0.02]])
+
+
+def worn(scale, config=None, frames=30, **how):
+    """A tracker of the sample with a template so large, after frames from all around, and its errors in metres."""
+    tracker, rng, errors = Tracker(Mesh(SHIRT.vertices * scale, SHIRT.faces), config=config), np.random.default_rng(1), []
+    start = SAMPLE.garment_vertices[0]
+    tracker.reset(vertices=start if how.get("placed") else start.mean(axis=0) + (start - start.mean(axis=0)) * scale)
+    for k in range(1, frames + 1):
+        cloud = Sensor("full").capture(SAMPLE, k, rng)
+        result = tracker.step(cloud.points, timestamp=k / FPS, sensor_origin=cloud.sensor_origin)
+        errors.append(rms(result.vertices - SAMPLE.garment_vertices[k]))
+    return tracker, np.array(errors)
+
+
+def strain_of(position, measured=None):
+    measured = np.ones(len(position), bool) if measured is None else measured
+    return size._strain(position, measured, GARMENT, GARMENT.rest_length)
+
+
+def test_a_stretch_of_the_whole_template_is_found():
+    found, share = strain_of(TUBE.vertices @ (np.eye(3) + STRETCH))
+    assert share == 1.0
+    np.testing.assert_allclose(found, STRETCH, atol=0.006)
+
+
+def test_a_rigid_motion_is_no_stretch():
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    assert np.abs(strain_of(TUBE.vertices @ turn.T + [1.0, 2.0, 3.0])[0]).max() < 1e-6
+
+
+def test_only_edges_that_are_measured_count():
+    upper = TUBE.vertices[:, 1] > 0.2
+    position = np.where(upper[:, None], 1.05 * TUBE.vertices, TUBE.vertices)
+    found, share = strain_of(position, upper)
+    np.testing.assert_allclose(found, 0.05 * np.eye(3), atol=2e-3)
+    assert 0.3 < share < 0.6
+    none, share = strain_of(position, np.zeros(len(position), bool))
+    assert not none.any()
+    assert share == 0.0
+
+
+def test_across_a_sheet_it_is_the_mean_of_its_other_directions():
+    x, y = np.meshgrid(np.arange(8) * 0.03, np.arange(8) * 0.03)
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(64)], axis=1)
+    corner = (np.arange(7)[:, None] * 8 + np.arange(7)).ravel()
+    faces = np.concatenate([np.stack([corner, corner + 1, corner + 8], 1), np.stack([corner + 1, corner + 9, corner + 8], 1)])
+    sheet = model.build(Mesh(vertices, faces), Config())
+    found, _ = size._strain(vertices * [1.06, 1.02, 1.0], np.ones(64, bool), sheet, sheet.rest_length)
+    assert found[2, 2] == pytest.approx(0.04, abs=0.01)
+    assert found[0, 0] > found[2, 2] > found[1, 1]
+
+
+@pytest.mark.parametrize("scale", [0.93, 1.0, 1.05])
+def test_a_start_has_the_size_that_it_shows_up_to_the_slack(scale):
+    found = size.at_start(scale * TUBE.vertices, GARMENT, NUMBERS)
+    expected = np.sign(scale - 1.0) * max(abs(scale - 1.0) - NUMBERS.size_slack, 0.0)
+    np.testing.assert_allclose(found, expected * np.eye(3), atol=4e-3)
+
+
+def test_noise_of_a_start_is_no_size():
+    noisy = TUBE.vertices + 0.03 * np.random.default_rng(1).normal(size=TUBE.vertices.shape)
+    assert np.abs(size.at_start(noisy, GARMENT, NUMBERS)).max() < 0.3 * np.abs(strain_of(noisy)[0]).max()
+
+
+@pytest.mark.parametrize("scale", [[0.95, 0.95, 0.95], [1.05, 1.05, 1.05], [1.05, 0.98, 1.05]], ids=str)
+def test_a_template_of_another_size_is_followed_nearly_as_the_right_one(scale):
+    _, right = worn(1.0)
+    tracker, errors = worn(np.array(scale))
+    _, given = worn(np.array(scale), OF_ONE_SIZE)
+    assert errors[-10:].mean() < 1.5 * right[-10:].mean()
+    assert errors[-10:].mean() < 0.8 * given[-10:].mean()
+    np.testing.assert_allclose(np.diag(tracker._track.size), -np.log(scale), atol=0.02)
+
+
+@pytest.mark.parametrize("scale", [[0.95, 0.95, 0.95], [1.05, 0.98, 1.05]], ids=str)
+def test_where_the_caller_places_a_garment_of_another_size_it_has_that_size_at_once(scale):
+    tracker, errors = worn(np.array(scale), frames=5, placed=True)
+    assert errors.mean() < 1.2 * worn(1.0, frames=5)[1].mean()
+    np.testing.assert_allclose(np.diag(tracker._track.size), -np.log(scale), atol=0.01)
+
+
+def test_a_garment_of_its_templates_size_keeps_it():
+    tracker, _ = worn(1.0)
+    assert np.abs(tracker._track.size).max() < 0.005
+
+
+def test_one_side_teaches_no_size():
+    tracker = Tracker(Mesh(1.05 * TUBE.vertices, TUBE.faces))
+    for k in range(10):
+        points = scan(TUBE.vertices, TUBE, 6000, 0.002, seed=k)
+        tracker.step(points[points[:, 2] > 0.02], timestamp=k / FPS, sensor_origin=EYE)
+    assert not tracker._track.size.any()
+
+
+def test_the_papers_preset_has_the_templates_size():
+    tracker, _ = worn(1.05, Config.paper(), frames=2, placed=True)
+    assert not tracker._track.size.any()
+    assert not tracker._track.resting.size.any()
+
+
+def test_size_is_bounded():
+    tracker = Tracker(Mesh(1.5 * TUBE.vertices, TUBE.faces))
+    tracker.reset(vertices=TUBE.vertices)
+    assert np.linalg.eigvalsh(tracker._track.size)[0] == pytest.approx(-np.log1p(NUMBERS.size_most), abs=1e-6)
+
+
+def test_a_shape_at_rest_is_made_anew_only_where_its_size_has_changed():
+    tracker = Tracker(TUBE)
+    tracker.reset(vertices=TUBE.vertices)
+    shape, setup = tracker._track.resting, tracker._setup
+    assert rigidity.resized(shape, shape.size + 0.5 * rigidity.NOTICED * np.eye(3), setup) is shape
+    larger = rigidity.resized(shape, shape.size + 0.05 * np.eye(3), setup)
+    np.testing.assert_allclose(larger.length, np.exp(0.05) * shape.length, rtol=1e-5)
+    np.testing.assert_allclose(larger.edge, np.exp(0.05) * shape.edge, atol=1e-4)
+    assert rigidity.resized(None, np.zeros((3, 3)), setup) is None
+    assert not rigidity.resized(None, 0.05 * np.eye(3), setup).given
+
+
+@pytest.mark.parametrize("placed", [False, True])
+def test_a_snapshot_has_the_size(placed):
+    tracker, _ = worn(1.05, frames=12, placed=placed)
+    assert np.abs(tracker._track.size).max() > 0.01
+    goes_on_exactly(tracker)
+
+
+def test_a_snapshot_has_the_size_of_a_garment_that_nobody_placed():
+    tracker = Tracker(Mesh(0.93 * TUBE.vertices, TUBE.faces))
+    for k in range(30):
+        tracker.step(scan(TUBE.vertices, TUBE, 4000, 0.002, seed=k), timestamp=k / FPS)
+    assert tracker._track.resting is not None
+    assert not tracker._track.resting.given
+    twin = Tracker.restore(tracker.snapshot())
+    points = scan(TUBE.vertices, TUBE, 4000, 0.002, seed=30)
+    assert_same(*(each.step(points, timestamp=1.0) for each in (tracker, twin)))
+
+
+def goes_on_exactly(tracker):
+    twin, rng = Tracker.restore(tracker.snapshot()), np.random.default_rng(2)
+    for k in range(13, 17):
+        points = Sensor("full").capture(SAMPLE, k, rng).points
+        assert_same(*(each.step(points, timestamp=k / FPS) for each in (tracker, twin)))
+    assert twin.snapshot() == tracker.snapshot()
+
+
+@pytest.mark.parametrize("name", ["size", "resting_size"])
+@pytest.mark.parametrize("value", [np.zeros((2, 2)), np.full((3, 3), np.inf), np.triu(np.ones((3, 3))), 9.0 * np.eye(3)])
+def test_a_size_that_is_none_is_refused(name, value):
+    numbers, arrays = snapshot.parts(worn(1.05, frames=2, placed=True)[0])
+    with pytest.raises(InvalidSnapshot, match=name):
+        Tracker.restore(snapshot.pack(numbers, arrays | {name: value}))
+
+
+def test_a_lighter_tracker_goes_on_with_the_size_and_its_shape():
+    tracker, errors = worn(1.05, placed=True)
+    lighter = tracker.configured(Config.fast())
+    np.testing.assert_array_equal(lighter._track.size, tracker._track.size)
+    cloud = Sensor("full").capture(SAMPLE, 31, np.random.default_rng(1))
+    found = lighter.step(cloud.points, timestamp=31 / FPS).vertices
+    assert rms(found - SAMPLE.garment_vertices[31]) < 1.5 * errors[-5:].mean()
