@@ -55,8 +55,8 @@ def test_a_slide_that_only_colours_show_is_followed():
 
 
 def first_frame(start: np.ndarray, colours: bool) -> tuple[ddakf.Tracker, ddakf.FrameResult]:
-    """A tracker that starts at (V, 3) and has seen the sheet's plane once."""
-    tracker = ddakf.Tracker(SHEET)
+    """A tracker that starts at (V, 3) and has seen the sheet's plane once. It takes the template's size for right."""
+    tracker = ddakf.Tracker(SHEET, config=ddakf.Config.from_dict({"physics": {"size_memory": 0.0}}))
     tracker.reset(vertices=start)
     points, colors = seen(Texture("print"), np.zeros(3))
     return tracker, tracker.step(points, timestamp=0.0, sensor_origin=ORIGIN, colors=colors if colours else None)
