@@ -64,7 +64,7 @@ def resized(shape: Resting | None, size: np.ndarray, setup: Setup) -> Resting | 
     if np.abs(size - (0.0 if shape is None else shape.size)).max() < NOTICED:
         return shape
     if shape is not None and shape.given:
-        return resting(shape.position, setup, size)
+        return resting(shape.position, setup, size)._replace(source=shape.source)
     return resting(sizes.stretched(setup.model.mesh.vertices, size), setup, size, given=False)
 
 

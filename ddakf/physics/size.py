@@ -39,7 +39,7 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliab
     """(3, 3) logarithm of the stretch after a frame: it follows the strain that the measured edges have in common.
 
     Nothing is learned while the garment's place is not known, or less than ``strain_coverage`` of the edges is measured. A frame
-    counts for at most a time.
+    counts for at most ``LONGEST_LESSON``.
 
     Args:
         problem: the frame.

@@ -177,3 +177,8 @@ def test_a_lighter_tracker_goes_on_with_the_size_and_its_shape():
     cloud = Sensor("full").capture(SAMPLE, 31, np.random.default_rng(1))
     found = lighter.step(cloud.points, timestamp=31 / FPS).vertices
     assert rms(found - SAMPLE.garment_vertices[31]) < 1.5 * errors[-5:].mean()
+    grown = lighter._track.size + 0.05 * np.eye(3)
+    lighter._track = lighter._track._replace(size=grown, resting=rigidity.resized(lighter._track.resting, grown, lighter._setup))
+    tracker.continue_from(lighter)
+    assert tracker._track.resting.source is None  # the shape of the start itself, and none that was carried over
+    np.testing.assert_array_equal(tracker._track.size, grown)
