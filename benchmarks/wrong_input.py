@@ -132,6 +132,11 @@ def mistakes() -> dict:
         poses.append(frame.body_vertices)
         return dataclasses.replace(frame, body_vertices=poses[-4:][0])
 
+    def misplaced(frame):
+        _, sensor = np.unique(frame.sensor_origin, axis=0, return_inverse=True)
+        shift = CAMERAS_OFF[sensor.ravel()]
+        return points(lambda p: p + shift)(origin(lambda f: f.sensor_origin + shift)(frame))
+
     return {
         "none": lambda frame: frame,
         "no sensor origin": origin(lambda frame: None),
@@ -150,10 +155,16 @@ def mistakes() -> dict:
         "z taken for the vertical, with a body": lambda frame: frame,
         "body on its head": lambda frame: frame,
         "template split along a seam": lambda frame: frame,
+        "template 8 % too small, all around": lambda frame: frame,
+        "four cameras, 10 mm off": misplaced,
     }
 
 
+CAMERAS_OFF = 0.01 * np.array([[1, 0, 0], [0, 0, -1], [-1, 0, 0], [0, 1, 0]])  # m, from where they are
 VERTICAL = {"z taken for the vertical, with a body": "z", "body on its head": "-y"}  # of the mistakes in the configuration
+
+
+VIEWS = {"body": "front+body", "all around": "full", "four cameras": "ring4"}  # by a part of a mistake's name; else one camera
 
 
 def split(sequence: Sequence) -> Sequence:
@@ -174,9 +185,13 @@ def split(sequence: Sequence) -> Sequence:
 def mistake(case: tuple[str, int]) -> list[str]:
     """What the tracker says about a mistake, in lines."""
     name, frames = case
-    source = source_of("sample", "front+body" if "body" in name else "front", frames, "truth")
+    view = next((view for part, view in VIEWS.items() if part in name), "front")
+    source = source_of("sample", view, frames, "truth")
     if "split" in name:
         source = dataclasses.replace(source, sequence=split(source.sequence))
+    if "too small" in name:
+        small = dataclasses.replace(source.sequence, garment_rest=0.92 * source.sequence.template)
+        source = dataclasses.replace(source, sequence=small)
     config = dataclasses.replace(ddakf.Config(), start=Start(up=VERTICAL.get(name, "y")))
     run = track(map(mistakes()[name], source), source, config)
     lines = [f"{name}: {dict(run.states)}"]
