@@ -2,7 +2,8 @@
 
 A template may be of another size than what is worn: cut for somebody else, captured at another scale, of another fabric. Cloud
 and forces then agree in the middle, and all seen cloth is strained alike. So the template is stretched by a symmetric matrix
-until no such strain is left. Strain up to the slack is that of cloth in its own weight.
+until hardly any such strain is left. What may be left is that of cloth in its own weight, and more until the garment has once
+been found to be of another size.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ BELIEVED = 0.1  # root mean square strain of what is left, from which a start is
 def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     """(3, 3) logarithm of the stretch of a garment that starts at (V, 3) ``position``, metres.
 
-    Noise of a start strains the edges unevenly, and makes them longer. So the more their strains differ, the less it counts.
+    Cloth in motion is strained too, so that a start is of its template's size up to ``size_start``. Noise of a start strains the
+    edges unevenly, and makes them longer. So the more their strains differ, the less it counts.
     """
     if config.size_memory == 0:
         return np.zeros((3, 3))
@@ -32,7 +34,9 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     length = np.linalg.norm(position[model.neighbour] - position[row], axis=1)
     direction = model.rest_edge / np.maximum(model.rest_length, 1e-12)[:, None]
     left = length / np.maximum(model.rest_length, 1e-12) - 1.0 - np.einsum("ea,ab,eb->e", direction, strain, direction)
-    return _bounded(_beyond(strain, config.size_slack_start) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
+    if np.abs(np.linalg.eigvalsh(strain)).max() < config.size_start:
+        return np.zeros((3, 3))
+    return _bounded(_beyond(strain, config.size_slack) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliability: float) -> np.ndarray:
@@ -54,8 +58,8 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliab
     if share < config.strain_coverage:
         return size
     new = reliability * (1.0 - math.exp(-min(problem.dt, LONGEST_LESSON) / config.size_memory))
-    alike = np.trace(strain) / 3.0 * np.eye(3)
-    grown = _beyond(alike, config.size_slack) + _beyond(strain - alike, config.size_slack_across)
+    alike, doubt = np.trace(strain) / 3.0 * np.eye(3), 1.0 if size.any() else config.size_doubt
+    grown = _beyond(alike, doubt * config.size_slack) + _beyond(strain - alike, doubt * config.size_slack_across)
     return _bounded(size + new * grown, config)
 
 
