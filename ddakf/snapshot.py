@@ -227,7 +227,7 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:
     size, first = _size(arrays, "resting_size"), tracker._track.state.position
     if "resting_position" not in arrays:
-        return rigidity.resized(None, size, tracker._setup)
+        return rigidity.of_template(size, tracker._setup) if "resting_size" in arrays else None
     return rigidity.resting(like(first, arrays, "resting_position"), tracker._setup, size)
 
 
@@ -303,6 +303,8 @@ def _sensors(arrays: dict[str, np.ndarray], values: list | None) -> Sensors | No
     found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}") for name in FOUND}
     if not 1 <= count <= MAX_SENSORS or not _like_number(wait, 0):
         raise InvalidSnapshot("snapshot.sensors", f"1 to {MAX_SENSORS} sensors, and a count", f"{count} sensors, {wait!r}")
+    if np.linalg.norm(found["shift"], axis=1).max() > 1.001 * sensor_poses.FARTHEST:
+        raise InvalidSnapshot("snapshot.sensors_shift", f"at most {sensor_poses.FARTHEST:g} m", "more")
     if np.linalg.eigvalsh(found["information"])[0] < -1e-6 * np.abs(found["information"]).max():
         raise InvalidSnapshot("snapshot.sensors_information", "a matrix with no negative eigenvalue", "another one")
     return Sensors(**found, time=_time(time), wait=wait)

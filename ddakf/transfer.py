@@ -110,7 +110,7 @@ def _resting(shape: Resting | None, source: Discretised, target: Discretised, ke
     if kept is not None and (kept.source is shape.edge or shape.source is kept.edge):
         return kept
     if not shape.given:
-        return rigidity.resized(None, shape.size, target.setup)._replace(source=shape.edge)
+        return rigidity.of_template(shape.size, target.setup)._replace(source=shape.edge)
     position = _moved(shape.position, rigidity.rotations(shape.position, source.setup.model), source, target)
     return rigidity.resting(position, target.setup, shape.size)._replace(source=shape.edge)
 

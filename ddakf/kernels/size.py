@@ -7,30 +7,30 @@ SOFTNESS = 0.1  # strain of an edge that counts by half
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def accumulate(position, measured, start, neighbour, rest_edge, rest_length, matrix, vector):
-    """Adds the normal equations of d' E d = |x_j - x_i| / rest length - 1 over the edges whose ends are both measured.
+def accumulate(position, measured, rings, stride, rest_edge, rest_length, matrix, vector):
+    """Adds the normal equations of d' E d = |x_j - x_i| / rest length - 1 over edges whose ends are both measured.
 
     The six unknowns are E_xx, E_yy, E_zz, E_xy, E_xz, E_yz. An edge weighs 1 / (1 + (strain / SOFTNESS)^2).
 
     Args:
         position: (V, 3) metres.
         measured: (V,) bool.
-        start, neighbour: one-rings in compressed rows.
+        rings: start and neighbour, the one-rings in compressed rows.
+        stride: of the vertices whose edges to later ones are looked at.
         rest_edge: (2E, 3) metres, in the template; d is its direction.
         rest_length: (2E,) metres, of the shape at rest.
         matrix: (6, 6) in and out, its lower triangle.
         vector: (6,) in and out.
 
     Returns:
-        Number of these edges.
+        Number of these edges, and of those that were looked at.
     """
-    n, d = 0, np.empty(6)
-    for i in range(position.shape[0]):
-        if not measured[i]:
-            continue
+    (start, neighbour), n, looked, d = rings, 0, 0, np.empty(6)
+    for i in range(0, position.shape[0], stride):
         for e in range(start[i], start[i + 1]):
             j = neighbour[e]
-            if j <= i or not measured[j]:
+            looked += int(j > i)
+            if j <= i or not measured[i] or not measured[j]:
                 continue
             length2 = edge2 = 0.0
             for a in range(3):
@@ -45,4 +45,4 @@ def accumulate(position, measured, start, neighbour, rest_edge, rest_length, mat
                 for b in range(a + 1):
                     matrix[a, b] += w * d[a] * d[b]
             n += 1
-    return n
+    return n, looked

@@ -65,6 +65,11 @@ def resized(shape: Resting | None, size: np.ndarray, setup: Setup) -> Resting | 
         return shape
     if shape is not None and shape.given:
         return resting(shape.position, setup, size)._replace(source=shape.source)
+    return of_template(size, setup)
+
+
+def of_template(size: np.ndarray, setup: Setup) -> Resting:
+    """The template at a size (3, 3) as the shape at rest."""
     return resting(sizes.stretched(setup.model.mesh.vertices, size), setup, size, given=False)
 
 

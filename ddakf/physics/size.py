@@ -17,6 +17,7 @@ from ddakf.kernels import size as kernels
 from ddakf.types import Model, Problem
 
 LONGEST_LESSON = 0.04  # s that a frame counts for, at most
+STRIDE = 3  # of the vertices whose edges are looked at in a frame
 ALIKE = 0.01  # weight of the edges with which the matrix is a multiple of the identity: no edge shows it across a sheet
 BELIEVED = 0.1  # root mean square strain of what is left, from which a start is believed by half
 
@@ -29,7 +30,7 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     """
     if config.size_memory == 0:
         return np.zeros((3, 3))
-    strain, _ = _strain(position, np.ones(len(position), bool), model, model.rest_length)
+    strain, _ = _strain(position, np.ones(len(position), bool), model, model.rest_length, stride=1)
     row = np.repeat(np.arange(len(position)), np.diff(model.start))
     length = np.linalg.norm(position[model.neighbour] - position[row], axis=1)
     direction = model.rest_edge / np.maximum(model.rest_length, 1e-12)[:, None]
@@ -74,17 +75,20 @@ def stretched(points: np.ndarray, size: np.ndarray) -> np.ndarray:
     return points @ ((vectors * np.exp(values)) @ vectors.T).astype(points.dtype)
 
 
-def _strain(position: np.ndarray, measured: np.ndarray, model: Model, length: np.ndarray) -> tuple[np.ndarray, float]:
-    """(3, 3) strain that the measured edges have in common, beyond that of their ``length`` at rest, and their share."""
+def _strain(
+    position: np.ndarray, measured: np.ndarray, model: Model, length: np.ndarray, stride: int = STRIDE
+) -> tuple[np.ndarray, float]:
+    """(3, 3) strain that measured edges have in common, against their ``length`` at rest, and the measured share of all."""
     matrix, vector = np.zeros((6, 6)), np.zeros(6)
-    n = kernels.accumulate(position, measured, model.start, model.neighbour, model.rest_edge, length, matrix, vector)
+    rings = model.start, model.neighbour
+    n, looked = kernels.accumulate(position, measured, rings, stride, model.rest_edge, length, matrix, vector)
     if n == 0:
         return np.zeros((3, 3)), 0.0
     matrix += np.tril(matrix, -1).T
     matrix[:3, :3] += ALIKE * n * (np.eye(3) - 1.0 / 3.0)
     matrix[3:, 3:] += 2.0 * ALIKE * n * np.eye(3)
     xx, yy, zz, xy, xz, yz = np.linalg.solve(matrix + 1e-9 * n * np.eye(6), vector)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), 2.0 * n / len(length)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), n / looked
 
 
 def _beyond(strain: np.ndarray, slack: float) -> np.ndarray:

@@ -18,6 +18,8 @@ from ddakf.types import Estimate, FrameInput, Problem, Sensors, Setup, Sign, Tra
 SAME = 0.1  # m within which the origin of a sensor that is carried stays that of one sensor
 NEIGHBOURS = 10  # points of one sensor in a neighbourhood, where the bounds of its radius allow it
 MARGIN = 0.1  # m around the garment's last place; farther points do not count
+FARTHEST = 0.1  # m, longest shift
+MAX_CELLS = 1 << 21
 OFF = 0.005  # m, root mean square of the shifts from which on sensors are misplaced
 
 
@@ -102,10 +104,12 @@ def _looked(setup: Setup, last: Track, frame: FrameInput, sensors: Sensors, sens
     information = old * sensors.information + information / config.distance_sd**2
     vector = old * sensors.vector + vector / config.distance_sd**2
     shift = np.linalg.solve(information + np.eye(3 * n) / config.sd**2, vector).reshape(n, 3)
+    shift *= np.minimum(1.0, FARTHEST / np.maximum(np.linalg.norm(shift, axis=1), 1e-12))[:, None]
     return Sensors(sensors.origin, shift, information, vector, now, config.interval - 1)
 
 
 def _grid(lower: np.ndarray, upper: np.ndarray, cell: float) -> grids.Grid:
+    cell = max(cell, float(np.prod(upper - lower) / MAX_CELLS) ** (1.0 / 3.0))
     dims = ((upper - lower) / cell).astype(np.int64) + 1
     return grids.Grid(np.empty(int(np.prod(dims)) + 2, np.int32), lower, cell, dims)
 

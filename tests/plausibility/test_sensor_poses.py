@@ -123,6 +123,16 @@ def test_a_crowd_of_sensors_that_come_and_go_is_forgotten():
         assert 3 <= len(tracker._track.sensors.origin) <= MAX_SENSORS
 
 
+def test_a_garment_with_vertices_astray_costs_no_memory():
+    tracker = looked(SHIFTS, 4)
+    track = tracker._track
+    position = track.state.position.copy()
+    position[0] += 1e4
+    tracker._track = track._replace(state=track.state._replace(position=position), sensors=track.sensors._replace(wait=0))
+    points, origin = around(4, SHIFTS)
+    assert np.isfinite(tracker.step(points, timestamp=4 / FPS, sensor_origin=origin).vertices).all()
+
+
 def test_points_that_no_two_sensors_share_say_nothing():
     below, above = (scan(TUBE.vertices, TUBE, 3000, seed=seed) for seed in (1, 2))
     middle = TUBE.vertices[:, 1].mean()
@@ -149,6 +159,7 @@ def test_a_snapshot_has_the_sensors(frames):
     [
         ("shift", np.zeros((2, 3))),
         ("shift", np.full((3, 3), np.nan)),
+        ("shift", np.full((3, 3), 1e6)),
         ("information", -np.eye(9)),
         ("vector", np.zeros(8)),
         ("wait", -1),
