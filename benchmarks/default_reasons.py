@@ -23,7 +23,7 @@ REASONS = {
     "Physics.size_slack": "tuned on training recordings, with their templates and with others 5 % off",
     "Physics.size_slack_across": "the same: directions along which cloth slides show less",
     "Physics.size_doubt": "the same: right templates stay as they are",
-    "Physics.size_start": "the same: starts in motion show up to 1.5 %",
+    "Physics.size_start": "chosen: true frames show up to 2.1 %, `python benchmarks/strains.py`",
     "Physics.size_most": "chosen: further apart it is another garment",
     "SensorPoses.sd": "chosen: calibrations of depth cameras; the paper has one cloud",
     "SensorPoses.distance_sd": "tuned on training recordings; 6 and 12 mm give the same error within 2 %",

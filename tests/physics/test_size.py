@@ -34,7 +34,7 @@ def worn(scale, config=None, frames=30, **how):
 
 def strain_of(position, measured=None):
     measured = np.ones(len(position), bool) if measured is None else measured
-    return size._strain(position, measured, GARMENT, GARMENT.rest_length)
+    return size.common_strain(position, measured, GARMENT, GARMENT.rest_length)
 
 
 def test_a_stretch_of_the_whole_template_is_found():
@@ -65,7 +65,7 @@ def test_across_a_sheet_it_is_the_mean_of_its_other_directions():
     corner = (np.arange(7)[:, None] * 8 + np.arange(7)).ravel()
     faces = np.concatenate([np.stack([corner, corner + 1, corner + 8], 1), np.stack([corner + 1, corner + 9, corner + 8], 1)])
     sheet = model.build(Mesh(vertices, faces), Config())
-    found, _ = size._strain(vertices * [1.06, 1.02, 1.0], np.ones(64, bool), sheet, sheet.rest_length)
+    found, _ = size.common_strain(vertices * [1.06, 1.02, 1.0], np.ones(64, bool), sheet, sheet.rest_length)
     assert found[2, 2] == pytest.approx(0.04, abs=0.01)
     assert found[0, 0] > found[2, 2] > found[1, 1]
 
