@@ -32,7 +32,7 @@ def resting(position: np.ndarray, setup: Setup, size: np.ndarray | None = None, 
     at another ``size`` (3, 3) cloth at rest differs as much from a template of that size.
     """
     model, strain_sd, kept = setup.model, setup.config.physics.start_strain, setup.config.physics.start_strain_kept
-    first = sizes.at_start(position, model, setup.config.physics)
+    first = sizes.at_start(position, model, setup.config.physics) if given else size
     size = first if size is None else size
     rest_edge, constants = _of_size(model, first)
     row, degree = np.repeat(np.arange(len(position)), np.diff(model.start)), np.maximum(np.diff(model.start), 1)

@@ -31,12 +31,12 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     if config.size_memory == 0:
         return np.zeros((3, 3))
     strain, _ = common_strain(position, np.ones(len(position), bool), model, model.rest_length, stride=1)
+    if abs(np.trace(strain)) / 3.0 < config.size_start:
+        return np.zeros((3, 3))
     row = np.repeat(np.arange(len(position)), np.diff(model.start))
     length = np.linalg.norm(position[model.neighbour] - position[row], axis=1)
     direction = model.rest_edge / np.maximum(model.rest_length, 1e-12)[:, None]
     left = length / np.maximum(model.rest_length, 1e-12) - 1.0 - np.einsum("ea,ab,eb->e", direction, strain, direction)
-    if abs(np.trace(strain)) / 3.0 < config.size_start:
-        return np.zeros((3, 3))
     return _bounded(_beyond(strain, config.size_slack) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
 
 

@@ -136,6 +136,15 @@ def test_a_shape_at_rest_is_made_anew_only_where_its_size_has_changed():
     assert not rigidity.resized(None, 0.05 * np.eye(3), setup).given
 
 
+@pytest.mark.parametrize("growth", [-0.05, 0.015, 0.05])
+def test_a_garment_that_nobody_placed_rests_as_its_template_at_that_size(growth):
+    shape = rigidity.of_template(growth * np.eye(3), Tracker(TUBE)._setup)
+    np.testing.assert_allclose(shape.edge, np.exp(growth) * GARMENT.rest_edge, atol=1e-6)
+    np.testing.assert_allclose(shape.strain.area, np.exp(2.0 * growth) * GARMENT.strain.area, rtol=1e-6)
+    corners = shape.position[shape.strain.corner]
+    np.testing.assert_allclose(np.linalg.norm(np.einsum("fa,fab->fb", shape.strain.warp, corners), axis=1), 1.0, atol=1e-6)
+
+
 @pytest.mark.parametrize("placed", [False, True])
 def test_a_snapshot_has_the_size(placed):
     tracker, _ = worn(1.05, frames=12, placed=placed)

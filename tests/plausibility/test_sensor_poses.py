@@ -75,9 +75,8 @@ def test_a_garment_between_misplaced_cameras_is_found_and_they_are_told():
 
 
 def test_what_is_common_to_all_widens_the_covariance():
-    # scatter of 5 mm in each direction, of three sensors
-    sensors = sensor_poses.unknown(EYES)._replace(shift=0.005 * np.sqrt(2.0 / 3.0) * (1.5 * np.eye(3) - 0.5))
-    assert sensors.common2 == pytest.approx(((sensors.shift - sensors.shift.mean(axis=0)) ** 2).sum() / 18.0)
+    sensors = sensor_poses.unknown(EYES)._replace(shift=0.003 * np.eye(3))  # in each direction 2, -1 and -1 mm about their mean
+    assert sensors.common2 == pytest.approx(0.001**2)  # 3 mm^2 for each of three
     wide, narrow = looked(3.0 * SHIFTS), looked(np.zeros((3, 3)))
     last = around(99, np.zeros((3, 3)))
     known = wide._track.sensors
