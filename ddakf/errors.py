@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from numbers import Real
 
 _MOST_NEAREST, _SIMILAR = 2, 0.6  # names in a hint, and their least similarity to the given one
+SERVICE_PACKAGES = "in the repository: pip install -e protos -e 'clients/python[recording]' -e '.[service]'"
 _LONGEST = 80  # characters of it that are compared, and of a name or value that an error shows
 
 

@@ -22,7 +22,7 @@ def test_a_frame_without_the_garment_is_a_prediction(nothing):
 
 def test_one_empty_cloud_does_not_end_the_track():
     tracker = tracked(6)
-    assert tracker.step([], timestamp=6 / FPS).state == "tracking"
+    assert tracker.step([], timestamp=6 / FPS).state == "recovering", "nothing measures it"
     assert tracker.step(cloud(7), timestamp=7 / FPS).state == "tracking"
 
 

@@ -16,7 +16,7 @@ import ddakf
 from ddakf.commands import benchmark, doctor, evaluate, report, simulate, track
 from ddakf.commands.parser import Parser
 from ddakf.commands.remote import recordings, sessions
-from ddakf.errors import DdakfError
+from ddakf.errors import SERVICE_PACKAGES, DdakfError
 
 GROUP = "ddakf.commands"
 FAILURE, INTERRUPTED = 2, 130
@@ -28,7 +28,7 @@ EXTRAS = {
     "newton": "simulation",
     "warp": "simulation",
     "ray": "ray",
-}  # otherwise "service"
+}  # otherwise those of the service
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -99,8 +99,9 @@ def _register_unavailable(commands: argparse._SubParsersAction, name: str, sente
 
 def _what_to_install(command: str, error: ImportError) -> str:
     missing = error.name or str(error)
-    extra = "simulation" if command == "simulate" else EXTRAS.get(missing.partition(".")[0], "service")
-    return f"{command} needs {missing}, which is not installed: pip install 'ddakf[{extra}]'"
+    extra = "simulation" if command == "simulate" else EXTRAS.get(missing.partition(".")[0])
+    how = f": pip install 'ddakf[{extra}]'" if extra else f"; {SERVICE_PACKAGES}"
+    return f"{command} needs {missing}, which is not installed{how}"
 
 
 if __name__ == "__main__":

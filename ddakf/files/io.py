@@ -123,9 +123,16 @@ def write_mesh(path, vertices, faces) -> None:
     _write(Path(path), np.asarray(vertices), np.asarray(faces))
 
 
-def write_points(path, points) -> None:
-    """Writes (N, 3) points: .ply in float32, .obj or .xyz in text with nine digits."""
-    _write(Path(path), np.asarray(points), None)
+def write_points(path, points, sensor_origin=None) -> None:
+    """Writes (N, 3) points: .ply in float32, .obj or .xyz in text with nine digits.
+
+    A .ply also says where the sensor was, (3,) in the unit of the points, if it is given; see :func:`read_sensor_origin`.
+    """
+    path, points = Path(path), np.asarray(points)
+    if sensor_origin is not None and path.suffix.lower() == ".ply":
+        write_ply(path, points, None, "sensor_origin " + " ".join(f"{value:.9g}" for value in sensor_origin))
+    else:
+        _write(path, points, None)
 
 
 def _write(path: Path, vertices: np.ndarray, faces: np.ndarray | None) -> None:

@@ -63,9 +63,10 @@ def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     return vertices, polygons
 
 
-def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray | None) -> None:
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray | None, comment: str | None = None) -> None:
     """Writes binary little-endian PLY: float32 vertices (V, 3), and int32 triangles (F, 3) unless ``faces`` is None."""
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}"]
+    header = ["ply", "format binary_little_endian 1.0", *([f"comment {comment}"] if comment else [])]
+    header += [f"element vertex {len(vertices)}"]
     header += [f"property float {axis}" for axis in "xyz"]
     body = np.ascontiguousarray(vertices, "<f4").tobytes()
     if faces is not None:

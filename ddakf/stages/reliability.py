@@ -174,7 +174,10 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
         health = health._replace(empty_for=health.empty_for + dt)
-        return health._replace(state="lost") if health.empty_for >= config.lost_after_empty else health
+        if health.empty_for >= config.lost_after_empty:
+            return health._replace(state="lost")
+        faded = health.state == "tracking" and score < config.recovery_below
+        return health._replace(state="recovering", physics_lambda=config.recovery_lambda) if faded else health
     if rejected or coverage < config.lost_coverage:
         poor_for = health.poor_for + dt
         unplaced = health.frames_unplaced + 1 if health.unplaced else 0

@@ -31,7 +31,24 @@ def test_frames_that_cannot_be_sent_raise_or_are_yielded(service, mesh, frames):
         with client.create_session(*mesh, flow="lossless") as session:
             answers = list(session.track(made, on_error="yield"))
     assert {a.sequence for a in answers if isinstance(a, FrameError)} == {2, 4}
-    assert [a.sequence for a in answers if not isinstance(a, FrameError)] == [1, 3, 5]
+    assert [a.sequence for a in answers] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("by", ["client", "server"])
+def test_frames_before_a_refused_one_are_answered_first(service, mesh, frames, by):
+    made, service.delay, seen = frames(6), 0.05, []
+    if by == "client":
+        made[4] = (np.full((2, 3), np.nan), 0.5)
+    else:
+        service.refused = {5}
+    with (
+        connect(service.target) as client,
+        client.create_session(*mesh, flow="lossless") as session,
+        pytest.raises(errors.InvalidFrame) as refusal,
+    ):
+        seen.extend(answer.sequence for answer in session.track(made))
+    assert seen[:4] == [1, 2, 3, 4]
+    assert refusal.value.sequence == 5
 
 
 def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):

@@ -290,7 +290,7 @@ def test_what_the_server_refuses_is_one_sentence_and_leaves_no_thread(monkeypatc
 def test_without_the_client_a_server_cannot_be_used(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "ddakf_client", None)
     assert _track(SAMPLE, *SHORT, "--server", "x:1") == 2
-    assert "pip install ddakf-client" in capsys.readouterr().err
+    assert "pip install -e protos" in capsys.readouterr().err
 
 
 def test_a_search_finds_the_garment(capsys):

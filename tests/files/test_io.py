@@ -339,6 +339,13 @@ def test_the_origin_of_a_cloud_is_read_from_its_header(tmp_path, file, origin):
     assert found is None if origin is None else np.array_equal(found, origin)
 
 
+def test_the_origin_that_is_written_with_points_is_read_back(tmp_path):
+    points = np.float32([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]])
+    io.write_points(tmp_path / "a.ply", points, (0.5, 1.25, -2.0))
+    assert np.array_equal(io.read_points(tmp_path / "a.ply"), points)
+    assert io.read_sensor_origin(tmp_path / "a.ply").tolist() == [0.5, 1.25, -2.0]
+
+
 @pytest.mark.parametrize("line", ["comment sensor_origin 1 2", "comment sensor_origin 1 2 nan", "comment sensor_origin here"])
 def test_an_origin_that_is_none_is_refused(tmp_path, line):
     (tmp_path / "a.ply").write_text(PLY.format(line))

@@ -41,6 +41,9 @@ def test_the_sample_is_tracked_from_plain_files(client, tmp_path, capsys, view):
     assert len(results) == FRAMES
     assert max(rmse_mm(result.vertices, true) for result, true in zip(results, truth, strict=True)) < 20
     assert "sequence.json" in (tmp_path / "README.txt").read_text()
+    capsys.readouterr()
+    assert cli.main(["track", str(tmp_path / "points"), "--template", str(tmp_path / "garment.obj"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["frames"] == FRAMES
 
 
 def test_a_wrong_number_of_frames_writes_nothing(tmp_path, capsys):

@@ -263,8 +263,17 @@ def test_five_per_cent_coverage_is_a_fit():
 
 
 def test_lost_after_two_seconds_of_empty_clouds_and_not_before():
-    assert run(TRACKING, 1.9, points=0, coverage=0.0, score=0.0).state == "tracking"
+    assert run(TRACKING, 1.9, points=0, coverage=0.0, score=0.0).state == "recovering"
     assert run(TRACKING, 2.1, points=0, coverage=0.0, score=0.0).state == "lost"
+
+
+def test_empty_clouds_leave_the_state_until_the_score_is_low():
+    """Where nothing measures the garment it is tracking no longer than its score says so."""
+    fair, low = CONFIG.recovery_below + 0.01, CONFIG.recovery_below - 0.01
+    assert run(TRACKING, 1.0, points=0, coverage=0.0, score=fair).state == "tracking"
+    assert run(TRACKING, DT, points=0, coverage=0.0, score=low).state == "recovering"
+    assert run(run(TRACKING, DT, points=0, coverage=0.0, score=low), DT).state == "tracking"
+    assert run(Health(), DT, points=0, coverage=0.0, score=low).state == "initializing"
 
 
 def test_empty_clouds_do_not_count_towards_a_poor_fit():

@@ -188,8 +188,6 @@ class _Stream:
                 yield encode_request(offered, exchange.plan)
             except ServiceError as error:
                 exchange.refuse(offered, error)
-                if exchange.failure:
-                    self._call.cancel()
 
     async def _pull(self) -> None:
         try:

@@ -12,6 +12,7 @@ those that it has tracked.
 from __future__ import annotations
 
 import logging
+import math
 import random
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -226,7 +227,8 @@ class Exchange:
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
             self.failure = self.failure or error
-        self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
+        else:
+            self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
 
     # Answers out ----------------------------------------------------------------------------------------------------
 
@@ -235,11 +237,7 @@ class Exchange:
         self._reading_since = now
 
     def receive(self, response: pb.TrackResponse, now: float) -> list[Result | FrameError | Notice]:
-        """Converts a response to answers for the caller, after those of frames that could not be sent.
-
-        Raises:
-            ServiceError: a frame was refused and the plan requires an error.
-        """
+        """Converts a response to answers for the caller, after those of earlier frames that could not be sent."""
         kind = response.WhichOneof("message")
         if kind == "started":
             return self._start(response.started, now)
@@ -251,9 +249,9 @@ class Exchange:
             latency = self._answered(response.result.sequence_number, now)
             result = result_from(response.result, dropped_before_sending=self._dropped, latency=latency)
             self._log_new_warnings(result)
-            return [*self.refused(), result]
+            return [*self.refused(result.sequence), result]
         elif kind == "frame_error":
-            return [*self.refused(), self._rejected(frame_error_from(response.frame_error))]
+            return self._rejected(frame_error_from(response.frame_error))
         return []
 
     def _log_new_warnings(self, result: Result) -> None:
@@ -267,6 +265,7 @@ class Exchange:
         """The last answers after the server has ended the stream without an error.
 
         Raises:
+            ServiceError: a frame was refused and the plan requires an error.
             Unavailable: a frame has no answer.
         """
         if self.failure:
@@ -277,9 +276,10 @@ class Exchange:
             raise Unavailable(f"the server ended the stream before {before}")
         return self.refused()
 
-    def refused(self) -> list[FrameError]:
-        """The frames that could not be sent since the last call."""
-        refused, self._refused = self._refused, []
+    def refused(self, before: float = math.inf) -> list[FrameError]:
+        """The frames before this number that could not be sent, each once."""
+        refused = [each for each in self._refused if each.sequence < before]
+        self._refused = [each for each in self._refused if each.sequence >= before]
         return refused
 
     # A lost connection ----------------------------------------------------------------------------------------------
@@ -367,17 +367,21 @@ class Exchange:
         self._last_answered, self._attempts = sequence, 0
         return now - sent.offered.submitted if sent else 0.0
 
-    def _rejected(self, refused: FrameError) -> FrameError:
-        """Removes a refused frame. A refusal may precede results of earlier frames; in realtime mode these may be dropped."""
-        if self.plan.on_error == "raise":
-            raise refused.error
+    def _rejected(self, refused: FrameError) -> list[FrameError]:
+        """Removes a refused frame. A refusal may precede results of earlier frames; in realtime mode these may be dropped.
+
+        Where the plan requires an error, nothing more is sent, and it is raised once the frames before it have their answers.
+        """
         self._unanswered.pop(refused.sequence, None)
         self._attempts = 0
         if not self._lossless:
             self._answered_through = max(self._answered_through, refused.sequence)
             oldest = refused.sequence - 2 * IN_FLIGHT
             self._unanswered = {other: sent for other, sent in self._unanswered.items() if other > oldest}
-        return refused
+        if self.plan.on_error == "raise":
+            self.failure = self.failure or refused.error
+            return []
+        return [*self.refused(refused.sequence), refused]
 
 
 def without_notices(

@@ -166,8 +166,6 @@ class _Stream:
             except ServiceError as error:
                 with self._change():
                     exchange.refuse(offered, error)
-                if exchange.failure:
-                    self._call.cancel()
 
     def _over(self) -> bool:
         return self._closed.is_set() or self._exchange.is_done()

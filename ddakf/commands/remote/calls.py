@@ -34,6 +34,8 @@ def connected(arguments: argparse.Namespace, run: Callable[..., None]) -> int:
     try:
         with server_options.server_of(arguments).connect() as client:
             run(client, arguments)
+    except package.errors.Unauthenticated as error:
+        raise DdakfError(f"{error}; here --api-key KEY or the variable {server_options.KEY_VARIABLE}") from error
     except package.ServiceError as error:
         raise DdakfError(str(error)) from error
     return 0

@@ -19,7 +19,6 @@ class Residual(NamedTuple):
     """
 
     mean_mm: float
-    rms_mm: float
     p95_mm: float
 
 
@@ -48,7 +47,7 @@ class SurfaceDistance:
         return np.abs(proximity.closest_points(self._tree, surface, points, radius=np.inf).distance)
 
     def residual(self, points: np.ndarray, vertices: np.ndarray) -> Residual:
-        """Mean, root mean square and 95th percentile of the distances.
+        """Mean and 95th percentile of the distances.
 
         Args:
             points: (N, 3) metres. vertices: (V, 3) of this frame, metres.
@@ -57,6 +56,6 @@ class SurfaceDistance:
             NaN where there are no points.
         """
         if len(points) == 0:
-            return Residual(*3 * [float("nan")])
+            return Residual(*2 * [float("nan")])
         distance = MM * self(points, vertices)
-        return Residual(float(distance.mean()), float(np.sqrt((distance**2).mean())), float(np.percentile(distance, 95)))
+        return Residual(float(distance.mean()), float(np.percentile(distance, 95)))

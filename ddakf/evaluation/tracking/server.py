@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ddakf.errors import MissingDependency
+from ddakf.errors import SERVICE_PACKAGES, MissingDependency
 
 SYSTEM = "system"  # the public authorities that gRPC brings
 
@@ -49,5 +49,5 @@ def client_package(needing: str = "--server"):
     try:
         import ddakf_client
     except ModuleNotFoundError as error:
-        raise MissingDependency(f"{needing} needs the client, which is not installed: pip install ddakf-client") from error
+        raise MissingDependency(f"{needing} needs the client, which is not installed; {SERVICE_PACKAGES}") from error
     return ddakf_client

@@ -24,12 +24,12 @@ _README = """The sample of ddakf: a T-shirt on a moving body, as a virtual depth
 garment.obj        the template: the garment in its rest shape
 body.obj           the body in its pose at the start
 sequence.json      the frames in order: capture time, sensors (as in the contract: runs of consecutive points), files
-points/NNNN.ply    the cloud of a frame, float32, binary little-endian
+points/NNNN.ply    the cloud of a frame, float32, binary little-endian; a comment has the place of the sensor if there is one
 body/NNNN.ply      the vertices of the body in that frame, in the order of body.obj
 truth/NNNN.json    the true vertices of the garment, in the order of garment.obj
 
 A client creates a session with garment.obj and body.obj, resets it to truth/0000.json, sends each frame, and compares the
-answered vertices with the truth.
+answered vertices with the truth. The command line tracks the clouds alone: ddakf track points --template garment.obj
 """
 
 
@@ -57,7 +57,7 @@ def _write_frame(folder: Path, sequence: Sequence, number: int, cloud: Cloud) ->
     points, sensors = _by_sensor(cloud)
     entry = {"capture_time": sequence.timestamp(number), "sensors": sensors}
     files = {kind: f"{kind}/{number:04d}.{suffix}" for kind, suffix in (("points", "ply"), ("body", "ply"), ("truth", "json"))}
-    write_points(folder / files["points"], points)
+    write_points(folder / files["points"], points, cloud.sensor_origin if len(sensors) == 1 else None)
     write_points(folder / files["body"], sequence.body_vertices[number])
     (folder / files["truth"]).write_text(json.dumps({"vertices": _rounded(sequence.garment_vertices[number])}) + "\n")
     return {**entry, **files}

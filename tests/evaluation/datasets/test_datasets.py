@@ -145,6 +145,14 @@ def test_a_template_beside_clouds_is_no_frame_and_lies_where_the_first_one_is(tm
         datasets.load_folder(tmp_path)
 
 
+def test_files_without_a_number_are_frames_only_where_no_file_has_one(tmp_path):
+    io.write_mesh(tmp_path / "garment.obj", np.eye(3), np.array([[0, 1, 2]]))
+    (tmp_path / "notes.txt").write_text("taken in the garden")
+    assert len(datasets.load_folder(tmp_path)) == 2
+    io.write_points(tmp_path / "frame_7.ply", np.eye(3))
+    assert [path.name for path in datasets.load_folder(tmp_path).paths] == ["frame_7.ply"]
+
+
 def test_folders_without_frames_and_rates_without_sense(tmp_path):
     with pytest.raises(InvalidFile, match="none in the folder"):
         datasets.load_folder(tmp_path)

@@ -83,6 +83,8 @@ class FolderRecording:
 def load_folder(path, fps: float = 30.0) -> FolderRecording:
     """Opens a folder of .ply, .obj, .xyz, .txt, .csv or .pcd frames, which are read when they are needed.
 
+    Files without a number in their names are frames only where no file has one.
+
     Raises:
         InvalidFile: no such folder, or no frames in it.
     """
@@ -91,7 +93,9 @@ def load_folder(path, fps: float = 30.0) -> FolderRecording:
         raise InvalidFile(str(path), "a folder of frames", "no folder")
     found = [entry for entry in path.iterdir() if entry.suffix.lower() in POINT_SUFFIXES]
     meshes = sorted(entry for entry in found if entry.stem == TEMPLATE and entry.suffix.lower() in MESH_SUFFIXES)
-    paths = tuple(sorted((entry for entry in found if entry not in meshes), key=by_number))
+    frames = [entry for entry in found if entry not in meshes]
+    numbered = [entry for entry in frames if any(letter.isdigit() for letter in entry.stem)]
+    paths = tuple(sorted(numbered or frames, key=by_number))
     if not paths:
         raise InvalidFile(str(path), f"frames ({', '.join(POINT_SUFFIXES)})", "none in the folder")
     if len(meshes) > 1:
