@@ -41,14 +41,15 @@ def resting(position: np.ndarray, setup: Setup, size: np.ndarray | None = None, 
     strain2 = np.bincount(row, np.square(length / np.maximum(rest_length, 1e-12) - 1.0), len(position)) / degree
     share = 1.0 / (1.0 + 0.5 * (strain2[row] + strain2[model.neighbour]) / strain_sd**2)
     along = 0.5 * (rotation[row] + rotation[model.neighbour])
-    turned = np.einsum("eab,eb->ea", along, rest_edge)
+    turned = (along @ rest_edge[:, :, None])[:, :, 0]
     shape = turned + share[:, None] * (edge - turned)
-    strained = strain.at_start(constants, position, kept, strain_sd)
+    metric = strain.metric_at_start(constants, position, kept, strain_sd)
+    strained = strain.with_metric(constants, metric)
     upward = cloth_weight.at_start(position, strained, setup)
     if not np.array_equal(size, first):
-        now, constants_now = _of_size(model, size)
-        shape += np.einsum("eab,eb->ea", along, now - rest_edge)
-        strained, rest_length = strain.at_start(constants, position, kept, strain_sd, constants_now), np.linalg.norm(now, axis=1)
+        now, constants = _of_size(model, size)
+        shape += (along @ (now - rest_edge)[:, :, None])[:, :, 0]
+        strained, rest_length = strain.with_metric(constants, metric), np.linalg.norm(now, axis=1)
     return Resting(position, shape.astype(np.float32), rotation, strained, upward, size, rest_length.astype(np.float32), given)
 
 

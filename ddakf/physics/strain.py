@@ -33,30 +33,53 @@ def of_shape(constants: StrainConstants, vertices: np.ndarray) -> StrainConstant
     return constants._replace(warp=frames.warp, weft=frames.weft, area=frames.area)
 
 
-def at_start(
-    constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float, now: StrainConstants | None = None
-) -> StrainConstants:
+def at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> StrainConstants:
     """The constants of a garment that starts at (V, 3) ``position``, metres, where a share of its strain is at rest.
 
     Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
-    shows it. With D = [w_u w_v] of a face at the start and C = D'D, its metric at rest becomes B = I + s (C - I), for which the
-    tangents are D B^-1/2. The share s is ``kept``, and half of that for a face strained by ``strain_sd``.
+    shows it. See :func:`metric_at_start`.
+    """
+    return with_metric(constants, metric_at_start(constants, position, kept, strain_sd))
 
-    Changed as much, if given, are the constants ``now``, of the garment at another size.
+
+def metric_at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> np.ndarray:
+    """(F, 2, 2) B^-1/2, with B the metric at rest of each face of a garment that starts at (V, 3) ``position``, metres.
+
+    With D = [w_u w_v] of a face at the start and C = D'D, B = I + s (C - I), for which the tangents are D B^-1/2. The share s is
+    ``kept``, and half of that for a face strained by ``strain_sd``.
     """
     corner = position[constants.corner]
     sides = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2)
-    coefficient = np.stack([constants.warp[:, 1:], constants.weft[:, 1:]], axis=2)
-    deformation = sides @ coefficient
+    deformation = sides @ _of_sides(constants)
     excess = deformation.transpose(0, 2, 1) @ deformation - np.eye(2)
-    strain2 = 0.25 * np.einsum("fab,fab->f", excess, excess)
+    strain2 = 0.25 * np.square(excess).sum(axis=(1, 2))
     share = kept / (1.0 + strain2 / strain_sd**2)
-    values, vectors = np.linalg.eigh(np.eye(2) + share[:, None, None] * excess)
-    root = np.einsum("fab,fb,fcb->fac", vectors, 1.0 / np.sqrt(np.maximum(values, SMALLEST)), vectors)
-    if now is not None:
-        constants, coefficient = now, np.stack([now.warp[:, 1:], now.weft[:, 1:]], axis=2)
-    warp, weft = np.moveaxis(coefficient @ root, 2, 0)
+    return _inverse_root(np.eye(2) + share[:, None, None] * excess)
+
+
+def with_metric(constants: StrainConstants, root: np.ndarray) -> StrainConstants:
+    """The constants with another metric at rest, (F, 2, 2) of :func:`metric_at_start`."""
+    warp, weft = np.moveaxis(_of_sides(constants) @ root, 2, 0)
     return constants._replace(warp=_from_first(warp), weft=_from_first(weft))
+
+
+def _of_sides(constants: StrainConstants) -> np.ndarray:
+    """(F, 2, 2) coefficients of the sides from the first corner, for w_u and w_v."""
+    return np.stack([constants.warp[:, 1:], constants.weft[:, 1:]], axis=2)
+
+
+def _inverse_root(metric: np.ndarray) -> np.ndarray:
+    """M^-1/2 of symmetric (F, 2, 2), their eigenvalues at least :data:`SMALLEST`.
+
+    A function f of a 2 x 2 matrix with the eigenvalues h >= l is f(h) I + (M - h I) (f(h) - f(l)) / (h - l).
+    """
+    half, difference = 0.5 * (metric[:, 0, 0] + metric[:, 1, 1]), 0.5 * (metric[:, 0, 0] - metric[:, 1, 1])
+    radius = np.hypot(difference, metric[:, 0, 1])
+    high, low = (np.sqrt(np.maximum(value, SMALLEST)) for value in (half + radius, half - radius))
+    slope = np.where(half - radius > SMALLEST, -1.0 / (high * low * (high + low)), 0.0)
+    collapsed = (half + radius > SMALLEST) & (half - radius <= SMALLEST)
+    slope[collapsed] = (1.0 / high[collapsed] - 1.0 / low[collapsed]) / (2.0 * radius[collapsed])
+    return (1.0 / high)[:, None, None] * np.eye(2) + slope[:, None, None] * (metric - (half + radius)[:, None, None] * np.eye(2))
 
 
 def _from_first(coefficient: np.ndarray) -> np.ndarray:

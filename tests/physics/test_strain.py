@@ -117,6 +117,18 @@ def test_a_face_that_has_collapsed_at_the_start_keeps_finite_lengths():
     assert np.isfinite(constants.weft).all()
 
 
+def test_the_metric_at_rest_is_the_inverse_root_of_the_metric_at_the_start():
+    """With all of the strain at rest, for faces that are strained, sheared, turned and collapsed."""
+    constants, rng = strain.build(FLAT), np.random.default_rng(3)
+    for change in (rng.normal(size=(3, 3)), np.eye(3), np.diag([1.0, 0.0, 1.0]), np.zeros((3, 3))):
+        position = FLAT.vertices @ change
+        corner, coefficient = position[constants.corner], np.stack([constants.warp, constants.weft], axis=2)
+        deformation = corner.transpose(0, 2, 1) @ coefficient
+        values, vectors = np.linalg.eigh(deformation.transpose(0, 2, 1) @ deformation)
+        root = vectors / np.sqrt(np.maximum(values, strain.SMALLEST))[:, None] @ vectors.transpose(0, 2, 1)
+        np.testing.assert_allclose(strain.metric_at_start(constants, position, 1.0, 1e9), root, rtol=1e-9, atol=1e-9)
+
+
 def test_cloth_that_is_strained_where_it_starts_stays_there():
     """The first frame moved vertices by several millimetres along a surface that they lay on."""
     mesh = tube()
