@@ -12,16 +12,21 @@ LYING = 0.6  # times its width, below which the height of a body is that of one 
 UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
 OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
+FITS = 0.35  # reliability of the last frame above which a hollow shape is right; mirrored ones have 0.1 at most
 
 
 def mirrored(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a mesh whose faces turn the wrong way, or of a cloud that is hollow where its sensor looks."""
+    """The sign of a mesh whose faces turn the wrong way, or of a cloud that is hollow where its sensor looks.
+
+    Caps and curtains may be hollow. What is mirrored fits no cloud whose sensor is known, so that what does is right.
+    """
+    fits = problem.cloud.oriented and problem.health.reliability > FITS
     for field, cosine in (("garment", problem.reference.outward), ("body", problem.reference.body_outward)):
-        if cosine < HOLLOW:
+        if cosine < HOLLOW and not (fits and field == "garment"):
             what = f"the {field} is inside out, as a mirrored one is"
             return Sign(field, f"{what}: mean cosine of its normals to the outside {cosine:.2f}")
     cloud = problem.cloud
-    if problem.frame.sensor_origin is None or not cloud.oriented or cloud.empty or problem.last.view.one_sided:
+    if fits or problem.frame.sensor_origin is None or not cloud.oriented or cloud.empty or problem.last.view.one_sided:
         return None
     planes = cloud.surfels[:, :: -(-cloud.surfels.shape[1] // SAMPLE)]
     cosine = outwardness(planes[:3].T, planes[3:].T)

@@ -2,11 +2,12 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.config import Start
-from ddakf.plausibility.handedness import fallen, outward
+from ddakf.plausibility.handedness import HOLLOW, fallen, outward
 from tests.stages.scenes import FPS, scan, turn
 from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud
 
@@ -31,6 +32,16 @@ def test_a_mirrored_mesh_is_told():
     found = warned(MIRRORED, scan(MIRRORED.vertices, MIRRORED), None)
     assert [(w.code, w.field) for w in found[-1]] == [("mirrored", "garment")]
     assert "inside out" in found[-1][0].message
+
+
+def test_a_hollow_garment_that_fits_its_cloud_is_not_told():
+    """A curtain that bows away from its sensor."""
+    across, height = np.meshgrid(np.linspace(-0.6, 0.6, 31), np.linspace(0.0, 1.2, 31))
+    corner = np.arange(30 * 31).reshape(30, 31)[:, :30].ravel()
+    faces = np.concatenate([[corner, corner + 1, corner + 31], [corner + 1, corner + 32, corner + 31]], axis=1).T
+    curtain = Mesh(np.stack([across, height, 0.5 * across**2], axis=2).reshape(-1, 3), faces)
+    assert outward(curtain) < HOLLOW
+    assert not any(warned(curtain, scan(curtain.vertices, curtain), (0.0, 0.6, 3.0)))
 
 
 def test_a_mirrored_body_is_told():
