@@ -24,7 +24,13 @@ class Graph(NamedTuple):
 
     def pieces(self) -> int:
         """Number of pieces that edges join."""
-        return int(kernels.number_pieces(self.start, self.neighbour, np.empty(len(self.start) - 1, np.int64)))
+        return int(self.piece_of_vertices().max(initial=-1)) + 1
+
+    def piece_of_vertices(self) -> np.ndarray:
+        """(V,) number, from 0 on, of the piece that each vertex is of."""
+        piece = np.empty(len(self.start) - 1, np.int64)
+        kernels.number_pieces(self.start, self.neighbour, piece)
+        return piece
 
 
 def graph_of(edges: np.ndarray, length: np.ndarray, n_vertices: int) -> Graph:

@@ -1,4 +1,7 @@
-"""Working mesh: the even mesh whose vertices are tracked, and the template that it carries along."""
+"""Working mesh: the even mesh whose vertices are tracked, and the template that it carries along.
+
+Small pieces that nothing joins to the garment, such as buttons, are carried along: on their own too few points would hold them.
+"""
 
 from __future__ import annotations
 
@@ -9,13 +12,17 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config import Discretisation
-from ddakf.garment import remeshing
+from ddakf.garment import geodesic, remeshing
 from ddakf.kernels import working_mesh as kernels
 from ddakf.mesh import Mesh
 from ddakf.results import FrameResult
 from ddakf.types import variances
 
 SHORTEST = 1e-6  # m: the square of less may be 0
+SLIVER = 0.01  # mean edges; a template with a shorter edge is not even: its forces would be too stiff
+SMALL = 0.05  # share of the surface below which a piece is carried along
+ALL_SMALL = 0.25  # share of all small pieces from which on they are the garment
+AT_ONCE = 256  # vertices of pieces whose nearest ones are sought at a time
 
 
 class Places(NamedTuple):
@@ -77,22 +84,29 @@ class WorkingMesh(NamedTuple):
 
 
 def build(template: Mesh, config: Discretisation) -> WorkingMesh:
-    """The working mesh of a template, which is its own where it is even and not finer than needed.
+    """The working mesh of a template, which is its own where it is even, not finer than needed, and has no small pieces.
 
     Args:
         template: the garment at rest.
         config: lengths of edges and numbers of vertices.
     """
-    own = WorkingMesh(template, template, None)
     if config.working_edge == 0.0:
-        return own
-    edge = working_edge(template, config)
-    if template.edge_length > config.working_finest * edge and unevenness(template) < config.working_unevenness:
-        return own
-    even = remeshing.remesh(template, edge)
+        return WorkingMesh(template, template, None)
+    kept = np.flatnonzero(~_in_small_pieces(template))
+    cloth = template if len(kept) == template.n_vertices else _part(template, kept)
+    edge, even = working_edge(cloth, config), None
+    if not (cloth.edge_length > config.working_finest * edge and unevenness(cloth) < config.working_unevenness):
+        even = remeshing.remesh(cloth, edge)
     if even is None:
-        return own
-    return WorkingMesh(template, even.mesh, Places((even.corner, even.share), _on_mesh(template, even)))
+        if cloth is template:
+            return WorkingMesh(template, template, None)
+        even = _itself(cloth)
+    owner = np.empty(template.n_vertices, even.owner.dtype)
+    owner[kept] = even.owner
+    pieces = np.setdiff1d(np.arange(template.n_vertices), kept)
+    owner[pieces] = _nearest(template.vertices[pieces], even.mesh.vertices)
+    on_mesh = _on_mesh(template, even._replace(owner=owner))
+    return WorkingMesh(template, even.mesh, Places((kept[even.corner].astype(np.int32), even.share), on_mesh))
 
 
 def working_edge(template: Mesh, config: Discretisation) -> float:
@@ -105,7 +119,13 @@ def working_edge(template: Mesh, config: Discretisation) -> float:
 
 
 def unevenness(mesh: Mesh) -> float:
-    """Standard deviation of the logarithms of the areas of the vertices off the boundary; 0 where there are none."""
+    """Standard deviation of the logarithms of the areas of the vertices off the boundary; 0 where there are none.
+
+    Infinite where an edge is shorter than ``SLIVER`` mean ones.
+    """
+    ends = mesh.vertices[mesh.edges]
+    if np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).min() < SLIVER * mesh.edge_length:
+        return math.inf
     area = np.bincount(mesh.faces.ravel(), np.repeat(remeshing.areas(mesh), 3), mesh.n_vertices)[~mesh.boundary_vertices]
     return float(np.log(area).std()) if len(area) else 0.0
 
@@ -116,6 +136,34 @@ def interpolated(values: np.ndarray, corner: np.ndarray, share: np.ndarray) -> n
     rows = np.ascontiguousarray(values, np.float64).reshape(len(values), -1)
     kernels.spread(rows, corner, share, result.reshape(len(corner), -1))
     return result
+
+
+def _in_small_pieces(mesh: Mesh) -> np.ndarray:
+    """(V,) bool, of the vertices of pieces with less than ``SMALL`` of the surface, unless the garment consists of such."""
+    piece = geodesic.graph_of(mesh.edges, np.ones(len(mesh.edges)), mesh.n_vertices).piece_of_vertices()
+    area = np.bincount(piece[mesh.faces[:, 0]], remeshing.areas(mesh), piece.max() + 1)
+    small = area < SMALL * area.sum()
+    return (small & (area[small].sum() < ALL_SMALL * area.sum()))[piece]
+
+
+def _part(mesh: Mesh, kept: np.ndarray) -> Mesh:
+    """The mesh of some vertices alone, all of whole pieces."""
+    number = np.full(mesh.n_vertices, -1)
+    number[kept] = np.arange(len(kept))
+    faces = number[mesh.faces]
+    return Mesh(mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
+
+
+def _itself(mesh: Mesh) -> remeshing.Remeshed:
+    """A mesh as its own even one."""
+    every = np.arange(mesh.n_vertices)
+    return remeshing.Remeshed(mesh, np.repeat(every[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(every), 1)), every)
+
+
+def _nearest(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
+    """(N,) the vertex (W, 3) that is nearest to each of (N, 3) points."""
+    parts = (points[k : k + AT_ONCE, None] - vertices for k in range(0, len(points), AT_ONCE))
+    return np.concatenate([np.empty(0, np.int64), *(np.square(part).sum(axis=2).argmin(axis=1) for part in parts)])
 
 
 def _on_mesh(template: Mesh, even: remeshing.Remeshed) -> tuple[np.ndarray, np.ndarray]:

@@ -136,6 +136,68 @@ def test_a_body_carries_a_fine_template():
     assert result.state == "tracking"
 
 
+def buttoned(vertices, face=None, count=5, radius=0.008):
+    """(V + 7 count, 3) vertices of a garment with buttons, hexagons that stand off faces, and (F, 3) faces if asked for.
+
+    Each button goes with its face as what is sewn to it does.
+    """
+    corners = vertices[SHIRT.faces[:: SHIRT.n_faces // count][:count]].astype(np.float64)
+    across = corners[:, 1] - corners[:, 0]
+    across /= np.linalg.norm(across, axis=1)[:, None]
+    normal = np.cross(across, corners[:, 2] - corners[:, 0])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    angle = np.pi / 3.0 * np.arange(6)
+    rim = np.cos(angle)[:, None] * across[:, None] + np.sin(angle)[:, None] * np.cross(normal, across)[:, None]
+    middle = corners.mean(axis=1)[:, None] + 0.003 * normal[:, None]
+    buttons = np.concatenate([middle, middle + radius * rim], axis=1).reshape(-1, 3)
+    if face is None:
+        return np.concatenate([vertices, buttons])
+    hexagon = np.array([[0, 1 + k, 1 + (k + 1) % 6] for k in range(6)])
+    return Mesh(
+        np.concatenate([vertices, buttons]),
+        np.concatenate([face, *(len(vertices) + 7 * k + hexagon for k in range(count))]),
+    )
+
+
+def test_buttons_go_with_the_garment_that_they_lie_on():
+    garment = buttoned(SHIRT.vertices, SHIRT.faces)
+    assert working_mesh.build(garment, NUMBERS).mesh.n_vertices == SHIRT.n_vertices
+    plain, *_ = follow(SHIRT, lambda k: SAMPLE.garment_vertices[k])
+    error, result, _ = follow(garment, lambda k: buttoned(SAMPLE.garment_vertices[k]))
+    assert error < 1.1 * plain + 3e-4
+    off = np.linalg.norm(result.vertices - buttoned(result.vertices[: SHIRT.n_vertices]), axis=1)
+    assert off.max() < 0.003
+
+
+def test_buttons_ride_on_an_even_mesh_of_an_uneven_garment_too():
+    garment = buttoned(SHIRT.vertices, SHIRT.faces)
+    fine, _ = remeshing.subdivided(garment, 0.012)
+    working = working_mesh.build(fine, NUMBERS)
+    assert remeshing._topology(working.mesh)[0] == 1
+    still = np.broadcast_to(np.eye(3), (working.mesh.n_vertices, 3, 3))
+    np.testing.assert_allclose(working.carried(working.mesh.vertices, still), fine.vertices, atol=1e-12)
+
+
+def test_a_garment_of_small_pieces_keeps_them_all():
+    step = np.array([0.3, 0.0, 0.0])
+    scarves = Mesh(
+        np.concatenate([TUBE.vertices + k * step for k in range(25)]),
+        np.concatenate([TUBE.faces + k * TUBE.n_vertices for k in range(25)]),
+    )
+    assert not working_mesh._in_small_pieces(scarves).any()
+
+
+def test_an_edge_of_next_to_nothing_is_not_tracked():
+    """It would be stiffer than all others, and the solver would not settle."""
+    a, b, c = SHIRT.faces[100]
+    beside = SHIRT.vertices[a] + 1e-4 * (SHIRT.vertices[[b, c]].mean(axis=0) - SHIRT.vertices[a])
+    n, others = SHIRT.n_vertices, np.delete(SHIRT.faces, 100, axis=0)
+    sliver = Mesh(np.concatenate([SHIRT.vertices, [beside]]), np.concatenate([others, [[a, b, n], [b, c, n], [c, a, n]]]))
+    assert working_mesh.unevenness(sliver) == np.inf
+    mesh = working_mesh.build(sliver, NUMBERS).mesh
+    assert np.linalg.norm(np.diff(mesh.vertices[mesh.edges], axis=1)[:, 0], axis=1).min() > 0.1 * mesh.edge_length
+
+
 def test_edges_of_next_to_nothing_give_as_many_vertices_as_there_may_be():
     shortest = replace(NUMBERS, working_edge=1e-300, working_vertices_most=3000)
     assert 2000 < working_mesh.build(FINE_TUBE, shortest).mesh.n_vertices < 4500
