@@ -13,8 +13,10 @@ from ddakf.kernels import reliability as kernels
 from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import nearest_vertices
-from ddakf.types import Estimate, FrameInput, Health, Posterior, Problem, variances
+from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Problem, variances
 
+IN_VIEW = 0.7  # share of the vertices; one camera sees half of a garment, and that share of the others is not known
+SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place; of people 0.81 to 0.99
 FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
 
@@ -52,18 +54,27 @@ def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
     return frame.only(np.arange(0, len(frame.points), every))  # no view: kernels know its layout
 
 
-def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.ndarray) -> Health:
+def missing(measurement: Measurement) -> bool:
+    """Whether the cloud does not show much of a garment that would be in view of all its sensors where it is thought to be."""
+    visible, found = measurement.visible, np.count_nonzero(measurement.found)
+    seen = 0 if visible is None else np.count_nonzero(visible)
+    return bool(seen > IN_VIEW * len(measurement.found) and found < SHOWN * seen)
+
+
+def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.ndarray, absent: bool = False) -> Health:
     """The memory after points were compared with the vertices nearest to them.
 
     A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
-    nearest to a boundary or farther than ``unexplained_distance``. Of a relocalized garment that still settles nothing good is
-    known from before, so the frame alone counts.
+    nearest to a boundary or farther than ``unexplained_distance``. Where a part of the garment is absent from the cloud, such as
+    sleeves that are thought to be elsewhere, the unexplained points may be that part. Of a relocalized garment that still
+    settles nothing good is known from before, so the frame alone counts; of a first frame's unexplained points as well.
 
     Args:
         problem: the frame.
         health: after the last frame.
         points: (N, 3) metres, N > 0.
         position: (V, 3) metres.
+        absent: see :func:`missing`.
     """
     model, dt, config = problem.model, problem.dt, problem.config.evidence
     near, longest = max(config.unexplained_distance, config.unexplained_edges * model.edge_length), config.reach
@@ -74,10 +85,12 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
     share = clumped(points[away > near] - position.mean(axis=0), config) / len(points)
     least = min(health.least_unexplained, share)
+    foreign = least if least > config.foreign_share and not absent else 0.0
     memory = 0.0 if health.settling else config.memory
+    first = health.least_unexplained == 1.0  # nothing has been compared before
     return health._replace(
         offset=_follow(health.offset, offset, dt, memory),
-        unexplained=_follow(health.unexplained, share - (least if least > config.foreign_share else 0.0), dt, memory),
+        unexplained=_follow(health.unexplained, share - foreign, dt, 0.0 if first else memory),
         least_unexplained=least,
     )
 
@@ -130,7 +143,9 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
     cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
-    health = misfit(problem, problem.health, points, posterior.state.position) if len(points) else problem.health
+    health = problem.health
+    if len(points):
+        health = misfit(problem, health, points, posterior.state.position, missing(measurement))
     variance = 3.0 * variances(posterior.covariance)
     evidence = FrameEvidence(math.sqrt(variance.mean()), health.unexplained)
     error = predicted_error(evidence, problem.config.frame_error)

@@ -19,12 +19,13 @@ from ddakf.stages.reliability import (
     advance,
     clumped,
     misfit,
+    missing,
     paper_score,
     predicted_error,
     score,
     vertex_error,
 )
-from ddakf.types import Health
+from ddakf.types import Health, Measurement
 from tests.stages.scenes import FPS, blocks, problem_of, rms, scan, tube
 
 CONFIG, EVIDENCE_CONFIG = Config().reliability, Config().evidence
@@ -183,16 +184,38 @@ def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
     garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
     limb = np.random.default_rng(0).uniform(0, 1, (len(points) // 8, 3)) * [0.4, 0.1, 0.1] + mesh.vertices.max(axis=0) + 0.1
     seen = np.concatenate([points, limb])
-    found, tracked = (
-        misfit(problem_of(garment, dt=DT), Health(settling=left), seen, mesh.vertices + 0.01) for left in (2, 0)
-    )
+    problem, known = problem_of(garment, dt=DT), Health(least_unexplained=0.0)
+    found, tracked = (misfit(problem, known._replace(settling=left), seen, mesh.vertices + 0.01) for left in (2, 0))
     assert found.unexplained == pytest.approx(1 / 9, abs=0.03)
     assert tracked.unexplained < 0.1 * found.unexplained
     assert tracked.offset < 0.1 * found.offset
     # and what it says is believed as soon when it is good
-    good = misfit(problem_of(garment, dt=DT), found, points, mesh.vertices)
+    good = misfit(problem, found, points, mesh.vertices)
     assert good.unexplained < 0.01
     assert good.offset < 0.1 * found.offset
+    first = misfit(problem, Health(), seen, mesh.vertices + 0.01)
+    assert (first.unexplained, first.offset) == (found.unexplained, tracked.offset)
+
+
+def test_points_are_of_something_else_only_where_the_garment_is_shown():
+    """Sleeves that hang where they are not expected are no other clothes."""
+    mesh = tube()
+    garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
+    other = points[: len(points) // 2] + [0.8, 0.0, 0.0]
+    seen, problem = np.concatenate([points, other]), problem_of(garment, dt=DT)
+    assert misfit(problem, Health(), seen, mesh.vertices).unexplained == 0.0
+    assert misfit(problem, Health(), seen, mesh.vertices, absent=True).unexplained > 0.3
+
+
+@pytest.mark.parametrize(
+    ("visible", "shown", "absent"), [(1.0, 0.9, False), (1.0, 0.6, True), (0.5, 0.3, False), (0.0, 0.0, False)]
+)
+def test_a_garment_is_missing_where_its_vertices_are_in_view_and_not_found(visible, shown, absent):
+    n = 200
+    measurement = Measurement.none(n)._replace(
+        visible=np.arange(n) < visible * n, distance=np.where(np.arange(n) < shown * n, 0.01, -1.0)
+    )
+    assert missing(measurement) is absent
 
 
 def test_strain_is_that_of_the_edges():
