@@ -10,6 +10,6 @@ export function requireCompatible(serverVersion: string): void {
   const own = API_VERSION.split(".")[0]!;
   if (major === own) return;
   const got = serverVersion ? JSON.stringify(serverVersion.slice(0, 20)) : "none";
-  const message = `this client speaks ddakf API ${API_VERSION}, the server ${got}: install a ddakf-client of the server's release`;
+  const message = `this client speaks ddakf API ${API_VERSION}, the server ${got}: install its client`;
   throw new VersionMismatch(message, { field: "api_version", expected: `${own}.x`, got });
 }

@@ -7,6 +7,7 @@ import type { TrackRequest, TrackResponse } from "../gen/ddakf_api/v1/tracking_p
 import type { Socket } from "../platform/port.js";
 
 const SUBPROTOCOL = "ddakf.v1";
+const OPEN = 1;
 const NORMAL = 1000;
 const TOO_LARGE = 1009;
 const ERROR_CODES = 4000; // plus the HTTP status of the error
@@ -56,8 +57,9 @@ export class Line {
     return this.socket.bufferedAmount;
   }
 
+  /** Sends, unless the server is closing: browsers complain on the console then, and the end is reported anyway. */
   send(request: TrackRequest): void {
-    this.socket.send(toBinary(TrackRequestSchema, request));
+    if (this.socket.readyState === OPEN) this.socket.send(toBinary(TrackRequestSchema, request));
   }
 
   /** Ends the requests; the server answers those that it has and closes. */
@@ -93,7 +95,7 @@ export class Line {
 /** The error of a close code that came without one. */
 function closing(code: number, reason: string, url: string): ServiceError | undefined {
   if (code === NORMAL) return undefined;
-  if (code === TOO_LARGE) return new MessageTooLarge(reason || "a message with more bytes than the server accepts");
+  if (code === TOO_LARGE) return new MessageTooLarge(reason || "too many bytes");
   if (code >= ERROR_CODES) return fromStatus(code - ERROR_CODES, reason);
   return new Unavailable(`the connection to ${new URL(url).host} was lost (close code ${code})`);
 }
