@@ -92,8 +92,9 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
     """
     if config.working_edge == 0.0:
         return WorkingMesh(template, template, None)
-    kept = np.flatnonzero(~_in_small_pieces(template))
-    cloth = template if len(kept) == template.n_vertices else _part(template, kept)
+    loose = _in_small_pieces(template)
+    kept = np.flatnonzero(~loose)
+    cloth = _part(template, kept) if loose.any() else template
     edge, even = working_edge(cloth, config), None
     if not (cloth.edge_length > config.working_finest * edge and unevenness(cloth) < config.working_unevenness):
         even = remeshing.remesh(cloth, edge)
@@ -103,8 +104,7 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
         even = _itself(cloth)
     owner = np.empty(template.n_vertices, even.owner.dtype)
     owner[kept] = even.owner
-    pieces = np.setdiff1d(np.arange(template.n_vertices), kept)
-    owner[pieces] = _nearest(template.vertices[pieces], even.mesh.vertices)
+    owner[loose] = _nearest(template.vertices[loose], even.mesh.vertices)
     on_mesh = _on_mesh(template, even._replace(owner=owner))
     return WorkingMesh(template, even.mesh, Places((kept[even.corner].astype(np.int32), even.share), on_mesh))
 

@@ -12,7 +12,7 @@ LYING = 0.6  # times its width, below which the height of a body is that of one 
 UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
 OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
-FITS = 0.35  # reliability of the last frame above which a hollow shape is right; mirrored ones have 0.1 at most
+FITS = 0.35  # reliability of the last frame above which a hollow shape is right
 
 
 def mirrored(problem: Problem, estimate: Estimate) -> Sign | None:

@@ -15,8 +15,8 @@ from ddakf.stages import skin_removal
 from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Problem, variances
 
-IN_VIEW = 0.7  # share of the vertices; one camera sees half of a garment, and that share of the others is not known
-SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place; of people 0.81 to 0.99
+IN_VIEW = 0.7  # share of the vertices that sensors all around see; one camera sees half, and what it should see is less sure
+SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place
 FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
 
