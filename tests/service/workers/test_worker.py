@@ -100,6 +100,7 @@ async def test_the_log_has_the_exit_status_of_a_lost_worker(program, status, cap
         worker = await Worker.start(source, 10, lambda *_: None)
         process.stdin.write(b"\n")
         process.stdin.flush()
+        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)  # its pipe closes as it ends
         source.far.close()
         await asyncio.wait_for(worker._listener, 10)
     assert [(r.worker, r.status) for r in caplog.records if "has ended" in r.message] == [(process.pid, status)]
