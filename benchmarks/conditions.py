@@ -1,7 +1,8 @@
 """Short clips of training recordings under a stranger's conditions: ``python benchmarks/conditions.py [--against ROWS.json]``.
 
 Each recording is tracked from one camera and from all around, with and without the body, and from four cameras; undisturbed, at
-10 frames per second, with 1,000 points, with 10 mm of noise, in a cloud of the whole person, with a side that is never seen,
+10 frames per second, with 1,000 points, with 10 mm of noise, in a cloud of the whole person, without colours and with those of
+skin and of a plain garment, with a side that is never seen,
 with a body that is misplaced by 10 mm as estimates of it are, :func:`misplaced`, with cameras that are misplaced by 10 mm,
 :func:`misplaced_cameras`, and with a template, and a start, that are 5 % larger or smaller than the garment; with ``--seeds``
 several times. Printed are RMSE, reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the
@@ -33,6 +34,7 @@ from ddakf.body import contact
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.captured_frame import Cloud
+from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.files.sequence import Sequence
@@ -53,11 +55,13 @@ CONDITIONS = {
     "1,000 points": {"points": 1000},
     "10 mm": {"noise": 0.01},
     "whole person": {"segmented": False},
+    "whole person, colours": {"segmented": False},
     "hidden side": {"occlude": (FIRST + 1, 10_000)},
     "body 10 mm off": {},
     "cameras 10 mm off": {},
     "template 5 % off": {},
 }
+TEXTURES = {"whole person, colours": Texture("plain")}
 BODY_SD = {"body 10 mm off": 0.01}  # m, of the body's error where there is one
 CAMERAS_OFF = {"cameras 10 mm off": 0.01}  # m, error of each camera's place where it has one
 SIZES = {"template 5 % off": (1.05, 1.0 / 1.05)}  # template over garment, of odd seeds and of even ones
@@ -95,11 +99,12 @@ def run(job: tuple[str, str, str, int, str, int]) -> dict:
     last = len(sequence) if sensor.every > 1 else min(FIRST + 1 + frames, len(sequence))
     error, reliable, inside, seconds = [], [], [], []
     for k in range(FIRST + sensor.every, last, sensor.every):
-        cloud = sensor.capture(sequence, k, np.random.default_rng([seed, k]))
+        cloud = sensor.capture(sequence, k, np.random.default_rng([seed, k]), TEXTURES.get(condition))
         pose = misplaced(sequence.body_vertices[k], body_sd, k, (zlib.crc32(name.encode()), seed)) if with_body else None
         points, origin = misplaced_cameras(cloud, CAMERAS_OFF.get(condition, 0.0), (zlib.crc32(name.encode()), seed))
         before = time.thread_time()
-        result = tracker.step(points, timestamp=k / sequence.fps, sensor_origin=origin, body_vertices=pose)
+        colors = getattr(cloud, "colors", None)
+        result = tracker.step(points, timestamp=k / sequence.fps, sensor_origin=origin, body_vertices=pose, colors=colors)
         seconds.append(time.thread_time() - before)
         off = result.vertices - sequence.garment_vertices[k]
         error.append(1e3 * np.sqrt(np.square(off).sum(axis=1).mean()))

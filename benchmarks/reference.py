@@ -47,6 +47,7 @@ STAGE_OF = {
     "anchor": "A",
     "preprocess": "preprocessing",
     "skin_removal": "preprocessing",
+    "segmentation": "preprocessing",
     "coarse": "cluster alignment",
     "associate": "B",
     "robust": "C",

@@ -17,6 +17,7 @@ from ddakf.body import body_anchor
 from ddakf.body.proximity import Contact
 from ddakf.config import Config
 from ddakf.errors import InvalidSnapshot
+from ddakf.kernels.segmentation import CELLS
 from ddakf.mesh import Mesh
 from ddakf.physics import rigidity
 from ddakf.planning.work import Costs, Rate
@@ -31,6 +32,7 @@ from ddakf.types import (
     Contacts,
     Drift,
     Health,
+    Palette,
     Resting,
     Sensors,
     State,
@@ -40,14 +42,14 @@ from ddakf.types import (
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 23
+VERSION = 24
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
 # size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
 # another guess of how far it deviates along the normal, which is not read, and the template's lengths at rest; 17 has another
 # law of the frame's error, which is not read; 18 has other names for fields of the configuration;
 # 19 has none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
-# size and of the frame's error, and 22 of the size, which are not read.
+# size and of the frame's error, and 22 of the size, which are not read; 23 has no palette.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = (
@@ -105,6 +107,8 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
         arrays["offset"] = track.offset
     if track.appearance is not None:
         arrays |= {f"appearance_{name}": getattr(track.appearance, name) for name in SEEN}
+    if track.palette is not None:
+        arrays |= {f"palette_{name}": array for name, array in track.palette._asdict().items()}
     if track.body is not None:
         arrays |= {"body_V": tracker.body.vertices, "body_F": tracker.body.faces, **_body_arrays(track.body)}
     if track.sensors is not None:
@@ -152,6 +156,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
             resting=_resting(tracker, arrays),
             size=_size(arrays, "size"),
             appearance=_appearance(tracker, arrays),
+            palette=_palette(tracker, arrays) if "palette_counts" in arrays else None,
             offset=like(first.state.position, arrays, "offset") if "offset" in arrays else None,
         )
     except (KeyError, TypeError, ValueError) as error:
@@ -243,6 +248,17 @@ def _appearance(tracker, arrays: dict[str, np.ndarray]) -> Appearance | None:
             what = f"finite {model.dtype} of shape {model.shape}"
             raise InvalidSnapshot(f"snapshot.appearance_{name}", what, f"{array.dtype} {array.shape}")
     return fresh._replace(**found)
+
+
+def _palette(tracker, arrays: dict[str, np.ndarray]) -> Palette:
+    of_vertices = (tracker._setup.model.mesh.n_vertices,)
+    found = Palette(*(arrays[f"palette_{name}"] for name in Palette._fields))
+    for name, shape in zip(Palette._fields, ((2, *CELLS), of_vertices, of_vertices), strict=True):
+        array = getattr(found, name)
+        if array.shape != shape or array.dtype != np.float32 or not (np.isfinite(array) & (array >= 0.0)).all():
+            what = f"float32 of shape {shape}, finite and 0 or more"
+            raise InvalidSnapshot(f"snapshot.palette_{name}", what, f"{array.dtype} {array.shape}")
+    return found
 
 
 def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:

@@ -11,7 +11,7 @@ import numpy as np
 
 from ddakf import first_frame
 from ddakf import snapshot as snapshots
-from ddakf.appearance import colour
+from ddakf.appearance import colour, segmentation
 from ddakf.body import body_anchor, contact
 from ddakf.config import Config
 from ddakf.errors import InvalidArgument, InvalidConfig, InvalidMesh, is_number, shown
@@ -311,6 +311,7 @@ def _learned(
         resting=rigidity.resized(problem.last.resting, larger, setup),
         size=larger,
         appearance=colour.learned(problem, estimate, posterior, verdict.reliability),
+        palette=segmentation.learned(problem, position, verdict.reliability),
     )
 
 

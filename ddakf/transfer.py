@@ -10,7 +10,7 @@ from ddakf.appearance import colour
 from ddakf.body import body_anchor
 from ddakf.garment.working_mesh import WorkingMesh
 from ddakf.physics import rigidity
-from ddakf.types import Appearance, BodyAnchor, BodyTrack, Drift, Resting, Setup, State, Track
+from ddakf.types import Appearance, BodyAnchor, BodyTrack, Drift, Palette, Resting, Setup, State, Track
 
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
@@ -40,6 +40,7 @@ def transferred(track: Track, source: Discretised, target: Discretised, kept: Re
         costs=None,
         resting=_resting(track.resting, source, target, kept),
         appearance=_appearance(track.appearance, source, target),
+        palette=_palette(track.palette, source, target),
         offset=None if track.offset is None else _resampled(track.offset, source, target),
     )
 
@@ -113,6 +114,13 @@ def _resting(shape: Resting | None, source: Discretised, target: Discretised, ke
         return rigidity.of_template(shape.size, target.setup)._replace(source=shape.edge)
     position = _moved(shape.position, rigidity.rotations(shape.position, source.setup.model), source, target)
     return rigidity.resting(position, target.setup, shape.size)._replace(source=shape.edge)
+
+
+def _palette(palette: Palette | None, source: Discretised, target: Discretised) -> Palette | None:
+    if palette is None:
+        return None
+    resampled = (_resampled(counts, source, target).astype(np.float32) for counts in (palette.alike, palette.seen))
+    return Palette(palette.counts, *resampled)
 
 
 def _appearance(appearance: Appearance | None, source: Discretised, target: Discretised) -> Appearance | None:

@@ -96,6 +96,7 @@ class Model(NamedTuple):
     rest_length: np.ndarray  # (2E,) float32 m, its length
     crossing: np.ndarray  # (C, 3) int32: entries of the one-rings from patch to patch, and the two patches
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
+    inside: np.ndarray  # (V,) int32: nearest vertex away from all boundaries, where a cloud's points are cloth
     hanging: np.ndarray  # (V,) float32 m of cloth between a vertex and the garment's top, at rest
     area: float  # m^2
     vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
@@ -337,6 +338,14 @@ class Appearance(NamedTuple):
     noise2: np.ndarray  # (2,) variance of these in a cloud
 
 
+class Palette(NamedTuple):
+    """Colours of the garment and of other things, in points that were seen lately."""
+
+    counts: np.ndarray  # (2, *CELLS) float32, by colour, of the garment and of other things
+    alike: np.ndarray  # (V,) float32, on each vertex away from boundaries, in the colours of other things
+    seen: np.ndarray  # (V,) float32, on each of these vertices in all colours
+
+
 class Track(NamedTuple):
     """Everything that changes from frame to frame. A step ends with a new one; a snapshot is its bytes."""
 
@@ -355,6 +364,7 @@ class Track(NamedTuple):
     resting: Resting | None = None  # None: the rest shape is the template's
     size: np.ndarray = np.zeros((3, 3))  # logarithm of the stretch of the template that makes it as large as the garment
     appearance: Appearance | None = None  # None: no frame had colours
+    palette: Palette | None = None  # None: no frame had colours
     offset: np.ndarray | None = None  # (V, 3) m, by which hidden cloth is shown off its state; None: by nothing
 
     def shown(self, position: np.ndarray) -> np.ndarray:

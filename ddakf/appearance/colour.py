@@ -14,19 +14,17 @@ import numpy as np
 from ddakf.config import Colour
 from ddakf.kernels import colour as kernels
 from ddakf.kernels.associate import FAR_AWAY
-from ddakf.kernels.colour import CHANNELS, SIDE, ColouredPoints, Patches, SlideLimits, Slides, TangentPlanes
+from ddakf.kernels.colour import CHANNELS, LOGARITHM, SIDE, ColouredPoints, Patches, SlideLimits, Slides, TangentPlanes
 from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import rigidity
 from ddakf.types import Appearance, Cloud, Estimate, Measurement, Model, Posterior, Problem, Setup, Slide
 
-DARKEST = 16.0  # added to values of 0 to 255, so that the logarithm of dark noise stays small
 GATE = -2.0 * log(0.001)  # chi-square of two chromaticities at 99.9 %, beyond which a point does not count
 KNOWN = 1e-6  # m^2, least variance at which a patch is learned
 BEST = 0.1  # quantile of the variances of the patches, which the whole garment shares
 SIDEWAYS = 1.5  # by which a start is farther off along the surface than across it
 STILL = 0.1  # texels: a vertex that moved less keeps its registration
 
-_LOGARITHM = np.log(np.arange(256) + DARKEST).astype(np.float32)
 
 
 def start(model: Model, config: Colour) -> Appearance:
@@ -85,7 +83,7 @@ def begin(problem: Problem) -> Problem:
     if colors is None or cloud.empty:
         return problem
     channels = np.empty((CHANNELS, len(cloud.index)), np.float32)
-    kernels.log_chromaticities(colors, cloud.index, _LOGARITHM, channels)
+    kernels.log_chromaticities(colors, cloud.index, LOGARITHM, channels)
     return problem._replace(cloud=cloud._replace(channels=channels))
 
 

@@ -13,7 +13,7 @@ import typing
 from dataclasses import dataclass, field
 
 from ddakf.config.checked import Checked, bounded, derived
-from ddakf.config.colour import Colour
+from ddakf.config.colour import Colour, Segmentation
 from ddakf.config.levels import Coarse, Discretisation, Omission
 from ddakf.config.physics import Physics
 from ddakf.config.plausibility import SensorPoses, Sidedness
@@ -73,6 +73,7 @@ __all__ = [
     "Reliability",
     "Relocalization",
     "ResidualNoise",
+    "Segmentation",
     "SensorPoses",
     "Sidedness",
     "SkinRemoval",
@@ -102,6 +103,7 @@ class Config:
     anchor: Anchor = field(default_factory=Anchor)
     preprocess: GridFilter | KnnFilter = field(default_factory=GridFilter)
     skin_removal: SkinRemoval = field(default_factory=SkinRemoval)
+    segmentation: Segmentation = field(default_factory=Segmentation)
     coarse: Coarse = field(default_factory=Coarse)
     associate: PlaneAssociation | NearestPoint = field(default_factory=PlaneAssociation)
     colour: Colour = field(default_factory=Colour)
@@ -138,6 +140,7 @@ class Config:
             sensor_poses=SensorPoses(sd=0.0),
             predict=ConstantVelocity(damping=0.0, carry_reach=0.0, acceleration_time=10.0),
             preprocess=KnnFilter(),
+            segmentation=Segmentation(points=0),
             coarse=Coarse(iterations=0),
             associate=NearestPoint(),
             robust=Tukey(cutoff=4.685),

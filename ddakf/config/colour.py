@@ -23,3 +23,18 @@ class Colour(Checked):
     claimed_sd: float = bounded(0.003, 1e-5, 1)  # m, the same in the reported covariance
     memory: float = bounded(100.0, 1, 1e6)  # points of a texel, over which its colour is the mean
     learned_above: float = bounded(0.5, 0, 1)  # reliability of a frame whose colours are learned
+
+
+@dataclass(frozen=True)
+class Segmentation(Checked):
+    """Colours that tell the garment's points from those of other things, such as skin and other clothes."""
+
+    points: int = bounded(800, 0, 1_000_000)  # of a frame that colours are learned from, at least; 0: nothing is left out
+    ratio: float = bounded(5.0, 1, 1e6)  # likelihoods, of other things to the garment, from which a point is left out
+    least_points: float = bounded(200.0, 1, 1e6)  # learned of either, before any point is left out
+    floor: float = bounded(1e-4, 1e-9, 1)  # likelihood of a colour that was not seen
+    boundary_distance: float = bounded(0.02, 0, 10)  # m along the cloth: nearer to a boundary skin may be taken for cloth
+    cloth_distance: float = bounded(0.015, 0, 1)  # m, beside half an edge: a point so near to another vertex is cloth
+    other_distance: float = bounded(0.06, 0, 1)  # m: a point farther from all vertices is something else
+    memory: float = bounded(2.0, 1e-3, 1e6)  # s, time constant of what is learned
+    learned_above: float = bounded(0.3, 0, 1)  # reliability of a frame whose colours are learned

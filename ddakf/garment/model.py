@@ -36,7 +36,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
     aggregates = min(pieces.aggregates, max(1, mesh.n_vertices // pieces.aggregate_vertices))
     aggregate = distance[:aggregates].argmin(axis=0).astype(np.int32)
     contact = collision.build(mesh, config.physics.thickness)
-    rest_edge = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]]
+    rest_edge, boundary = mesh.vertices[edges[:, 1]] - mesh.vertices[edges[:, 0]], _boundary(mesh)
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
@@ -53,7 +53,8 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         rest_edge=rest_edge.astype(np.float32),
         rest_length=np.linalg.norm(rest_edge, axis=1).astype(np.float32),
         crossing=crossings(edges, patch),
-        boundary=_boundary(mesh),
+        boundary=boundary,
+        inside=_inside(graph, boundary[:, 0], config.segmentation.boundary_distance),
         hanging=_hanging(graph, mesh.vertices @ config.start.to_y_up[1]),
         area=float(area.sum()),
         vertex_share=(vertex_area / vertex_area.mean()).astype(np.float32),
@@ -107,6 +108,14 @@ def _boundary(mesh: Mesh) -> np.ndarray:
     after[edges[:, 0]], before[edges[:, 1]] = edges[:, 1], edges[:, 0]
     vertex = np.flatnonzero((after >= 0) & (before >= 0))
     return np.stack([vertex, before[vertex], after[vertex]], axis=1).astype(np.int32)
+
+
+def _inside(graph: geodesic.Graph, boundary: np.ndarray, least: float) -> np.ndarray:
+    """(V,) int32: the nearest vertex that is ``least`` metres or more from these along the surface; without one, itself."""
+    away, _ = geodesic.distances(graph, boundary)
+    inner = np.flatnonzero(away >= least)
+    _, owner = geodesic.distances(graph, inner)
+    return np.where(owner >= 0, np.append(inner, 0)[owner], np.arange(len(away))).astype(np.int32)
 
 
 def _likeness(vertices: np.ndarray, patch: np.ndarray, length: float) -> np.ndarray:

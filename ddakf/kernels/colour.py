@@ -12,6 +12,8 @@ MOST = 192  # points of a patch that are used
 REGISTERED, LEARNED = 64, 512  # points around a patch that are looked at; of more, an even sample is
 COMPARED = 4  # every so-many-th point of a patch tells the noise of its channels
 LEAST_POINTS = 3  # with a learned colour, from which on a patch says something
+DARKEST = 16.0  # added to values of 0 to 255, so that the logarithm of dark noise stays small
+LOGARITHM = np.log(np.arange(256) + DARKEST).astype(np.float32)
 
 
 class Patches(NamedTuple):

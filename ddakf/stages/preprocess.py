@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.appearance import segmentation
 from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssociation
 from ddakf.kernels import preprocess as kernels
 from ddakf.kernels.outliers import knn_mean_distances
@@ -49,12 +50,13 @@ class Density(NamedTuple):
 
 
 def preprocess(problem: Problem) -> Problem:
-    """The problem with its cloud: without skin, cropped to the predicted garment, without outliers, with fitted planes.
+    """The problem with its cloud: without skin and other things, cropped to the predicted garment, without outliers, with planes.
 
     A budget may leave a share of the points out of the frame.
     """
     problem = problem._replace(frame=thinned(problem.frame, problem.effort.points))
     garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, problem.config.skin_removal.hem_distance)
+    garment = segmentation.without_others(garment, problem)
     return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, problem.model.area, problem.config))
 
 
