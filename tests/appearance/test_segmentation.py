@@ -11,7 +11,7 @@ from ddakf.errors import InvalidSnapshot
 from ddakf.kernels import segmentation as kernels
 from ddakf.kernels.colour import LOGARITHM
 from ddakf.transfer import transferred
-from tests.appearance.test_colour import N, ORIGIN, SHEET, SPACING
+from tests.appearance.test_colour import ORIGIN, SHEET, SPACING, N
 
 CLOTH, SKIN = (40, 70, 120), (200, 150, 130)
 SIDE, AROUND = (N - 1) * SPACING, 0.2  # m: of the sheet, and of the plane around it
