@@ -142,7 +142,7 @@ def misplaced_cameras(cloud: Cloud, off: float, seed: tuple[int, int]) -> tuple[
     The turn is :data:`CAMERA_TURN` about a random axis through the camera. Both stay the same for a recording.
     """
     if off == 0.0:
-        return cloud
+        return cloud.points, cloud.sensor_origin
     points, origin = np.array(cloud.points, np.float64), np.array(cloud.sensor_origin, np.float64)
     for camera, eye in enumerate(np.unique(cloud.sensor_origin, axis=0)):
         shift, axis = np.random.default_rng([*seed, camera]).normal(size=(2, 3))
