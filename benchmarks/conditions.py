@@ -55,13 +55,13 @@ CONDITIONS = {
     "1,000 points": {"points": 1000},
     "10 mm": {"noise": 0.01},
     "whole person": {"segmented": False},
-    "whole person, colours": {"segmented": False},
+    "coloured person": {"segmented": False},
     "hidden side": {"occlude": (FIRST + 1, 10_000)},
     "body 10 mm off": {},
     "cameras 10 mm off": {},
     "template 5 % off": {},
 }
-TEXTURES = {"whole person, colours": Texture("plain")}
+TEXTURES = {"coloured person": Texture("plain")}
 BODY_SD = {"body 10 mm off": 0.01}  # m, of the body's error where there is one
 CAMERAS_OFF = {"cameras 10 mm off": 0.01}  # m, error of each camera's place where it has one
 SIZES = {"template 5 % off": (1.05, 1.0 / 1.05)}  # template over garment, of odd seeds and of even ones
