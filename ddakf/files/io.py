@@ -14,7 +14,16 @@ from ddakf.errors import InvalidFile
 from ddakf.files.ply import read_ply, write_ply
 from ddakf.files.sequence import Sequence, load_sequence
 
-__all__ = ["Sequence", "load_sequence", "read_mesh", "read_points", "read_sensor_origin", "write_mesh", "write_points"]
+__all__ = [
+    "Sequence",
+    "load_sequence",
+    "read_coloured_points",
+    "read_mesh",
+    "read_points",
+    "read_sensor_origin",
+    "write_mesh",
+    "write_points",
+]
 
 TEXT_SUFFIXES = (".xyz", ".txt", ".csv")
 POINT_SUFFIXES = (".ply", ".obj", *TEXT_SUFFIXES, ".pcd")
@@ -37,10 +46,15 @@ def read_points(path) -> np.ndarray:
         InvalidFile: no such file, malformed, or non-finite coordinates.
         MissingDependency: the format needs Open3D, which cannot be imported.
     """
-    path = _existing(path)
+    return read_coloured_points(path)[0]
+
+
+def read_coloured_points(path) -> tuple[np.ndarray, np.ndarray | None]:
+    """:func:`read_points`, and (N, 3) uint8 red, green and blue of the points; None where no .ply has these as bytes."""
+    path, colors = _existing(path), None
     suffix = path.suffix.lower()
     if suffix == ".ply":
-        points = read_ply(path)[0]
+        points, _, colors = read_ply(path)
     elif suffix == ".obj":
         points = _read_obj(path)[0]
     elif suffix in TEXT_SUFFIXES:
@@ -49,7 +63,7 @@ def read_points(path) -> np.ndarray:
         from ddakf.files import open3d_bridge
 
         points = open3d_bridge.read_points(path)
-    return _finite(path, points)
+    return _finite(path, points), colors
 
 
 def read_sensor_origin(path) -> np.ndarray | None:
@@ -101,7 +115,7 @@ def read_mesh(path) -> tuple[np.ndarray, np.ndarray]:
     path = _existing(path)
     suffix = path.suffix.lower()
     if suffix in (".ply", ".obj"):
-        vertices, polygons = read_ply(path) if suffix == ".ply" else _read_obj(path)
+        vertices, polygons = read_ply(path)[:2] if suffix == ".ply" else _read_obj(path)
         faces = _fans(polygons)
     elif suffix in POINT_SUFFIXES:
         raise InvalidFile(str(path), f"a mesh format such as {', '.join(MESH_SUFFIXES[:2])}", suffix)

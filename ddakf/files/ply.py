@@ -1,10 +1,11 @@
-"""PLY files: ascii and binary of either byte order, points and polygon meshes; further properties are skipped."""
+"""PLY files: ascii and binary of either byte order, points with colours and polygon meshes; further properties are skipped."""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,15 @@ SCALARS = {
 FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 COUNT = re.compile(r"0*[0-9]{1,18}")
 INDEX_LISTS = ("vertex_indices", "vertex_index")
+COLORS = ("red", "green", "blue")
+
+
+class Ply(NamedTuple):
+    """Content of a PLY file."""
+
+    vertices: np.ndarray  # (V, 3) float64
+    polygons: list[np.ndarray]  # integers of shape (polygons, corners)
+    colors: np.ndarray | None  # (V, 3) uint8, red, green, blue; None without these as bytes
 
 
 @dataclass(frozen=True)
@@ -38,29 +48,36 @@ class _Element:
         return any(p.length_type for p in self.properties)
 
 
-def read_ply(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
+def read_ply(path: Path) -> Ply:
     """Reads a PLY file.
 
-    Returns:
-        (V, 3) float64 vertices, and the polygons as a list of integer arrays of shape (polygons, corners).
-
     Raises:
-        InvalidFile: not a PLY file, a broken header, too few data, no x, y, z.
+        InvalidFile: not a PLY file, a broken header, too few data, no x, y, z, a colour that is no byte.
     """
     order, elements, body = _parse_header(path, path.read_bytes())
     source = _Ascii(path, body) if order is None else _Binary(path, body, order)
-    vertices, polygons = None, []
+    vertices, polygons, colors = None, [], None
     for element in elements:
         columns, lists = source.read(element)
         if element.name == "vertex":
             if not {"x", "y", "z"} <= columns.keys():
                 raise InvalidFile(f"{path.name}: vertex", "properties x, y and z", ", ".join(columns) or "none")
             vertices = np.column_stack([columns[axis] for axis in "xyz"]).astype(np.float64)
+            colors = _colors(path, element, columns)
         elif element.name == "face":
             polygons = next((lists[name] for name in INDEX_LISTS if name in lists), [])
     if vertices is None:
         raise InvalidFile(f"{path.name}: header", "an element vertex", "none")
-    return vertices, polygons
+    return Ply(vertices, polygons, colors)
+
+
+def _colors(path: Path, element: _Element, columns: dict[str, np.ndarray]) -> np.ndarray | None:
+    if not {(name, "u1") for name in COLORS} <= {(p.name, p.type) for p in element.properties}:
+        return None
+    values = np.column_stack([columns[name] for name in COLORS])
+    if len(values) and not (values.min() >= 0 and values.max() <= 255):
+        raise InvalidFile(f"{path.name}: vertex", "red, green and blue of 0 to 255", f"{values.min():g} to {values.max():g}")
+    return values.astype(np.uint8)
 
 
 def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray | None, comment: str | None = None) -> None:

@@ -351,3 +351,35 @@ def test_an_origin_that_is_none_is_refused(tmp_path, line):
     (tmp_path / "a.ply").write_text(PLY.format(line))
     with pytest.raises(InvalidFile, match=r"a.ply: sensor origin: expected three finite numbers, got comment sensor_origin"):
         io.read_sensor_origin(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("layout", ["ascii", "binary_little_endian"])
+def test_colours_of_points_are_read(tmp_path, layout):
+    names = ["x", "y", "z", "red", "green", "blue"]
+    header = ["ply", f"format {layout} 1.0", "element vertex 2"]
+    header += [f"property {'uchar' if len(name) > 1 else 'float'} {name}" for name in names] + ["end_header", ""]
+    rows = [(0.0, 1.0, 2.0, 255, 0, 7), (3.0, 4.0, 5.0, 1, 2, 3)]
+    if layout == "ascii":
+        body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+    else:
+        body = np.array(rows, [(name, "u1" if len(name) > 1 else "<f4") for name in names]).tobytes()
+    (tmp_path / "a.ply").write_bytes("\n".join(header).encode() + body)
+    points, colors = io.read_coloured_points(tmp_path / "a.ply")
+    assert np.array_equal(points, [[0, 1, 2], [3, 4, 5]])
+    assert colors.dtype == np.uint8
+    assert np.array_equal(colors, [[255, 0, 7], [1, 2, 3]])
+
+
+def test_a_colour_that_is_no_byte_is_refused(tmp_path):
+    header = ["ply", "format ascii 1.0", "element vertex 1", *(f"property float {axis}" for axis in "xyz")]
+    header += [*(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header", "0 0 0 256 0 0", ""]
+    (tmp_path / "a.ply").write_text("\n".join(header))
+    with pytest.raises(InvalidFile, match="red, green and blue of 0 to 255, got 0 to 256"):
+        io.read_coloured_points(tmp_path / "a.ply")
+
+
+def test_files_without_colours_have_none(tmp_path):
+    io.write_points(tmp_path / "a.ply", np.zeros((2, 3), np.float32))
+    (tmp_path / "a.xyz").write_text("0 0 0\n")
+    assert io.read_coloured_points(tmp_path / "a.ply")[1] is None
+    assert io.read_coloured_points(tmp_path / "a.xyz")[1] is None

@@ -34,6 +34,7 @@ class CapturedFrame:
         body_vertices: (B, 3) for the tracker, or None.
         truth: (V, 3) true garment, or None.
         body: (B, 3) true body, even if the tracker does not get it, or None.
+        colors: (N, 3) uint8, red, green and blue of the points, or None.
     """
 
     number: int
@@ -43,3 +44,4 @@ class CapturedFrame:
     body_vertices: np.ndarray | None = None
     truth: np.ndarray | None = None
     body: np.ndarray | None = None
+    colors: np.ndarray | None = None

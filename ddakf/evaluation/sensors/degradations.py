@@ -185,11 +185,12 @@ class Script:
 
 
 def selected(frame: CapturedFrame, keep: np.ndarray) -> CapturedFrame:
-    """The frame with the points for which (N,) ``keep`` holds, and the origins of their sensors."""
+    """The frame with the points for which (N,) ``keep`` holds, the origins of their sensors, and their colours."""
     origin = frame.sensor_origin
     if origin is not None and origin.ndim == 2:
         origin = origin[keep]
-    return replace(frame, points=frame.points[keep], sensor_origin=origin)
+    colors = None if frame.colors is None else frame.colors[keep]
+    return replace(frame, points=frame.points[keep], sensor_origin=origin, colors=colors)
 
 
 # Disturbances from which a tracker must recover ------------------------------------------------------------------------

@@ -32,6 +32,7 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
             timestamp=frame.timestamp,
             sensor_origin=frame.sensor_origin,
             body_vertices=frame.body_vertices,
+            colors=frame.colors,
         )
         yield frame, result, time.perf_counter() - started
 

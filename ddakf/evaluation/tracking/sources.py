@@ -183,7 +183,7 @@ class RecordingSource:
     def __iter__(self) -> Iterator[CapturedFrame]:
         for k in self._tracked:
             cloud = self.sensor.degrade(self.recording.cloud(k), np.random.default_rng([self.seed, k]), k)
-            yield CapturedFrame(k, self.recording.timestamp(k), *cloud)
+            yield CapturedFrame(k, self.recording.timestamp(k), **cloud._asdict())
 
 
 def source_of(

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
+import ddakf
 from ddakf.data import SAMPLE, sample
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets import open_dataset
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
+from ddakf.evaluation.tracking import replay
 from ddakf.evaluation.tracking.sources import chosen_frames, source_of
 from ddakf.files import io
 
@@ -112,6 +114,26 @@ def test_a_folder_of_clouds_with_a_template(tmp_path):
     assert [len(frame.points) for frame in hidden] == [900, 540, 900]
     with pytest.raises(InvalidArgument, match="errors of its own"):
         source_of(open_dataset(folder), Sensor(fliers=0.1), template=tmp_path / "template.obj")
+
+
+def test_colours_of_a_folder_reach_the_tracker(tmp_path, monkeypatch):
+    s, rng, folder = sample(), np.random.default_rng(0), tmp_path / "clouds"
+    io.write_mesh(tmp_path / "template.obj", s.garment_vertices[0], s.garment_faces)
+    folder.mkdir()
+    header = ["ply", "format ascii 1.0", "element vertex 400", *(f"property float {axis}" for axis in "xyz")]
+    header += [*(f"property uchar {name}" for name in ("red", "green", "blue")), "end_header", ""]
+    for k in range(3):
+        points = rng.permutation(s.garment_vertices[k])[:400]
+        rows = (f"{x:.4f} {y:.4f} {z:.4f} {int(100 * y) % 256} 60 120\n" for x, y, z in points)
+        (folder / f"{k}.ply").write_text("\n".join(header) + "".join(rows))
+    source = source_of(open_dataset(folder, fps=10), Sensor(points=300, drop=0.1, noise=0), template=tmp_path / "template.obj")
+    for frame in source:
+        assert len(frame.colors) == len(frame.points) < 300
+        assert np.abs(frame.colors[:, 0] - np.floor(100 * frame.points[:, 1]) % 256).max() <= 1
+    given, step = [], ddakf.Tracker.step
+    monkeypatch.setattr(ddakf.Tracker, "step", lambda *frame, **rest: given.append(rest.get("colors")) or step(*frame, **rest))
+    tracked = [frame for frame, _, _ in replay.local(source)]
+    assert all(np.array_equal(colors, frame.colors) for colors, frame in zip(given[-3:], tracked, strict=True))
 
 
 def test_what_cannot_be_opened(tmp_path):

@@ -9,8 +9,8 @@ import numpy as np
 
 from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets.captures.recording import by_number, positive_rate
-from ddakf.evaluation.sensors.captured_frame import Cloud
-from ddakf.files.io import MESH_SUFFIXES, POINT_SUFFIXES, read_mesh, read_points, read_sensor_origin
+from ddakf.evaluation.sensors.captured_frame import Cloud, ColouredCloud
+from ddakf.files.io import MESH_SUFFIXES, POINT_SUFFIXES, read_coloured_points, read_mesh, read_sensor_origin
 from ddakf.mesh import Mesh
 
 TEMPLATE = "template"  # name of the mesh file that is no frame
@@ -46,17 +46,18 @@ class FolderRecording:
         """Seconds since frame 0."""
         return frame / self.fps
 
-    def cloud(self, frame: int) -> Cloud:
-        """The points of one frame, metres, and where its sensor was if that is known.
+    def cloud(self, frame: int) -> Cloud | ColouredCloud:
+        """The points of one frame, metres, where its sensor was if that is known, and colours where the file has them.
 
         Raises:
             InvalidFile: an unreadable file, or coordinates beyond :data:`LARGEST`.
         """
-        points = read_points(self.paths[frame])
+        points, colors = read_coloured_points(self.paths[frame])
         if np.abs(points).max(initial=0.0) > LARGEST:
             raise InvalidFile(self.paths[frame].name, f"coordinates up to {LARGEST:g}", f"{np.abs(points).max():g}")
         origin = read_sensor_origin(self.paths[frame]) if self.sensor_origin is None else np.array(self.sensor_origin)
-        return Cloud((self.unit * points).astype(np.float32), None if origin is None else self.unit * origin)
+        cloud = Cloud((self.unit * points).astype(np.float32), None if origin is None else self.unit * origin)
+        return cloud if colors is None else ColouredCloud(*cloud, colors)
 
     def template(self, frame: int = 0) -> Mesh:
         """The folder's template, or the mesh in a frame's file; cleaned, in metres.

@@ -13,8 +13,8 @@ import numpy as np
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets.captures.depth_template import JUMP, smoothed, template_from_depth
 from ddakf.evaluation.sensors.camera import Camera
-from ddakf.evaluation.sensors.captured_frame import Cloud
-from ddakf.files.depth import without_fliers
+from ddakf.evaluation.sensors.captured_frame import Cloud, ColouredCloud
+from ddakf.files.depth import seen, without_fliers
 from ddakf.mesh import Mesh
 
 MM = 1e-3  # metres
@@ -31,7 +31,7 @@ class Recording(Protocol):
     def timestamp(self, frame: int) -> float:
         """Seconds since frame 0."""
 
-    def cloud(self, frame: int) -> Cloud: ...
+    def cloud(self, frame: int) -> Cloud | ColouredCloud: ...
 
     def template(self, frame: int = 0) -> Mesh:
         """A garment mesh from one frame."""
@@ -50,6 +50,7 @@ class DepthRecording:
             camera.
         times: (T,) seconds, or None where the frames are evenly spaced.
         joints: (T, J, 3) metres in the same world, of a body tracker that watched the person, or None.
+        colors: T images (H, W, 3) uint8 of what the pixels see, or None.
         held_out: every such column of pixels, from the middle of the first ones on, is left out of the clouds; 0 for none.
     """
 
@@ -60,6 +61,7 @@ class DepthRecording:
     smooth: bool = True
     times: np.ndarray | None = None
     joints: np.ndarray | None = None
+    colors: Ordered[np.ndarray] | None = None
     held_out: int = 0
 
     def __len__(self) -> int:
@@ -78,14 +80,15 @@ class DepthRecording:
         """Seconds since frame 0."""
         return frame / self.fps if self.times is None else float(self.times[frame] - self.times[0])
 
-    def cloud(self, frame: int) -> Cloud:
-        """The points of one frame without edge fliers, and the camera's position."""
+    def cloud(self, frame: int) -> Cloud | ColouredCloud:
+        """The points of one frame without edge fliers, the camera's position, and the colours where they are known."""
         depth = self.depth[frame] * MM
         depth[:, self.held_out_columns] = 0
         if self.smooth:
             depth = smoothed(depth, JUMP, passes=1)
-        points = self.camera.unproject(depth, without_fliers(depth, JUMP))
-        return Cloud(points.astype(np.float32), self.camera.eye)
+        keep = without_fliers(depth, JUMP) & seen(depth)
+        cloud = Cloud(self.camera.unproject(depth, keep).astype(np.float32), self.camera.eye)
+        return cloud if self.colors is None else ColouredCloud(*cloud, self.colors[frame][keep])
 
     def template(self, frame: int = 0) -> Mesh:
         """Grid mesh of one frame, about 3,000 vertices."""

@@ -3,7 +3,8 @@
 ``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names. ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
 ``camera.json``: ``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale`` (units per metre, default
 1000), ``fps``, and ``T_world_sensor`` (4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every frame,
-not zero on the garment; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward. Without
+not zero on the garment; ``color/*.png`` or ``*.jpg``, likewise one for every frame, of what the pixels of the depth see (images
+of another size are left aside); ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward. Without
 ``T_world_sensor`` the points are in the axes of the sensor: y up, looking along -z.
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 
 from ddakf.errors import InvalidFile
 from ddakf.evaluation.datasets.captures.recording import DepthRecording, by_number, positive_rate
-from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_grey, read_numbers
+from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_grey, read_numbers
 
 MILLIMETRES = 1000.0  # per metre
 LEAST_SCALE = 1e-3  # units per metre
@@ -55,6 +56,28 @@ class DepthImages(Ordered):
         return values
 
 
+@dataclass(frozen=True, eq=False)
+class ColorImages(Ordered):
+    """Colour images (H, W, 3) uint8, read when they are needed.
+
+    Attributes:
+        paths: of the images.
+        shape: (H, W) of all of them.
+    """
+
+    paths: tuple[Path, ...]
+    shape: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, frame: int) -> np.ndarray:
+        colors = read_colors(self.paths[frame])
+        if colors.shape[:2] != self.shape:
+            raise InvalidFile(str(self.paths[frame]), f"an image of shape {self.shape} as the first one", str(colors.shape[:2]))
+        return colors
+
+
 def is_rgbd(path: Path) -> bool:
     """True if a folder holds depth images."""
     return any((path / "depth").glob("*.png"))
@@ -68,7 +91,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` states them.
 
     Raises:
-        InvalidFile: no depth images, no intrinsics, masks or timestamps that do not fit, images that differ in size.
+        InvalidFile: no depth images, no intrinsics, masks, colours or timestamps that do not fit, images that differ in size.
         MissingDependency: Pillow is not installed.
     """
     path = Path(path)
@@ -80,7 +103,9 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     scale = fields.get("depth_scale", MILLIMETRES)
     if not is_number(scale) or scale < LEAST_SCALE:
         raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
-    images = DepthImages(paths, _masks(path, paths), float(scale), shape)
+    images = DepthImages(paths, _beside(path / "mask", paths, ".png"), float(scale), shape)
+    colors = _beside(path / "color", paths, ".png", ".jpg", ".jpeg")
+    aligned = colors and read_colors(colors[0]).shape[:2] == shape
     times = _timestamps(path / "timestamps.txt", len(paths))
     if times is not None and len(times) > 1:
         fps = (len(times) - 1) / (times[-1] - times[0])
@@ -88,17 +113,19 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         fps = fields.get("fps", fps)
     if not is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
-    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times)
+    seen = ColorImages(colors, shape) if aligned else None
+    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times, colors=seen)
 
 
-def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The mask of every image, matched by the first number in its name; empty without a folder ``mask``."""
-    if not (path / "mask").is_dir():
+def _beside(folder: Path, paths: tuple[Path, ...], *suffixes: str) -> tuple[Path, ...]:
+    """The image in a folder for every depth image, matched by the first number in its name; empty without such images."""
+    found = sorted(image for image in folder.glob("*") if image.suffix.lower() in suffixes)
+    if not folder.is_dir():
         return ()
-    by_first = {tuple(by_number(mask)[:1]): mask for mask in sorted((path / "mask").glob("*.png"))}
+    by_first = {tuple(by_number(image)[:1]): image for image in found}
     missing = [image.name for image in paths if tuple(by_number(image)[:1]) not in by_first]
     if missing:
-        raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {missing[0]}")
+        raise InvalidFile(f"{folder.parent.name}/{folder.name}", "an image for every depth image", f"none for {missing[0]}")
     return tuple(by_first[tuple(by_number(image)[:1])] for image in paths)
 
 

@@ -1,9 +1,10 @@
-"""Depth files: grey PNG images, and the camera that ``camera.json`` or ``intrinsics.txt`` describes."""
+"""Depth files: grey PNG images, images of colours, and the camera that ``camera.json`` or ``intrinsics.txt`` describes."""
 
 from __future__ import annotations
 
 import json
 import struct
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
 LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
-GREY = ("1", "L", "I", "I;16", "I;16B")  # Pillow's names
+GREY, COLOURED = ("1", "L", "I", "I;16", "I;16B"), ("RGB", "RGBA")  # Pillow's names
 LARGEST = 1e12  # largest number in a text file, in any unit
 
 def load_camera(path: Path, shape: tuple[int, int]) -> tuple[Camera, dict]:
@@ -45,29 +46,46 @@ def read_grey(path: Path) -> np.ndarray:
         InvalidFile: no such file, not a grey PNG, more than :data:`MOST_PIXELS`, damaged.
         MissingDependency: Pillow is not installed.
     """
+    return _decoded(path, GREY, "PNG")
+
+
+def read_colors(path: Path) -> np.ndarray:
+    """(H, W, 3) uint8, red, green and blue of a PNG or JPEG image.
+
+    Raises:
+        InvalidFile: no such file, another format, no colours, more than :data:`MOST_PIXELS`, damaged.
+        MissingDependency: Pillow is not installed.
+    """
+    return _decoded(path, COLOURED, "PNG", "JPEG")[:, :, :3]
+
+
+def _decoded(path: Path, modes: tuple[str, ...], *formats: str) -> np.ndarray:
+    """The values of an image in one of Pillow's modes and formats."""
+    expected = f"a {' or '.join(formats)} image"
     try:
         from PIL import Image
     except ImportError as error:
         raise MissingDependency("depth images need Pillow: pip install 'ddakf[evaluation]'") from error
     if not path.is_file():
-        raise InvalidFile(str(path), "a PNG image", "nothing there")
-    with path.open("rb") as file:
-        header = file.read(24)
-        if len(header) < 24 or not header.startswith(PNG_SIGNATURE):
-            raise InvalidFile(path.name, "a PNG image", repr(header[:8]))
-        width, height = struct.unpack(">II", header[16:24])
-        if not 0 < width * height <= MOST_PIXELS:
-            raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", f"{width} x {height}")
-        file.seek(0)
+        raise InvalidFile(str(path), expected, "nothing there")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the number of pixels is checked below
+            image = Image.open(path, formats=formats)  # reads the header alone
+    except Image.DecompressionBombError as error:
+        raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", "many more") from error
+    except (OSError, SyntaxError, ValueError, struct.error) as error:
+        raise InvalidFile(path.name, expected, f"{type(error).__name__}: {error}") from error
+    with image:
+        if image.width * image.height > MOST_PIXELS:
+            raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", f"{image.width} x {image.height}")
+        if image.mode not in modes:
+            kind = "a grey image" if modes is GREY else "an image in red, green and blue"
+            raise InvalidFile(path.name, kind, f"mode {image.mode}")
         try:
-            with Image.open(file, formats=["PNG"]) as image:
-                if image.mode not in GREY:
-                    raise InvalidFile(path.name, "a grey image", f"mode {image.mode}")
-                return np.array(image)
+            return np.array(image)
         except (OSError, SyntaxError, ValueError, struct.error) as error:
-            if isinstance(error, InvalidFile):
-                raise
-            raise InvalidFile(path.name, "a PNG image", f"{type(error).__name__}: {error}") from error
+            raise InvalidFile(path.name, expected, f"{type(error).__name__}: {error}") from error
 
 
 def _text(path: Path) -> str:
