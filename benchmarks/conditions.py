@@ -2,15 +2,13 @@
 
 Each recording is tracked from one camera and from all around, with and without the body, and from four cameras; undisturbed, at
 10 frames per second, with 1,000 points, with 10 mm of noise, in a cloud of the whole person, without colours and with those of
-skin and of a plain garment, with a side that is never seen,
-with a body that is misplaced by 10 mm as estimates of it are, :func:`misplaced`, with cameras that are misplaced by 10 mm,
-:func:`misplaced_cameras`, and with a template, and a start, that are 5 % larger or smaller than the garment; with ``--seeds``
-several times. Printed are RMSE, reliability and the share of seen vertices in their 90 % ellipsoids, by garment and in the
-mean; with ``--against`` the change of the error since other rows, which another version of the tracker has left with ``--out``.
-Changes are chosen here, so held-out recordings are not among these; ``--held-out`` tracks them instead, for a final score.
-``--json`` writes the errors by garment into benchmarks/results/conditions.json, from which ``--table`` prints the tables of
-docs/results/conditions.md.
-"""
+skin and of a plain garment, with a side that is never seen, with a body that is misplaced by 10 mm as estimates of it are,
+:func:`misplaced`, with cameras that are misplaced by 10 mm, :func:`misplaced_cameras`, and with a template, and a start, that
+are 5 % larger or smaller than the garment; with ``--seeds`` several times. Printed are RMSE, reliability and the share of seen
+vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against`` the change of the error since other rows,
+which another version of the tracker has left with ``--out``. Changes are chosen here, so held-out recordings are not among
+these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors by garment into
+benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md."""
 
 from __future__ import annotations
 

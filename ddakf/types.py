@@ -122,12 +122,12 @@ class FrameInput(NamedTuple):
     colors: np.ndarray | None = None  # (N, 3) uint8, red, green, blue; None: not known
 
     def only(self, rows: np.ndarray | slice) -> FrameInput:
-        """The frame with some of the points, their colours, and their sensors where each has its own."""
-        origin = self.sensor_origin
+        """The frame with some of the points, their colours, and their sensors where each has its own; none without points."""
+        points, origin = self.points[rows], self.sensor_origin
         if origin is not None and origin.ndim == 2:
-            origin = origin[rows]
+            origin = origin[rows] if len(points) else None
         colors = None if self.colors is None else self.colors[rows]
-        return self._replace(points=self.points[rows], sensor_origin=origin, colors=colors)
+        return self._replace(points=points, sensor_origin=origin, colors=colors)
 
 
 class Surfels(NamedTuple):

@@ -2,8 +2,8 @@
 
 Skin and other clothes beside a garment hide where it ends, and nothing tells them from it by their place where no body is given.
 Two histograms of colours are learned: of points on the garment, away from its boundaries, and of points far from it. A colour
-that both have in plenty leaves nothing out. Where cloth itself has the colours of other things, as a print or a cuff like skin,
-nothing is left out beside it.
+that both have in plenty leaves nothing out beside the garment. Nor is anything left out beside cloth that was seen in colours of
+other things, such as a print or a cuff like skin.
 """
 
 from __future__ import annotations
@@ -21,6 +21,9 @@ from ddakf.types import FrameInput, Palette, Problem
 
 CLOTH, OTHER = 0, 1  # histograms
 DOUBTFUL = 0.7  # share of a vertex's points in the colours of other things, from which on its cloth has them
+KNOWN = 0.5  # share of the points far from the garment in the colours of other things; with fewer, light or camera have changed
+FIRST = 10  # as many times more points are learned from where nothing is known
+GOLDEN = 0.6180339887  # its multiples fill [0, 1) evenly
 
 
 def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
@@ -28,58 +31,96 @@ def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
 
     Before anything has been learned, the frame itself is learned from, the garment being where it is predicted.
     """
-    palette, position = problem.last.palette, problem.prior.position
-    if palette is None:
-        palette = _shown(problem, position, problem.frame, None)
-    if palette is None or frame.colors is None:
+    config, palette, position = problem.config.segmentation, problem.last.palette, problem.prior.position
+    if frame.colors is None or config.points == 0:
         return frame
-    other = _others(frame.colors, palette, problem.config.segmentation)
+    if palette is None:
+        palette = _shown(problem, position, None)
+    if not _enough(palette, config):
+        return frame
+    other = _others(frame.colors, palette, config)
     doubtful = (palette.alike > DOUBTFUL * palette.seen)[problem.model.inside]
     if other.any() and doubtful.any():
-        nearest, away = nearest_vertices(frame.points[other], position, problem.config.segmentation.other_distance)
+        nearest, away = nearest_vertices(frame.points[other], position, config.other_distance)
         other[other] = ~(doubtful[nearest] & (away < _reach(problem)))
     return frame.only(~other) if other.any() else frame
 
 
 def learned(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:
-    """The palette after a frame, whose vertices are at (V, 3) ``position``, metres. A doubtful frame teaches nothing."""
-    known, config, frame = problem.last.palette, problem.config.segmentation, problem.frame
-    if frame.colors is None or reliability < config.learned_above:
+    """The palette after a frame, whose vertices are at (V, 3) ``position``, metres.
+
+    A doubtful frame teaches nothing. Where the things far from the garment are no longer in the colours that were learned, light
+    or camera have changed, and all is forgotten.
+    """
+    known, config = problem.last.palette, problem.config.segmentation
+    if config.points == 0:
+        return None
+    if problem.frame.colors is None or len(problem.frame.points) == 0:
         return known
-    if known is not None:
-        frame = frame.only(np.arange(0, len(frame.points), max(1, len(frame.points) // max(config.points, 1))))
-    shown = _shown(problem, position, frame, known)
-    if known is None or shown is None:
-        return known if shown is None else shown
+    shown = _shown(problem, position, known)
+    if known is not None and _changed(shown, known, config):
+        return None
+    if reliability < config.learned_above:
+        return known
+    if known is None:
+        return shown
     kept = np.float32(exp(-problem.dt / config.memory))
     return Palette(*(kept * before + now for before, now in zip(known, shown, strict=True)))
 
 
-def _shown(problem: Problem, position: np.ndarray, frame: FrameInput, known: Palette | None) -> Palette | None:
-    """The palette of a frame alone, its garment at (V, 3) ``position``, metres; None where there is none.
+def _shown(problem: Problem, position: np.ndarray, known: Palette | None) -> Palette:
+    """The palette of a frame alone, its garment at (V, 3) ``position``, metres.
 
     ``known`` is the one before, by which colours are told apart; those of the frame if None.
     """
-    config, inside = problem.config.segmentation, problem.model.inside
-    if frame.colors is None or config.points == 0 or len(frame.points) == 0:
-        return None
-    n = len(position)
+    config, inside, n = problem.config.segmentation, problem.model.inside, len(position)
+    frame = problem.frame.only(_sample(problem.frame, position, config, FIRST if known is None else 1))
     nearest, away = nearest_vertices(frame.points, position, config.other_distance)
     cloth = (inside[nearest] == nearest) & (away < _reach(problem))
     counts = np.zeros((2, *CELLS), np.float32)
     kernels.add_colors(frame.colors, cloth, LOGARITHM, counts[CLOTH])
     kernels.add_colors(frame.colors, nearest < 0, LOGARITHM, counts[OTHER])
-    alike = _others(frame.colors, Palette(counts, *np.zeros((2, n))) if known is None else known, config)
+    palette = Palette(counts, *np.zeros((2, n), np.float32)) if known is None else known
+    if not _enough(palette, config):
+        return Palette(counts, *np.zeros((2, n), np.float32))
+    alike = _others(frame.colors, palette, config)
     seen = (np.bincount(nearest[chosen], minlength=n).astype(np.float32) for chosen in (cloth & alike, cloth))
     return Palette(counts, *seen)
 
 
+def _sample(frame: FrameInput, position: np.ndarray, config: Segmentation, more: int) -> np.ndarray:
+    """Rows of a frame, spread over the points in the garment's box, and as many over those outside."""
+    lower, upper = position.min(axis=0) - config.other_distance, position.max(axis=0) + config.other_distance
+    boxed = ((frame.points > lower) & (frame.points < upper)).all(axis=1)
+    return np.concatenate([_spread(np.flatnonzero(part), more * config.points) for part in (boxed, ~boxed)])
+
+
+def _spread(rows: np.ndarray, count: int) -> np.ndarray:
+    """So many of the rows, one of each stretch of them; not always its first, which are columns of an image."""
+    if len(rows) <= count:
+        return rows
+    at = np.arange(count)
+    return rows[((at + at * GOLDEN % 1.0) * len(rows) / count).astype(np.int64)]
+
+
+def _changed(shown: Palette, known: Palette, config: Segmentation) -> bool:
+    """Whether most of what a frame shows of other things has colours that the palette does not know of them."""
+    if not _enough(known, config) or shown.counts[OTHER].sum() < config.least_points:
+        return False
+    of_others = known.counts[OTHER] / known.counts[OTHER].sum() > config.floor
+    return float(shown.counts[OTHER][of_others].sum()) < KNOWN * float(shown.counts[OTHER].sum())
+
+
+def _enough(palette: Palette, config: Segmentation) -> bool:
+    """Whether enough points of the garment and of other things were learned."""
+    return float(palette.counts.sum(axis=(1, 2, 3)).min()) >= config.least_points
+
+
 def _others(colors: np.ndarray, palette: Palette, config: Segmentation) -> np.ndarray:
-    """(N,) bool: (N, 3) colours that are likelier among other things; none before enough is learned."""
-    other, count = np.zeros(len(colors), bool), palette.counts.sum(axis=(1, 2, 3), keepdims=True)
-    if count.min() >= config.least_points:
-        likelihoods = palette.counts / count + np.float32(config.floor)
-        kernels.mark_others(colors, LOGARITHM, likelihoods, config.ratio, other)
+    """(N,) bool: (N, 3) colours that are likelier among other things."""
+    likelihoods = palette.counts / palette.counts.sum(axis=(1, 2, 3), keepdims=True) + np.float32(config.floor)
+    other = np.empty(len(colors), bool)
+    kernels.mark_others(colors, LOGARITHM, likelihoods, config.ratio, other)
     return other
 
 

@@ -29,7 +29,7 @@ class Colour(Checked):
 class Segmentation(Checked):
     """Colours that tell the garment's points from those of other things, such as skin and other clothes."""
 
-    points: int = bounded(800, 0, 1_000_000)  # of a frame that colours are learned from, at least; 0: nothing is left out
+    points: int = bounded(800, 0, 1_000_000)  # of a frame that teach colours, of as many others as well; 0: none is left out
     ratio: float = bounded(5.0, 1, 1e6)  # likelihoods, of other things to the garment, from which a point is left out
     least_points: float = bounded(200.0, 1, 1e6)  # learned of either, before any point is left out
     floor: float = bounded(1e-4, 1e-9, 1)  # likelihood of a colour that was not seen

@@ -2,8 +2,8 @@
 
 from numba import njit
 
-CELLS = (32, 32, 12)  # of log red/green, of log blue/green, and of the mean logarithm
-WIDTHS = (0.05, 0.05, 0.25)  # of a cell, natural logarithm
+CELLS = (32, 32, 6)  # of log red/green, of log blue/green, and of the mean logarithm, which shading changes
+WIDTHS = (0.05, 0.05, 0.5)  # of a cell, natural logarithm
 FIRST = (-0.8, -0.8, 2.75)  # where the first cells begin: black has a logarithm of 2.77, white of 5.6
 
 

@@ -171,3 +171,45 @@ def test_the_palette_goes_along_to_another_working_mesh():
     assert (moved.counts == tracker._track.palette.counts).all()
     assert moved.seen.shape == (other.working_vertices,)
     assert (moved.alike <= moved.seen + 1e-6).all()
+
+
+def test_after_a_change_of_the_light_all_is_learned_anew(monkeypatch):
+    tracker = ddakf.Tracker(SHEET)
+    for k in range(12):
+        points, colors, cloth = seen(cloth=(200, 200, 200), around=(60, 60, 60), seed=k, light=0.3 if k >= 6 else 1.0)
+        stays = kept(monkeypatch, tracker, points, colors, k / 30)
+        if k > 6:  # cloth has the colour that the plane had before
+            assert stays[cloth].mean() > 0.99
+            assert stays[~cloth].mean() < 0.03
+
+
+def test_a_frame_of_other_things_alone_has_no_points_left():
+    eyes = np.array([[0.3, 0.3, 2.0], [0.3, 0.3, 2.1]])
+    tracker = ddakf.Tracker(SHEET)
+    for k in range(4):
+        points, colors, _ = seen(seed=k)
+        colors = np.full_like(colors, SKIN) if k == 3 else colors
+        origin = eyes[np.arange(len(points)) % 2]
+        result = tracker.step(points, timestamp=k / 30, sensor_origin=origin, colors=colors)
+    assert result.coverage == 0.0
+    assert np.isfinite(result.vertices).all()
+
+
+def test_what_was_learned_is_not_used_once_it_is_switched_off(monkeypatch):
+    tracker = learned_tracker().configured(ddakf.Config.from_dict({"segmentation": {"points": 0}}))
+    points, colors, _ = seen(seed=9)
+    assert kept(monkeypatch, tracker, points, colors, 1 / 3).all()
+    assert tracker._track.palette is None
+
+
+def test_a_large_cloud_teaches_the_garment_as_much_as_a_small_one():
+    learned = []
+    for around in (2, 40):
+        tracker = ddakf.Tracker(SHEET)
+        for k in range(5):
+            points, colors, _ = seen(seed=k)
+            far = np.random.default_rng(k).uniform(1.0, 3.0, (6000 * around, 3)).astype(np.float32)
+            points, colors = np.concatenate([far, points]), np.concatenate([np.full((len(far), 3), SKIN, np.uint8), colors])
+            tracker.step(points, timestamp=k / 30, sensor_origin=ORIGIN, colors=colors)
+        learned.append(tracker._track.palette.counts.sum(axis=(1, 2, 3)))
+    assert learned[0] == pytest.approx(learned[1], rel=0.05)

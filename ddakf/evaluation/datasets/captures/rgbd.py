@@ -3,13 +3,14 @@
 ``depth/*.png`` (grey, 16 bit), in the order of the numbers in their names. ``intrinsics.txt`` (a 3 x 3 or 4 x 4 matrix) or
 ``camera.json``: ``fx, fy, cx, cy``, or Open3D's ``intrinsic_matrix``; optionally ``depth_scale`` (units per metre, default
 1000), ``fps``, and ``T_world_sensor`` (4 x 4, camera to world). Optional: ``mask/*.png``, one of the same number for every frame,
-not zero on the garment; ``color/*.png`` or ``*.jpg``, likewise one for every frame, of what the pixels of the depth see (images
-of another size are left aside); ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y down, z forward. Without
-``T_world_sensor`` the points are in the axes of the sensor: y up, looking along -z.
+not zero on the garment; ``color/*.png`` or ``*.jpg`` of what the pixels of the depth see, left aside unless there is one in red,
+green and blue and of the depth's size for every frame; ``timestamps.txt``, seconds, a line per frame. Camera axes: x right, y
+down, z forward. Without ``T_world_sensor`` the points are in the axes of the sensor: y up, looking along -z.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +24,7 @@ from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, lo
 MILLIMETRES = 1000.0  # per metre
 LEAST_SCALE = 1e-3  # units per metre
 SHORTEST = 1e-6  # s between two frames
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         fps: frames per second where neither ``camera.json`` nor ``timestamps.txt`` states them.
 
     Raises:
-        InvalidFile: no depth images, no intrinsics, masks, colours or timestamps that do not fit, images that differ in size.
+        InvalidFile: no depth images, no intrinsics, masks or timestamps that do not fit, images that differ in size.
         MissingDependency: Pillow is not installed.
     """
     path = Path(path)
@@ -103,9 +105,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     scale = fields.get("depth_scale", MILLIMETRES)
     if not is_number(scale) or scale < LEAST_SCALE:
         raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
-    images = DepthImages(paths, _beside(path / "mask", paths, ".png"), float(scale), shape)
-    colors = _beside(path / "color", paths, ".png", ".jpg", ".jpeg")
-    aligned = colors and read_colors(colors[0]).shape[:2] == shape
+    images = DepthImages(paths, _masks(path, paths), float(scale), shape)
     times = _timestamps(path / "timestamps.txt", len(paths))
     if times is not None and len(times) > 1:
         fps = (len(times) - 1) / (times[-1] - times[0])
@@ -113,20 +113,35 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         fps = fields.get("fps", fps)
     if not is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
-    seen = ColorImages(colors, shape) if aligned else None
-    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times, colors=seen)
+    colors = _colors(path / "color", paths, shape)
+    return DepthRecording(path.resolve().name, images, camera, positive_rate(fps), times=times, colors=colors)
 
 
-def _beside(folder: Path, paths: tuple[Path, ...], *suffixes: str) -> tuple[Path, ...]:
-    """The image in a folder for every depth image, matched by the first number in its name; empty without such images."""
-    found = sorted(image for image in folder.glob("*") if image.suffix.lower() in suffixes)
-    if not folder.is_dir():
+def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The mask of every image; empty without a folder ``mask``."""
+    if not (path / "mask").is_dir():
         return ()
-    by_first = {tuple(by_number(image)[:1]): image for image in found}
-    missing = [image.name for image in paths if tuple(by_number(image)[:1]) not in by_first]
-    if missing:
-        raise InvalidFile(f"{folder.parent.name}/{folder.name}", "an image for every depth image", f"none for {missing[0]}")
-    return tuple(by_first[tuple(by_number(image)[:1])] for image in paths)
+    found = _beside(paths, (path / "mask").glob("*.png"))
+    if None in found:
+        raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {paths[found.index(None)].name}")
+    return tuple(found)
+
+
+def _colors(folder: Path, paths: tuple[Path, ...], shape: tuple[int, int]) -> ColorImages | None:
+    """The colours of every image; None where some are missing, or the first ones are of another kind or size."""
+    found = _beside(paths, (image for image in folder.glob("*") if image.suffix.lower() in COLOR_SUFFIXES))
+    if None in found:
+        return None
+    try:
+        return ColorImages(tuple(found), shape) if read_colors(found[0]).shape[:2] == shape else None
+    except InvalidFile:
+        return None
+
+
+def _beside(paths: tuple[Path, ...], others: Iterable[Path]) -> list[Path | None]:
+    """For every image the other one that has the same first number in its name; None without one."""
+    by_first = {tuple(by_number(other)[:1]): other for other in sorted(others)}
+    return [by_first.get(tuple(by_number(image)[:1])) for image in paths]
 
 
 def _timestamps(path: Path, count: int) -> np.ndarray | None:
