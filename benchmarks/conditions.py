@@ -8,7 +8,8 @@ are 5 % larger or smaller than the garment; with ``--seeds`` several times. Prin
 vertices in their 90 % ellipsoids, by garment and in the mean; with ``--against`` the change of the error since other rows,
 which another version of the tracker has left with ``--out``. Changes are chosen here, so held-out recordings are not among
 these; ``--held-out`` tracks them instead, for a final score. ``--json`` writes the errors by garment into
-benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md."""
+benchmarks/results/conditions.json, from which ``--table`` prints the tables of docs/results/conditions.md.
+"""
 
 from __future__ import annotations
 
