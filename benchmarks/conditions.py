@@ -101,8 +101,8 @@ def run(job: tuple[str, str, str, int, str, int]) -> dict:
         cloud = sensor.capture(sequence, k, np.random.default_rng([seed, k]), TEXTURES.get(condition))
         pose = misplaced(sequence.body_vertices[k], body_sd, k, (zlib.crc32(name.encode()), seed)) if with_body else None
         points, origin = misplaced_cameras(cloud, CAMERAS_OFF.get(condition, 0.0), (zlib.crc32(name.encode()), seed))
-        before = time.thread_time()
         colors = getattr(cloud, "colors", None)
+        before = time.thread_time()
         result = tracker.step(points, timestamp=k / sequence.fps, sensor_origin=origin, body_vertices=pose, colors=colors)
         seconds.append(time.thread_time() - before)
         off = result.vertices - sequence.garment_vertices[k]

@@ -122,7 +122,7 @@ class FrameInput(NamedTuple):
     colors: np.ndarray | None = None  # (N, 3) uint8, red, green, blue; None: not known
 
     def only(self, rows: np.ndarray | slice) -> FrameInput:
-        """The frame with some of the points, their colours, and their sensors where each has its own; none without points."""
+        """The frame with some of the points and their colours, and with their sensors where each has its own and any is left."""
         points, origin = self.points[rows], self.sensor_origin
         if origin is not None and origin.ndim == 2:
             origin = origin[rows] if len(points) else None

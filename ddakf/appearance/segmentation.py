@@ -80,10 +80,11 @@ def _shown(problem: Problem, position: np.ndarray, known: Palette | None) -> Pal
     counts = np.zeros((2, *CELLS), np.float32)
     kernels.add_colors(frame.colors, cloth, LOGARITHM, counts[CLOTH])
     kernels.add_colors(frame.colors, nearest < 0, LOGARITHM, counts[OTHER])
-    palette = Palette(counts, *np.zeros((2, n), np.float32)) if known is None else known
-    if not _enough(palette, config):
-        return Palette(counts, *np.zeros((2, n), np.float32))
-    alike = _others(frame.colors, palette, config)
+    alone = Palette(counts, *np.zeros((2, n), np.float32))
+    told = alone if known is None else known
+    if not _enough(told, config):
+        return alone
+    alike = _others(frame.colors, told, config)
     seen = (np.bincount(nearest[chosen], minlength=n).astype(np.float32) for chosen in (cloth & alike, cloth))
     return Palette(counts, *seen)
 

@@ -52,10 +52,7 @@ class DepthImages(Ordered):
         return depth if self.scale == MILLIMETRES else (depth * np.float32(MILLIMETRES / self.scale)).astype(np.float32)
 
     def _image(self, path: Path) -> np.ndarray:
-        values = read_grey(path)
-        if values.shape != self.shape:
-            raise InvalidFile(str(path), f"an image of shape {self.shape} as the first one", str(values.shape))
-        return values
+        return _as_first(read_grey(path), path, self.shape)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,10 +71,14 @@ class ColorImages(Ordered):
         return len(self.paths)
 
     def __getitem__(self, frame: int) -> np.ndarray:
-        colors = read_colors(self.paths[frame])
-        if colors.shape[:2] != self.shape:
-            raise InvalidFile(str(self.paths[frame]), f"an image of shape {self.shape} as the first one", str(colors.shape[:2]))
-        return colors
+        return _as_first(read_colors(self.paths[frame]), self.paths[frame], self.shape)
+
+
+def _as_first(image: np.ndarray, path: Path, shape: tuple[int, int]) -> np.ndarray:
+    """The image of a file, which has this (H, W)."""
+    if image.shape[:2] != shape:
+        raise InvalidFile(str(path), f"an image of shape {shape} as the first one", str(image.shape[:2]))
+    return image
 
 
 def is_rgbd(path: Path) -> bool:

@@ -14,7 +14,6 @@ from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 
 MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
 LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 GREY, COLOURED = ("1", "L", "I", "I;16", "I;16B"), ("RGB", "RGBA")  # Pillow's names
 LARGEST = 1e12  # largest number in a text file, in any unit
 
@@ -73,7 +72,7 @@ def _decoded(path: Path, modes: tuple[str, ...], *formats: str) -> np.ndarray:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the number of pixels is checked below
             image = Image.open(path, formats=formats)  # reads the header alone
     except Image.DecompressionBombError as error:
-        raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", "many more") from error
+        raise InvalidFile(path.name, f"at most {MOST_PIXELS} pixels", str(error).partition(" exceeds")[0]) from error
     except (OSError, SyntaxError, ValueError, struct.error) as error:
         raise InvalidFile(path.name, expected, f"{type(error).__name__}: {error}") from error
     with image:
