@@ -11,6 +11,7 @@ TrackerState = Literal["initializing", "tracking", "recovering", "lost"]
 WarningCode = Literal[
     "sensor_origin_missing",
     "nothing_in_reach",
+    "whole_person",
     "length_unit",
     "garment_size",
     "time_unit",

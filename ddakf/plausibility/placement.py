@@ -1,4 +1,4 @@
-"""Placement of cloud, sensor and body: points out of reach or behind their sensor, a body apart from the garment or off."""
+"""Placement of cloud, sensor and body: points out of reach, of a whole person or behind their sensor, a body apart or off."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.kernels.preprocess import bounds
+from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
+BESIDE = 0.25  # m from the garment, within which its wearer is looked for
+BEYOND = 0.1  # share of the points there that lie beyond a boundary of the garment
 SPLIT = 8  # edges; a few may be a slit that is closed at rest
 OFF = 0.005  # m; exact bodies show 3 mm at most, where points have 10 mm of noise
 SEEN = 0.2  # share of the vertices, with which the garment's place is known
@@ -25,6 +28,24 @@ def nothing_in_reach(problem: Problem, estimate: Estimate) -> Sign | None:
     outside = np.maximum(np.maximum(lower - points, points - upper), 0.0)
     nearest = float(np.sqrt(np.square(outside).sum(axis=1).min()))
     return Sign("points", f"none of {len(points)} points is near the garment: the nearest is {nearest:.3g} m from its box")
+
+
+def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a cloud that goes on beyond the boundaries of its garment, and of no body that would explain it."""
+    model, rule = problem.model, problem.config.evidence
+    explained = problem.frame.body_vertices is not None or problem.health.least_unexplained <= rule.foreign_share
+    if explained or len(model.boundary) == 0 or estimate.observed.mean() < SEEN:
+        return None
+    points = problem.garment.points[:: -(-len(problem.garment.points) // SAMPLE)]
+    nearest, away = nearest_vertices(points, estimate.position, BESIDE)
+    outside = away > max(rule.unexplained_distance, rule.unexplained_edges * model.edge_length)
+    beside = nearest >= 0
+    beyond = np.count_nonzero(beside & outside & np.isin(nearest, model.boundary[:, 0]))
+    if beyond < BEYOND * np.count_nonzero(beside):
+        return None
+    share = beyond / np.count_nonzero(beside)
+    sentence = f"{share:.0%} of the points near the garment lie beyond its boundaries, as its wearer does: mask them, or give"
+    return Sign("points", f"{sentence} colours or the body, which tell the wearer from the garment")
 
 
 def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:

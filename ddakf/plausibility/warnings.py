@@ -36,6 +36,7 @@ def _sensor_origin_missing(problem: Problem, estimate: Estimate) -> Sign | None:
 CHECKS: Mapping[WarningCode, Check] = {
     "sensor_origin_missing": Check(_sensor_origin_missing, 1),
     "nothing_in_reach": Check(placement.nothing_in_reach, 5),
+    "whole_person": Check(placement.whole_person, 10),
     "length_unit": Check(units.length_unit, 2, spaced=True),
     "garment_size": Check(units.garment_size, 10, spaced=True),
     "time_unit": Check(units.time_unit, 2),

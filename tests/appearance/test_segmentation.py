@@ -65,6 +65,15 @@ def test_cloth_that_is_surrounded_is_known_to_its_edge():
     assert error[True] < 0.25 * error[False]
 
 
+@pytest.mark.parametrize(("around", "told"), [(SKIN, False), (CLOTH, True), (None, True)], ids=["unlike", "alike", "none"])
+def test_a_whole_person_is_told_unless_its_colours_tell_it_apart(around, told):
+    tracker = ddakf.Tracker(SHEET)
+    for k in range(12):
+        points, colors, _ = seen(around=around or SKIN, seed=k)
+        result = tracker.step(points, timestamp=k / 30, sensor_origin=ORIGIN, colors=colors if around else None)
+    assert ("whole_person" in [warning.code for warning in result.warnings]) == told
+
+
 @pytest.mark.parametrize("around", [CLOTH, None], ids=["alike", "without colours"])
 def test_all_points_stay_where_colours_tell_nothing(monkeypatch, around):
     tracker = ddakf.Tracker(SHEET)

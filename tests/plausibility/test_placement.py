@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from ddakf import Mesh, Tracker
+from ddakf.evaluation.sensors import Sensor
 from tests.stages.scenes import FPS
-from tests.tracker_runs import BODY, EYE, SAMPLE, TUBE, cloud, swaying, worn
+from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud, swaying, worn
 
 
 def last_of(frames, body=None):
@@ -36,6 +37,22 @@ def test_a_garment_that_jumps_and_is_found_is_no_sign():
 def test_empty_frames_are_no_sign():
     frames = [(cloud(k)[: 0 if k % 4 else None], {"sensor_origin": EYE}) for k in range(20)]
     assert last_of(frames) == ({}, 20)
+
+
+@pytest.mark.parametrize("view", ["full", "front"])
+@pytest.mark.parametrize("given", ["the garment", "the person", "the person and the body"])
+def test_a_whole_person_is_told_unless_the_body_explains_it(view, given):
+    frames, sensor = [], Sensor(view, points=4000, segmented=given == "the garment")
+    for k in range(1, 15):
+        points, eye = sensor.capture(SAMPLE, k, np.random.default_rng([1, k]))
+        body = SAMPLE.body_vertices[k] if "body" in given else None
+        frames.append((points, {"sensor_origin": eye, "body_vertices": body}))
+    tracker = Tracker(SHIRT, body=WEARER if "body" in given else None)
+    tracker.reset(SAMPLE.garment_vertices[0])
+    told = [tracker.step(points, timestamp=k / FPS, **how).warnings for k, (points, how) in enumerate(frames)]
+    assert not any(told[:9])
+    due = [("whole_person", "points")] if given == "the person" else []
+    assert [(warning.code, warning.field) for warning in told[-1]] == due
 
 
 @pytest.mark.parametrize("each", [False, True], ids=["one origin", "one per point"])

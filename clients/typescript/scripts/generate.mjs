@@ -15,7 +15,7 @@ execFileSync(
   process.env.DDAKF_PYTHON ?? "python3",
   [
     ...["-m", "grpc_tools.protoc", `-I${protos}`, `--plugin=protoc-gen-es=${root}/node_modules/.bin/protoc-gen-es`],
-    ...[`--es_out=${out}`, "--es_opt=target=ts,import_extension=js", "ddakf_api/v1/tracking.proto"],
+    ...[`--es_out=${out}`, "--es_opt=target=js+dts,import_extension=js", "ddakf_api/v1/tracking.proto"],
   ],
   { cwd: protos, stdio: ["ignore", "inherit", "inherit"] },
 );

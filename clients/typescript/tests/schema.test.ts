@@ -12,8 +12,8 @@ test("the committed messages are those of the protos: else run npm run generate"
   const out = mkdtempSync(join(tmpdir(), "ddakf-"));
   try {
     execFileSync(process.execPath, [join(ROOT, "scripts/generate.mjs"), out]);
-    const file = "ddakf_api/v1/tracking_pb.ts";
-    expect(readFileSync(join(ROOT, "src/gen", file), "utf8")).toBe(readFileSync(join(out, file), "utf8"));
+    for (const file of ["ddakf_api/v1/tracking_pb.js", "ddakf_api/v1/tracking_pb.d.ts"])
+      expect(readFileSync(join(ROOT, "src/gen", file), "utf8")).toBe(readFileSync(join(out, file), "utf8"));
   } finally {
     rmSync(out, { recursive: true });
   }
