@@ -154,6 +154,7 @@ def mistakes() -> dict:
         "body three frames late": late,
         "z taken for the vertical, with a body": lambda frame: frame,
         "body on its head": lambda frame: frame,
+        "a whole person": lambda frame: frame,
         "template split along a seam": lambda frame: frame,
         "template 8 % too small, all around": lambda frame: frame,
         "four cameras, 10 mm off": misplaced,
@@ -186,7 +187,7 @@ def mistake(case: tuple[str, int]) -> list[str]:
     """What the tracker says about a mistake, in lines."""
     name, frames = case
     view = next((view for part, view in VIEWS.items() if part in name), "front")
-    source = source_of("sample", view, frames, "truth")
+    source = source_of("sample", view, frames, "truth", segmented="whole person" not in name)
     if "split" in name:
         source = dataclasses.replace(source, sequence=split(source.sequence))
     if "too small" in name:

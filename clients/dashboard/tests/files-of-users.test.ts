@@ -1,6 +1,6 @@
 /** Files of users in Chromium: an own mesh with a recording, a recorded session, and its replay beside it. */
 import { execFileSync } from "node:child_process";
-import { copyFileSync, readFileSync } from "node:fs";
+import { copyFileSync, readFileSync, rmSync } from "node:fs";
 import { join } from "node:path";
 import { afterAll, afterEach, beforeAll, expect, test } from "vitest";
 import type { Page } from "playwright-core";
@@ -29,14 +29,23 @@ lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices] + [f"f {a} {b} {c
 (folder / "clouds").mkdir()
 for k in range(12):
     write_points(folder / "clouds" / f"{k}.ply", sample_surface(sequence.garment_vertices[k], sequence.garment_faces, 6000, rng))
-(folder / "images" / "depth").mkdir(parents=True)
+for name in ("images/depth", "person/depth", "person/color"):
+    (folder / name).mkdir(parents=True)
 camera = Camera.looking_at(Intrinsics(width=192, height=160, fx=170.0, fy=170.0, cx=95.5, cy=79.5), eye=(0.0, 1.15, 2.0), target=(0.0, 1.15, 0.0))
 for k in range(4):
     depth, _ = camera.render([(sequence.garment_vertices[k], sequence.garment_faces)])
     Image.fromarray(np.where(np.isfinite(depth), 1000 * depth, 0).astype(np.uint16)).save(folder / "images" / "depth" / f"{k}.png")
+cloth = len(sequence.garment_faces)
+for k in range(15):  # the whole person, a blue shirt
+    depth, face = camera.render([(sequence.garment_vertices[k], sequence.garment_faces), (sequence.body_vertices[k], sequence.body_faces)])
+    Image.fromarray(np.where(np.isfinite(depth), 1000 * depth, 0).astype(np.uint16)).save(folder / "person" / "depth" / f"{k}.png")
+    colors = np.where(face[:, :, None] < cloth, [40, 70, 120], [200, 150, 130]) + rng.integers(-5, 6, (*face.shape, 3))
+    Image.fromarray(colors.astype(np.uint8)).save(folder / "person" / "color" / f"{k}.jpg", quality=95)
 pose = np.vstack([np.column_stack([camera.axes.T, camera.eye]), [0, 0, 0, 1]])
 import json
-(folder / "images" / "camera.json").write_text(json.dumps({"fx": 170, "fy": 170, "cx": 95.5, "cy": 79.5, "T_world_sensor": pose.tolist()}))
+for name in ("images", "person"):
+    fields = {"fx": 170, "fy": 170, "cx": 95.5, "cy": 79.5, "T_world_sensor": pose.tolist()}
+    (folder / name / "camera.json").write_text(json.dumps(fields))
 `;
 
 let setting: Setting;
@@ -94,6 +103,21 @@ test("a folder of depth images is tracked with a mesh", async () => {
   complaints();
   await page.locator(".session .pill:not([data-state=unknown]):not([data-state=initializing])").waitFor();
   await page.getByText("all frames were sent").waitFor();
+});
+
+test("the colours of a whole person tell the garment from its wearer", async () => {
+  for (const colours of [true, false]) {
+    if (!colours) rmSync(path("person/color"), { recursive: true });
+    await page.getByRole("link", { name: "Start", exact: true }).click();
+    await choose("Folder", path("person"));
+    await choose("Files", path("shirt.obj"));
+    await page.getByRole("button", { name: "Start", exact: true }).click();
+    await page.getByRole("button", { name: "Repair and start" }).click();
+    complaints(); // of the refused call
+    await page.getByText("all frames were sent").waitFor();
+    await expect.poll(() => lastMoment(page)).toBe(14);
+    await expect.poll(() => page.locator(".signs", { hasText: "beyond its boundaries" }).count()).toBe(colours ? 0 : 1);
+  }
 });
 
 test("a dropped mesh and a dropped folder are taken, without leaving the page", async () => {

@@ -106,6 +106,22 @@ print(json.dumps([vertices.ravel().tolist(), np.sort(triangles, axis=0).ravel().
     }
   });
 
+  test("the colours of PLY files are those of Python, of bytes alone", () => {
+    const told = python(`
+from ddakf.files.io import read_coloured_points
+for kind in ("uchar", "float"):
+    names = "".join(f"property {kind} {name}\\n" for name in ("blue", "red", "green"))
+    place = "".join(f"property float {axis}\\n" for axis in "xyz")
+    text = f"ply\\nformat ascii 1.0\\nelement vertex 2\\n{names}{place}end_header\\n3 1 2 0 0 0\\n6 4 255 1 1 1\\n"
+    open(f"{sys.argv[1]}/{kind}.ply", "w").write(text)
+print(json.dumps(read_coloured_points(sys.argv[1] + "/uchar.ply")[1].ravel().tolist()))
+`);
+    expect(Array.from(readSurface("uchar.ply", bytes("uchar.ply")).colors!)).toEqual(told);
+    expect(told).toEqual([1, 2, 3, 4, 255, 6]);
+    expect(readSurface("float.ply", bytes("float.ply")).colors).toBeUndefined();
+    expect(readSurface("ascii.ply", bytes("ascii.ply")).colors).toBeUndefined();
+  });
+
   test("OBJ files with texture indices, polygons and indices from the end", () => {
     const { vertices, faces } = readObj("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvn 0 0 1\nf 1/1/1 2/2/1 3//1 4\nf -4 -3 -2\n");
     expect(vertices.length).toBe(12);
@@ -151,17 +167,19 @@ describe("what files are", () => {
     }
   });
 
-  test("depth images need a camera; masks are told apart", async () => {
+  test("depth images need a camera; masks and colours are told apart", async () => {
     const images = [file("a/depth/1.png"), file("a/depth/2.png"), file("a/mask/1.png"), file("a/mask/2.png")];
     expect((await recognise(images)).problems.join()).toContain("no camera.json");
     const camera = file("a/camera.json", "{}");
     const colors = [file("a/color/1.png"), file("a/color/2.png"), file("a/preview.png")];
-    for (const others of [[], colors]) {
-      const { source } = await recognise([...others, ...images, camera]);
-      expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 2]);
-    }
-    const { source } = await recognise([file("a/1.png"), file("a/2.png"), camera]);
-    expect(source?.kind === "depth" && [source.name, source.files.length, source.masks.length]).toEqual(["a", 2, 0]);
+    const counts = async (files: Parameters<typeof recognise>[0]) => {
+      const { source } = await recognise(files);
+      return source?.kind === "depth" && [source.name, source.files.length, source.masks.length, source.colors.length];
+    };
+    expect(await counts([...images, camera])).toEqual(["a", 2, 2, 0]);
+    expect(await counts([...colors, ...images, camera])).toEqual(["a", 2, 2, 2]);
+    expect(await counts([file("a/color/1.jpg"), ...images, camera])).toEqual(["a", 2, 2, 1]);
+    expect(await counts([file("a/1.png"), file("a/2.png"), camera])).toEqual(["a", 2, 0, 0]);
   });
 
   test("what is neither is said", async () => {

@@ -6,6 +6,8 @@ export interface Surface {
   vertices: Float32Array<ArrayBuffer>;
   /** (F, 3). */
   faces: Uint32Array<ArrayBuffer>;
+  /** (V, 3) red, green and blue, where a PLY has them as bytes. */
+  colors?: Uint8Array<ArrayBuffer>;
   /** Where the sensor of a cloud was, as `comment sensor_origin X Y Z` of a PLY says. */
   origin?: [number, number, number];
 }
@@ -75,17 +77,29 @@ export function readPly(bytes: Uint8Array<ArrayBuffer>): Surface {
   const { elements, format, origin, from } = plyHeader(bytes);
   const next =
     format === "ascii" ? words(asText(bytes.subarray(from))) : numbers(bytes.subarray(from), format.includes("little"));
-  const surface: { vertices: number[]; faces: number[] } = { vertices: [], faces: [] };
-  for (const element of elements) for (let i = 0; i < element.count; i++) readRow(element, next, surface);
-  const { vertices, faces } = surface;
-  return { vertices: Float32Array.from(vertices), faces: Uint32Array.from(faces), ...(origin && { origin }) };
+  const rows: Rows = { vertices: [], faces: [], colors: [] };
+  for (const element of elements) for (let i = 0; i < element.count; i++) readRow(element, next, rows);
+  return {
+    vertices: Float32Array.from(rows.vertices),
+    faces: Uint32Array.from(rows.faces),
+    ...(elements.some(isColoured) && { colors: Uint8Array.from(rows.colors) }),
+    ...(origin && { origin }),
+  };
 }
 
-function readRow(
-  { name, properties }: Element,
-  next: (type: string) => number,
-  surface: { vertices: number[]; faces: number[] },
-): void {
+interface Rows {
+  vertices: number[];
+  faces: number[];
+  colors: number[];
+}
+
+const COLOURS = ["red", "green", "blue"] as const;
+
+function isColoured({ name, properties }: Element): boolean {
+  return name === "vertex" && COLOURS.every((colour) => properties.some((each) => each.name === colour && each.type === "uint8"));
+}
+
+function readRow({ name, properties }: Element, next: (type: string) => number, rows: Rows): void {
   const values: Record<string, number> = {};
   for (const property of properties) {
     if (property.length === undefined) {
@@ -93,9 +107,11 @@ function readRow(
       continue;
     }
     const list = Array.from({ length: next(property.length) }, () => next(property.type));
-    if (name === "face" && /^vertex_ind(ex|ices)$/.test(property.name)) fan(surface.faces, list);
+    if (name === "face" && /^vertex_ind(ex|ices)$/.test(property.name)) fan(rows.faces, list);
   }
-  if (name === "vertex") surface.vertices.push(values["x"] ?? NaN, values["y"] ?? NaN, values["z"] ?? NaN);
+  if (name !== "vertex") return;
+  rows.vertices.push(values["x"] ?? NaN, values["y"] ?? NaN, values["z"] ?? NaN);
+  rows.colors.push(...COLOURS.map((colour) => values[colour] ?? 0));
 }
 
 interface PlyHeader {

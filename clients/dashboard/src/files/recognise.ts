@@ -20,7 +20,7 @@ export interface MeshFile {
 export type SourceFiles =
   | { kind: "motion" | "mcap" | "run"; name: string; file: File }
   | { kind: "clouds"; name: string; files: File[] }
-  | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[] };
+  | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[]; colors: File[] };
 
 export interface Recognised {
   mesh?: MeshFile;
@@ -103,16 +103,20 @@ async function npzFile(file: File): Promise<Partial<Recognised>> {
   return { mesh: { name, vertices: Float32Array.from(numbers(positions)), faces: Uint32Array.from(numbers(corners)) } };
 }
 
-/** Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`; without such a folder, all images beside the masks. */
+/**
+ * Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png` and with `color/*.png` or `color/*.jpg`; without such a folder,
+ * all images beside masks and colours.
+ */
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
   const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
   if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
   const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
   const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));
-  const frames = inDepth.length > 0 ? inDepth : images.filter((each) => !masks.includes(each));
+  const colors = placed.filter(({ path }) => /(^|\/)color\/[^/]*\.(png|jpe?g)$/i.test(path)).map(({ file }) => file);
+  const frames = inDepth.length > 0 ? inDepth : images.filter((each) => !masks.includes(each) && !colors.includes(each.file));
   const files = (chosen: Placed[]) => byNumber(chosen.map(({ file }) => file));
   const name = folderOf(frames).replace(/\/?depth$/, "") || `${frames.length} depth images`;
-  return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks) } };
+  return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks), colors } };
 }
 
 /** The files of a drop, folders included. */

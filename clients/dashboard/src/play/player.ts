@@ -175,8 +175,9 @@ export class Player {
 
   private put(frame: Captured | Replayed): void {
     if ("points" in frame) {
-      const { points, body, origin, timestamp } = frame;
-      this.frames.put({ points, timestamp, ...(body && { bodyVertices: body }), ...(origin && { sensorOrigin: origin }) });
+      const { points, colors, body, origin, timestamp } = frame;
+      const more = { ...(colors && { colors }), ...(body && { bodyVertices: body }), ...(origin && { sensorOrigin: origin }) };
+      this.frames.put({ points, timestamp, ...more });
       return;
     }
     const recorded = new Result(frame.result, 0, NaN);

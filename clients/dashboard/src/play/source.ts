@@ -12,7 +12,7 @@ export type Given =
   | { kind: "sample"; npz: ArrayBuffer }
   | { kind: "motion"; file: File; unit: Unit }
   | { kind: "clouds"; files: File[]; unit: Unit; fps: number }
-  | { kind: "depth"; files: File[]; camera: File; masks: File[]; fps: number }
+  | { kind: "depth"; files: File[]; camera: File; masks: File[]; colors: File[]; fps: number }
   | { kind: "mcap"; file: File };
 
 /** What a session of this source needs. */
@@ -32,6 +32,8 @@ export interface Begun {
 /** A captured frame. */
 export interface Captured {
   points: Float32Array<ArrayBuffer>;
+  /** (N, 3) red, green and blue. */
+  colors?: Uint8Array<ArrayBuffer>;
   body?: Float32Array;
   origin?: readonly number[];
   timestamp: number;

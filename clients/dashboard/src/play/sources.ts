@@ -76,9 +76,10 @@ class CloudSource implements Source {
   async frame(k: number): Promise<Captured | undefined> {
     const file = this.files[k];
     if (!file) return undefined;
-    const { vertices, origin } = readSurface(file.name, await bytesOf(file));
+    const { vertices, origin, colors } = readSurface(file.name, await bytesOf(file));
     const placed = origin?.map((value) => value * this.scale);
-    return { points: scaled(vertices, this.scale), timestamp: (k + 1) / this.begun.fps, ...(placed && { origin: placed }) };
+    const more = { ...(placed && { origin: placed }), ...(colors && { colors }) };
+    return { points: scaled(vertices, this.scale), timestamp: (k + 1) / this.begun.fps, ...more };
   }
 }
 
@@ -101,36 +102,60 @@ class DepthSource implements Source {
     readonly begun: Begun,
     private readonly images: File[],
     private readonly masks: File[],
+    private readonly colors: File[],
     private readonly camera: CameraFile,
   ) {}
 
-  static async open({ files, masks, camera: file, fps }: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
+  static async open({ files, masks, colors, camera: file, fps }: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
     const camera = JSON.parse(await file.text()) as CameraFile;
     for (const name of ["fx", "fy", "cx", "cy"] as const)
       if (typeof camera[name] !== "number") throw new Error(`${file.name} without a number ${name}`);
     if (masks.length > 0 && masks.length !== files.length) throw new Error(`${masks.length} masks for ${files.length} images`);
     const rate = camera.fps ?? fps;
     const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps: rate, isVirtual: false };
-    return new DepthSource(begun, byNumber(files), byNumber(masks), camera);
+    return new DepthSource(begun, byNumber(files), byNumber(masks), await fitting(colors, files), camera);
   }
 
   async frame(k: number): Promise<Captured | undefined> {
-    const [file, mask] = [this.images[k], this.masks[k]];
+    const [file, mask, coloured] = [this.images[k], this.masks[k], this.colors[k]];
     if (!file) return undefined;
-    const { width, pixels } = await readGreyPng(await bytesOf(file));
+    const { width, height, pixels } = await readGreyPng(await bytesOf(file));
     const chosen = mask && (await readGreyPng(await bytesOf(mask))).pixels;
     const { fx, fy, cx, cy, depth_scale: perMetre = 1000, T_world_sensor: placed } = this.camera;
     const m = placed ? placed.slice(0, 3).flat() : SENSOR_AXES;
+    const seen = coloured && (await colorsOf(coloured, width, height));
     const points: number[] = [];
+    const colors: number[] = [];
     for (let i = 0; i < pixels.length; i++) {
       const z = pixels[i]! / perMetre;
       if (z === 0 || (chosen && !chosen[i])) continue;
       const [u, v] = [((i % width) - cx) * (z / fx), (Math.floor(i / width) - cy) * (z / fy)];
       for (let row = 0; row < 12; row += 4) points.push(m[row]! * u + m[row + 1]! * v + m[row + 2]! * z + m[row + 3]!);
+      if (seen) colors.push(seen[4 * i]!, seen[4 * i + 1]!, seen[4 * i + 2]!);
     }
     const origin = [m[3]!, m[7]!, m[11]!];
-    return { points: Float32Array.from(points), origin, timestamp: (k + 1) / this.begun.fps };
+    const timestamp = (k + 1) / this.begun.fps;
+    return { points: Float32Array.from(points), origin, timestamp, ...(seen && { colors: Uint8Array.from(colors) }) };
   }
+}
+
+/** The colour images of depth images, if there is one for each and the first has their size; otherwise none. */
+async function fitting(colors: File[], files: File[]): Promise<File[]> {
+  if (colors.length !== files.length) return [];
+  const ordered = byNumber(colors);
+  const { width, height } = await readGreyPng(await bytesOf(byNumber(files)[0]!));
+  const first = await createImageBitmap(ordered[0]!);
+  return first.width === width && first.height === height ? ordered : [];
+}
+
+/** Red, green, blue and opacity of the pixels of a PNG or JPEG image, as they are in the file. */
+async function colorsOf(file: File, width: number, height: number): Promise<Uint8ClampedArray> {
+  const image = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
+  if (image.width !== width || image.height !== height)
+    throw new Error(`${file.name}: ${image.width} x ${image.height} pixels, the depth image has ${width} x ${height}`);
+  const canvas = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true })!;
+  canvas.drawImage(image, 0, 0);
+  return canvas.getImageData(0, 0, width, height).data;
 }
 
 /** The frames of a recorded session, as they were sent. */

@@ -64,7 +64,10 @@ async function tick(): Promise<void> {
       report({ ended: true });
       return;
     }
-    if ("points" in frame && settings.blind) frame.points = new Float32Array();
+    if ("points" in frame && settings.blind) {
+      frame.points = new Float32Array();
+      delete frame.colors;
+    }
     unanswered.push("points" in frame ? frame.timestamp : frame.encoded.timestamp);
     report({ frame });
   } catch (error) {
