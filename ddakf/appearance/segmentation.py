@@ -46,6 +46,18 @@ def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
     return frame.only(~other) if other.any() else frame
 
 
+def of_known_colors(frame: FrameInput, problem: Problem) -> FrameInput:
+    """The frame of a garment whose place is unknown, without the points that are something else by colours learned before.
+
+    With what is too few points for a search it stays whole.
+    """
+    config, palette = problem.config, problem.last.palette
+    if frame.colors is None or palette is None or not _enough(palette, config.segmentation):
+        return frame
+    stays = ~_others(frame.colors, palette, config.segmentation)
+    return frame.only(stays) if np.count_nonzero(stays) >= config.start.least_points else frame
+
+
 def learned(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:
     """The palette after a frame, whose vertices are at (V, 3) ``position``, metres.
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ddakf.appearance import segmentation
 from ddakf.config import Config, Relocalization
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
@@ -254,7 +255,7 @@ def locate(problem: Problem) -> Problem:
     place. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that exceeds the frame's
     budget is due in the next one.
     """
-    prior, model, frame, health, config = problem.prior, problem.model, problem.frame, problem.health, problem.config
+    prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
     rule = config.relocalization
     if not due(problem):
         return problem
@@ -270,6 +271,7 @@ def locate(problem: Problem) -> Problem:
     shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
         shapes.append(stretched(model.mesh.vertices, problem.last.size))
+    frame = segmentation.of_known_colors(problem.frame, problem)
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
     if staying < rule.in_place_cost:
@@ -331,7 +333,8 @@ def _settle(problem: Problem) -> Problem:
     """The problem of a garment that was found a few frames ago, its prior registered to the cloud."""
     prior, model, config = problem.prior, problem.model, problem.config
     health = problem.health._replace(settling=problem.health.settling - 1)
-    garment = skin_removal.remove_skin(problem.frame, problem, prior.position, config.skin_removal.cloth_distance)
+    frame = segmentation.of_known_colors(problem.frame, problem)
+    garment = skin_removal.remove_skin(frame, problem, prior.position, config.skin_removal.cloth_distance)
     if len(garment.points) == 0:
         return problem._replace(health=health)
     turn, settling = config.start.to_y_up, config.registration.settling()

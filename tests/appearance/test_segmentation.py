@@ -65,6 +65,21 @@ def test_cloth_that_is_surrounded_is_known_to_its_edge():
     assert error[True] < 0.25 * error[False]
 
 
+def test_a_garment_that_reappears_elsewhere_is_sought_in_its_colours():
+    error = {}
+    for colours in (True, False):
+        tracker = ddakf.Tracker(SHEET)
+        for k in range(40):
+            points, colors, _ = seen(seed=k)
+            shift = np.float32([0.1, 0.1, 0.0] if k >= 30 else [0.0, 0.0, 0.0])
+            if 5 <= k < 30:
+                points, colors = points[:0], colors[:0]
+            how = {"sensor_origin": ORIGIN + shift, "colors": colors if colours else None}
+            result = tracker.step(points + shift, timestamp=k / 30, **how)
+        error[colours] = np.linalg.norm(result.vertices - SHEET.vertices - shift, axis=1).mean()
+    assert error[True] < 0.005 < error[False]
+
+
 @pytest.mark.parametrize(("around", "told"), [(SKIN, False), (CLOTH, True), (None, True)], ids=["unlike", "alike", "none"])
 def test_a_whole_person_is_told_unless_its_colours_tell_it_apart(around, told):
     tracker = ddakf.Tracker(SHEET)
