@@ -292,6 +292,7 @@ REASONS = {
     "ErrorEvidence.points": "chosen for time",
     "ErrorEvidence.reach": "chosen: the first gate of stage B",
     "ErrorEvidence.foreign_share": "chosen: above the share of stray points",
+    "ErrorEvidence.foreign_rest": "chosen: above what well separated clouds have left",
     "ErrorEvidence.unexplained_distance": "chosen: above noise and the error of a good fit",
     "ErrorEvidence.unexplained_edges": "chosen: points within a face of long edges are explained",
     "ErrorEvidence.clump_points": "chosen: stray points are alone",

@@ -64,10 +64,12 @@ def missing(measurement: Measurement) -> bool:
 def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.ndarray, absent: bool = False) -> Health:
     """The memory after points were compared with the vertices nearest to them.
 
-    A cloud of a whole person always has points that no garment explains; of such a cloud those do not speak of an offset that are
-    nearest to a boundary or farther than ``unexplained_distance``. Where a part of the garment is absent from the cloud, such as
-    sleeves that are thought to be elsewhere, the unexplained points may be that part. Of a relocalized garment that still
-    settles nothing good is known from before, so the frame alone counts; of a first frame's unexplained points as well.
+    A cloud of a whole person always has points that no garment explains, and so has one from which skin or colours have removed
+    only a part of them. Of such a cloud those do not speak of an offset that are nearest to a boundary or farther than
+    ``unexplained_distance``, and those count as unexplained that are within ``reach`` and not nearest to a boundary: the others
+    come and go with the wearer. Where a part of the garment is absent from the cloud, such as sleeves that are thought to be
+    elsewhere, the unexplained points may be that part. Of a relocalized garment that still settles nothing good is known from
+    before, so the frame alone counts; of a first frame's unexplained points as well.
 
     Args:
         problem: the frame.
@@ -79,18 +81,22 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     model, dt, config = problem.model, problem.dt, problem.config.evidence
     near, longest = max(config.unexplained_distance, config.unexplained_edges * model.edge_length), config.reach
     nearest, away = nearest_vertices(points, position, config.reach)
-    left_out = np.zeros(len(position), bool)
+    boundary, left_out = np.zeros((2, len(position)), bool)
+    boundary[model.boundary[:, 0]] = True
     if np.count_nonzero(nearest < 0) > config.foreign_share * len(points):
-        longest, left_out[model.boundary[:, 0]] = near, True
+        longest, left_out = near, boundary
     offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
-    share = clumped(points[away > near] - position.mean(axis=0), config) / len(points)
+    centred, outside = points - position.mean(axis=0), away > near
+    share = clumped(centred[outside], config) / len(points)
     least = min(health.least_unexplained, share)
-    foreign = least if least > config.foreign_share and not absent else 0.0
+    removed = 1.0 - len(problem.garment.points) / len(problem.frame.points)
+    if least > config.foreign_rest and least + removed > config.foreign_share and not absent:
+        share = clumped(centred[outside & (nearest >= 0) & ~boundary[nearest]], config) / len(points)
     memory = 0.0 if health.settling else config.memory
     first = health.least_unexplained == 1.0  # nothing has been compared before
     return health._replace(
         offset=_follow(health.offset, offset, dt, memory),
-        unexplained=_follow(health.unexplained, share - foreign, dt, 0.0 if first else memory),
+        unexplained=_follow(health.unexplained, share, dt, 0.0 if first else memory),
         least_unexplained=least,
     )
 

@@ -26,7 +26,7 @@ from ddakf.stages.reliability import (
     vertex_error,
 )
 from ddakf.types import Health, Measurement
-from tests.stages.scenes import FPS, blocks, problem_of, rms, scan, tube
+from tests.stages.scenes import FPS, blocks, frame_of, problem_of, rms, scan, tube
 
 CONFIG, EVIDENCE_CONFIG = Config().reliability, Config().evidence
 LAW = Config().frame_error
@@ -179,12 +179,18 @@ def test_a_limb_of_points_is_a_clump_and_stray_points_are_none():
     assert clumped(limb[:0], EVIDENCE_CONFIG) == 0
 
 
+def shown(garment, count, removed=0):
+    """The problem of a frame with so many points, of which some were removed as skin or by their colours."""
+    frame = frame_of()._replace(points=np.zeros((count + removed, 3)))
+    return problem_of(garment, dt=DT)._replace(frame=frame, garment=frame.only(np.arange(count)))
+
+
 def test_of_a_garment_that_was_just_found_the_frame_alone_counts():
     mesh = tube()
     garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
     limb = np.random.default_rng(0).uniform(0, 1, (len(points) // 8, 3)) * [0.4, 0.1, 0.1] + mesh.vertices.max(axis=0) + 0.1
     seen = np.concatenate([points, limb])
-    problem, known = problem_of(garment, dt=DT), Health(least_unexplained=0.0)
+    problem, known = shown(garment, len(seen)), Health(least_unexplained=0.0)
     found, tracked = (misfit(problem, known._replace(settling=left), seen, mesh.vertices + 0.01) for left in (2, 0))
     assert found.unexplained == pytest.approx(1 / 9, abs=0.03)
     assert tracked.unexplained < 0.1 * found.unexplained
@@ -202,9 +208,26 @@ def test_points_are_of_something_else_only_where_the_garment_is_shown():
     mesh = tube()
     garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
     other = points[: len(points) // 2] + [0.8, 0.0, 0.0]
-    seen, problem = np.concatenate([points, other]), problem_of(garment, dt=DT)
+    seen = np.concatenate([points, other])
+    problem = shown(garment, len(seen))
     assert misfit(problem, Health(), seen, mesh.vertices).unexplained == 0.0
     assert misfit(problem, Health(), seen, mesh.vertices, absent=True).unexplained > 0.3
+
+
+def test_of_a_whole_person_only_points_beside_the_cloth_are_unexplained():
+    mesh = tube()
+    garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
+    clump, (side, top, _) = 0.02 * np.random.default_rng(0).random((150, 3)), mesh.vertices.max(axis=0)
+    above, beside = clump + [side, top + 0.05, 0.0], clump + [side + 0.05, 0.5 * top, 0.0]
+
+    def unexplained(more, removed):
+        seen = np.concatenate([points, more])
+        return misfit(shown(garment, len(seen), removed), Health(), seen, mesh.vertices).unexplained
+
+    assert len(above) / len(points) < EVIDENCE_CONFIG.foreign_share
+    assert unexplained(above, removed=0) == pytest.approx(150 / (len(points) + 150))
+    assert unexplained(above, removed=len(points)) == 0.0
+    assert unexplained(beside, removed=len(points)) == unexplained(beside, removed=0) > 0.0
 
 
 @pytest.mark.parametrize(
