@@ -1,6 +1,7 @@
 """Relocalization rates: wrong starts, and garments displaced while out of sight.
 
     python benchmarks/recovery.py [starts] [losses] [--cases 100] [--json benchmarks/results/recovery.json]
+    python benchmarks/recovery.py losses --held-out --cloud "coloured person"
 
 **Starts.** The template in its rest shape, laid on the garment of the first frame, moved by 10 cm and turned by 20 degrees
 about the vertical (ddakf.evaluation.trials.runs.displaced_template). Converged: within 15 frames the normal RMSE is at most 1.2
@@ -14,6 +15,7 @@ at the truth where the garment reappears, or 15 mm where that is more; the verte
 legs, the normal RMSE where it looks alike from several sides, so that it is found by its shape, but not its heading. Beside
 it, and stricter, normal and vertex RMSE of all garments within twice, without the 15 mm. And what it costs: CPU time of the
 first frame after the loss, and this and the mean of the four after it in units of the median frame of the run from the truth.
+The cloud is of the garment alone, or of the whole person, with or without colours.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ import time
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -37,9 +40,12 @@ import ddakf
 from ddakf.commands import warmup
 from ddakf.errors import InvalidFrame
 from ddakf.evaluation import machine
+from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.splits import turns_unseen
+from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.evaluation.trials.runs import START_FRAMES, run_trial
 from ddakf.evaluation.trials.trial import Trial
 from ddakf.files.sequence import Sequence
@@ -53,6 +59,7 @@ FACTOR = 2.0  # times the error of the run from the truth
 WITHIN = 15  # frames that a start may take
 JUDGED = range(12, 17)  # frames after the reappearance whose mean is judged
 NOTHING = np.empty((0, 3), np.float32)
+TEXTURES = {"garment": None, "person": None, "coloured person": Texture("plain")}  # by what the cloud is of
 
 
 def turned(vertices: np.ndarray, centre: np.ndarray, angle: float, shift: np.ndarray) -> np.ndarray:
@@ -79,8 +86,9 @@ def displaced(sequence: Sequence, frames: range, rng: np.random.Generator) -> Se
 class Track:
     """A tracker on the frames of one sequence as one sensor sees them, with its errors."""
 
-    def __init__(self, sequence: Sequence, sensor: Sensor, start: np.ndarray, seed: int):
-        self.sequence, self.sensor, self.seed = sequence, sensor, seed
+    def __init__(self, sequence: Sequence, view: str, start: np.ndarray, seed: int, cloud: str = "garment"):
+        self.sequence, self.seed, self.texture = sequence, seed, TEXTURES[cloud]
+        self.sensor = Sensor(view, segmented=cloud == "garment")
         self.tracker = ddakf.Tracker(ddakf.Mesh(sequence.template, sequence.garment_faces))
         self.tracker.reset(start)
         self.vertex, self.normal, self.states, self.ms = [], [], [], []
@@ -88,12 +96,12 @@ class Track:
     def see(self, frame: int, shown: bool = True) -> None:
         """Steps on one frame; on an empty cloud where nothing is shown."""
         s = self.sequence
-        cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]))
+        cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]), self.texture)
         begun = time.thread_time()
         try:
-            result = self._step(frame, cloud.points if shown else NOTHING, cloud.sensor_origin if shown else None)
+            result = self._step(frame, *((cloud.points, cloud.sensor_origin, cloud.colors) if shown else (NOTHING, None, None)))
         except InvalidFrame:  # of a garment that has left the camera's view but for a corner
-            result = self._step(frame, NOTHING, None)
+            result = self._step(frame, NOTHING, None, None)
         if shown:
             self.ms.append(1e3 * (time.thread_time() - begun))
             truth = s.garment_vertices[frame]
@@ -101,8 +109,9 @@ class Track:
             self.normal.append(normal_rmse_mm(result.vertices, truth, s.garment_faces))
             self.states.append(result.state)
 
-    def _step(self, frame: int, points: np.ndarray, sensor_origin: np.ndarray | None) -> ddakf.FrameResult:
-        return self.tracker.step(points, timestamp=self.sequence.timestamp(frame), sensor_origin=sensor_origin)
+    def _step(self, frame: int, points, sensor_origin, colors) -> ddakf.FrameResult:
+        timestamp = self.sequence.timestamp(frame)
+        return self.tracker.step(points, timestamp=timestamp, sensor_origin=sensor_origin, colors=colors)
 
     def judged(self) -> tuple[float, float]:
         """Mean normal and vertex RMSE of the frames that are judged, millimetres."""
@@ -110,8 +119,8 @@ class Track:
         return float(np.mean(self.normal[frames])), float(np.mean(self.vertex[frames]))
 
 
-def start_case(sequence: Sequence, view: str, seed: int) -> dict:
-    """One wrong start, in the first frame."""
+def start_case(sequence: Sequence, view: str, seed: int, cloud: str) -> dict:
+    """One wrong start, in the first frame of the garment's cloud."""
     trial = Trial(sequence.name, view, seed=seed, start=seed, frames=START_FRAMES)
     row = run_trial(trial)
     taken = {what: row[f"frames_until_{name}"] for what, name in (("normal", "normal_rmse_mm"), ("vertex", "rmse_mm"))}
@@ -123,7 +132,7 @@ def start_case(sequence: Sequence, view: str, seed: int) -> dict:
     }  # fmt: skip
 
 
-def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
+def loss_case(sequence: Sequence, view: str, seed: int, cloud: str) -> dict:
     """One garment that reappears elsewhere."""
     rng = np.random.default_rng([seed, 2, 1])  # clouds have [seed, frame]
     away = round(rng.uniform(*AWAY) * sequence.fps)
@@ -132,11 +141,11 @@ def loss_case(sequence: Sequence, view: str, seed: int) -> dict:
     back = first + LEAD_IN + away
     frames = range(back, back + shown)
     sequence = displaced(sequence, frames, rng)
-    lost = Track(sequence, Sensor(view), sequence.garment_vertices[first], seed)
+    lost = Track(sequence, view, sequence.garment_vertices[first], seed, cloud)
     for frame in range(first + 1, back):
         lost.see(frame, shown=frame < first + LEAD_IN)
     before = len(lost.normal)
-    sure = Track(sequence, Sensor(view), sequence.garment_vertices[back], seed)
+    sure = Track(sequence, view, sequence.garment_vertices[back], seed, cloud)
     for frame in frames:
         lost.see(frame)
         sure.see(frame)
@@ -169,16 +178,19 @@ def compared(name: str, view: str, seed: int, sure: Track, other: Track) -> dict
 
 
 CASES = {"starts": start_case, "losses": loss_case}
-_SEQUENCES: dict[str, Sequence] = {}
 
 
-def one(job: tuple[str, str, str, int]) -> dict:
+@cache
+def recording(name: str) -> Sequence:
+    """A recording; with the first one the kernels are loaded."""
+    warmup.warm()
+    return find_recording(name)
+
+
+def one(job: tuple[str, str, str, int, str]) -> dict:
     """A case in a process of its own."""
-    kind, name, view, seed = job
-    if not _SEQUENCES:
-        warmup.warm()
-        _SEQUENCES.update({sequence.name: sequence for sequence in sequences()})
-    return CASES[kind](_SEQUENCES[name], view, seed)
+    kind, name, *how = job
+    return CASES[kind](recording(name), *how)
 
 
 def wilson(hits: int, total: int) -> tuple[float, float]:
@@ -214,16 +226,20 @@ def main() -> int:
     parser.add_argument("parts", nargs="*", metavar="PART", default=list(CASES), help="starts, losses (default both)")
     parser.add_argument("--cases", type=int, default=100, help="per view (default 100)")
     parser.add_argument("--views", nargs="+", default=["full", "front"])
-    parser.add_argument("--sequences", nargs="+", help="some of them")
+    parser.add_argument("--sequences", nargs="+", help="names of recordings; default: those at hand that were tuned on")
+    parser.add_argument("--held-out", action="store_true", help="the recordings that nothing was tuned on")
+    parser.add_argument("--cloud", choices=list(TEXTURES), default="garment", help="what the cloud is of, in losses")
     parser.add_argument("--procs", type=int, default=1)
     parser.add_argument("--json", type=Path, help="result file")
     arguments = parsed(parser, target="json")
-    names = arguments.sequences or [sequence.name for sequence in sequences()]
-    report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
+    held_out = [each.name for each in collection.listed(collection.HELD_OUT)] if arguments.held_out else None
+    names = arguments.sequences or held_out or [sequence.name for sequence in sequences()]
+    report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names, "cloud": arguments.cloud}
     with multiprocessing.get_context("spawn").Pool(arguments.procs) if arguments.procs > 1 else nullcontext() as pool:
         run: Callable = pool.imap if pool else map
         for part in arguments.parts:
-            jobs = [(part, names[k % len(names)], view, k) for view in arguments.views for k in range(arguments.cases)]
+            cloud, count = arguments.cloud, arguments.cases
+            jobs = [(part, names[k % len(names)], view, k, cloud) for view in arguments.views for k in range(count)]
             cases = []
             for case in run(one, jobs):
                 cases.append(case)
