@@ -81,17 +81,17 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     model, dt, config = problem.model, problem.dt, problem.config.evidence
     near, longest = max(config.unexplained_distance, config.unexplained_edges * model.edge_length), config.reach
     nearest, away = nearest_vertices(points, position, config.reach)
-    boundary, left_out = np.zeros((2, len(position)), bool)
-    boundary[model.boundary[:, 0]] = True
-    if np.count_nonzero(nearest < 0) > config.foreign_share * len(points):
-        longest, left_out = near, boundary
-    offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
     centred, outside = points - position.mean(axis=0), away > near
     share = clumped(centred[outside], config) / len(points)
-    least = min(health.least_unexplained, share)
-    removed = 1.0 - len(problem.garment.points) / len(problem.frame.points)
-    if least > config.foreign_rest and least + removed > config.foreign_share and not absent:
+    least, removed = min(health.least_unexplained, share), 1.0 - len(problem.garment.points) / len(problem.frame.points)
+    foreign = least > config.foreign_rest and least + removed > config.foreign_share
+    boundary, left_out = np.zeros((2, len(position)), bool)
+    boundary[model.boundary[:, 0]] = True
+    if foreign and not absent:
         share = clumped(centred[outside & (nearest >= 0) & ~boundary[nearest]], config) / len(points)
+    if foreign or np.count_nonzero(nearest < 0) > config.foreign_share * len(points):
+        longest, left_out = near, boundary
+    offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
     memory = 0.0 if health.settling else config.memory
     first = health.least_unexplained == 1.0  # nothing has been compared before
     return health._replace(
