@@ -9,6 +9,7 @@ import { bandsOf } from "../src/charts/bands.js";
 import { sentence } from "../src/format.js";
 import { Pace } from "../src/pace.js";
 import { Camera } from "../src/play/camera.js";
+import { messages } from "ddakf-client";
 import { readMotion } from "../src/play/motion.js";
 import { RADIUS_90, ellipsoid90 } from "../src/scene/ellipsoid.js";
 import { cloudOf } from "../src/session/cloud.js";
@@ -41,26 +42,49 @@ test("paced drawing draws the last request", () => {
   vi.useRealTimers();
 });
 
-test("clouds of Python clients are shown, in every codec of the contract but Draco", async () => {
+test("clouds of Python clients are shown with their colours, in every codec of the contract but Draco", async () => {
   const encoded = python(`
 import base64, json, numpy as np
 from ddakf_api import codec
 points = np.random.default_rng(1).normal(size=(500, 3))
+colors = (40 * (points + 3)).clip(0, 255).astype(np.uint8)  # they tell the points apart
 def fields(name):
-    cloud = codec.encode(points, name).cloud
-    return {"codec": codec.CODECS[name], "step": cloud.step, "origin": [cloud.origin.x, cloud.origin.y, cloud.origin.z], "data": base64.b64encode(cloud.data).decode()}
+    cloud = codec.encode(points, name, colors=colors).cloud
+    return {"colors": base64.b64encode(cloud.colors).decode(), "codec": codec.CODECS[name], "step": cloud.step, "origin": [cloud.origin.x, cloud.origin.y, cloud.origin.z], "data": base64.b64encode(cloud.data).decode()}
 print(json.dumps({"points": points.tolist(), "clouds": {name: fields(name) for name in codec.CODECS if name != "draco"}}))
-`) as { points: number[][]; clouds: Record<string, { codec: number; step: number; origin: number[]; data: string }> };
+`) as {
+    points: number[][];
+    clouds: Record<string, { codec: number; step: number; origin: number[]; data: string; colors: string }>;
+  };
   const nearest = (x: number, y: number, z: number) =>
     Math.min(...encoded.points.map(([a, b, c]) => Math.hypot(a! - x, b! - y, c! - z)));
-  for (const [name, { codec, step, origin, data }] of Object.entries(encoded.clouds)) {
+  for (const [name, { codec, step, origin, ...sent }] of Object.entries(encoded.clouds)) {
     const [x, y, z] = origin;
-    const value = { codec, step, origin: { x, y, z }, data: Buffer.from(data, "base64"), pointCount: 500 };
+    const [data, colors] = [Buffer.from(sent.data, "base64"), Buffer.from(sent.colors, "base64")];
+    const value = { codec, step, origin: { x, y, z }, data, colors, pointCount: 500 };
     const cloud = await cloudOf({ sensors: [], bodyVertices: new Uint8Array(), payload: { case: "pointCloud", value } } as never);
     expect([name, cloud.problem, cloud.count]).toEqual([name, "", 500]);
     for (let i = 0; i < 30; i += 3)
       expect(nearest(cloud.points[i]!, cloud.points[i + 1]!, cloud.points[i + 2]!)).toBeLessThan(5e-4);
+    for (const [i, color] of cloud.colors!.entries())
+      expect(Math.abs(color - Math.min(255, Math.max(0, 40 * (cloud.points[i]! + 3))))).toBeLessThan(1.1);
   }
+});
+
+test("a depth image's points have the colours of their pixels", async () => {
+  const depth = Uint16Array.of(0, 1000, 1500, 0, 2000, 0);
+  const value = {
+    ...{ width: 3, height: 2, depthScale: 0.001, intrinsics: { fx: 1, fy: 1, cx: 0, cy: 0 } },
+    ...{
+      encoding: messages.DepthEncoding.UINT16_MILLIMETRES,
+      compression: messages.DepthCompression.NONE,
+      data: new Uint8Array(depth.buffer),
+    },
+    colors: Uint8Array.from({ length: 18 }, (_, i) => i),
+  };
+  const cloud = await cloudOf({ sensors: [], bodyVertices: new Uint8Array(), payload: { case: "depthImage", value } } as never);
+  expect([cloud.problem, cloud.count]).toEqual(["", 3]);
+  expect(Array.from(cloud.colors!)).toEqual([3, 4, 5, 6, 7, 8, 12, 13, 14]);
 });
 
 test("the recording is read as Python reads it", async () => {

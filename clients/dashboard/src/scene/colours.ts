@@ -1,4 +1,5 @@
 /** Colours of vertices: a scale from dark to light that remains in order for the colour-blind, and what is coloured by. */
+import { Color, SRGBColorSpace } from "three";
 
 export const MODES = ["reliability", "sigma", "residual", "normals", "plain"] as const;
 /** `difference`: of two sessions. */
@@ -47,6 +48,13 @@ export function scaleColour(share: number): readonly [number, number, number] {
 /** Writes the colour of each value, for which `from` is bad and `to` good; linear light. */
 export function paint(values: ArrayLike<number>, { from, to }: Scale, colours: Float32Array): void {
   for (let v = 0; v < values.length; v++) put(colours, v, scaleColour((values[v]! - from) / (to - from)));
+}
+
+const LINEAR = Float32Array.from({ length: 256 }, (_, value) => new Color().setRGB(value / 255, 0, 0, SRGBColorSpace).r);
+
+/** Bytes of red, green and blue as linear light in [0, 1]. */
+export function toLinear(colors: Uint8Array): Float32Array {
+  return Float32Array.from(colors, (value) => LINEAR[value]!);
 }
 
 /** Writes normals as colours: x, y, z in [-1, 1] as red, green, blue. */

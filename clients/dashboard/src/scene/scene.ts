@@ -2,9 +2,10 @@
 import * as three from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { distancesTo, vertexNormals } from "../session/surface.js";
+import type { Cloud } from "../session/cloud.js";
 import type { Shape } from "../session/memory.js";
 import { colour } from "../theme.js";
-import { SCALES, paint, paintNormals, paintPlain, type Mode } from "./colours.js";
+import { SCALES, paint, paintNormals, paintPlain, toLinear, type Mode } from "./colours.js";
 import { RADIUS_90, ellipsoid90 } from "./ellipsoid.js";
 import { objects, put } from "./objects.js";
 import { Picker } from "./picker.js";
@@ -96,7 +97,7 @@ export class Scene {
       put(this.objects.body.geometry, "position", body);
       this.objects.body.geometry.computeVertexNormals();
     }
-    put(this.objects.cloud.geometry, "position", shape.cloud?.points ?? new Float32Array());
+    this.drawCloud(shape.cloud);
     this.placeSensor(shape.cloud?.sensor);
   }
 
@@ -184,7 +185,8 @@ export class Scene {
 
   applyTheme(): void {
     const of = (name: string) => new three.Color(colour(name));
-    this.objects.cloud.material.color.copy(of("cloud"));
+    const { material } = this.objects.cloud;
+    material.color.copy(material.vertexColors ? new three.Color("white") : of("cloud"));
     this.objects.wires.material.color.copy(of("text"));
     this.objects.ellipsoid.material.color.copy(of("mark"));
     this.objects.trail.material.color.copy(of("mark"));
@@ -205,6 +207,18 @@ export class Scene {
 
   private get upward(): three.Vector3 {
     return this.up === "y" ? new three.Vector3(0, 1, 0) : new three.Vector3(0, 0, 1);
+  }
+
+  /** Points in the colours that their sensor saw, where it saw any. */
+  private drawCloud(cloud: Cloud | undefined): void {
+    const { geometry, material } = this.objects.cloud;
+    put(geometry, "position", cloud?.points ?? new Float32Array());
+    const coloured = cloud?.colors !== undefined;
+    if (cloud?.colors) put(geometry, "color", toLinear(cloud.colors));
+    if (coloured === material.vertexColors) return;
+    material.vertexColors = coloured;
+    material.needsUpdate = true;
+    this.applyTheme();
   }
 
   private drawGarment(vertices: Float32Array): void {

@@ -1,5 +1,5 @@
 /** Clouds of watched frames: the points that a client sent, or those of its depth image, thinned for the view. */
-import { decodeCloud, decompressRvl, messages } from "ddakf-client";
+import { decodeCloud, decodeColors, decompressRvl, messages } from "ddakf-client";
 import { decompress } from "fzstd";
 
 const { DepthCompression, DepthEncoding, PointCodec } = messages;
@@ -18,6 +18,8 @@ const CODECS: Partial<Record<messages.PointCodec, string>> = {
 export interface Cloud {
   /** (N, 3) metres, at most 12,000 of the points. */
   points: Float32Array;
+  /** (N, 3) red, green and blue of the points; undefined: the frame has none. */
+  colors: Uint8Array | undefined;
   /** Points of the frame. */
   count: number;
   /** (B, 3) metres; undefined: the frame has no body. */
@@ -30,45 +32,55 @@ export interface Cloud {
 
 /** Decodes a frame; what this page cannot decode is said in `problem`. */
 export async function cloudOf(frame: messages.Frame): Promise<Cloud> {
-  const cloud: Cloud = { points: new Float32Array(), count: 0, body: bodyOf(frame), sensor: sensorOf(frame), problem: "" };
+  const [body, sensor] = [bodyOf(frame), sensorOf(frame)];
+  const cloud: Cloud = { points: new Float32Array(), colors: undefined, count: 0, body, sensor, problem: "" };
   try {
-    const points = await pointsOf(frame);
+    const { points, colors } = await pointsOf(frame);
     cloud.count = points.length / 3;
-    cloud.points = thinned(points);
+    cloud.points = thinned(points, Float32Array);
+    cloud.colors = colors && thinned(colors, Uint8Array);
   } catch (error) {
     cloud.problem = error instanceof Error ? error.message : String(error);
   }
   return cloud;
 }
 
-async function pointsOf({ payload }: messages.Frame): Promise<Float32Array | Float64Array> {
+interface Coloured {
+  points: Float32Array | Float64Array;
+  colors?: Uint8Array | undefined;
+}
+
+async function pointsOf({ payload }: messages.Frame): Promise<Coloured> {
   if (payload.case === "depthImage") return unprojected(payload.value);
-  if (payload.case !== "pointCloud") return new Float32Array();
+  if (payload.case !== "pointCloud") return { points: new Float32Array() };
   const { codec, pointCount, data, step, origin, crc32 } = payload.value;
   const name = CODECS[codec] ?? PointCodec[codec];
   const bytes = new Uint8Array(data); // a copy of its own buffer
   const from: [number, number, number] = [origin?.x ?? 0, origin?.y ?? 0, origin?.z ?? 0];
-  return decodeCloud({ codec: name, pointCount, data: bytes, step, origin: from, crc32 }, MAX_POINTS, (packed) =>
-    decompress(packed),
-  );
+  const received = { codec: name, pointCount, data: bytes, step, origin: from, crc32 };
+  const points = await decodeCloud(received, MAX_POINTS, (packed) => decompress(packed));
+  return { points, colors: decodeColors(payload.value) };
 }
 
 /** World points of a depth image, without mask, confidence and fliers, which the server applies. */
-function unprojected(image: messages.DepthImage): Float32Array {
-  const { width, height, intrinsics, pose } = image;
+function unprojected(image: messages.DepthImage): Coloured {
+  const { width, height, intrinsics, pose, colors } = image;
   const metres = depthOf(image);
   const { fx, fy, cx, cy } = intrinsics ?? { fx: 1, fy: 1, cx: 0, cy: 0 };
   const m = pose && pose.matrix.length === 12 ? pose.matrix : [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0];
   const points = new Float32Array(3 * metres.length);
+  const seen = new Uint8Array(colors.length);
   let n = 0;
   for (let y = 0; y < height; y++)
     for (let x = 0; x < width; x++) {
       const z = metres[y * width + x]!;
       if (!(z > 0 && Number.isFinite(z))) continue;
       const [u, v] = [((x - cx) * z) / fx, ((y - cy) * z) / fy];
+      const at = 3 * (y * width + x);
+      if (colors.length > 0) seen.set(colors.subarray(at, at + 3), n);
       for (let row = 0; row < 12; row += 4) points[n++] = m[row]! * u + m[row + 1]! * v + m[row + 2]! * z + m[row + 3]!;
     }
-  return points.subarray(0, n);
+  return { points: points.subarray(0, n), colors: colors.length > 0 ? seen.subarray(0, n) : undefined };
 }
 
 function depthOf({ encoding, compression, data, width, height, depthScale }: messages.DepthImage): ArrayLike<number> {
@@ -93,11 +105,11 @@ function sensorOf({ sensors, payload }: messages.Frame): [number, number, number
   return m?.length === 12 ? [m[3]!, m[7]!, m[11]!] : undefined;
 }
 
-/** Every k-th point, as float32. */
-function thinned(points: Float32Array | Float64Array): Float32Array {
-  const count = points.length / 3;
+/** Every k-th of rows of three. */
+function thinned<T extends Float32Array | Uint8Array>(rows: ArrayLike<number>, type: new (size: number) => T): T {
+  const count = rows.length / 3;
   const stride = Math.max(1, Math.ceil(count / SHOWN));
-  const kept = new Float32Array(3 * Math.ceil(count / stride));
-  for (let i = 0, k = 0; i < count; i += stride, k += 3) kept.set(points.subarray(3 * i, 3 * i + 3), k);
+  const kept = new type(3 * Math.ceil(count / stride));
+  for (let i = 0, k = 0; i < count; i += stride, k += 3) for (const j of [0, 1, 2]) kept[k + j] = rows[3 * i + j]!;
   return kept;
 }

@@ -104,6 +104,6 @@ export function momentOf(result: Result, cloud: Cloud | undefined, time: number)
 function sizeOf(shape: Shape | undefined): number {
   if (!shape) return 0;
   const { vertices, sigma, reliability, observed, covariance, cloud } = shape;
-  const arrays = [vertices, sigma, reliability, observed, covariance, cloud?.points, cloud?.body];
+  const arrays = [vertices, sigma, reliability, observed, covariance, cloud?.points, cloud?.colors, cloud?.body];
   return arrays.reduce((sum, array) => sum + (array?.byteLength ?? 0), 0);
 }
