@@ -3,7 +3,7 @@
 The template of every recording of the collection stands half a metre off and faces another way than the wearer. The tracker gets
 three frames, and no start. Prints by split, view and turn how many garments are found, with an RMSE below 60 mm, how many of the
 others claim a reliability over 0.5, the median RMSE, and the time of the frame that searches; in brackets, how many had the
-warning of an uncertain heading.
+warning of an uncertain heading. The cloud is of the garment alone, or with ``--cloud`` of the whole person.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from committed import parsed
+from inputs import TEXTURES
 
 import ddakf
 from ddakf.data.rotation import rotation_matrices
@@ -29,17 +30,19 @@ FIRST = (5, 40, 80)  # frame of a recording, by its place in the list
 FRAMES, ASIDE, FOUND = 3, np.array([0.5, 0.0, 0.3]), 0.06  # m
 
 
-def run(job: tuple[str, str, int, str]) -> list[dict]:
+def run(job: tuple[str, str, int, str, str]) -> list[dict]:
     """A recording seen from a view, its template in every heading: RMSE after the last frame, and the first frame's time."""
-    name, view, first, changes = job
-    sequence, sensor, rows = collection.load(name), Sensor(view), []
+    name, view, first, changes, of = job
+    sequence, sensor, rows = collection.load(name), Sensor(view, segmented=of == "garment"), []
     config = ddakf.Config.from_dict(json.loads(changes))
     for degrees in TURNS:
         turned = sequence.template @ rotation_matrices([0.0, np.radians(degrees), 0.0]).T + ASIDE
         tracker, times, warned = ddakf.Tracker(ddakf.Mesh(turned, sequence.garment_faces), config=config), [], False
         for k in range(first, first + FRAMES):
-            cloud, before = sensor.capture(sequence, k, np.random.default_rng([1, k])), time.thread_time()
-            result = tracker.step(cloud.points, timestamp=sequence.timestamp(k), sensor_origin=cloud.sensor_origin)
+            cloud = sensor.capture(sequence, k, np.random.default_rng([1, k]), TEXTURES[of])
+            how = {"sensor_origin": cloud.sensor_origin, "colors": cloud.colors if TEXTURES[of] else None}
+            before = time.thread_time()
+            result = tracker.step(cloud.points, timestamp=sequence.timestamp(k), **how)
             times.append(time.thread_time() - before)
             warned |= "heading_uncertain" in {warning.code for warning in result.warnings}
         rmse = np.sqrt(np.square(result.vertices - sequence.garment_vertices[k]).sum(axis=1).mean())
@@ -73,11 +76,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--procs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="only these recordings")
     parser.add_argument("--split", choices=collection.SPLITS, help="only the recordings of this split")
+    parser.add_argument("--cloud", choices=list(TEXTURES), default="garment", help="what the clouds are of")
     parser.add_argument("--config", default="{}", metavar="JSON", help="of Config.from_dict")
     parser.add_argument("--json", type=Path, metavar="FILE", help="of the rows")
     arguments = parsed(parser, argv, target="json")
     names = [each.name for each in collection.listed(arguments.split) if not arguments.only or each.name in arguments.only]
-    jobs = [(name, view, FIRST[k % len(FIRST)], arguments.config) for k, name in enumerate(names) for view in VIEWS]
+    how = arguments.config, arguments.cloud
+    jobs = [(name, view, FIRST[k % len(FIRST)], *how) for k, name in enumerate(names) for view in VIEWS]
     rows: list[dict] = []
     with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
         for done, found in enumerate(pool.imap(run, jobs), start=1):

@@ -14,9 +14,11 @@ from scipy.sparse.csgraph import dijkstra
 import ddakf
 from ddakf import data
 from ddakf.evaluation.sensors import Cloud, Sensor
+from ddakf.evaluation.sensors.texture import Texture
 from ddakf.files.sequence import Sequence, load_sequence
 
 SEED = 1
+TEXTURES = {"garment": None, "person": None, "coloured person": Texture("plain")}  # by what a cloud is of
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ from pathlib import Path
 
 import numpy as np
 from committed import parsed
-from inputs import sequences
+from inputs import TEXTURES, sequences
 from scipy.spatial.transform import Rotation
 
 import ddakf
@@ -43,7 +43,6 @@ from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.metrics import normal_rmse_mm, rmse_mm
 from ddakf.evaluation.sensors import Sensor
-from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.splits import turns_unseen
 from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.evaluation.trials.runs import START_FRAMES, run_trial
@@ -59,7 +58,6 @@ FACTOR = 2.0  # times the error of the run from the truth
 WITHIN = 15  # frames that a start may take
 JUDGED = range(12, 17)  # frames after the reappearance whose mean is judged
 NOTHING = np.empty((0, 3), np.float32)
-TEXTURES = {"garment": None, "person": None, "coloured person": Texture("plain")}  # by what the cloud is of
 
 
 def turned(vertices: np.ndarray, centre: np.ndarray, angle: float, shift: np.ndarray) -> np.ndarray:
@@ -99,7 +97,8 @@ class Track:
         cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]), self.texture)
         begun = time.thread_time()
         try:
-            result = self._step(frame, *((cloud.points, cloud.sensor_origin, cloud.colors) if shown else (NOTHING, None, None)))
+            colors = cloud.colors if self.texture else None
+            result = self._step(frame, *((cloud.points, cloud.sensor_origin, colors) if shown else (NOTHING, None, None)))
         except InvalidFrame:  # of a garment that has left the camera's view but for a corner
             result = self._step(frame, NOTHING, None, None)
         if shown:

@@ -46,16 +46,21 @@ def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
     return frame.only(~other) if other.any() else frame
 
 
-def of_known_colors(frame: FrameInput, problem: Problem) -> FrameInput:
-    """The frame of a garment whose place is unknown, without the points that are something else by colours learned before.
+def of_garment_colors(frame: FrameInput, problem: Problem, position: np.ndarray | None = None) -> FrameInput:
+    """The frame without the points that are something else by their colours, wherever they are.
 
-    With what is too few points for a search it stays whole.
+    Those are colours learned before, or where none were, of the frame itself with the garment at (V, 3) ``position``, metres.
+    Where neither is known, or too few points for a search would stay, the frame stays whole.
     """
     config, palette = problem.config, problem.last.palette
-    if frame.colors is None or palette is None or not _enough(palette, config.segmentation):
+    if frame.colors is None or config.segmentation.points == 0:
+        return frame
+    if palette is None and position is not None:
+        palette = _shown(problem, position, None)
+    if palette is None or not _enough(palette, config.segmentation):
         return frame
     stays = ~_others(frame.colors, palette, config.segmentation)
-    return frame.only(stays) if np.count_nonzero(stays) >= config.start.least_points else frame
+    return frame.only(stays) if config.start.least_points <= np.count_nonzero(stays) < len(stays) else frame
 
 
 def learned(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:

@@ -252,8 +252,9 @@ def locate(problem: Problem) -> Problem:
 
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
     a fit lately. The search lays the last shape on the cloud, and beside it the template where that shape may be as wrong as the
-    place. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that exceeds the frame's
-    budget is due in the next one.
+    place. In a cloud of more than the garment, such as a whole person's, it is repeated with what is the garment by colour or
+    place, as it was found. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that
+    exceeds the frame's budget is due in the next one.
     """
     prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
     rule = config.relocalization
@@ -271,7 +272,7 @@ def locate(problem: Problem) -> Problem:
     shapes = [problem.motion_start]  # the last shape and not the predicted one: over a gap velocities tear it
     if (health.unplaced and health.state != "initializing") or after_gap:
         shapes.append(stretched(model.mesh.vertices, problem.last.size))
-    frame = segmentation.of_known_colors(problem.frame, problem)
+    frame = segmentation.of_garment_colors(problem.frame, problem)
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
     if staying < rule.in_place_cost:
@@ -284,7 +285,14 @@ def locate(problem: Problem) -> Problem:
     found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
-    if cost > min(rule.cost_ratio * staying, rule.highest_cost):
+    accepted = cost <= min(rule.cost_ratio * staying, rule.highest_cost)
+    for _ in range(rule.narrowings):
+        part = _of_garment(frame, found @ turn, problem)
+        if part is frame:
+            break
+        found, cost, rival = _best(shapes, search._replace(target=_target(part, config)), heading)
+        accepted = accepted or cost <= min(rule.cost_ratio * staying, rule.narrowed_cost)
+    if not accepted:
         return problem
     found = found @ turn
     start = State.at(found, np.zeros_like(found), rule.found_sd, config.start.speed_sd, 1.0)
@@ -296,6 +304,19 @@ def locate(problem: Problem) -> Problem:
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
+
+
+def _of_garment(frame: FrameInput, position: np.ndarray, problem: Problem) -> FrameInput:
+    """The frame without what is something else than the garment, if that is at (V, 3) ``position``, metres, or about there.
+
+    Of a cloud of more than the garment are left the points in its colours, or where those are not told apart, the points near it.
+    """
+    config = problem.config
+    near = ~skin_removal.apart(frame.points, position, config.relocalization.narrow_distance)
+    if near.mean() >= 1.0 - config.evidence.foreign_share or np.count_nonzero(near) < config.start.least_points:
+        return frame
+    coloured = segmentation.of_garment_colors(frame, problem, position)
+    return frame.only(near) if coloured is frame else coloured
 
 
 def _target(frame: FrameInput, config: Config) -> Target:
@@ -333,10 +354,11 @@ def _settle(problem: Problem) -> Problem:
     """The problem of a garment that was found a few frames ago, its prior registered to the cloud."""
     prior, model, config = problem.prior, problem.model, problem.config
     health = problem.health._replace(settling=problem.health.settling - 1)
-    frame = segmentation.of_known_colors(problem.frame, problem)
+    frame = segmentation.of_garment_colors(problem.frame, problem)
     garment = skin_removal.remove_skin(frame, problem, prior.position, config.skin_removal.cloth_distance)
     if len(garment.points) == 0:
         return problem._replace(health=health)
+    garment = _of_garment(garment, prior.position, problem)
     turn, settling = config.start.to_y_up, config.registration.settling()
     position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
     prior = _moved(prior, position, config.relocalization.settling_sd)

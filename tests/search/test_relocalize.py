@@ -9,6 +9,7 @@ from ddakf import Config, Mesh, Tracker
 from ddakf.config import Start
 from ddakf.data import sample
 from ddakf.evaluation.sensors import Sensor, sample_surface
+from ddakf.evaluation.sensors.texture import Texture
 from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
@@ -148,6 +149,19 @@ def test_a_garment_that_was_never_found_may_face_any_way(view, degrees):
     for k in range(3):
         result = tracker.step(points, timestamp=k / FPS, sensor_origin=eye)
     assert rms(result.vertices - truth) < 0.03
+
+
+@pytest.mark.parametrize(("texture", "error"), [(None, 0.015), (Texture("plain"), 0.006)], ids=["points", "colours"])
+def test_a_garment_is_found_at_once_in_the_cloud_of_its_wearer(texture, error):
+    start = (SHIRT.vertices - SHIRT.vertices.mean(axis=0)) @ turn(30).T + SHIRT.vertices.mean(axis=0) + [0.4, 0.0, 0.2]
+    seen = Sensor("full", points=6000, segmented=False).capture(SAMPLE, 0, np.random.default_rng(1), texture)
+    found = {}
+    for narrowings in (0, RULE.narrowings):
+        config = dataclasses.replace(Config(), relocalization=dataclasses.replace(RULE, narrowings=narrowings))
+        tracker = Tracker(Mesh(start, SHIRT.faces), config=config)
+        result = tracker.step(seen.points, timestamp=0.0, colors=seen.colors if texture else None)
+        found[narrowings] = rms(result.vertices - SAMPLE.garment_vertices[0])
+    assert found[RULE.narrowings] < error < 0.5 * found[0]
 
 
 def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
