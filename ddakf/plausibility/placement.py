@@ -44,8 +44,9 @@ def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
     if beyond < BEYOND * np.count_nonzero(beside):
         return None
     share = beyond / np.count_nonzero(beside)
-    sentence = f"{share:.0%} of the points near the garment lie beyond its boundaries, as its wearer does: mask them, or give"
-    return Sign("points", f"{sentence} colours or the body, which tell the wearer from the garment")
+    missing = "colours or the body" if problem.frame.colors is None else "the body, for colours do not tell them apart"
+    sentence = f"{share:.0%} of the points near the garment lie beyond its boundaries, as a wearer's do"
+    return Sign("points", f"{sentence}: mask these, or give {missing}")
 
 
 def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
