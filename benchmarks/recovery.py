@@ -233,7 +233,7 @@ def main() -> int:
     arguments = parsed(parser, target="json")
     held_out = [each.name for each in collection.listed(collection.HELD_OUT)] if arguments.held_out else None
     names = arguments.sequences or held_out or [sequence.name for sequence in sequences()]
-    report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names, "cloud": arguments.cloud}
+    report = {"commit": machine.commit(), "machine": machine.describe(), "sequences": names}
     with multiprocessing.get_context("spawn").Pool(arguments.procs) if arguments.procs > 1 else nullcontext() as pool:
         run: Callable = pool.imap if pool else map
         for part in arguments.parts:
@@ -246,7 +246,7 @@ def main() -> int:
                     print(part, len(cases), case, file=sys.stderr, flush=True)
             report[part] = {"rates": rates(cases), "cases": cases}
             if part == "losses":
-                report[part]["costs"] = costs(cases)
+                report[part] |= {"cloud": cloud, "costs": costs(cases)}
                 for what, (low, median, high) in report[part]["costs"].items():
                     print(f"{part}: {what}: median {median}, 10 % and 90 % {low} and {high}")
             for what, rate in report[part]["rates"].items():

@@ -50,7 +50,8 @@ def of_garment_colors(frame: FrameInput, problem: Problem, position: np.ndarray 
     """The frame without the points that are something else by their colours, wherever they are.
 
     Those are colours learned before, or where none were, of the frame itself with the garment at (V, 3) ``position``, metres.
-    Where neither is known, or too few points for a search would stay, the frame stays whole.
+    Where neither is known, or too few points for a search would stay, the frame stays whole. Prints and cuffs like skin leave it,
+    because nothing is known of the cloth's place.
     """
     config, palette = problem.config, problem.last.palette
     if frame.colors is None or config.segmentation.points == 0:

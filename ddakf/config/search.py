@@ -82,7 +82,7 @@ class Relocalization(Checked):
     heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees that a wearer turns at once
     heading_doubt: float = bounded(0.5, 0, 1)  # probability that the heading of a garment that was never found says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
-    narrowings: int = bounded(2, 0, 8)  # repetitions in a cloud of more than the garment, with the part that it was found in
+    narrowings: int = bounded(2, 0, 8)  # repetitions, in a cloud of more than the garment, with the part it was found in
     narrow_distance: float = bounded(0.08, 0.01, 1)  # m from the garment as found, within which points are of that part
     narrowed_cost: float = bounded(0.025, 0, 1)  # m: such a part whose cost is higher is of something else
     found_sd: float = bounded(0.03, 1e-4, 10)  # m, of the vertices of a relocalized garment

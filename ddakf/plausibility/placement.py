@@ -13,6 +13,7 @@ SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
 BESIDE = 0.25  # m from the garment, within which its wearer is looked for
 BEYOND = 0.1  # share of the points there that lie beyond a boundary of the garment
+ENOUGH = 20  # points there that have such a share
 SPLIT = 8  # edges; a few may be a slit that is closed at rest
 OFF = 0.005  # m; exact bodies show 3 mm at most, where points have 10 mm of noise
 SEEN = 0.2  # share of the vertices, with which the garment's place is known
@@ -31,19 +32,19 @@ def nothing_in_reach(problem: Problem, estimate: Estimate) -> Sign | None:
 
 
 def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a cloud that goes on beyond the boundaries of its garment, and of no body that would explain it."""
+    """The sign of a cloud of more than the garment that goes on beyond its boundaries, where the tracker knows of no body."""
     model, rule = problem.model, problem.config.evidence
-    explained = problem.frame.body_vertices is not None or problem.health.least_unexplained <= rule.foreign_share
+    explained = problem.last.body is not None or problem.health.least_unexplained <= rule.foreign_share
     if explained or len(model.boundary) == 0 or estimate.observed.mean() < SEEN:
         return None
     points = problem.garment.points[:: -(-len(problem.garment.points) // SAMPLE)]
     nearest, away = nearest_vertices(points, estimate.position, BESIDE)
     outside = away > max(rule.unexplained_distance, rule.unexplained_edges * model.edge_length)
-    beside = nearest >= 0
-    beyond = np.count_nonzero(beside & outside & np.isin(nearest, model.boundary[:, 0]))
-    if beyond < BEYOND * np.count_nonzero(beside):
+    beside = np.count_nonzero(nearest >= 0)
+    beyond = np.count_nonzero((nearest >= 0) & outside & np.isin(nearest, model.boundary[:, 0]))
+    if beside < ENOUGH or beyond < BEYOND * beside:
         return None
-    share = beyond / np.count_nonzero(beside)
+    share = beyond / beside
     missing = "colours or the body" if problem.frame.colors is None else "the body, for colours do not tell them apart"
     sentence = f"{share:.0%} of the points near the garment lie beyond its boundaries, as a wearer's do"
     return Sign("points", f"{sentence}: mask these, or give {missing}")

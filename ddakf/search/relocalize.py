@@ -290,8 +290,11 @@ def locate(problem: Problem) -> Problem:
         part = _of_garment(frame, found @ turn, problem)
         if part is frame:
             break
-        found, cost, rival = _best(shapes, search._replace(target=_target(part, config)), heading)
-        accepted = accepted or cost <= min(rule.cost_ratio * staying, rule.narrowed_cost)
+        again = _best(shapes, search._replace(target=_target(part, config)), heading)
+        narrowed = again[1] <= min(rule.cost_ratio * staying, rule.narrowed_cost)
+        if not narrowed and again[1] > cost:
+            break
+        (found, cost, rival), accepted = again, accepted or narrowed
     if not accepted:
         return problem
     found = found @ turn
@@ -358,7 +361,8 @@ def _settle(problem: Problem) -> Problem:
     garment = skin_removal.remove_skin(frame, problem, prior.position, config.skin_removal.cloth_distance)
     if len(garment.points) == 0:
         return problem._replace(health=health)
-    garment = _of_garment(garment, prior.position, problem)
+    if config.relocalization.narrowings > 0:
+        garment = _of_garment(garment, prior.position, problem)
     turn, settling = config.start.to_y_up, config.registration.settling()
     position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
     prior = _moved(prior, position, config.relocalization.settling_sd)

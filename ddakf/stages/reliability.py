@@ -39,7 +39,7 @@ class FrameEvidence(NamedTuple):
     """What the error of a frame is predicted from."""
 
     sigma: float  # m, root mean trace of the calibrated covariances
-    unexplained: float  # share of the points, in clumps, that no vertex is near, over the last half second
+    unexplained: float  # share of the points, in clumps, that no vertex is near, over the last half second; see misfit
 
 
 def predicted_error(evidence: FrameEvidence, config: FrameError) -> float:

@@ -13,6 +13,7 @@ import { TRACKING, ddakf, download, exported, figure, lastMoment, overflow, setU
 import type { Files, Setting } from "./dashboard.js";
 
 const FILES = `
+import shutil
 import sys
 from pathlib import Path
 import numpy as np
@@ -41,6 +42,7 @@ for k in range(15):  # the whole person, a blue shirt
     Image.fromarray(np.where(np.isfinite(depth), 1000 * depth, 0).astype(np.uint16)).save(folder / "person" / "depth" / f"{k}.png")
     colors = np.where(face[:, :, None] < cloth, [40, 70, 120], [200, 150, 130]) + rng.integers(-5, 6, (*face.shape, 3))
     Image.fromarray(colors.astype(np.uint8)).save(folder / "person" / "color" / f"{k}.jpg", quality=95)
+shutil.copy(folder / "person" / "color" / "14.jpg", folder / "person" / "color" / "15.jpg")  # one without a depth image
 pose = np.vstack([np.column_stack([camera.axes.T, camera.eye]), [0, 0, 0, 1]])
 import json
 for name in ("images", "person"):

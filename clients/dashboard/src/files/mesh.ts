@@ -78,11 +78,12 @@ export function readPly(bytes: Uint8Array<ArrayBuffer>): Surface {
   const next =
     format === "ascii" ? words(asText(bytes.subarray(from))) : numbers(bytes.subarray(from), format.includes("little"));
   const rows: Rows = { vertices: [], faces: [], colors: [] };
-  for (const element of elements) for (let i = 0; i < element.count; i++) readRow(element, next, rows);
+  const coloured = elements.some(isColoured);
+  for (const element of elements) for (let i = 0; i < element.count; i++) readRow(element, next, rows, coloured);
   return {
     vertices: Float32Array.from(rows.vertices),
     faces: Uint32Array.from(rows.faces),
-    ...(elements.some(isColoured) && { colors: Uint8Array.from(rows.colors) }),
+    ...(coloured && { colors: Uint8Array.from(rows.colors) }),
     ...(origin && { origin }),
   };
 }
@@ -99,7 +100,7 @@ function isColoured({ name, properties }: Element): boolean {
   return name === "vertex" && COLOURS.every((colour) => properties.some((each) => each.name === colour && each.type === "uint8"));
 }
 
-function readRow({ name, properties }: Element, next: (type: string) => number, rows: Rows): void {
+function readRow({ name, properties }: Element, next: (type: string) => number, rows: Rows, coloured: boolean): void {
   const values: Record<string, number> = {};
   for (const property of properties) {
     if (property.length === undefined) {
@@ -111,7 +112,7 @@ function readRow({ name, properties }: Element, next: (type: string) => number, 
   }
   if (name !== "vertex") return;
   rows.vertices.push(values["x"] ?? NaN, values["y"] ?? NaN, values["z"] ?? NaN);
-  rows.colors.push(...COLOURS.map((colour) => values[colour] ?? 0));
+  if (coloured) rows.colors.push(...COLOURS.map((colour) => values[colour] ?? 0));
 }
 
 interface PlyHeader {

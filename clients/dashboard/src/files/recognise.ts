@@ -114,6 +114,7 @@ function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recog
   const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));
   const colors = placed.filter(({ path }) => /(^|\/)color\/[^/]*\.(png|jpe?g)$/i.test(path)).map(({ file }) => file);
   const frames = inDepth.length > 0 ? inDepth : images.filter((each) => !masks.includes(each) && !colors.includes(each.file));
+  if (frames.length === 0) throw new Error("no depth images beside masks and colours");
   const files = (chosen: Placed[]) => byNumber(chosen.map(({ file }) => file));
   const name = folderOf(frames).replace(/\/?depth$/, "") || `${frames.length} depth images`;
   return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks), colors } };

@@ -139,23 +139,42 @@ class DepthSource implements Source {
   }
 }
 
-/** The colour images of depth images, if there is one for each and the first has their size; otherwise none. */
+/**
+ * The colour images of depth images, by the first numbers in their names, as Python pairs them. None where one is missing, or where
+ * the first one is grey, of another size or no image.
+ */
 async function fitting(colors: File[], files: File[]): Promise<File[]> {
-  if (colors.length !== files.length) return [];
-  const ordered = byNumber(colors);
+  const numbered = new Map(colors.map((file) => [firstNumber(file), file]));
+  const beside = byNumber(files).map((file) => numbered.get(firstNumber(file)));
+  const found = beside.filter((file) => file !== undefined);
+  if (found.length === 0 || found.length < beside.length) return [];
   const { width, height } = await readGreyPng(await bytesOf(byNumber(files)[0]!));
-  const first = await createImageBitmap(ordered[0]!);
-  return first.width === width && first.height === height ? ordered : [];
+  try {
+    const first = await colorsOf(found[0]!, width, height);
+    const isGrey = first.every((value, i) => i % 4 === 3 || value === first[i - (i % 4)]);
+    return isGrey ? [] : found;
+  } catch {
+    return [];
+  }
+}
+
+function firstNumber(file: File): number {
+  return Number(/\d+/.exec(file.name)?.[0] ?? NaN);
 }
 
 /** Red, green, blue and opacity of the pixels of a PNG or JPEG image, as they are in the file. */
 async function colorsOf(file: File, width: number, height: number): Promise<Uint8ClampedArray> {
-  const image = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
-  if (image.width !== width || image.height !== height)
-    throw new Error(`${file.name}: ${image.width} x ${image.height} pixels, the depth image has ${width} x ${height}`);
-  const canvas = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true })!;
-  canvas.drawImage(image, 0, 0);
-  return canvas.getImageData(0, 0, width, height).data;
+  const asStored = { colorSpaceConversion: "none", premultiplyAlpha: "none", imageOrientation: "none" } as const;
+  const image = await createImageBitmap(file, asStored);
+  try {
+    if (image.width !== width || image.height !== height)
+      throw new Error(`${file.name}: ${image.width} x ${image.height} pixels, the depth image has ${width} x ${height}`);
+    const canvas = new OffscreenCanvas(width, height).getContext("2d", { willReadFrequently: true })!;
+    canvas.drawImage(image, 0, 0);
+    return canvas.getImageData(0, 0, width, height).data;
+  } finally {
+    image.close();
+  }
 }
 
 /** The frames of a recorded session, as they were sent. */

@@ -76,8 +76,7 @@ function unprojected(image: messages.DepthImage): Coloured {
       const z = metres[y * width + x]!;
       if (!(z > 0 && Number.isFinite(z))) continue;
       const [u, v] = [((x - cx) * z) / fx, ((y - cy) * z) / fy];
-      const at = 3 * (y * width + x);
-      if (colors.length > 0) seen.set(colors.subarray(at, at + 3), n);
+      if (colors.length > 0) for (let k = 0; k < 3; k++) seen[n + k] = colors[3 * (y * width + x) + k]!;
       for (let row = 0; row < 12; row += 4) points[n++] = m[row]! * u + m[row + 1]! * v + m[row + 2]! * z + m[row + 3]!;
     }
   return { points: points.subarray(0, n), colors: colors.length > 0 ? seen.subarray(0, n) : undefined };
