@@ -257,7 +257,6 @@ REASONS = {
     "Relocalization.heading_sd": "chosen: a turn of the wearer between two frames that are tracked",
     "Relocalization.heading_doubt": "chosen: a file may face any way; of equal fits that at its heading is taken",
     "Relocalization.heading_rate": "chosen: a wearer out of sight turns slowly",
-    "Relocalization.narrowings": "chosen by starts of training recordings in clouds of whole persons",
     "Relocalization.narrow_distance": "chosen by starts of training recordings in clouds of whole persons",
     "Relocalization.narrowed_cost": "chosen: below that of a wall, above those of whole persons",
     "Relocalization.found_sd": "chosen: error of a registered garment",

@@ -82,8 +82,7 @@ class Relocalization(Checked):
     heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees that a wearer turns at once
     heading_doubt: float = bounded(0.5, 0, 1)  # probability that the heading of a garment that was never found says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
-    narrowings: int = bounded(2, 0, 8)  # repetitions, in a cloud of more than the garment, with the part it was found in
-    narrow_distance: float = bounded(0.08, 0.01, 1)  # m from the garment as found, within which points are of that part
+    narrow_distance: float = bounded(0.08, 0, 1)  # m: in a larger cloud the part nearer to the garment is searched again; 0: none
     narrowed_cost: float = bounded(0.025, 0, 1)  # m: such a part whose cost is higher is of something else
     found_sd: float = bounded(0.03, 1e-4, 10)  # m, of the vertices of a relocalized garment
     settling_frames: int = bounded(4, 0, 30)  # frames after a search in which the garment is registered further

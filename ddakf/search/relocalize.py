@@ -286,15 +286,12 @@ def locate(problem: Problem) -> Problem:
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
     accepted = cost <= min(rule.cost_ratio * staying, rule.highest_cost)
-    for _ in range(rule.narrowings):
-        part = _of_garment(frame, found @ turn, problem)
-        if part is frame:
-            break
+    part = _of_garment(frame, found @ turn, problem)
+    if part is not frame:
         again = _best(shapes, search._replace(target=_target(part, config)), heading)
         narrowed = again[1] <= min(rule.cost_ratio * staying, rule.narrowed_cost)
-        if not narrowed and again[1] > cost:
-            break
-        (found, cost, rival), accepted = again, accepted or narrowed
+        if narrowed or again[1] < cost:
+            (found, cost, rival), accepted = again, accepted or narrowed
     if not accepted:
         return problem
     found = found @ turn
@@ -314,8 +311,10 @@ def _of_garment(frame: FrameInput, position: np.ndarray, problem: Problem) -> Fr
 
     Of a cloud of more than the garment are left the points in its colours, or where those are not told apart, the points near it.
     """
-    config = problem.config
-    near = ~skin_removal.apart(frame.points, position, config.relocalization.narrow_distance)
+    config, radius = problem.config, problem.config.relocalization.narrow_distance
+    if radius == 0.0:
+        return frame
+    near = ~skin_removal.apart(frame.points, position, radius)
     if near.mean() >= 1.0 - config.evidence.foreign_share or np.count_nonzero(near) < config.start.least_points:
         return frame
     coloured = segmentation.of_garment_colors(frame, problem, position)
@@ -361,8 +360,7 @@ def _settle(problem: Problem) -> Problem:
     garment = skin_removal.remove_skin(frame, problem, prior.position, config.skin_removal.cloth_distance)
     if len(garment.points) == 0:
         return problem._replace(health=health)
-    if config.relocalization.narrowings > 0:
-        garment = _of_garment(garment, prior.position, problem)
+    garment = _of_garment(garment, prior.position, problem)
     turn, settling = config.start.to_y_up, config.registration.settling()
     position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
     prior = _moved(prior, position, config.relocalization.settling_sd)

@@ -156,12 +156,12 @@ def test_a_garment_is_found_at_once_in_the_cloud_of_its_wearer(texture, error):
     start = (SHIRT.vertices - SHIRT.vertices.mean(axis=0)) @ turn(30).T + SHIRT.vertices.mean(axis=0) + [0.4, 0.0, 0.2]
     seen = Sensor("full", points=6000, segmented=False).capture(SAMPLE, 0, np.random.default_rng(1), texture)
     found = {}
-    for narrowings in (0, RULE.narrowings):
-        config = dataclasses.replace(Config(), relocalization=dataclasses.replace(RULE, narrowings=narrowings))
+    for distance in (0.0, RULE.narrow_distance):
+        config = dataclasses.replace(Config(), relocalization=dataclasses.replace(RULE, narrow_distance=distance))
         tracker = Tracker(Mesh(start, SHIRT.faces), config=config)
         result = tracker.step(seen.points, timestamp=0.0, colors=seen.colors if texture else None)
-        found[narrowings] = rms(result.vertices - SAMPLE.garment_vertices[0])
-    assert found[RULE.narrowings] < error < 0.5 * found[0]
+        found[distance] = rms(result.vertices - SAMPLE.garment_vertices[0])
+    assert found[RULE.narrow_distance] < error < 0.5 * found[0.0]
 
 
 def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
