@@ -26,6 +26,7 @@ from pathlib import Path
 
 import numpy as np
 from committed import parsed
+from inputs import TEXTURES
 from scipy.spatial.transform import Rotation
 
 import ddakf
@@ -33,7 +34,6 @@ from ddakf.body import contact
 from ddakf.evaluation import machine
 from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.captured_frame import Cloud
-from ddakf.evaluation.sensors.texture import Texture
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.trials.recordings import find_recording
 from ddakf.files.sequence import Sequence
@@ -60,7 +60,6 @@ CONDITIONS = {
     "cameras 10 mm off": {},
     "template 5 % off": {},
 }
-TEXTURES = {"coloured person": Texture("plain")}
 BODY_SD = {"body 10 mm off": 0.01}  # m, of the body's error where there is one
 CAMERAS_OFF = {"cameras 10 mm off": 0.01}  # m, error of each camera's place where it has one
 SIZES = {"template 5 % off": (1.05, 1.0 / 1.05)}  # template over garment, of odd seeds and of even ones

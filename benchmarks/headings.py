@@ -40,7 +40,7 @@ def run(job: tuple[str, str, int, str, str]) -> list[dict]:
         tracker, times, warned = ddakf.Tracker(ddakf.Mesh(turned, sequence.garment_faces), config=config), [], False
         for k in range(first, first + FRAMES):
             cloud = sensor.capture(sequence, k, np.random.default_rng([1, k]), TEXTURES[of])
-            how = {"sensor_origin": cloud.sensor_origin, "colors": cloud.colors if TEXTURES[of] else None}
+            how = {"sensor_origin": cloud.sensor_origin, "colors": getattr(cloud, "colors", None)}
             before = time.thread_time()
             result = tracker.step(cloud.points, timestamp=sequence.timestamp(k), **how)
             times.append(time.thread_time() - before)

@@ -97,7 +97,7 @@ class Track:
         cloud = self.sensor.capture(s, frame, np.random.default_rng([self.seed, frame]), self.texture)
         begun = time.thread_time()
         try:
-            colors = cloud.colors if self.texture else None
+            colors = getattr(cloud, "colors", None)
             result = self._step(frame, *((cloud.points, cloud.sensor_origin, colors) if shown else (NOTHING, None, None)))
         except InvalidFrame:  # of a garment that has left the camera's view but for a corner
             result = self._step(frame, NOTHING, None, None)

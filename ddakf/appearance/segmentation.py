@@ -31,12 +31,9 @@ def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
 
     Before anything has been learned, the frame itself is learned from, the garment being where it is predicted.
     """
-    config, palette, position = problem.config.segmentation, problem.last.palette, problem.prior.position
-    if frame.colors is None or config.points == 0:
-        return frame
+    config, position = problem.config.segmentation, problem.prior.position
+    palette = _palette(frame, problem, position)
     if palette is None:
-        palette = _shown(problem, position, None)
-    if not _enough(palette, config):
         return frame
     other = _others(frame.colors, palette, config)
     doubtful = (palette.alike > DOUBTFUL * palette.seen)[problem.model.inside]
@@ -53,15 +50,24 @@ def of_garment_colors(frame: FrameInput, problem: Problem, position: np.ndarray 
     Where neither is known, or too few points for a search would stay, the frame stays whole. Prints and cuffs like skin leave it,
     because nothing is known of the cloth's place.
     """
-    config, palette = problem.config, problem.last.palette
-    if frame.colors is None or config.segmentation.points == 0:
-        return frame
-    if palette is None and position is not None:
-        palette = _shown(problem, position, None)
-    if palette is None or not _enough(palette, config.segmentation):
+    config, palette = problem.config, _palette(frame, problem, position)
+    if palette is None:
         return frame
     stays = ~_others(frame.colors, palette, config.segmentation)
     return frame.only(stays) if config.start.least_points <= np.count_nonzero(stays) < len(stays) else frame
+
+
+def _palette(frame: FrameInput, problem: Problem, position: np.ndarray | None) -> Palette | None:
+    """The palette that tells a frame's colours: learned before, or of the frame, its garment at (V, 3) ``position``, metres.
+
+    None where nothing tells them.
+    """
+    config, palette = problem.config.segmentation, problem.last.palette
+    if frame.colors is None or config.points == 0:
+        return None
+    if palette is None and position is not None:
+        palette = _shown(problem, position, None)
+    return palette if palette is not None and _enough(palette, config) else None
 
 
 def learned(problem: Problem, position: np.ndarray, reliability: float) -> Palette | None:

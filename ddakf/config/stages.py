@@ -325,6 +325,10 @@ class ErrorEvidence(Checked):
     clump_size: float = bounded(0.10, 1e-3, 10)  # m, edge of such a cell
     memory: float = bounded(0.5, 1e-3, 1e3)  # s, time constant of the evidence
 
+    def explained_within(self, edge_length: float) -> float:
+        """Metres from its nearest vertex, beyond which a point is unexplained by a garment with edges of that mean length."""
+        return max(self.unexplained_distance, self.unexplained_edges * edge_length)
+
 
 @dataclass(frozen=True)
 class FrameError(Checked):

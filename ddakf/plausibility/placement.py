@@ -39,7 +39,7 @@ def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
         return None
     points = problem.garment.points[:: -(-len(problem.garment.points) // SAMPLE)]
     nearest, away = nearest_vertices(points, estimate.position, BESIDE)
-    outside = away > max(rule.unexplained_distance, rule.unexplained_edges * model.edge_length)
+    outside = away > rule.explained_within(model.edge_length)
     beside = np.count_nonzero(nearest >= 0)
     beyond = np.count_nonzero((nearest >= 0) & outside & np.isin(nearest, model.boundary[:, 0]))
     if beside < ENOUGH or beyond < BEYOND * beside:

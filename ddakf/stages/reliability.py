@@ -79,7 +79,7 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
         absent: see :func:`missing`.
     """
     model, dt, config = problem.model, problem.dt, problem.config.evidence
-    near, longest = max(config.unexplained_distance, config.unexplained_edges * model.edge_length), config.reach
+    near, longest = config.explained_within(model.edge_length), config.reach
     nearest, away = nearest_vertices(points, position, config.reach)
     centred, outside = points - position.mean(axis=0), away > near
     share = clumped(centred[outside], config) / len(points)
