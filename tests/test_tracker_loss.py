@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from ddakf import Config
+import ddakf
+from ddakf import Config, data
+from ddakf.evaluation.sensors import Sensor
 from tests.stages.scenes import FPS, rms
 from tests.tracker_runs import ACCELERATED, assert_finite, cloud, swaying, tracked
 
@@ -64,6 +66,23 @@ def test_a_lost_garment_that_comes_back_elsewhere_is_found():
         result = tracker.step(cloud(k) + shift.astype(np.float32), timestamp=k / FPS)
     assert result.state == "tracking"
     assert rms(result.vertices - swaying(84) - shift) < 0.03
+
+
+@pytest.mark.parametrize("shift", [[0.0, 0.0, 0.0], [0.35, 0.0, -0.2]], ids=["in place", "elsewhere"])
+def test_a_garment_that_reappears_is_followed_as_closely_as_before(shift):
+    sequence, sensor, shift = data.sample(), Sensor("full", points=4000), np.array(shift)
+    tracker, twin = (ddakf.Tracker(ddakf.Mesh(sequence.template, sequence.garment_faces)) for _ in range(2))
+    for each in (tracker, twin):
+        each.reset(sequence.garment_vertices[0])
+    errors = []
+    for k in range(1, 41):
+        points, truth = sensor.capture(sequence, k, np.random.default_rng(k)).points, sequence.garment_vertices[k]
+        seen = twin.step(points, timestamp=k / FPS)
+        result = tracker.step([] if 6 <= k < 26 else points + (shift if k >= 26 else 0.0), timestamp=k / FPS)
+        errors.append((rms(result.vertices - truth - shift), rms(seen.vertices - truth)))
+    after, uninterrupted = np.mean(errors[-5:], axis=0)
+    assert after < 1.3 * uninterrupted
+    assert result.reliability > 0.8 * seen.reliability
 
 
 def test_empty_clouds_are_a_loss_after_two_seconds():

@@ -64,7 +64,7 @@ class Relocalization(Checked):
     longest_turn: float = bounded(0.5, 1e-3, 3.2)  # rad, in a step of a finalist
     balancing: int = bounded(1, 0, 8)  # rounds that scale soft correspondences towards one to one
     outlier_weight: float = bounded(0.1, 1e-3, 100)  # weight of a point's belonging to no vertex, in pairs
-    cost_samples: int = bounded(150, 10, 600)  # points, and vertices, whose distance enters the cost
+    cost_samples: int = bounded(250, 10, 600)  # points, and vertices, whose distance enters the cost after registration
     cost_vertices: int = bounded(2500, 10, 10_000)  # vertices to which the distance of a point is measured
     cost_density: int = bounded(20, 1, 80)  # points to which the distance of a vertex is measured, per cost_samples
     truncation: float = bounded(0.10, 0.01, 10)  # m: a longer distance counts as this one
@@ -77,8 +77,8 @@ class Relocalization(Checked):
     candidates: int = bounded(3, 1, 12)  # poses of each shape that are registered
     strain_cost: float = bounded(0.03, 0, 10)  # m per RMS strain of a registered candidate
     template_cost: float = bounded(0.05, 0, 10)  # share by which the template costs more than the last shape
-    rigid_samples: float = bounded(6.0, 1e-3, 1e4)  # independent distances that the cost of a rigid pose is worth
-    registered_samples: float = bounded(20.0, 1e-3, 1e4)  # the same after registration
+    rigid_samples: float = bounded(60.0, 1e-3, 1e4)  # independent distances that the cost of a rigid pose is worth
+    registered_samples: float = bounded(80.0, 1e-3, 1e4)  # the same after registration
     heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees that a wearer turns at once
     heading_doubt: float = bounded(0.5, 0, 1)  # probability that the heading of a garment that was never found says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
@@ -100,7 +100,7 @@ class Registration(Checked):
     settling_reach: float = bounded(0.30, 0.01, 10)  # m, in the first step of a garment that settles after a search
     first_stiffness: float = bounded(5.0, 1e-3, 1e3)  # weight of an edge of the graph against a cluster's data, first step
     last_stiffness: float = bounded(0.2, 1e-3, 1e3)  # last step, of a cloud from all sides
-    one_sided_stiffness: float = bounded(3.0, 1e-3, 1e3)  # last step, of a cloud whose sensors are known
+    one_sided_stiffness: float = bounded(0.5, 1e-3, 1e3)  # last step, of a cloud whose sensors are known
     balancing: int = bounded(2, 0, 8)  # rounds towards one to one, of a cloud from all sides; 0 where sensors are known
     outlier_weight: float = bounded(0.1, 1e-3, 100)  # weight of a point's belonging to no vertex, in pairs
     points: int = bounded(300, 10, 600)  # of the cloud that are paired, at least

@@ -166,8 +166,9 @@ class InnovationNoise(Checked):
 class ResidualNoise(Checked):
     """Smoothing of the fit's residual along the normal, so that R converges to the sensor's noise.
 
-    With e the residual at the estimate, E[e e'] = R - H P H' (Mohamed and Schwarz 1999), so that R = e e' + H P H'. The
-    error of the prediction, which is part of every innovation, never enters.
+    With e the residual at the estimate, E[e e'] = R - H P H' (Mohamed and Schwarz 1999), so that R = e e' + H P H', P the
+    posterior: that of the last frame, and at most R, since a measurement leaves no more. The error of the prediction, which is
+    part of every innovation, never enters.
     """
 
     alpha: float = bounded(0.9, 0, 1)  # share of the old value, per frame

@@ -19,7 +19,7 @@ class Recursion(NamedTuple):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def adapt_along_normals(position, target, normal, used, P, recursion, R):
-    """R <- S R S with S = I + (s - 1) n n', and s such that n' R n follows e^2 + n' P n, e = n . (z - x).
+    """R <- S R S with S = I + (s - 1) n n', and s such that n' R n follows e^2 + min(n' P n, n' R n), e = n . (z - x).
 
     Args:
         position: (V, 3) x, the estimate, metres.
@@ -35,12 +35,12 @@ def adapt_along_normals(position, target, normal, used, P, recursion, R):
             continue
         x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
         e = (target[i, 0] - position[i, 0]) * x + (target[i, 1] - position[i, 1]) * y + (target[i, 2] - position[i, 2]) * z
-        expected = along(P[i], x, y, z)
         vx = R[i, 0, 0] * x + R[i, 0, 1] * y + R[i, 0, 2] * z
         vy = R[i, 1, 0] * x + R[i, 1, 1] * y + R[i, 1, 2] * z
         vz = R[i, 2, 0] * x + R[i, 2, 1] * y + R[i, 2, 2] * z
         old = vx * x + vy * y + vz * z
-        new = min(max(alpha * old + (1.0 - alpha) * (e * e + expected + epsilon), lowest), highest)
+        left = min(along(P[i], x, y, z), old)
+        new = min(max(alpha * old + (1.0 - alpha) * (e * e + left + epsilon), lowest), highest)
         s = sqrt(new / old)
         # S R S = R + (s - 1)(n v' + v n') + (s - 1)^2 old n n' with v = R n
         t = s - 1.0

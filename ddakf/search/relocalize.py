@@ -138,7 +138,7 @@ def candidate_poses(position: np.ndarray, search: Search, prior: HeadingPrior) -
     found: list[CandidatePose] = []
     for _, _, initial in tried[: config.finalists]:
         pose = _align(fine, target, initial, Alignment.fine(config))
-        cost = _cost(fine.moved(pose), target, config.cost_samples, config)
+        cost = _cost(fine.moved(pose), target, config.fine_points, config)
         # in the world's frame: x -> R (x - o) + t + o
         found.append(CandidatePose(pose.rotation, pose.translation + target.origin - pose.rotation @ target.origin, cost))
     found.sort(key=lambda pose: _negative_log_posterior(pose, config.rigid_samples, prior))
@@ -253,8 +253,9 @@ def locate(problem: Problem) -> Problem:
     A cloud that lies elsewhere is searched before the first fit, after a loss, and when the garment was out of sight or without
     a fit lately. The search lays the last shape on the cloud, and beside it the template where that shape may be as wrong as the
     place. In a cloud of more than the garment, such as a whole person's, it is repeated with what is the garment by colour or
-    place, as it was found. A relocalized garment is registered again in the ``settling_frames`` that follow. A search that
-    exceeds the frame's budget is due in the next one.
+    place, as it was found. A relocalized garment is registered again in the ``settling_frames`` that follow. One that was out of
+    sight and is where it was predicted stays there, as certain as one that is found. A search that exceeds the frame's budget is
+    due in the next one.
     """
     prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
     rule = config.relocalization
@@ -276,7 +277,8 @@ def locate(problem: Problem) -> Problem:
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
     if staying < rule.in_place_cost:
-        return problem
+        # a covariance that has grown out of sight would let each vertex follow its own points
+        return _found_at(problem, prior.position, prior.velocity) if health.empty_for > 0.0 or after_gap else problem
     unseen = problem.dt + health.empty_for + health.poor_for
     doubt = rule.heading_doubt if health.state == "initializing" else 0.0
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
@@ -295,15 +297,20 @@ def locate(problem: Problem) -> Problem:
     if not accepted:
         return problem
     found = found @ turn
-    start = State.at(found, np.zeros_like(found), rule.found_sd, config.start.speed_sd, 1.0)
-    return problem._replace(
-        prior=start._replace(R=prior.R),
-        last=problem.last._replace(drift=Drift.at(model, rule.found_sd)),
+    return _found_at(problem, found, np.zeros_like(found))._replace(
         motion_start=found,
         rival=rival,
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
+
+
+def _found_at(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> Problem:
+    """The problem whose prior is a garment as a search finds it, (V, 3) metres and metres per second; its R is kept."""
+    sd = problem.config.relocalization.found_sd
+    start = State.at(position, velocity, sd, problem.config.start.speed_sd, 1.0)
+    last = problem.last._replace(drift=Drift.at(problem.model, sd))
+    return problem._replace(prior=start._replace(R=problem.prior.R), last=last)
 
 
 def _of_garment(frame: FrameInput, position: np.ndarray, problem: Problem) -> FrameInput:

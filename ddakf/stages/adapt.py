@@ -14,7 +14,8 @@ def adapt(problem: Problem, estimate: Estimate, measurement: Measurement, weight
 
     ``InnovationNoise``: R = alpha R + (1 - alpha)(y y' + epsilon I), y the innovation against the prediction, eigenvalues
     clamped to [R_min, R_max]. ``ResidualNoise``: the same recursion for the variance along the measured normal, with
-    e^2 + n' P n in place of y y', e the residual at the estimate and P the last posterior; R is scaled along n to match.
+    e^2 + min(n' P n, n' R n) in place of y y', e the residual at the estimate and P the last posterior, of which a measurement
+    leaves at most R, however wide it grew out of sight; R is scaled along n to match.
 
     Args:
         problem: the frame, with the last posterior and the prediction.

@@ -8,6 +8,7 @@ import pytest
 from ddakf import Config, Mesh, Tracker
 from ddakf.config import Start
 from ddakf.data import sample
+from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors import Sensor, sample_surface
 from ddakf.evaluation.sensors.texture import Texture
 from ddakf.garment import model
@@ -149,6 +150,18 @@ def test_a_garment_that_was_never_found_may_face_any_way(view, degrees):
     for k in range(3):
         result = tracker.step(points, timestamp=k / FPS, sensor_origin=eye)
     assert rms(result.vertices - truth) < 0.03
+
+
+@pytest.mark.parametrize("name", ["trousers_dance_loose_11", "shorts_jump_loose_59"])
+def test_trousers_that_face_the_other_way_are_found_by_their_shape(name):
+    """Front and back differ by centimetres alone, and the legs stand otherwise than the template's."""
+    sequence, first = collection.load(name), 40
+    template = sequence.template @ turn(180).T + [0.5, 0.0, 0.3]
+    tracker = Tracker(Mesh(template, sequence.garment_faces))
+    for k in range(first, first + 3):
+        points = Sensor("full").capture(sequence, k, np.random.default_rng([1, k])).points
+        result = tracker.step(points, timestamp=k / FPS)
+    assert rms(result.vertices - sequence.garment_vertices[k]) < 0.02
 
 
 @pytest.mark.parametrize(("texture", "error"), [(None, 0.015), (Texture("plain"), 0.006)], ids=["points", "colours"])

@@ -60,7 +60,7 @@ def test_residuals_are_smoothed_along_the_normal(seed):
     R = adapt(last, measurement, weight, prior, estimate, RESIDUAL)
     n, used = measurement.normal, weight > 0
     e = np.einsum("va,va->v", n, measurement.target - estimate)
-    sample = e**2 + along(n, last.P_pp) + RESIDUAL.epsilon
+    sample = e**2 + np.minimum(along(n, last.P_pp), along(n, last.R)) + RESIDUAL.epsilon
     expected = RESIDUAL.alpha * along(n, last.R) + (1 - RESIDUAL.alpha) * sample
     np.testing.assert_allclose(along(n, R)[used], expected[used], rtol=1e-9)
 
@@ -84,6 +84,15 @@ def test_variances_stay_between_the_bounds(config, planes, seed, scale):
     measured = along(measurement.normal, R)[used] if planes else np.linalg.eigvalsh(R[used])
     assert measured.min() >= low * (1 - 1e-6)
     assert measured.max() <= high * (1 + 1e-6)
+
+
+def test_what_grew_out_of_sight_is_no_noise():
+    last, measurement, weight, prior, _ = scene(5, planes=True)
+    used = weight > 0
+    wide = last._replace(P_pp=np.tile(np.eye(3), (len(used), 1, 1)))
+    R = adapt(wide, measurement, weight, prior, measurement.target, RESIDUAL)
+    before = along(measurement.normal, wide.R)[used]
+    assert (along(measurement.normal, R)[used] <= before + (1 - RESIDUAL.alpha) * RESIDUAL.epsilon * (1 + 1e-9)).all()
 
 
 @pytest.mark.parametrize("config", [Config().adapt, Config.paper().adapt], ids=["residual", "innovation"])
