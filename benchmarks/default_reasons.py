@@ -269,7 +269,7 @@ REASONS = {
     "Registration.settling_reach": "chosen: a bent limb may lie far from its place",
     "Registration.first_stiffness": "chosen: almost rigid",
     "Registration.last_stiffness": "chosen: the data decide",
-    "Registration.one_sided_stiffness": "chosen by starts and losses of training recordings; softer, skirts turn",
+    "Registration.one_sided_stiffness": "chosen: the unseen side follows the seen one",
     "Registration.balancing": "chosen: every part of the cloud finds its part of the garment",
     "Registration.outlier_weight": "chosen: a tenth of a pair",
     "Registration.points": "chosen for time",

@@ -100,7 +100,7 @@ class Registration(Checked):
     settling_reach: float = bounded(0.30, 0.01, 10)  # m, in the first step of a garment that settles after a search
     first_stiffness: float = bounded(5.0, 1e-3, 1e3)  # weight of an edge of the graph against a cluster's data, first step
     last_stiffness: float = bounded(0.2, 1e-3, 1e3)  # last step, of a cloud from all sides
-    one_sided_stiffness: float = bounded(0.5, 1e-3, 1e3)  # last step, of a cloud whose sensors are known
+    one_sided_stiffness: float = bounded(3.0, 1e-3, 1e3)  # last step, of a cloud whose sensors are known
     balancing: int = bounded(2, 0, 8)  # rounds towards one to one, of a cloud from all sides; 0 where sensors are known
     outlier_weight: float = bounded(0.1, 1e-3, 100)  # weight of a point's belonging to no vertex, in pairs
     points: int = bounded(300, 10, 600)  # of the cloud that are paired, at least
