@@ -15,6 +15,7 @@ from ddakf.kernels.cluster_alignment import Elimination
 from ddakf.kernels.colour import Slides
 from ddakf.kernels.preprocess import Grid
 from ddakf.kernels.rigidity import LocalRigidity
+from ddakf.kernels.surface_points import FaceRings, FoundFaces, Sample
 from ddakf.mesh import Mesh
 from ddakf.physics import Linearization
 from ddakf.physics.bend import BendConstants, Hinges
@@ -82,6 +83,7 @@ class Model(NamedTuple):
 
     mesh: Mesh
     faces: np.ndarray  # (F, 3) int32
+    rings: FaceRings  # the same with their edges, and the faces around each vertex
     start: np.ndarray  # (V + 1,) uint32: row i of the one-rings is [start[i], start[i + 1])
     neighbour: np.ndarray  # (2E,) uint32, ascending in each row
     edge: np.ndarray  # (2E,) uint32 in [0, E): the mesh's edge of each entry
@@ -150,6 +152,7 @@ class Cloud(NamedTuple):
     dims: np.ndarray  # (3,) int64
     sensor: np.ndarray | None  # (S, 3) m, distinct sensors; None where unknown
     sparse: Surfels | None  # a sample in larger cells, for vertices far from all surfels; None where the cells are as large
+    sample: Sample | None = None  # points that measure the faces beneath them, spread over all; None without planes
     channels: np.ndarray | None = None  # (2, M) float32, log chromaticities of the points; None: their colours are not known
 
     @property
@@ -420,6 +423,16 @@ class Slide(NamedTuple):
     information: np.ndarray  # (2, V) 1/m^2 with which they enter the update, 0 where colours say nothing
 
 
+class SurfacePoints(NamedTuple):
+    """Points of the cloud that measure the height of the faces beneath them.
+
+    They show the folds between vertices, which planes fitted to patches of the cloud flatten.
+    """
+
+    found: FoundFaces
+    weight: np.ndarray  # (P,) bisquare of the offset, 0 without a face
+
+
 class Planes(NamedTuple):
     """Plane-aligned measurements: one per vertex with a positive weight."""
 
@@ -431,6 +444,8 @@ class Planes(NamedTuple):
     hem: Hem | None = None  # ends of the cloud beside open boundaries
     hem_variance: float = 1.0  # m^2, of each
     slide: Slide | None = None  # along the surface, by its colours
+    points: FoundFaces | None = None  # beneath points of the cloud
+    information: np.ndarray | None = None  # (P,) 1/m^2 along the faces' normals, of those points
 
 
 class Measurement(NamedTuple):
@@ -444,6 +459,7 @@ class Measurement(NamedTuple):
     hem: Hem | None = None  # None: no boundary, or no cloud
     judged_at: np.ndarray | None = None  # (V, 3) m, where the vertices were when it was judged which are visible
     slide: Slide | None = None  # None: nothing is known of the colours
+    points: SurfacePoints | None = None  # None: no cloud, or no planes
 
     @classmethod
     def none(cls, n: int) -> Measurement:
@@ -552,10 +568,10 @@ class Estimate(NamedTuple):
     information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
     evidence: Evidence  # of the last pass
     gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
-    bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
     contacts: Contacts | None = None  # on the body; None: not searched
     planes: Planes | None = None
     system: System | None = None
+    bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
     coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it

@@ -6,6 +6,7 @@ import numpy as np
 
 from ddakf.config import Config, Discretisation
 from ddakf.garment import clusters, geodesic
+from ddakf.kernels.surface_points import FaceRings
 from ddakf.mesh import Mesh
 from ddakf.physics import bend, collision, self_collision, shear, strain, stretch
 from ddakf.types import Model
@@ -40,6 +41,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
     return Model(
         mesh=mesh,
         faces=mesh.faces.astype(np.int32),
+        rings=_rings(mesh),
         start=start.astype(np.uint32),
         neighbour=np.ascontiguousarray(edges[:, 1], np.uint32),
         edge=(order % len(mesh.edges)).astype(np.uint32),
@@ -66,6 +68,15 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         collision=contact,
         layers=self_collision.build(mesh, contact.weight, contact.thickness, config.physics),
     )
+
+
+def _rings(mesh: Mesh) -> FaceRings:
+    faces, n = mesh.faces, mesh.n_vertices
+    ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
+    edge = np.searchsorted(mesh.edges @ [n, 1], ends @ [n, 1])
+    start = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=n))])
+    around = np.argsort(faces.ravel(), kind="stable") // 3
+    return FaceRings(*(a.astype(np.int32) for a in (faces, edge, start, around)))
 
 
 def crossings(edges: np.ndarray, patch: np.ndarray) -> np.ndarray:

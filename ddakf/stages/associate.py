@@ -9,12 +9,18 @@ import numpy as np
 from ddakf.config import NearestPoint, PlaneAssociation
 from ddakf.kernels import associate as kernels
 from ddakf.kernels import hem as hem_kernels
+from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels.associate import FAR_AWAY, NO_SURFEL, FoundPlanes, PlaneSearch
 from ddakf.kernels.hem import CloudEnds, Tube
 from ddakf.kernels.normals import vertex_normals
+from ddakf.kernels.surface_points import NO_FACE, Agreement, FoundFaces
 from ddakf.kernels.visibility import VisibilityLimits, mark_visible
-from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
+from ddakf.stages import robust
+from ddakf.stages.grid import nearest_vertices
+from ddakf.types import Estimate, Hem, Measurement, Problem, SurfacePoints, Surfels
 
+FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
+OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their sizes
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
@@ -38,7 +44,7 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
         problem: the frame, with its cloud.
         estimate: where the vertices are, and their last measurement.
         gate: search radius, metres.
-        only: (V,) bool, vertices that are measured; None: all. Hems are left out where it is given.
+        only: (V,) bool, vertices that are measured; None: all. Hems and points on faces are left out where it is given.
     """
     position, cloud, model = estimate.position, problem.cloud, problem.model
     match problem.config.associate:
@@ -50,8 +56,10 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
             eligible = seen if only is None else seen & only
             if not cloud.empty:
                 _find_planes(problem, gate, (position, normal, eligible), FoundPlanes(target, plane, distance, searched_at))
-            hem = None if only is not None else _hem(problem, position, normal, seen)
-            return Measurement(target, plane, distance, searched_at, seen, hem, judged_at)
+            if only is not None:
+                return Measurement(target, plane, distance, searched_at, seen, None, judged_at)
+            hem, points = _hem(problem, position, normal, seen), _surface_points(problem, estimate)
+            return Measurement(target, plane, distance, searched_at, seen, hem, judged_at, points=points)
         case NearestPoint():
             n = len(position)
             target, distance = np.zeros((n, 3)), np.full(n, -1.0)
@@ -124,3 +132,26 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     tube = Tube(config.hem_reach, config.hem_width, config.hem_depth)
     hem_kernels.ends_of_cloud(position, normal, seen, model.boundary, cloud.points, cloud.grid, tube, ends)
     return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))
+
+
+def _surface_points(problem: Problem, estimate: Estimate) -> SurfacePoints | None:
+    """Points of the cloud on the faces beneath them: around the nearest vertex in the first pass, then around the last face."""
+    cloud, config, model, position = problem.cloud, problem.config.associate, problem.model, estimate.position
+    if cloud.sample is None:
+        return None
+    n, last = len(cloud.sample.point), estimate.evidence.measurement.points
+    if last is None:
+        reach = FACE_REACH * model.edge_length
+        vertex, _ = nearest_vertices(cloud.sample.point, position, reach, rings=1)
+        face = np.full(n, NO_FACE)
+    else:
+        vertex, face = np.full(n, -1, np.int32), last.found.face.copy()
+    found = FoundFaces(face, np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n, bool))
+    agreement = Agreement(config.normal_cosine, config.points_beside)
+    point_kernels.faces_beneath(position, model.rings, vertex, cloud.sample, agreement, found)
+    if not found.agrees.any():
+        return None
+    weight, scale = np.empty(n), OF_MEDIAN * float(np.median(np.abs(found.offset[found.agrees])))
+    cutoff = robust.cutoff(problem.config.robust) * max(scale, problem.config.adapt.lowest_sd)
+    point_kernels.weights(found, cutoff, weight)
+    return SurfacePoints(found, weight)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.body import weight as cloth_weight
-from ddakf.config import Config, DecoupledUpdate, MapUpdate, NearestPoint
+from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint
 from ddakf.kernels import colour as colour_kernels
 from ddakf.kernels import conjugate_gradients as solver
 from ddakf.kernels import fuse as kernels
@@ -15,11 +15,12 @@ from ddakf.kernels import hem as hem_kernels
 from ddakf.kernels import robust as robust_kernels
 from ddakf.kernels import self_collision as self_collision_kernels
 from ddakf.kernels import strain as strain_kernels
+from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels.conjugate_gradients import BlockMatrix, Preconditioner
 from ddakf.kernels.predict import CovarianceBlocks
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
-from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
+from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, SurfacePoints, System
 
 OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
 
@@ -87,7 +88,7 @@ def fuse(problem: Problem, estimate: Estimate, evidence: Evidence, gate: float) 
 def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     model, config, first = problem.model, problem.config, estimate.before is None
     steps = config.physics.first_rotation_steps if first else config.physics.rotation_steps
-    planes = _planes(estimate, config)
+    planes = _planes(problem, estimate)
     rows, rigid = rigidity.padded(estimate.position), (estimate.rest, estimate.motion)
     if _folds_unseen(problem):
         finer = max(1.0, config.physics.hidden_edge / model.edge_length)
@@ -153,9 +154,9 @@ def _softer(problem: Problem) -> float:
     return min(1.0, max(physics.coarse_share, (physics.coarse_edge / problem.model.edge_length) ** 2))
 
 
-def _planes(estimate: Estimate, config: Config) -> Planes:
+def _planes(problem: Problem, estimate: Estimate) -> Planes:
     """The measurements as planes; a point is one that is as well known across as along."""
-    measurement, weight, R, _ = estimate.evidence
+    (measurement, weight, R, _), config = estimate.evidence, problem.config
     n = len(weight)
     if measurement.normal is None:
         variance = np.maximum(np.einsum("vaa->v", R) / 3, config.adapt.lowest_sd**2)
@@ -164,6 +165,9 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
     robust_kernels.along_normals(estimate.position, measurement.target, measurement.normal, R, squared, variance)
     variance = np.maximum(variance, config.adapt.lowest_sd**2)
     tangential, target = np.full(n, config.associate.tangential_sd**2), measurement.target
+    points, found, information = measurement.points, None, None
+    if points is not None and weight.any():
+        found, information = points.found, _information(problem, points, float(np.median(variance[weight > 0.0])))
     if estimate.bulge is not None:
         target = np.empty_like(target)
         kernels.shift_along(measurement.target, measurement.normal, estimate.bulge, target)
@@ -176,7 +180,16 @@ def _planes(estimate: Estimate, config: Config) -> Planes:
         measurement.hem,
         config.associate.hem_sd**2,
         measurement.slide,
+        found,
+        information,
     )
+
+
+def _information(problem: Problem, points: SurfacePoints, variance: float) -> np.ndarray:
+    """(P,) 1/m^2 of the points on faces, beside planes of this variance, m^2; in sum as of all that are wanted."""
+    model, association = problem.model, problem.config.associate
+    wanted = association.wanted_points(model.area, model.edge_length)
+    return association.points_weight * wanted / (variance * len(points.weight)) * points.weight
 
 
 def accelerated(estimate: Estimate, delta: np.ndarray, config: MapUpdate) -> np.ndarray:
@@ -231,6 +244,8 @@ def normal_equations(problem: Problem, estimate: Estimate, position: np.ndarray,
     blocks = np.zeros((len(model.mesh.edges), 12), np.float32)
     strain = model.strain if problem.resting is None else problem.resting.strain
     strain_kernels.add_strain(position, strain, stretch, shear, energies.strain_scale**2, blocks, force)
+    if planes.points is not None:
+        point_kernels.add_points(model.rings, planes.points, planes.information, D, blocks, force)
     B, weight = np.empty((len(model.neighbour), 12), np.float32), sum(term.weight for term in rigid)
     kernels.add_coupling(model.start, model.neighbour, model.edge, blocks, weight, D, D, B)
     return System(D, B, force)

@@ -56,15 +56,16 @@ def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: floa
     return VertexGrid(vertices, index, grid)
 
 
-def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
+def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float, rings: int = RINGS) -> tuple[np.ndarray, np.ndarray]:
     """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
 
     Args:
         points: (N, 3) metres.
         position: (V, 3) metres.
         reach: metres.
+        rings: cells within the reach.
     """
-    _, index, grid = vertex_grid(position, reach / RINGS, CELLS)
+    _, index, grid = vertex_grid(position, reach / rings, CELLS)
     nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
     vertex_search.nearest_vertices(points, position, index, grid, reach, nearest, away)
     return nearest, away

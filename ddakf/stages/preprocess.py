@@ -11,6 +11,7 @@ from ddakf.config import Config, GridFilter, KnnFilter, NearestPoint, PlaneAssoc
 from ddakf.kernels import preprocess as kernels
 from ddakf.kernels.outliers import knn_mean_distances
 from ddakf.kernels.preprocess import Grid
+from ddakf.kernels.surface_points import Sample
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import distinct
 from ddakf.types import Cloud, FrameInput, Problem, Surfels
@@ -56,8 +57,10 @@ def preprocess(problem: Problem) -> Problem:
     """
     problem = problem._replace(frame=thinned(problem.frame, problem.effort.points))
     garment = skin_removal.remove_skin(problem.frame, problem, problem.prior.position, problem.config.skin_removal.hem_distance)
-    garment = segmentation.without_others(garment, problem)
-    return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, problem.model.area, problem.config))
+    garment, config, model = segmentation.without_others(garment, problem), problem.config, problem.model
+    planes = isinstance(config.associate, PlaneAssociation)
+    samples = config.associate.wanted_points(model.area, model.edge_length) if planes else 0
+    return problem._replace(garment=garment, cloud=cloud(garment, problem.prior.position, model.area, config, samples))
 
 
 def thinned(frame: FrameInput, share: float) -> FrameInput:
@@ -67,7 +70,7 @@ def thinned(frame: FrameInput, share: float) -> FrameInput:
     return frame.only((np.arange(int(share * len(frame.points))) / share).astype(np.int64))
 
 
-def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) -> Cloud:
+def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config, samples: int = 0) -> Cloud:
     """Crops to the neighbourhood of the predicted garment, removes outliers and fits planes.
 
     Args:
@@ -75,6 +78,7 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) 
         position: (V, 3) predicted vertices, metres.
         area: of the garment, square metres; with the number of points it sets the cell size.
         config: which outlier filter, and how far measurements are sought.
+        samples: points that measure faces, at most.
     """
     points, sensor_origin = frame.points, frame.sensor_origin
     match config.associate:
@@ -96,11 +100,14 @@ def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config) 
                 grid = _drop_sparse(grid, config.preprocess)
             case KnnFilter():
                 grid = _drop_far(grid, config.preprocess)
-    surfels, sensor = _surfels(grid, len(position), sensor_origin, config.preprocess)
-    sparse = None
-    if isinstance(config.associate, PlaneAssociation) and surfels.grid.cell < gate / SPARSE_RINGS:
-        sparse = _sparse(surfels, gate / SPARSE_RINGS, density)
-    return Cloud(*grid[:3], *surfels, *grid[3:], sensor, sparse)
+    planes, sensor, stride = _planes(grid, len(position), sensor_origin, config.preprocess)
+    surfels = Surfels(planes, Grid(*grid[2:])) if stride == 1 else _in_larger_cells(planes, Grid(*grid[2:]), stride)
+    sparse = sample = None
+    if isinstance(config.associate, PlaneAssociation):
+        if surfels.grid.cell < gate / SPARSE_RINGS:
+            sparse = _sparse(surfels, gate / SPARSE_RINGS, density)
+        sample = _sample(grid, planes, stride, samples, sensor is not None)
+    return Cloud(*grid[:3], *surfels, *grid[3:], sensor, sparse, sample)
 
 
 def _density(area: float, config: GridFilter | KnnFilter) -> Density:
@@ -110,12 +117,12 @@ def _density(area: float, config: GridFilter | KnnFilter) -> Density:
     return Density(area, config.points_per_cell)
 
 
-def _surfels(grid, n_vertices: int, sensor_origin: np.ndarray | None, config: GridFilter | KnnFilter):
-    """Surfels of a grid of points, and the distinct sensors to which their normals point; None where these are unknown.
+def _planes(grid, n_vertices: int, sensor_origin: np.ndarray | None, config: GridFilter | KnnFilter):
+    """Surfels (6, S) of every ``stride``-th point of a grid, the sensors that their normals point to or None, and the stride.
 
     A cloud denser than the garment is fitted with planes at the density that the garment can use.
     """
-    points, index, start, origin, cell, dims = grid
+    points, index, _, origin, cell, _ = grid
     stride = 1
     if isinstance(config, GridFilter):
         stride = max(1, round(points.shape[1] / (config.planes_per_vertex * n_vertices)))
@@ -128,13 +135,22 @@ def _surfels(grid, n_vertices: int, sensor_origin: np.ndarray | None, config: Gr
         else:
             sensor, per_point = distinct(sensor_origin), sensor_origin[index[::stride]]
         kernels.orient_normals(planes, per_point - origin)
-    surfels = Surfels(planes, Grid(start, origin, cell, dims))
-    return surfels if stride == 1 else _in_larger_cells(surfels, stride), sensor
+    return planes, sensor, stride
 
 
-def _in_larger_cells(surfels: Surfels, stride: int) -> Surfels:
+def _sample(grid, planes: np.ndarray, stride: int, most: int, oriented: bool) -> Sample | None:
+    """At most so many of the points that have a surfel, spread over the grid, as they were measured; None of none."""
+    count = planes.shape[1]
+    if min(most, count) == 0:
+        return None
+    every = -(-count // most)
+    point = grid[0][:, :: stride * every].T + grid[3]
+    return Sample(point, np.ascontiguousarray(planes[3:, ::every].T, np.float64), oriented)
+
+
+def _in_larger_cells(planes: np.ndarray, grid: Grid, stride: int) -> Surfels:
     """Surfels of every ``stride``-th point, sorted into cells that hold as many of them as the points' cells do points."""
-    planes, (_, origin, cell, dims) = surfels
+    _, origin, cell, dims = grid
     larger = cell * float(np.sqrt(stride))
     dims = (dims * cell / larger).astype(np.int64) + 1
     start, index = np.empty(int(np.prod(dims)) + 2, np.int32), np.empty(planes.shape[1], np.int32)

@@ -7,7 +7,7 @@ from math import erfc, exp, inf, pi, sqrt
 
 import numpy as np
 
-from ddakf.config import NoWeight
+from ddakf.config import NoWeight, Tukey
 from ddakf.kernels import robust as kernels
 from ddakf.types import Estimate, Measurement, Problem
 
@@ -64,6 +64,11 @@ def weigh(problem: Problem, estimate: Estimate, measurement: Measurement) -> np.
     least = kernels.scale(found, squared, variance)
     kernels.bisquare(found, squared, variance, least, config.cutoff, gate_threshold(config.gate_probability, 1), weight)
     return weight
+
+
+def cutoff(config: Tukey | NoWeight) -> float:
+    """Standard deviations beyond which a measurement has no weight."""
+    return config.cutoff if isinstance(config, Tukey) else inf
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:

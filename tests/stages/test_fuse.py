@@ -372,7 +372,7 @@ def test_vertices_stand_out_of_the_patches_that_their_planes_are_fitted_to():
     inner[model.build(garment).boundary[:, 0]] = False
     across = []
     for bulge in (0.0, PlaneAssociation.bulge):
-        tracker = Tracker(garment, config=Config(associate=PlaneAssociation(bulge=bulge)))
+        tracker = Tracker(garment, config=Config(associate=PlaneAssociation(bulge=bulge, points=0)))
         for k in range(12):
             result = tracker.step(scan(garment.vertices, garment, seed=k), timestamp=k / FPS)
         across.append(np.einsum("va,va->v", result.vertices - garment.vertices, normal)[inner])
