@@ -57,6 +57,7 @@ def configurations() -> dict[str, ddakf.Config]:
         **variants.ablations(),
         **variants.refinements(),
         "no-bulge": replace(default, associate=replace(default.associate, bulge=0.0)),
+        "no-points": replace(default, associate=replace(default.associate, points=0)),
         "no-hidden-edge": replace(default, physics=replace(default.physics, hidden_edge=0.0)),
         "no-coarse-edge": replace(default, physics=replace(default.physics, coarse_share=1.0)),
     }

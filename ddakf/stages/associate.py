@@ -1,4 +1,4 @@
-"""Stage B, association (paper, section 2.3): one measurement of the cloud per vertex."""
+"""Stage B, association (paper, section 2.3): one measurement of the cloud per vertex, and heights of points above faces."""
 
 from __future__ import annotations
 
