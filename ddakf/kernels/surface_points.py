@@ -166,3 +166,29 @@ def weights(found, cutoff, weight):
     for p in range(offset.shape[0]):
         ratio = offset[p] / cutoff
         weight[p] = max(1.0 - ratio * ratio, 0.0) ** 2 if agrees[p] else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def add_information(rings, found, information, patch, added):
+    """Adds k n n' of each point to the information of the patch that its nearest corner is in.
+
+    Args:
+        rings, found: :class:`FaceRings`, :class:`FoundFaces`.
+        information: (P,) k, 1/m^2.
+        patch: (V,) int32 in [0, L).
+        added: (L, 6) 1/m^2, xx, yy, zz, xy, xz, yz, added to.
+    """
+    face, share, normal, _, _ = found
+    for p in range(face.shape[0]):
+        k = information[p]
+        if k <= 0.0:
+            continue
+        u, v, w = share[p, 0], share[p, 1], share[p, 2]
+        c = patch[rings.corner[face[p], 0 if u >= max(v, w) else 1 if v >= w else 2]]
+        x, y, z = normal[p, 0], normal[p, 1], normal[p, 2]
+        added[c, 0] += k * x * x
+        added[c, 1] += k * y * y
+        added[c, 2] += k * z * z
+        added[c, 3] += k * x * y
+        added[c, 4] += k * x * z
+        added[c, 5] += k * y * z

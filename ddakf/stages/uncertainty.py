@@ -17,6 +17,7 @@ from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
 from ddakf.kernels import follow
+from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
@@ -79,7 +80,7 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     vertex_normals(state.position, model.faces, normal)
     evidence = _evidence(problem, estimate, weight, Surface(state.position, normal))
     stored2 = kernels.mean_and_largest_trace(state.P_pp)[0] / 3.0
-    coupling = Coupling(estimate.system.B, stored2, estimate.clearance is not None)
+    coupling = Coupling(_elastic(problem, estimate), stored2, estimate.clearance is not None)
     drift = advance(problem, evidence, coupling)
     strain2 = evidence.means.strain2
     slip2 = limits.strain_reach**2 * 0.5 * (strain2 + _mean(strain2, evidence.size)) + limits.floor_sd**2
@@ -89,6 +90,18 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     found = error_size.evidence(problem, estimate, state.position, evidence)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
     return _capped(covariance, limits), drift._replace(hem2=found.hem)
+
+
+def _elastic(problem: Problem, estimate: Estimate) -> np.ndarray:
+    """(2E, 12) blocks of the coupling of patches by the cloth alone, without that of points on a face between two patches."""
+    model, planes, B = problem.model, estimate.planes, estimate.system.B
+    if planes.points is None:
+        return B
+    n, measured = len(estimate.position), np.zeros((len(model.mesh.edges), 12), np.float32)
+    point_kernels.add_points(model.rings, planes.points, planes.information, np.zeros((n, 3, 3)), measured, np.zeros((n, 4)))
+    entry, B = model.crossing[:, 0], B.copy()
+    B[entry] -= measured[model.edge[entry]]
+    return B
 
 
 def _capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
@@ -194,6 +207,8 @@ def _evidence(problem: Problem, estimate: Estimate, weight: np.ndarray, surface:
     measured = MeasuredPlanes(weight, planes.normal, planes.variance, isotropic)
     prior = problem.prior.position
     kernels.sum_by_patch(surface.position, still, prior, surface.normal, model.patch, ring_strain, measured, sums)
+    if planes.points is not None and weight.any():  # none are used where the fit was rejected
+        point_kernels.add_information(model.rings, planes.points, planes.information, model.patch, sums.information)
     kernels.patch_means(sums, limits.plane_persistence, limits.least_bend, means)
     missed = missed[weight > 0.0]
     return PatchEvidence(sums.size, sums.observed, means, ring_strain, isotropic, missed.T @ missed / max(len(missed), 1))

@@ -9,9 +9,11 @@ from ddakf.evaluation.sensors import Sensor
 from ddakf.garment import model as garment_model
 from ddakf.kernels import fuse as fuse_kernels
 from ddakf.kernels import surface_points as kernels
+from ddakf.kernels import uncertainty as uncertainty_kernels
 from ddakf.kernels.surface_points import NO_FACE, Agreement, FoundFaces, Sample
+from ddakf.stages import uncertainty
 from ddakf.stages.grid import nearest_vertices
-from tests.stages.scenes import FPS, tube
+from tests.stages.scenes import FPS, scan, tube
 from tests.tracker_runs import SAMPLE, SHIRT
 
 GARMENT = tube()
@@ -124,3 +126,23 @@ def test_a_fine_garment_has_no_such_points():
     config = PlaneAssociation()
     assert config.wanted_points(1.0, config.points_finest) == 0
     assert config.wanted_points(2.0, 1.0) == 2 * config.wanted_points(1.0, config.points_edge) == 2 * round(config.points)
+
+
+def test_points_are_no_coupling_between_patches(monkeypatch):
+    """What a point on a face of two patches adds is a measurement: taken for a force of the cloth it would make errors grow."""
+    kept, posterior = [], uncertainty.posterior
+    monkeypatch.setattr(uncertainty, "posterior", lambda *frame: kept.append(frame) or posterior(*frame))
+    tracker = Tracker(GARMENT)
+    for k in range(3):
+        tracker.step(scan(GARMENT.vertices, GARMENT, seed=k), timestamp=k / FPS)
+    problem, estimate = kept[-1]
+    assert estimate.planes.points is not None
+    least = []
+    for B in (uncertainty._elastic(problem, estimate), estimate.system.B):
+        n = len(problem.model.likeness)
+        matrix = np.empty((3 * n, 3 * n), np.float32)
+        uncertainty_kernels.couple_patches(B, problem.model.crossing, np.zeros((n, 6)), 0.0, matrix)
+        values = np.linalg.eigvalsh(0.5 * (matrix + matrix.T).astype(float))
+        least.append(values[0] / values[-1])
+    assert least[0] > -1e-4
+    assert least[1] < least[0] - 1e-4
