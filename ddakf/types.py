@@ -423,16 +423,6 @@ class Slide(NamedTuple):
     information: np.ndarray  # (2, V) 1/m^2 with which they enter the update, 0 where colours say nothing
 
 
-class SurfacePoints(NamedTuple):
-    """Points of the cloud that measure the height of the faces beneath them.
-
-    They show the folds between vertices, which planes fitted to patches of the cloud flatten.
-    """
-
-    found: FoundFaces
-    weight: np.ndarray  # (P,) bisquare of the offset, 0 without a face
-
-
 class Planes(NamedTuple):
     """Plane-aligned measurements: one per vertex with a positive weight."""
 
@@ -459,7 +449,7 @@ class Measurement(NamedTuple):
     hem: Hem | None = None  # None: no boundary, or no cloud
     judged_at: np.ndarray | None = None  # (V, 3) m, where the vertices were when it was judged which are visible
     slide: Slide | None = None  # None: nothing is known of the colours
-    points: SurfacePoints | None = None  # None: no cloud, or no planes
+    points: FoundFaces | None = None  # faces beneath points of the cloud; None: no points measure any
 
     @classmethod
     def none(cls, n: int) -> Measurement:

@@ -154,21 +154,6 @@ def add_points(rings, found, information, D, blocks, force):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def weights(found, cutoff, weight):
-    """Tukey's bisquare weight of each point, 0 where it does not measure its face.
-
-    Args:
-        found: :class:`FoundFaces`.
-        cutoff: metres; infinite for weights of 1.
-        weight: (P,) out.
-    """
-    _, _, _, offset, agrees = found
-    for p in range(offset.shape[0]):
-        ratio = offset[p] / cutoff
-        weight[p] = max(1.0 - ratio * ratio, 0.0) ** 2 if agrees[p] else 0.0
-
-
-@njit(nogil=True, cache=True, error_model="numpy")
 def add_information(rings, found, information, patch, added):
     """Adds k n n' of each point to the information of the patch that its nearest corner is in.
 

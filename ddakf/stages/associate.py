@@ -15,12 +15,10 @@ from ddakf.kernels.hem import CloudEnds, Tube
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.surface_points import NO_FACE, Agreement, FoundFaces
 from ddakf.kernels.visibility import VisibilityLimits, mark_visible
-from ddakf.stages import robust
 from ddakf.stages.grid import nearest_vertices
-from ddakf.types import Estimate, Hem, Measurement, Problem, SurfacePoints, Surfels
+from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
 FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
-OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their sizes
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
@@ -134,7 +132,7 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))
 
 
-def _surface_points(problem: Problem, estimate: Estimate) -> SurfacePoints | None:
+def _surface_points(problem: Problem, estimate: Estimate) -> FoundFaces | None:
     """Points of the cloud on the faces beneath them: around the nearest vertex in the first pass, then around the last face."""
     cloud, config, model, position = problem.cloud, problem.config.associate, problem.model, estimate.position
     if cloud.sample is None:
@@ -145,13 +143,8 @@ def _surface_points(problem: Problem, estimate: Estimate) -> SurfacePoints | Non
         vertex, _ = nearest_vertices(cloud.sample.point, position, reach, rings=1)
         face = np.full(n, NO_FACE)
     else:
-        vertex, face = np.full(n, -1, np.int32), last.found.face.copy()
+        vertex, face = np.full(n, -1, np.int32), last.face.copy()
     found = FoundFaces(face, np.empty((n, 3)), np.empty((n, 3)), np.empty(n), np.empty(n, bool))
     agreement = Agreement(config.normal_cosine, config.points_beside)
     point_kernels.faces_beneath(position, model.rings, vertex, cloud.sample, agreement, found)
-    if not found.agrees.any():
-        return None
-    weight, scale = np.empty(n), OF_MEDIAN * float(np.median(np.abs(found.offset[found.agrees])))
-    cutoff = robust.cutoff(problem.config.robust) * max(scale, problem.config.adapt.lowest_sd)
-    point_kernels.weights(found, cutoff, weight)
-    return SurfacePoints(found, weight)
+    return found

@@ -18,9 +18,11 @@ from ddakf.kernels import strain as strain_kernels
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels.conjugate_gradients import BlockMatrix, Preconditioner
 from ddakf.kernels.predict import CovarianceBlocks
+from ddakf.kernels.surface_points import FoundFaces
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
-from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, SurfacePoints, System
+from ddakf.stages import robust
+from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
 OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
 
@@ -167,7 +169,7 @@ def _planes(problem: Problem, estimate: Estimate) -> Planes:
     tangential, target = np.full(n, config.associate.tangential_sd**2), measurement.target
     points, found, information = measurement.points, None, None
     if points is not None and weight.any():
-        found, information = points.found, _information(problem, points, float(np.median(variance[weight > 0.0])))
+        found, information = points, _information(problem, points, float(np.median(variance[weight > 0.0])))
     if estimate.bulge is not None:
         target = np.empty_like(target)
         kernels.shift_along(measurement.target, measurement.normal, estimate.bulge, target)
@@ -185,11 +187,11 @@ def _planes(problem: Problem, estimate: Estimate) -> Planes:
     )
 
 
-def _information(problem: Problem, points: SurfacePoints, variance: float) -> np.ndarray:
-    """(P,) 1/m^2 of the points on faces, beside planes of this variance, m^2; in sum as of all that are wanted."""
+def _information(problem: Problem, points: FoundFaces, variance: float) -> np.ndarray:
+    """(P,) 1/m^2 of points on faces, beside planes of this variance, m^2; few have in sum as much as all that are wanted."""
     model, association = problem.model, problem.config.associate
-    wanted = association.wanted_points(model.area, model.edge_length)
-    return association.points_weight * wanted / (variance * len(points.weight)) * points.weight
+    share = association.wanted_points(model.area, model.edge_length) / len(points.face)
+    return association.points_weight * share / variance * robust.weigh_points(problem, points)
 
 
 def accelerated(estimate: Estimate, delta: np.ndarray, config: MapUpdate) -> np.ndarray:

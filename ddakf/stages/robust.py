@@ -7,10 +7,12 @@ from math import erfc, exp, inf, pi, sqrt
 
 import numpy as np
 
-from ddakf.config import NoWeight, Tukey
+from ddakf.config import NoWeight
 from ddakf.kernels import robust as kernels
+from ddakf.kernels.surface_points import FoundFaces
 from ddakf.types import Estimate, Measurement, Problem
 
+OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their sizes
 _LARGEST_GATE = 2000.0  # squared Mahalanobis distance beyond which the probability is below the smallest number
 
 
@@ -66,9 +68,14 @@ def weigh(problem: Problem, estimate: Estimate, measurement: Measurement) -> np.
     return weight
 
 
-def cutoff(config: Tukey | NoWeight) -> float:
-    """Standard deviations beyond which a measurement has no weight."""
-    return config.cutoff if isinstance(config, Tukey) else inf
+def weigh_points(problem: Problem, found: FoundFaces) -> np.ndarray:
+    """(P,) weights in [0, 1] of points on faces, by their height in units of its robust scale or the sensor's least noise."""
+    config, weight = problem.config.robust, found.agrees.astype(float)
+    if isinstance(config, NoWeight) or not found.agrees.any():
+        return weight
+    scale = max(OF_MEDIAN * float(np.median(np.abs(found.offset[found.agrees]))), problem.config.adapt.lowest_sd)
+    weight[found.agrees] = tukey(found.offset[found.agrees] / scale, config.cutoff)
+    return weight
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:
