@@ -64,8 +64,8 @@ def test_a_lost_garment_that_comes_back_elsewhere_is_found():
     assert result.state == "lost"
     for k in range(75, 85):
         result = tracker.step(cloud(k) + shift.astype(np.float32), timestamp=k / FPS)
-    assert result.state == "tracking"
-    assert rms(result.vertices - swaying(84) - shift) < 0.03
+    assert result.state != "lost", "how a tube has turned about itself meanwhile is not seen, and may be told"
+    assert rms(result.vertices - swaying(84) - shift) < 0.015
 
 
 @pytest.mark.parametrize("shift", [[0.0, 0.0, 0.0], [0.35, 0.0, -0.2]], ids=["in place", "elsewhere"])
