@@ -558,10 +558,10 @@ class Estimate(NamedTuple):
     information: np.ndarray  # (V, 3, 3) 1/m^2, of the prior as it enters the MAP problem
     evidence: Evidence  # of the last pass
     gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
+    bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
     contacts: Contacts | None = None  # on the body; None: not searched
     planes: Planes | None = None
     system: System | None = None
-    bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
     before: tuple[np.ndarray, np.ndarray] | None = None  # position and correction of the pass before, m
     coarse: np.ndarray | None = None  # (3A, 3A) float32 m^2, coarse level of the preconditioner
     state: State | None = None  # the posterior, where the update itself forms it

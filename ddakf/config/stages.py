@@ -117,11 +117,11 @@ class PlaneAssociation(Checked):
     hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below, and a third of the way across; another layer is farther
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane
+    bulge: float = bounded(0.3, 0, 1)  # of what a vertex stands out of its neighbours, which a plane of a patch as wide flattens
     points: int = bounded(2200, 0, 1_000_000)  # of the cloud per m^2 of the garment that measure the faces beneath them; 0: none
     points_weight: float = bounded(0.5, 0, 1e3)  # of each, against a vertex's plane; of more where the cloud has fewer
     points_edge: float = bounded(0.03, 1e-3, 1)  # m: in meshes with shorter edges there are fewer
     points_finest: float = bounded(0.018, 1e-3, 1)  # m: in meshes with edges as short as this there are none
-    bulge: float = bounded(0.3, 0, 1)  # of what a vertex stands out of its neighbours, which a plane of a patch as wide flattens
     points_beside: float = bounded(0.006, 1e-4, 0.1)  # m along a face: a point farther beside its nearest place has none
 
     def wanted_points(self, area: float, edge: float) -> int:

@@ -71,6 +71,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
 
 
 def _rings(mesh: Mesh) -> FaceRings:
+    """The faces with their edges, and those around each vertex."""
     faces, n = mesh.faces, mesh.n_vertices
     ends = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2)
     edge = np.searchsorted(mesh.edges @ [n, 1], ends @ [n, 1])

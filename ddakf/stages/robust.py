@@ -12,7 +12,6 @@ from ddakf.kernels import robust as kernels
 from ddakf.kernels.surface_points import FoundFaces
 from ddakf.types import Estimate, Measurement, Problem
 
-OF_MEDIAN = 1.4826  # standard deviation of normal numbers over the median of their sizes
 _LARGEST_GATE = 2000.0  # squared Mahalanobis distance beyond which the probability is below the smallest number
 
 
@@ -73,7 +72,7 @@ def weigh_points(problem: Problem, found: FoundFaces) -> np.ndarray:
     config, weight = problem.config.robust, found.agrees.astype(float)
     if isinstance(config, NoWeight) or not found.agrees.any():
         return weight
-    scale = max(OF_MEDIAN * float(np.median(np.abs(found.offset[found.agrees]))), problem.config.adapt.lowest_sd)
+    scale = max(kernels.NORMAL_MAD * float(np.median(np.abs(found.offset[found.agrees]))), problem.config.adapt.lowest_sd)
     weight[found.agrees] = tukey(found.offset[found.agrees] / scale, config.cutoff)
     return weight
 
