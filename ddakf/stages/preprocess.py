@@ -144,7 +144,7 @@ def _sample(grid, planes: np.ndarray, stride: int, most: int, oriented: bool) ->
     if min(most, count) == 0:
         return None
     every = -(-count // most)
-    point = grid[0][:, :: stride * every].T + grid[3]
+    point = np.ascontiguousarray(grid[0][:, :: stride * every].T + grid[3])  # also of one point: no second kernel to compile
     return Sample(point, np.ascontiguousarray(planes[3:, ::every].T, np.float64), oriented)
 
 

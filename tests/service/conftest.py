@@ -55,8 +55,8 @@ def make_sheet(side: int = 12, spacing: float = 0.02) -> Sheet:
 class Api:
     """Direct calls, for requests that the client library does not send."""
 
-    def __init__(self, target: str):
-        self.channel = grpc.insecure_channel(target, [("grpc.max_receive_message_length", 1 << 27)])
+    def __init__(self, target: str, *options: tuple[str, int]):
+        self.channel = grpc.insecure_channel(target, [("grpc.max_receive_message_length", 1 << 27), *options])
         self.stub = rpc.TrackingServiceStub(self.channel)
 
     def call(self, method: str, request):
