@@ -114,6 +114,7 @@ class PlaneAssociation(Checked):
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
     hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there
+    hem_spacings: float = bounded(1.5, 0, 10)  # mean distances of the points to either side, if that is wider; up to hem_reach
     hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below, and a third of the way across; another layer is farther
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
     tangential_sd: float = bounded(0.03, 1e-3, 10)  # m, of the blended point within its plane

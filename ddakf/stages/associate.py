@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -127,7 +128,9 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     if cloud.empty or n == 0 or config.hem_reach == 0:
         return None
     direction, offset, found = ends = CloudEnds(np.zeros((n, 3)), np.zeros(n), np.zeros(n, bool))
-    tube = Tube(config.hem_reach, config.hem_width, config.hem_depth)
+    spacing = math.sqrt(model.area / cloud.points.shape[1])
+    width = min(max(config.hem_width, config.hem_spacings * spacing), config.hem_reach)
+    tube = Tube(config.hem_reach, width, config.hem_depth)
     hem_kernels.ends_of_cloud(position, normal, seen, model.boundary, cloud.points, cloud.grid, tube, ends)
     return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))
 

@@ -20,10 +20,10 @@ def sheet(n=16, spacing=0.02) -> Mesh:
     return Mesh(np.column_stack([grid, np.zeros(len(grid))]), grid_faces(n, n))
 
 
-def hem_of(mesh, points, position):
+def hem_of(mesh, points, position, config=CONFIG):
     garment = model.build(mesh)
-    cloud = cloud_of(points, None, position, garment.area, CONFIG)
-    return garment, associated(position, cloud, garment, GATE, CONFIG.associate).hem
+    cloud = cloud_of(points, None, position, garment.area, config)
+    return garment, associated(position, cloud, garment, GATE, config.associate).hem
 
 
 def at_border(garment, position, border) -> np.ndarray:
@@ -42,6 +42,21 @@ def test_the_end_of_the_cloud_is_where_the_cloth_ends(shift, count):
     assert side.sum() >= 5
     np.testing.assert_allclose(hem.direction[side], np.tile([1.0, 0.0, 0.0], (side.sum(), 1)), atol=1e-9)
     assert np.median(hem.offset[side]) == pytest.approx(-shift, abs=0.003)
+
+
+def test_a_sparse_cloud_has_ends_too():
+    mesh, found, offsets = sheet(), {0.0: [], CONFIG.associate.hem_spacings: []}, []
+    for spacings, seen in found.items():
+        config = dataclasses.replace(CONFIG, associate=dataclasses.replace(CONFIG.associate, hem_spacings=spacings))
+        for seed in range(20):
+            points = scan(mesh.vertices, mesh, 150, 0.002, seed)
+            garment, hem = hem_of(mesh, points, mesh.vertices, config)
+            side = at_border(garment, mesh.vertices, 0.3)
+            seen.append(hem.weight[side] > 0)
+            offsets.append(hem.offset[side][seen[-1]] if spacings else [])
+    narrow, wide = (np.mean(seen) for seen in found.values())
+    assert wide > 0.6 > 2.0 * narrow
+    assert np.mean(np.concatenate(offsets)) == pytest.approx(0.0, abs=0.006)
 
 
 def test_cloth_that_goes_on_has_no_end():
