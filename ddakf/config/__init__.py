@@ -146,7 +146,15 @@ class Config:
             robust=Tukey(cutoff=4.685),
             adapt=InnovationNoise(),
             physics=Physics(
-                stretch=1e4, shear=2e3, bend=2e-4, strain_scale=1e3, strain_sd=1e3, gap_time=0.0, body_sd=0.0, size_memory=0.0
+                stretch=1e4,
+                shear=2e3,
+                bend=2e-4,
+                strain_scale=1e3,
+                strain_sd=1e3,
+                gap_time=0.0,
+                body_sd=0.0,
+                floor_below=10.0,
+                size_memory=0.0,
             ),
             fuse=DecoupledUpdate(),
             follow=Follow(reach=0.0),

@@ -35,6 +35,8 @@ class Physics(Checked):
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     body_sd: float = bounded(0.006, 0, 1)  # m, first guess of the error of the body's surface, by which contact yields
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance
+    floor_below: float = bounded(0.1, 0, 10)  # m under the garment, where the body ends at the start, if it stands on a floor
+    floor_sd: float = bounded(0.02, 0, 10)  # m, of the floor's height, by which it yields
     faces_followed: int = bounded(16, 1, 1000)  # frames in which each vertex's nearest face is sought in the whole body once
     weight: float = bounded(9.0e3, 0, 1e12)  # 1/m^3: weight of cloth that the body holds, force per area
     inertia: float = bounded(0.5, 0, 1)  # share of the body's acceleration that leaves its cloth behind

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.body import contact
+from ddakf.body import contact, floor
 from ddakf.physics import Linearization, bend, collision, diagonal_blocks, gradient, self_collision, shear, stretch
 from ddakf.types import Energies, Estimate, Model, Problem
 
@@ -37,6 +37,9 @@ def linearize(problem: Problem, estimate: Estimate) -> Energies:
         contacts = contact.closest(problem.body, position, contacts, model.collision.thickness)
         yielding = config.collision * contact.variances(problem)
         touching = collision.linearize(position, model.collision, contacts.closest, problem.body.gap, yielding)
+        on_floor = floor.linearize(problem, position)
+        if on_floor is not None:
+            touching = Linearization(*(np.concatenate(pair) for pair in zip(touching, on_floor, strict=True)))
     in_plane = physics_lambda * config.in_plane
     stiffness = in_plane, in_plane, physics_lambda * config.bend * config.fabric.bend, config.collision
     bending = bend.summed(position, model.bend, stiffness[2]) if last is None else last.bending
