@@ -163,7 +163,7 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """Two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
+        """Half to two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
         return cls(
             discretisation=Discretisation(
                 working_edge=0.025,
