@@ -39,7 +39,8 @@ def follow(problem: Problem, estimate: Estimate, posterior: Posterior) -> tuple[
         return posterior, None
     state = posterior.state
     away = followed * (1.0 - np.exp(-along_cloth(seen, model) / config.onset))
-    start = model.mesh.vertices if problem.resting is None else problem.resting.position
+    # a copy, as the mesh's are read-only, which is another type for kernels
+    start = model.mesh.vertices.copy() if problem.resting is None else problem.resting.position
     motion, offset = _motions(start, state.position, seen, problem), np.empty(state.position.shape)
     kernels.offsets(start, state.position, (model.clusters.nearest, model.clusters.share), motion, away, offset)
     drawn = 1.0 - exp(-problem.dt / config.time)
