@@ -176,7 +176,7 @@ class Config:
                 aggregates=20,
             ),
             preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
-            associate=PlaneAssociation(iterations=4, least_iterations=1, tolerance=0.002),
+            associate=PlaneAssociation(iterations=4, slow_iterations=12, least_iterations=1, tolerance=0.002),
             evidence=ErrorEvidence(points=300),
         )
 

@@ -98,9 +98,9 @@ class PlaneAssociation(Checked):
     """Plane-aligned measurements with visibility, repeated inside the frame."""
 
     iterations: int = bounded(8, 1, 50)  # re-associations in a frame, at most
-    slow_iterations: int = bounded(16, 1, 50)  # the same of frames that are twice as far apart as at 30 per second, or more
+    slow_iterations: int = bounded(24, 1, 100)  # the same of frames that are farther apart than at 30 per second, at most
     least_iterations: int = bounded(2, 1, 50)
-    tolerance: float = bounded(0.0007, 0, 0.1)  # m, RMS correction at which re-association stops
+    tolerance: float = bounded(0.0007, 0, 0.1)  # m, RMS correction at which re-association stops; less where passes may be more
     wide_gate: float = bounded(0.10, 1e-3, 1)  # m, search radius of the first association
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
@@ -138,6 +138,13 @@ class PlaneAssociation(Checked):
         """Passes at most, ``dt`` seconds after the last frame: the more, the farther the garment has moved."""
         slow = max(self.slow_iterations, self.iterations)
         return min(slow, max(self.iterations, round(self.iterations * USUAL_RATE * dt)))
+
+    def settled_below(self, dt: float) -> float:
+        """RMS correction, metres, at which passes stop, ``dt`` seconds after the last frame.
+
+        Each pass corrects a small part of what slid along the surface. After fast motion many small corrections remain.
+        """
+        return self.tolerance * self.iterations / self.most_passes(dt)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.body import weight as cloth_weight
-from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint
+from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint, PlaneAssociation
 from ddakf.kernels import colour as colour_kernels
 from ddakf.kernels import conjugate_gradients as solver
 from ddakf.kernels import fuse as kernels
@@ -106,8 +106,9 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     rms = float(np.sqrt(kernels.limit(step, gate, delta) / len(delta)))
     if not np.isfinite(rms):
         return estimate._replace(position=problem.prior.position, planes=planes, system=system, settled=True, rejected=True)
-    planned = config.associate
-    settled = isinstance(planned, NearestPoint) or (estimate.passes >= planned.least_iterations and rms < planned.tolerance)
+    rule, settled = config.associate, True
+    if isinstance(rule, PlaneAssociation):
+        settled = estimate.passes >= rule.least_iterations and rms < rule.settled_below(problem.dt)
     return estimate._replace(
         position=estimate.position + accelerated(estimate, delta, config.fuse),
         planes=planes,
