@@ -11,7 +11,7 @@ from ddakf.kernels.lanes import LANES, load_lanes, store_lanes
 
 NOWHERE = np.float32(-1e30)  # m
 LEAST_POINTS = 4  # in the tube
-BEYOND = 2.0  # mean distances between the tube's points: where cloth ends, expected past the second last of them
+BEYOND = 2.0  # mean distances between the tube's points: where cloth ends past the second last of them, on average
 GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
 MOST_SEEN = 16_384  # points around a vertex that are looked at; of more, an even sample is
 
@@ -158,7 +158,7 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
         if inside < LEAST_POINTS or second > GOES_ON * radius:
             continue
         found[h] = True
-        offset[h] = second + BEYOND * (second + radius) / inside
+        offset[h] = second + BEYOND * (second + radius) / (inside - 1)
         direction[h, 0], direction[h, 1], direction[h, 2] = cx, cy, cz
 
 

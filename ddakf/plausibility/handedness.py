@@ -75,7 +75,7 @@ def heading_uncertain(problem: Problem, estimate: Estimate) -> Sign | None:
     """The sign of a search that found the garment, and as good a fit the other way round."""
     if problem.rival is None:
         return None
-    return Sign("garment", f"turned by {abs(problem.rival):.0f} degrees it fits as well: a start tells which way it faces")
+    return Sign("garment", f"turned by {abs(problem.rival):.0f} degrees it fits as well: a reset tells which way it faces")
 
 
 def outward(garment: Mesh) -> float:

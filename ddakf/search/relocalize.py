@@ -280,7 +280,8 @@ def locate(problem: Problem) -> Problem:
         # a covariance that has grown out of sight would let each vertex follow its own points
         return _found_at(problem, prior.position, prior.velocity) if health.empty_for > 0.0 or after_gap else problem
     unseen = problem.dt + health.empty_for + health.poor_for
-    doubt = rule.heading_doubt if health.state == "initializing" else 0.0
+    of_file = health.state == "initializing" and not (problem.resting is not None and problem.resting.given)
+    doubt = rule.heading_doubt if of_file else 0.0  # a start that the caller gave faces as the wearer does
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
     search = Search(model, _target(frame, config), config, problem.last.size)
     shapes = [shape @ turn.T for shape in shapes]

@@ -14,6 +14,7 @@ from ddakf.evaluation.sensors.texture import Texture
 from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity
+from ddakf.search import relocalize
 from ddakf.search.nonrigid_registration import Target
 from ddakf.search.relocalize import (
     HeadingPrior,
@@ -136,7 +137,7 @@ def test_a_doubted_heading_costs_little_and_a_known_one_more_the_farther_it_is()
     assert known == sorted(known)
     assert known[-1] == pytest.approx(0.5 * (180 / RULE.heading_sd) ** 2)
     assert guessed == sorted(guessed)
-    assert guessed[-1] - guessed[0] < 2.0
+    assert guessed[-1] - guessed[0] < 4.0
 
 
 @pytest.mark.parametrize("view", ["full", "front"])
@@ -152,6 +153,20 @@ def test_a_garment_that_was_never_found_may_face_any_way(view, degrees):
     assert rms(result.vertices - truth) < 0.03
 
 
+@pytest.mark.parametrize(("given", "doubt"), [(True, 0.0), (False, RULE.heading_doubt)])
+def test_the_heading_of_a_given_start_is_not_doubted(given, doubt, monkeypatch):
+    """Between alike sides noise would decide, and turn a person's shirt back to front for good."""
+    doubts, best = [], relocalize._best
+    monkeypatch.setattr(relocalize, "_best", lambda shapes, search, prior: doubts.append(prior.doubt) or best(shapes, search, prior))
+    truth = SAMPLE.garment_vertices[0] + [0.05, 0.0, 0.0]
+    tracker = Tracker(SHIRT)
+    if given:
+        tracker.reset(SAMPLE.garment_vertices[0])
+    points, eye = captured("front", truth, 3)
+    tracker.step(points, timestamp=0.1, sensor_origin=eye)
+    assert doubts == [doubt]
+
+
 @pytest.mark.parametrize("name", ["trousers_dance_loose_11", "shorts_jump_loose_59"])
 def test_trousers_that_face_the_other_way_are_found_by_their_shape(name):
     """Front and back differ by centimetres alone, and the legs stand otherwise than the template's."""
@@ -164,7 +179,7 @@ def test_trousers_that_face_the_other_way_are_found_by_their_shape(name):
     assert rms(result.vertices - sequence.garment_vertices[k]) < 0.02
 
 
-@pytest.mark.parametrize(("texture", "error"), [(None, 0.015), (Texture("plain"), 0.006)], ids=["points", "colours"])
+@pytest.mark.parametrize(("texture", "error"), [(None, 0.013), (Texture("plain"), 0.006)], ids=["points", "colours"])
 def test_a_garment_is_found_at_once_in_the_cloud_of_its_wearer(texture, error):
     start = (SHIRT.vertices - SHIRT.vertices.mean(axis=0)) @ turn(30).T + SHIRT.vertices.mean(axis=0) + [0.4, 0.0, 0.2]
     seen = Sensor("full", points=6000, segmented=False).capture(SAMPLE, 0, np.random.default_rng(1), texture)
