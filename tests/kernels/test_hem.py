@@ -21,7 +21,7 @@ def slow_end(vertex, along, above, points):
     a = np.sort(a[fits & (np.abs(step @ above) <= TUBE.depth + 0.33 * np.abs(a))])
     if len(a) < hem.LEAST_POINTS or a[-2] > hem.GOES_ON * TUBE.radius:
         return None
-    return across, a[-2] + hem.BEYOND * (a[-2] + TUBE.radius) / len(a)
+    return across, a[-2] + hem.BEYOND * (a[-2] + TUBE.radius) / (len(a) - 1)
 
 
 @pytest.mark.parametrize("pairs", [False, True])
@@ -66,3 +66,20 @@ def test_of_a_crowded_tube_an_even_sample_tells_the_end():
     assert ends.found[0]
     np.testing.assert_allclose(ends.direction[0], across, atol=1e-12)
     np.testing.assert_allclose(ends.offset[0], offset, atol=2e-4)
+
+
+@pytest.mark.parametrize("n", [4, 6, 10, 40])
+def test_cloth_ends_where_it_ends_in_the_mean_however_few_points_show_it(n):
+    rng, dims, ends = np.random.default_rng(n), np.array([1, 1, 1]), CloudEnds(np.zeros((1, 3)), np.zeros(1), np.zeros(1, bool))
+    position = np.array([[0.0, 0.0, 0.0], [-0.01, 0.0, 0.0], [0.01, 0.0, 0.0]])
+    grid, offsets = Grid(np.empty(3, np.int32), np.full(3, -0.1), 0.2, dims), []
+    normal, boundary = np.tile([0.0, 0.0, 1.0], (3, 1)), np.array([[0, 1, 2]], np.int32)
+    ordered, index, visible = np.empty((3, n), np.float32), np.empty(n, np.int32), np.ones(3, bool)
+    for _ in range(2000):
+        points = rng.uniform([-TUBE.width, -TUBE.radius, 0.0], [TUBE.width, 0.0, 1e-9], (n, 3))
+        fill_grid(points * [1, -1, 1], np.arange(n, dtype=np.int32), grid, ordered, index)
+        ends_of_cloud(position, normal, visible, boundary, ordered, grid, TUBE, ends)
+        if ends.found[0]:
+            offsets.append(ends.offset[0])
+    assert len(offsets) > 500
+    assert abs(np.mean(offsets)) < 0.0006
