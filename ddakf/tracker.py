@@ -152,6 +152,7 @@ class Tracker:
             estimate, verdict = frame_gate.held(problem, estimate, verdict)
             problem = problem._replace(last=problem.last._replace(view=self._track.view))
             posterior = uncertainty.posterior(problem, estimate)
+        posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
         posterior, offset = follow.follow(problem, estimate, posterior)
         track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
         result = _result(problem, estimate, posterior, verdict, track.shown(posterior.state.position))
@@ -282,7 +283,7 @@ def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:
         rotation=rigidity.rotations(position, garment),
         drift=Drift.at(garment, start.sd),
         strain2=adaptive_stiffness.initial(config.physics),
-        health=Health(),
+        health=Health(spacing=start.first_step if velocity.any() else 0.0),
         time=None,
         body=under,
         anchor=anchor,

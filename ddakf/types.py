@@ -266,7 +266,7 @@ class Health(NamedTuple):
     doubtful: bool = False  # there is a fit, but hardly of this garment
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
-    spacing: float = 0.0  # s between the last two frames; 0 before there were two
+    spacing: float = 0.0  # s between the last two frames; before there were two 0, or first_step after a start with velocities
     reliability: float = 0.0  # of the last frame
     # of the predicted error
     offset: float = 0.0  # m^2

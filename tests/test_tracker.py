@@ -324,6 +324,16 @@ def test_the_step_before_the_first_frame_is_as_long_as_the_next(rate):
     assert missed < 0.01
 
 
+@pytest.mark.parametrize("before", [0.0, 1 / 30, 1 / 5], ids=["at once", "a thirtieth", "a step"])
+def test_a_velocity_that_a_start_was_given_holds_however_long_before_the_first_frame_that_was(before):
+    tracker, velocity, rate = Tracker(TUBE), np.array([0.6, 0.0, 0.0]), 5
+    tracker.reset(TUBE.vertices, velocities=np.tile(velocity, (TUBE.n_vertices, 1)))
+    for k in range(4):
+        where = TUBE.vertices + velocity * (before + k / rate)
+        result = tracker.step(scan(where, TUBE, 3000, 0.002, seed=k), timestamp=k / rate, sensor_origin=EYE)
+    assert np.linalg.norm((result.vertices - where).mean(axis=0)) < 0.01  # it may turn unnoticed
+
+
 def test_the_seconds_of_the_stages_add_up_to_the_frames():
     """In one of some frames: the machine may stop the thread between two stages."""
     tracker = Tracker(TUBE)

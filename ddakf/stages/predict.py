@@ -87,6 +87,15 @@ def predict(
     return State(position, velocity, P_pp, P_pu, P_uu, state.R, acceleration)
 
 
+def with_given_velocity(problem: Problem, state: State) -> State:
+    """The posterior of a frame, with the predicted velocity in a first frame after a start with velocities.
+
+    Nobody knows how long before it the start was, so that it cannot correct a velocity.
+    """
+    given = problem.last.time is None and problem.last.health.spacing > 0.0
+    return state._replace(velocity=problem.prior.velocity) if given else state
+
+
 def _of_second_frame(state: State, dt: float, assumed: float) -> State:
     """The state after the first frame, before which as much time had passed as passes now; ``assumed`` were fewer seconds."""
     return state._replace(velocity=min(1.0, assumed / dt) * state.velocity)

@@ -161,7 +161,7 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     reliability = float(score(error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
-    spacing = 0.0 if problem.last.time is None else problem.dt
+    spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=reliability)
     return Verdict(moved, reliability, s_k, coverage, score(errors, config), variance)
 
