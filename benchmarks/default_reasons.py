@@ -263,7 +263,7 @@ REASONS = {
     "Relocalization.rigid_samples": "chosen by starts of training recordings: with few the right heading was not registered",
     "Relocalization.registered_samples": "chosen by starts and losses of training recordings: with few a worse fit won",
     "Relocalization.heading_sd": "chosen: a turn of the wearer between two frames that are tracked",
-    "Relocalization.heading_doubt": "chosen by starts of training recordings that face the other way, and of shirts with alike sides",
+    "Relocalization.heading_doubt": "chosen by training recordings turned by 180 degrees, and by shirts with alike sides",
     "Relocalization.heading_rate": "chosen: a wearer out of sight turns slowly",
     "Relocalization.narrow_distance": "chosen by starts of training recordings in clouds of whole persons",
     "Relocalization.narrowed_cost": "chosen: below that of a wall, above those of whole persons",

@@ -16,14 +16,13 @@ from ddakf.config import Segmentation
 from ddakf.kernels import segmentation as kernels
 from ddakf.kernels.colour import LOGARITHM
 from ddakf.kernels.segmentation import CELLS
-from ddakf.stages.grid import nearest_vertices
+from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import FrameInput, Palette, Problem
 
 CLOTH, OTHER = 0, 1  # histograms
 DOUBTFUL = 0.7  # share of a vertex's points in the colours of other things, from which on its cloth has them
 KNOWN = 0.5  # share of the points far from the garment in the colours of other things; with fewer, light or camera have changed
 FIRST = 10  # as many times more points are learned from where nothing is known
-GOLDEN = 0.6180339887  # its multiples fill [0, 1) evenly
 
 
 def without_others(frame: FrameInput, problem: Problem) -> FrameInput:
@@ -117,15 +116,8 @@ def _sample(frame: FrameInput, position: np.ndarray, config: Segmentation, more:
     """Rows of a frame, spread over the points in the garment's box, and as many over those outside."""
     lower, upper = position.min(axis=0) - config.other_distance, position.max(axis=0) + config.other_distance
     boxed = ((frame.points > lower) & (frame.points < upper)).all(axis=1)
-    return np.concatenate([_spread(np.flatnonzero(part), more * config.points) for part in (boxed, ~boxed)])
-
-
-def _spread(rows: np.ndarray, count: int) -> np.ndarray:
-    """So many of the rows, one of each stretch of them; not always its first, which are columns of an image."""
-    if len(rows) <= count:
-        return rows
-    at = np.arange(count)
-    return rows[((at + at * GOLDEN % 1.0) * len(rows) / count).astype(np.int64)]
+    parts = (np.flatnonzero(part) for part in (boxed, ~boxed))
+    return np.concatenate([part[spread_rows(len(part), more * config.points)] for part in parts])
 
 
 def _changed(shown: Palette, known: Palette, config: Segmentation) -> bool:

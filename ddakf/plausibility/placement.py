@@ -6,7 +6,7 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.kernels.preprocess import bounds
-from ddakf.stages.grid import nearest_vertices
+from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
@@ -37,7 +37,7 @@ def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
     explained = problem.last.body is not None or problem.health.least_unexplained <= rule.foreign_share
     if explained or len(model.boundary) == 0 or estimate.observed.mean() < SEEN:
         return None
-    points = problem.garment.points[:: -(-len(problem.garment.points) // SAMPLE)]
+    points = problem.garment.points[spread_rows(len(problem.garment.points), SAMPLE)]
     nearest, away = nearest_vertices(points, estimate.position, BESIDE)
     outside = away > rule.explained_within(model.edge_length)
     beside = np.count_nonzero(nearest >= 0)

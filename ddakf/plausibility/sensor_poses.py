@@ -13,6 +13,7 @@ import numpy as np
 from ddakf.kernels import preprocess as grids
 from ddakf.kernels import sensor_poses as kernels
 from ddakf.stages.frame_input import MAX_SENSORS
+from ddakf.stages.grid import spread_rows
 from ddakf.types import Estimate, FrameInput, Problem, Sensors, Setup, Sign, Track
 
 SAME = 0.1  # m within which the origin of a sensor that is carried stays that of one sensor
@@ -85,7 +86,7 @@ def _looked(setup: Setup, last: Track, frame: FrameInput, sensors: Sensors, sens
     lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(frame.points), np.int32)
     grids.bounds(last.state.position, MARGIN, lower, upper)
     chosen = chosen[: grids.crop(frame.points, lower, upper, chosen)]
-    chosen = chosen[:: max(1, len(chosen) // config.points)]
+    chosen = chosen[spread_rows(len(chosen), config.points)]
     information, vector = np.zeros((3 * n, 3 * n)), np.zeros(3 * n)
     if len(chosen):
         sensor, farthest = sensor[chosen], np.abs(sensors.shift).max()

@@ -16,6 +16,7 @@ from ddakf.config import PlaneAssociation, Sidedness
 from ddakf.kernels import sidedness as kernels
 from ddakf.kernels.preprocess import bounds, crop
 from ddakf.kernels.visibility import perpendicular_axes
+from ddakf.stages.grid import spread_rows
 from ddakf.types import FrameInput, Model, Setup, Sides, Track, View
 
 BESIDE = 0.5  # least cosine between directions of one plateau
@@ -99,7 +100,7 @@ def _level(axes: np.ndarray, up: np.ndarray) -> np.ndarray:
 
 def thinned(points: np.ndarray, area: float, config: Sidedness) -> tuple[np.ndarray, float]:
     """At most so many of (N, 3) points as configured, relative to their middle, and the width of a cell; metres."""
-    chosen = points[:: -(-len(points) // config.points)]
+    chosen = points[spread_rows(len(points), config.points)]
     return chosen - chosen.mean(axis=0), float(np.sqrt(config.points_per_cell * area / len(chosen)))
 
 

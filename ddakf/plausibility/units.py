@@ -6,6 +6,7 @@ import numpy as np
 
 from ddakf.errors import InvalidFrame, InvalidMesh
 from ddakf.mesh import Mesh
+from ddakf.stages.grid import spread_rows
 from ddakf.types import Estimate, FrameInput, Problem, Setup, Sign, Track
 
 SCALE = 10.0  # times as large or as small as the garment: no cloud of it is
@@ -122,14 +123,14 @@ def clock_jump(problem: Problem, estimate: Estimate) -> Sign | None:
 
 def extent(points: np.ndarray) -> float:
     """Metres: size of (N, 3) points along their longest axis, whatever stray points there are."""
-    chosen = np.sort(points[:: -(-len(points) // SAMPLE)], axis=0)
+    chosen = np.sort(points[spread_rows(len(points), SAMPLE)], axis=0)
     out = round(0.5 * (1.0 - CENTRAL) * (len(chosen) - 1))
     return float((chosen[-1 - out] - chosen[out]).max()) / CENTRAL
 
 
 def _surrounds(points: np.ndarray, position: np.ndarray, margin: float) -> bool:
     """Whether some of (N, 3) points are about the garment at (V, 3) ``position``; metres."""
-    chosen = points[:: -(-len(points) // SAMPLE)]
+    chosen = points[spread_rows(len(points), SAMPLE)]
     inside = (chosen > position.min(axis=0) - margin) & (chosen < position.max(axis=0) + margin)
     return bool(inside.all(axis=1).mean() > NEAR)
 

@@ -19,7 +19,7 @@ from ddakf.kernels.nonrigid_registration import ClusterGraph, Goals
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.relocalize import OrientedPoints, OrientedVertices, Pairing, correspond, normals, outward
 from ddakf.kernels.visibility import VisibilityLimits, mark_visible
-from ddakf.stages.grid import distinct
+from ddakf.stages.grid import distinct, spread_rows
 from ddakf.types import Model
 
 CELL_BITS = 21  # of a cell's number along an axis: three of them fit into an int64
@@ -45,8 +45,8 @@ class Target(NamedTuple):
         cls, points: np.ndarray, sensor_origin: np.ndarray | None, config: Registration, turn: np.ndarray = NO_TURN
     ) -> Target:
         """A target of (N, 3) points, N > 0, and the (3,) or (N, 3) positions of their sensors, metres; all turned by (3, 3)."""
-        stride = -(-len(points) // config.input_points)
-        points = points[::stride].astype(np.float64) @ turn.T
+        some = spread_rows(len(points), config.input_points)
+        points = points[some].astype(np.float64) @ turn.T
         origin = np.median(points, axis=0)
         points -= origin
         chosen = _subsampled(points, config.spacing)
@@ -62,7 +62,7 @@ class Target(NamedTuple):
         if sensor_origin.ndim == 1:
             sensors = eye = sensor_origin[None] @ turn.T - origin
         else:
-            sensors, eye = (o @ turn.T - origin for o in (distinct(sensor_origin), sensor_origin[::stride][chosen]))
+            sensors, eye = (o @ turn.T - origin for o in (distinct(sensor_origin), sensor_origin[some][chosen]))
             sensors = sensors[:: -(-len(sensors) // config.sensors)]
         normal[:, np.einsum("an,na->n", normal, eye - sample.T) < 0] *= -1.0
         return cls(origin, sample, normal, signed, dense, sensors)

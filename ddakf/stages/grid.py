@@ -15,6 +15,8 @@ RINGS, CELLS = 4, 127
 CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
 ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
 
+GOLDEN = 0.6180339887  # its multiples fill [0, 1) evenly
+
 _KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
 
 
@@ -54,6 +56,15 @@ def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: floa
     vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
     kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), grid, vertices, index)
     return VertexGrid(vertices, index, grid)
+
+
+def spread_rows(n: int, count: int) -> np.ndarray:
+    """At most ``count`` of n rows, one of each stretch of them, at another place in each: those at equal distances, of an image's
+    points, would lie in a few of its columns."""
+    if n <= count:
+        return np.arange(n)
+    at = np.arange(count)
+    return ((at + at * GOLDEN % 1.0) * n / count).astype(np.int64)
 
 
 def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float, rings: int = RINGS) -> tuple[np.ndarray, np.ndarray]:

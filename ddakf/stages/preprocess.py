@@ -13,7 +13,7 @@ from ddakf.kernels.outliers import knn_mean_distances
 from ddakf.kernels.preprocess import Grid
 from ddakf.kernels.surface_points import Sample
 from ddakf.stages import skin_removal
-from ddakf.stages.grid import distinct
+from ddakf.stages.grid import distinct, spread_rows
 from ddakf.types import Cloud, FrameInput, Problem, Surfels
 
 MAX_CELLS, CELLS_PER_POINT = 2_000_000, 32  # of a grid at most, so that stray points cost neither memory nor time
@@ -67,7 +67,7 @@ def thinned(frame: FrameInput, share: float) -> FrameInput:
     """The frame with so large a share of its points, spread over all."""
     if share >= 1.0:
         return frame
-    return frame.only((np.arange(int(share * len(frame.points))) / share).astype(np.int64))
+    return frame.only(spread_rows(len(frame.points), int(share * len(frame.points))))
 
 
 def cloud(frame: FrameInput, position: np.ndarray, area: float, config: Config, samples: int = 0) -> Cloud:

@@ -12,7 +12,7 @@ from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliabilit
 from ddakf.kernels import reliability as kernels
 from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
-from ddakf.stages.grid import nearest_vertices
+from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Problem, variances
 
 IN_VIEW = 0.7  # share of the vertices that sensors all around see; one camera sees half, and what it should see is less sure
@@ -49,9 +49,8 @@ def predicted_error(evidence: FrameEvidence, config: FrameError) -> float:
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
-    """Some of a frame's points, spread over all: the configured number, and less than twice as many."""
-    every = max(1, len(frame.points) // config.points)
-    return frame.only(np.arange(0, len(frame.points), every))  # no view: kernels know its layout
+    """The configured number of a frame's points, spread over all."""
+    return frame.only(spread_rows(len(frame.points), config.points))
 
 
 def missing(measurement: Measurement) -> bool:

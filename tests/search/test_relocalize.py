@@ -157,7 +157,7 @@ def test_a_garment_that_was_never_found_may_face_any_way(view, degrees):
 def test_the_heading_of_a_given_start_is_not_doubted(given, doubt, monkeypatch):
     """Between alike sides noise would decide, and turn a person's shirt back to front for good."""
     doubts, best = [], relocalize._best
-    monkeypatch.setattr(relocalize, "_best", lambda shapes, search, prior: doubts.append(prior.doubt) or best(shapes, search, prior))
+    monkeypatch.setattr(relocalize, "_best", lambda *given: doubts.append(given[-1].doubt) or best(*given))
     truth = SAMPLE.garment_vertices[0] + [0.05, 0.0, 0.0]
     tracker = Tracker(SHIRT)
     if given:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from ddakf.stages.grid import CROWDED, distinct, nearest_vertices, vertex_grid
+from ddakf.stages.grid import CROWDED, distinct, nearest_vertices, spread_rows, vertex_grid
 from ddakf.stages.skin_removal import apart
 
 RNG = np.random.default_rng(0)
@@ -81,3 +81,18 @@ def test_distinct_rows_are_those_of_a_sort(rows):
     origins[::2, 1] = 0.0
     origins[rows == np.min(rows), 1] = -0.0
     np.testing.assert_array_equal(distinct(origins), np.unique(origins, axis=0))
+
+
+@pytest.mark.parametrize(("width", "height"), [(640, 480), (320, 240), (800, 800)])
+def test_some_points_of_an_image_are_of_all_its_columns_and_rows(width, height):
+    for count in (100, 800, 1200, width * height // 8):
+        chosen = spread_rows(width * height, count)
+        assert len(chosen) == len(set(chosen)) == count
+        row, column = np.divmod(chosen, width)
+        for at, size in ((row, height), (column, width)):
+            assert len(set(at * 20 // size)) == 20  # in each twentieth of the image
+
+
+def test_few_points_are_all_taken():
+    np.testing.assert_array_equal(spread_rows(5, 5), np.arange(5))
+    assert len(spread_rows(0, 5)) == len(spread_rows(5, 0)) == 0
