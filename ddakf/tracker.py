@@ -150,7 +150,7 @@ class Tracker:
         """The track after a frame, and its result at the template's vertices; of the prediction where the fit has collapsed."""
         if frame_gate.collapsed(problem, estimate, verdict):
             estimate, verdict = frame_gate.held(problem, estimate, verdict)
-            problem = problem._replace(last=problem.last._replace(view=self._track.view))
+            problem = problem._replace(last=problem.last._replace(view=self._track.view, sensors=self._track.sensors))
             posterior = uncertainty.posterior(problem, estimate)
         posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
         posterior, offset = follow.follow(problem, estimate, posterior)

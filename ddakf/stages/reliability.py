@@ -17,6 +17,7 @@ from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Pr
 
 IN_VIEW = 0.7  # share of the vertices that sensors all around see; one camera sees half, and what it should see is less sure
 SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place
+ENOUGH = 100  # points of a frame that can show that a cloud is of the garment alone
 FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
 
@@ -82,7 +83,10 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
     nearest, away = nearest_vertices(points, position, config.reach)
     centred, outside = points - position.mean(axis=0), away > near
     share = clumped(centred[outside], config) / len(points)
-    least, removed = min(health.least_unexplained, share), 1.0 - len(problem.garment.points) / len(problem.frame.points)
+    first = health.least_unexplained == 1.0  # nothing has been compared before
+    # a few points form no clumps, whatever they are of
+    least = min(health.least_unexplained, share) if first or len(points) >= ENOUGH else health.least_unexplained
+    removed = 1.0 - len(problem.garment.points) / len(problem.frame.points)
     foreign = least > config.foreign_rest and least + removed > config.foreign_share
     boundary, left_out = np.zeros((2, len(position)), bool)
     boundary[model.boundary[:, 0]] = True
@@ -92,7 +96,6 @@ def misfit(problem: Problem, health: Health, points: np.ndarray, position: np.nd
         longest, left_out = near, boundary
     offset = kernels.squared_offset(points, position, nearest, away, longest, left_out, model.cluster, model.n_clusters)
     memory = 0.0 if health.settling else config.memory
-    first = health.least_unexplained == 1.0  # nothing has been compared before
     return health._replace(
         offset=_follow(health.offset, offset, dt, memory),
         unexplained=_follow(health.unexplained, share, dt, 0.0 if first else memory),

@@ -64,6 +64,25 @@ def test_a_second_frame_in_a_row_is_believed():
     assert error(twice[4], 5) > error(once[4], 5) + 20.0
 
 
+def test_a_frame_of_nonsense_teaches_nothing_about_the_places_of_the_cameras():
+    tracker, shifts = Tracker(SHIRT), []
+    tracker.reset(vertices=SAMPLE.garment_vertices[0])
+    for k in range(1, 34):
+        cloud = Sensor("ring4").capture(SAMPLE, k, np.random.default_rng(k))
+        points, first = cloud.points.copy(), (cloud.sensor_origin == cloud.sensor_origin[0]).all(axis=1)
+        known = tracker._track.sensors
+        spoiled = k > 30 and known.wait == 0  # in every third frame the cameras are compared
+        if spoiled:
+            points[first] += np.float32([0.02, 0.0, 0.02])
+            points += np.float32([0.1, 0.12, 0.0])
+        result = tracker.step(points, timestamp=k / 30, sensor_origin=cloud.sensor_origin)
+        if spoiled:
+            assert not result.observed.any()
+            shifts.append(tracker._track.sensors.shift - known.shift)
+    assert len(shifts) == 1
+    np.testing.assert_array_equal(shifts[0], 0.0)
+
+
 @pytest.mark.parametrize("every", [1, 3])
 def test_fast_motion_passes(every):
     """Up to 6 cm between frames."""

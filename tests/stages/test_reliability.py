@@ -230,6 +230,17 @@ def test_of_a_whole_person_only_points_beside_the_cloth_are_unexplained():
     assert unexplained(beside, removed=len(points)) == unexplained(beside, removed=0) > 0.0
 
 
+def test_nearly_empty_frames_do_not_hide_that_a_cloud_is_of_more_than_the_garment():
+    mesh = tube()
+    garment, points = model.build(mesh), scan(mesh.vertices, mesh).astype(float)
+    person = np.concatenate([points, points[: len(points) // 2] + [0.8, 0.0, 0.0]])
+    problem = shown(garment, len(person))
+    known = misfit(problem, Health(), person, mesh.vertices)
+    sparse = misfit(problem, known, person[::100], mesh.vertices)
+    assert sparse.least_unexplained == known.least_unexplained > EVIDENCE_CONFIG.foreign_share
+    assert misfit(problem, sparse, person, mesh.vertices).unexplained < 0.01
+
+
 @pytest.mark.parametrize(
     ("visible", "shown", "absent"), [(1.0, 0.9, False), (1.0, 0.6, True), (0.5, 0.3, False), (0.0, 0.0, False)]
 )
