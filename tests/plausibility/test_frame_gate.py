@@ -65,22 +65,19 @@ def test_a_second_frame_in_a_row_is_believed():
 
 
 def test_a_frame_of_nonsense_teaches_nothing_about_the_places_of_the_cameras():
-    tracker, shifts = Tracker(SHIRT), []
+    tracker = Tracker(SHIRT)
     tracker.reset(vertices=SAMPLE.garment_vertices[0])
-    for k in range(1, 34):
+    for k in range(1, 40):
         cloud = Sensor("ring4").capture(SAMPLE, k, np.random.default_rng(k))
         points, first = cloud.points.copy(), (cloud.sensor_origin == cloud.sensor_origin[0]).all(axis=1)
         known = tracker._track.sensors
-        spoiled = k > 30 and known.wait == 0  # in every third frame the cameras are compared
-        if spoiled:
+        if k > 30 and known.wait == 0:  # in every third frame the cameras are compared
             points[first] += np.float32([0.02, 0.0, 0.02])
-            points += np.float32([0.1, 0.12, 0.0])
-        result = tracker.step(points, timestamp=k / 30, sensor_origin=cloud.sensor_origin)
-        if spoiled:
-            assert not result.observed.any()
-            shifts.append(tracker._track.sensors.shift - known.shift)
-    assert len(shifts) == 1
-    np.testing.assert_array_equal(shifts[0], 0.0)
+            result = tracker.step(points + np.float32([0.1, 0.12, 0.0]), timestamp=k / 30, sensor_origin=cloud.sensor_origin)
+            break
+        tracker.step(points, timestamp=k / 30, sensor_origin=cloud.sensor_origin)
+    assert not result.observed.any()
+    np.testing.assert_array_equal(tracker._track.sensors.shift, known.shift)
 
 
 @pytest.mark.parametrize("every", [1, 3])
