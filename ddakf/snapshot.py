@@ -115,7 +115,7 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
         arrays |= {f"sensors_{name}": getattr(track.sensors, name) for name in FOUND}
     numbers = {"config": tracker.config.to_dict(), "health": track.health._asdict(), "time": track.time}
     drift = track.drift
-    numbers["drift"], arrays["drift_missed"] = [drift.speed2, drift.stored2, drift.hem2], drift.missed
+    numbers["drift"], arrays["drift_missed"] = [drift.speed2, drift.stored2, drift.hem2, drift.unseen_turn], drift.missed
     numbers["elasticity"] = track.strain2
     numbers["view"], numbers["signs"] = track.view._asdict(), dict(track.signs)
     numbers["sensors"] = None if track.sensors is None else [track.sensors.time, track.sensors.wait]
@@ -222,11 +222,12 @@ def _drift(model: Drift, arrays: dict[str, np.ndarray], values: list) -> Drift:
     covariance = like(model.covariance, arrays, "drift_covariance")
     if not (covariance.diagonal() > 0).all():
         raise InvalidSnapshot("snapshot.drift_covariance", "positive variances", "others")
-    speed2, stored2, hem2 = (float(value) for value in values)
-    if not (min(speed2, stored2, hem2) >= 0 and max(speed2, stored2, hem2) < math.inf):
-        raise InvalidSnapshot("snapshot.drift", "three finite squares", repr(values))
+    speed2, stored2, hem2, *later = (float(value) for value in values)
+    (unseen_turn,) = later or [0.0]  # not in earlier snapshots
+    if not (min(speed2, stored2, hem2, unseen_turn) >= 0 and max(speed2, stored2, hem2, unseen_turn) < math.inf):
+        raise InvalidSnapshot("snapshot.drift", "finite numbers of 0 or more", repr(values))
     missed = like(model.missed, arrays, "drift_missed") if "drift_missed" in arrays else model.missed  # not in earlier snapshots
-    return Drift(covariance, speed2, stored2, hem2, missed)
+    return Drift(covariance, speed2, stored2, hem2, unseen_turn, missed)
 
 
 def _resting(tracker, arrays: dict[str, np.ndarray]) -> Resting | None:

@@ -248,6 +248,7 @@ class Drift(NamedTuple):
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
+    unseen_turn: float = 0.0  # rad by which a smooth round garment may have turned about its axis, as nothing shows that
     missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' of what predictions miss per second, and their body
 
     @classmethod
@@ -598,3 +599,4 @@ class Posterior(NamedTuple):
     covariance: np.ndarray  # (V, 3, 3) m^2, calibrated
     drift: Drift
     tangential2: np.ndarray | None = None  # (V,) m^2, variance in the tangent plane without the colours; None: there are none
+    turned2: float = 0.0  # m^2, mean squared displacement by a turn that nothing shows, a part of the covariance

@@ -127,3 +127,20 @@ def smallest_share(along, moved, least):
     for i in range(1, 6):
         smallest = min(smallest, A[i, i])
     return smallest
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def mean_of_rings(values, start, neighbour, mean):
+    """Mean of each vertex and its neighbours, into ``mean``.
+
+    Args:
+        values, mean: (V, C), in and out.
+        start, neighbour: the one-rings.
+    """
+    for i in range(values.shape[0]):
+        count = start[i + 1] - start[i] + 1
+        for c in range(values.shape[1]):
+            total = values[i, c]
+            for e in range(start[i], start[i + 1]):
+                total += values[neighbour[e], c]
+            mean[i, c] = total / count

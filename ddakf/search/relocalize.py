@@ -310,7 +310,8 @@ def _found_at(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> P
     """The problem whose prior is a garment as a search finds it, (V, 3) metres and metres per second; its R is kept."""
     sd = problem.config.relocalization.found_sd
     start = State.at(position, velocity, sd, problem.config.start.speed_sd, 1.0)
-    last = problem.last._replace(drift=Drift.at(problem.model, sd))
+    drift = Drift.at(problem.model, sd)._replace(unseen_turn=problem.last.drift.unseen_turn)  # a search sees it no better
+    last = problem.last._replace(drift=drift)
     return problem._replace(prior=start._replace(R=problem.prior.R), last=last)
 
 

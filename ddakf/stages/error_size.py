@@ -85,14 +85,13 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
     slack, beside, away = body_anchor.slack(problem), estimate.clearance is not None, along_cloth(measured, model)
     clearance = np.clip(estimate.clearance, 0.0, FARTHEST) if beside else 0.0
     seen_hem = estimate.evidence.measurement.squared_hem
-    faces = model.faces[:: -(-len(model.faces) // FACES)]
     return SizeEvidence(
         unmatched=estimate.unmatched if count else 1.0,
         hem=problem.last.drift.hem2 if seen_hem is None else seen_hem,
         clearance=clearance,
         slack=0.0 if slack is None else slack,
         strain=patches.strain,
-        slip=max(1.0 / max(least_normal_share(position, faces), LEAST_SHARE) - BALL, 0.0),
+        slip=max(1.0 / max(least_normal_share(position, some_faces(model)), LEAST_SHARE) - BALL, 0.0),
         offset=sqrt(problem.health.offset),
         distance=0.0 if beside else away,
         free=clearance * away if beside else 0.0,
@@ -101,6 +100,11 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
         soft=problem.last.strain2,
         blind=0.0 if beside else 1.0 - count / len(measured),
     )
+
+
+def some_faces(model: Model) -> np.ndarray:
+    """(F, 3) at most FACES of the faces, spread over the garment."""
+    return model.faces[:: -(-len(model.faces) // FACES)]
 
 
 def along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:

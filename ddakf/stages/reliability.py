@@ -161,7 +161,10 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)
     reliability = float(score(error, config))
-    outcome = Outcome(s_k if isinstance(config, PaperReliability) else reliability, coverage, len(points), estimate.rejected)
+    # no search and no stiffer cloth helps against a turn that nothing shows
+    seen = math.sqrt(max(evidence.sigma**2 - posterior.turned2, 0.0)) / max(evidence.sigma, 1e-12)
+    placed = s_k if isinstance(config, PaperReliability) else float(score(seen * error, config))
+    outcome = Outcome(placed, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=reliability)
@@ -171,7 +174,7 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
 class Outcome(NamedTuple):
     """A frame as the state of the tracker depends on it."""
 
-    score: float  # of this frame; s_k for the paper
+    score: float  # of this frame, but for turns that nothing shows; s_k for the paper
     coverage: float  # share of the vertices observed
     n_points: int  # in the cloud
     rejected: bool  # the fit was thrown away

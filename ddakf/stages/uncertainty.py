@@ -16,6 +16,7 @@ import numpy as np
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
+from ddakf.garment.slippage import fold_height, least_seen_turn
 from ddakf.kernels import follow
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
@@ -30,12 +31,15 @@ from ddakf.stages.fuse import condition, inverse_blocks, invert
 from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
 LEAST_TURNED = 16  # seen vertices that show a rigid motion
+MOST_TURNED = 2.0  # rad: beyond, the other side would be as likely
+
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     """The garment after the update: mean and stored covariance of every vertex, the calibrated covariance, and the drift."""
     state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
     tangential2 = colour.conditioned(problem, estimate, covariance)
+    turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance) if drift.unseen_turn > 0.0 else 0.0
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
         covariance = _capped(blind, problem.config.uncertainty)
@@ -44,7 +48,7 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     widening = omission.widening(problem, estimate)
     if widening > 1.0:
         covariance = _capped(widening**2 * covariance, problem.config.uncertainty)
-    return Posterior(state, covariance, drift, tangential2)
+    return Posterior(state, covariance, drift, tangential2, turned2)
 
 
 def _conditioned(problem: Problem, estimate: Estimate) -> State:
@@ -89,7 +93,43 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     kernels.vertex_covariances(drift.covariance, share, slip2, 2.0 * evidence.means.bend, model.patch, measured, covariance)
     found = error_size.evidence(problem, estimate, state.position, evidence)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
-    return _capped(covariance, limits), drift._replace(hem2=found.hem)
+    turned = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
+    return _capped(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
+
+
+def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> float:
+    """Radians by which the garment may have turned unnoticed until now.
+
+    A smooth surface of revolution, such as a plain skirt, may turn with its wearer, and noise may turn the estimate: the cloud is
+    the same. Folds show a turn, and so do colours, and a body, on which the waistband stays.
+
+    Args:
+        problem: the frame.
+        estimate: finished.
+        surface: the posterior.
+        slip: of the evidence.
+    """
+    model, limits, angle = problem.model, problem.config.uncertainty, problem.last.drift.unseen_turn
+    if estimate.clearance is not None:
+        return 0.0
+    if problem.coloured or slip + error_size.BALL < 1.0 / limits.turn_share:
+        return angle
+    folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
+    if folds >= limits.smooth_folds:
+        return angle
+    share = least_seen_turn(*surface, error_size.some_faces(model), model.boundary).share
+    unseen = (1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - share / limits.turn_share)
+    dt = min(problem.dt, problem.config.predict.longest_step)
+    return float(min(angle + np.radians(limits.turn_rate) * unseen * dt, MOST_TURNED))
+
+
+def _add_turn(problem: Problem, position: np.ndarray, angle: float, covariance: np.ndarray) -> float:
+    """Adds the displacements of a turn by ``angle`` to (V, 3, 3). Returns their mean square, m^2."""
+    model, normal = problem.model, np.empty_like(position)
+    vertex_normals(position, model.faces, normal)
+    moved = angle * least_seen_turn(position, normal, error_size.some_faces(model), model.boundary).moved
+    covariance += moved[:, :, None] * moved[:, None, :]
+    return float(np.square(moved).sum(axis=1).mean())
 
 
 def _elastic(problem: Problem, estimate: Estimate) -> np.ndarray:

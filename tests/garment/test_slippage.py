@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
+from ddakf import Mesh
 from ddakf.evaluation.datasets import collection
-from ddakf.garment.slippage import TINY, least_normal_share
+from ddakf.garment import model
+from ddakf.garment.slippage import TINY, fold_height, least_normal_share, least_seen_turn
 from ddakf.kernels import slippage as kernels
+from ddakf.mesh import vertex_normals
 from tests.stages.scenes import turn
 from tests.tracker_runs import SHIRT
 
@@ -86,3 +89,48 @@ def test_the_smallest_share_of_random_forms_is_that_of_numpy(seed):
     moved[3:, 3:] = second @ second.T + 0.1 * np.eye(3)
     expected = np.linalg.eigvals(np.linalg.solve(moved, along)).real.min()
     assert kernels.smallest_share(along, moved, 0.0) == pytest.approx(expected, rel=1e-8)
+
+
+def seen(vertices, faces):
+    mesh = Mesh(vertices, faces)
+    built = model.build(mesh)
+    return least_seen_turn(vertices, vertex_normals(vertices, mesh.faces), mesh.faces, built.boundary)
+
+
+def test_the_turn_that_a_tube_hides_is_about_its_axis():
+    vertices, faces = tube()
+    found = seen(vertices, faces)
+    assert found.share < 1e-3
+    about = np.cross([0.0, 1.0, 0.0], vertices)  # m per radian
+    np.testing.assert_allclose(np.abs(np.einsum("va,va->v", found.moved, about)), np.square(about).sum(axis=1), rtol=1e-3)
+    assert found.share < seen(*tube((0.22, 0.18))).share < seen(*tube((0.26, 0.14))).share
+
+
+def test_a_square_cloth_shows_by_its_edges_that_it_turns():
+    across, along = np.meshgrid(np.linspace(-0.5, 0.5, 21), np.linspace(-0.5, 0.5, 21))
+    corner = (np.arange(20) * 21 + np.arange(20)[:, None]).ravel()
+    faces = np.vstack([np.stack([corner, corner + 1, corner + 22], axis=1), np.stack([corner, corner + 22, corner + 21], axis=1)])
+    assert seen(np.stack([across.ravel(), np.zeros(441), along.ravel()], axis=1), faces).share > 0.2
+
+
+@pytest.mark.parametrize("degenerate", [(0, 0, 0), (0, 1, 0), (1, 1, 0)])
+def test_a_surface_that_is_folded_flat_has_a_turn(degenerate):
+    vertices, faces = tube()
+    built = model.build(Mesh(vertices, faces))
+    found = least_seen_turn(vertices * degenerate, np.tile([0.0, 0.0, 1.0], (len(vertices), 1)), faces, built.boundary)
+    assert 0.0 <= found.share <= 1.0
+    assert np.isfinite(found.moved).all()
+
+
+@pytest.mark.parametrize("radii", [(0.2, 0.2), (0.24, 0.16)])
+def test_folds_have_a_height_and_a_smooth_tube_has_none(radii):
+    vertices, faces = tube(radii, around=96, along=36)
+    built = model.build(Mesh(vertices, faces))
+    around, heights = np.arctan2(vertices[:, 2], vertices[:, 0]), []
+    for folds in (0.0, 0.002, 0.004):  # m, amplitude; 5 cm wide
+        folded = vertices * (1.0 + folds / 0.2 * np.cos(24 * around))[:, None] ** [1, 0, 1]
+        rings = built.start, built.neighbour
+        heights.append(fold_height(folded, vertex_normals(folded, faces), rings, built.edge_length))
+    assert heights[0] < 1e-4
+    assert heights[1] > 3e-4
+    assert heights[2] == pytest.approx(2.0 * heights[1], rel=0.1)

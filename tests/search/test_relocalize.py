@@ -28,7 +28,7 @@ from ddakf.search.relocalize import (
     search_due,
 )
 from ddakf.stages.predict import predict
-from ddakf.types import Health, State, Track
+from ddakf.types import Drift, Health, State, Track
 from tests.stages.scenes import FPS, frame_of, problem_of, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
@@ -204,7 +204,7 @@ def test_a_garment_that_was_found_is_bent_further_for_a_few_frames():
 
     for seed in range(RULE.settling_frames):
         last = located(first.prior._replace(position=TUBE.vertices + 0.4), scan(moved, TUBE, seed=seed), health)
-        assert last.last.drift is None  # that of the track, which no search has replaced
+        assert last.last.drift is DRIFT  # that of the track, which no search has replaced
         assert off(last.prior.position) < 0.5 * off(TUBE.vertices + 0.4)
         assert last.motion_start is last.prior.position
         health = last.health
@@ -232,11 +232,12 @@ def prior_at(position):
 
 MODEL = model.build(TUBE)
 UNTURNED = rigidity.identity(TUBE.n_vertices)
+DRIFT = Drift.at(MODEL, 0.01)
 DT = 1 / FPS
 
 
 def located(prior, points, health, dt=DT, config=None, last=TUBE.vertices):
-    track = Track(None, UNTURNED, None, 0.0, health, None, None, None)
+    track = Track(None, UNTURNED, DRIFT, 0.0, health, None, None, None)
     whole = dataclasses.replace(Config(), start=config or Start())
     problem = problem_of(MODEL, prior, whole, last=track, motion_start=last, rotation=UNTURNED)
     return locate(problem._replace(frame=frame_of(points), health=health, dt=dt))

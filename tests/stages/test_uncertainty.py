@@ -442,3 +442,59 @@ def test_innovations_are_remembered_per_second_and_the_first_counts_in_full(befo
     assert speed2 == pytest.approx((1.0 - share) * before + share * 0.04 / dt**2)
     np.testing.assert_allclose(missed, ((1.0 - share) * before + share * 0.09 / dt**2) * np.eye(3))
     assert (grown > 0).all()
+
+
+# Turns that nothing shows -------------------------------------------------------------------------------------------
+
+
+def plain_skirt(folds: float, around=60, along=22, spacing=0.022) -> Mesh:
+    """Round, wider below; folds of that amplitude, metres, 10 cm wide at the hem."""
+    angle, height = np.meshgrid(np.linspace(0, 2 * np.pi, around, endpoint=False), spacing * np.arange(along))
+    radius = 0.25 - 0.25 * height + folds * np.cos(15 * angle)
+    flat = tube(around=around, along=along)
+    return Mesh(np.stack([radius * np.cos(angle), height, radius * np.sin(angle)], axis=-1).reshape(-1, 3), flat.faces)
+
+
+PLAIN, FOLDED = plain_skirt(0.0), plain_skirt(0.006)
+
+
+def standing(mesh, body=None, frames=30):
+    """The last result of a garment that stands still, seen from all around, and its true vertices."""
+    tracker = Tracker(mesh, body=body)
+    tracker.reset(mesh.vertices)
+    for k in range(frames):
+        cloud = scan(mesh.vertices, mesh, 8000, 0.003, seed=k)
+        pose = None if body is None else body.vertices
+        result = tracker.step(cloud, timestamp=k / 30, body_vertices=pose)
+    return tracker, result
+
+
+def test_a_smooth_round_garment_may_have_turned_and_says_so():
+    tracker, result = standing(PLAIN)
+    off = result.vertices - PLAIN.vertices
+    inside = np.einsum("va,vab,vb->v", off, np.linalg.inv(result.covariance), off) < 6.25
+    assert inside.mean() > 0.9
+    assert result.reliability < 0.6
+    assert result.state == "tracking"  # there is nothing to search
+    radial = PLAIN.vertices * [1, 0, 1] / np.linalg.norm(PLAIN.vertices[:, [0, 2]], axis=1, keepdims=True)
+    along = np.einsum("va,vab,vb->v", radial, result.covariance, radial)
+    assert np.median(along) < 0.1 * np.median(np.trace(result.covariance, axis1=1, axis2=2))
+    later = snapshot.load(tracker.snapshot(), Tracker)
+    assert later._track.drift.unseen_turn == tracker._track.drift.unseen_turn > 0.2
+
+
+@pytest.mark.parametrize("shown_by", ["folds", "body"])
+def test_what_shows_a_turn_leaves_the_garment_reliable(shown_by):
+    body = inner_body(PLAIN) if shown_by == "body" else None
+    tracker, result = standing(FOLDED if shown_by == "folds" else PLAIN, body, frames=15)
+    assert tracker._track.drift.unseen_turn == 0.0
+    assert result.reliability > 0.9
+
+
+def test_a_garment_may_have_turned_by_a_part_of_a_circle_at_most():
+    tracker, _ = standing(PLAIN, frames=2)
+    track = tracker._track
+    tracker._track = track._replace(drift=track.drift._replace(unseen_turn=1.999))
+    for k in (2, 3, 4):
+        tracker.step(scan(PLAIN.vertices, PLAIN, 8000, 0.003, seed=k), timestamp=k / 3)
+    assert tracker._track.drift.unseen_turn == uncertainty.MOST_TURNED
