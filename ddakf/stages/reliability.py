@@ -10,6 +10,7 @@ import numpy as np
 
 from ddakf.config import ErrorEvidence, FrameError, PaperReliability, Reliability
 from ddakf.kernels import reliability as kernels
+from ddakf.kernels.preprocess import bounds, crop
 from ddakf.results import InputWarning
 from ddakf.stages import skin_removal
 from ddakf.stages.grid import nearest_vertices, spread_rows
@@ -17,6 +18,7 @@ from ddakf.types import Estimate, FrameInput, Health, Measurement, Posterior, Pr
 
 IN_VIEW = 0.7  # share of the vertices that sensors all around see; one camera sees half, and what it should see is less sure
 SHOWN = 0.75  # share of those in view that the cloud shows, at least, where the garment is in its place
+BESIDE = 0.5  # m from the garment's box: points farther away are of the room
 ENOUGH = 100  # points of a frame that can show that a cloud is of the garment alone
 FARTHEST_CELL = 10_000  # of clumps: the number of a cell in three dimensions fits into an int64
 
@@ -47,6 +49,14 @@ def predicted_error(evidence: FrameEvidence, config: FrameError) -> float:
     """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses the cloud."""
     missed = (1.0 + evidence.unexplained / config.unexplained_scale) ** config.unexplained_power
     return config.sigma_share * evidence.sigma * missed
+
+
+def beside(frame: FrameInput, position: np.ndarray) -> FrameInput:
+    """The frame without walls and what else is far from a garment at (V, 3) ``position``, metres; all where little is near."""
+    lower, upper, chosen = np.empty(3), np.empty(3), np.empty(len(frame.points), np.int32)
+    bounds(position, BESIDE, lower, upper)
+    near = chosen[: crop(frame.points, lower, upper, chosen)]
+    return frame.only(near) if ENOUGH <= len(near) < len(chosen) else frame
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
@@ -149,7 +159,8 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     config, measurement = problem.config.reliability, estimate.evidence.measurement
     coverage = float(estimate.observed.mean())
     s_k = paper_score(measurement.innovation(problem.prior.position), estimate.evidence.R, measurement.found)
-    cloud, margin = sample(problem.garment, problem.config.evidence), problem.config.skin_removal.cloth_distance
+    near, margin = beside(problem.garment, posterior.state.position), problem.config.skin_removal.cloth_distance
+    cloud = sample(near, problem.config.evidence)
     points = skin_removal.remove_skin(cloud, problem, posterior.state.position, margin).points
     health = problem.health
     if len(points):

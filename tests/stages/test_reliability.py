@@ -10,6 +10,8 @@ from hypothesis import strategies as st
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.config import KnnFilter, PaperReliability, Start
+from ddakf.data import sample
+from ddakf.evaluation.sensors import Sensor
 from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
 from ddakf.stages.grid import nearest_vertices
@@ -27,11 +29,13 @@ from ddakf.stages.reliability import (
 )
 from ddakf.types import Health, Measurement
 from tests.stages.scenes import FPS, blocks, frame_of, problem_of, rms, scan, tube
+from tests.tracker_runs import SHIRT
 
 CONFIG, EVIDENCE_CONFIG = Config().reliability, Config().evidence
 LAW = Config().frame_error
 PAPER = PaperReliability()
 GOOD, DT = 0.9, 1 / FPS
+SAMPLE = sample()
 
 # Scores -------------------------------------------------------------------------------------------------------------
 
@@ -465,3 +469,21 @@ def test_thresholds_are_numbers_of_the_configuration():
     quick = dataclasses.replace(CONFIG, lost_after=0.1, lost_after_empty=0.2)
     assert run(TRACKING, 0.15, coverage=0.0, config=quick).state == "lost"
     assert run(TRACKING, 0.3, points=0, coverage=0.0, config=quick).state == "lost"
+
+
+@pytest.mark.parametrize("room", [20_000, 100_000])
+def test_walls_and_floor_of_an_uncut_depth_image_change_nothing(room):
+    """From 0.6 m beside the garment on; it is a tenth and a fiftieth of the points."""
+    rng, results = np.random.default_rng(0), []
+    flat = rng.uniform([-3.0, -0.7, -1.0], [3.0, 2.0, -0.9], (room, 3)).astype(np.float32)
+    for around in (flat, flat[:0]):
+        tracker = Tracker(SHIRT)
+        tracker.reset(SAMPLE.garment_vertices[0])
+        for k in range(1, 13):
+            cloud = Sensor("front", points=2000).capture(SAMPLE, k, np.random.default_rng(k))
+            seen = np.concatenate([around, cloud.points])
+            results.append(tracker.step(seen, timestamp=k / 30, sensor_origin=cloud.sensor_origin))
+    cut = results[12:]
+    for whole, alone in zip(results, cut, strict=False):
+        np.testing.assert_allclose(whole.vertices, alone.vertices, atol=1e-3)
+        assert whole.reliability == pytest.approx(alone.reliability, abs=0.02)
