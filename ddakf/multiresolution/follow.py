@@ -28,13 +28,17 @@ def follow(problem: Problem, estimate: Estimate, posterior: Posterior) -> tuple[
     The state moves slowly, with time constant ``time``: it keeps what the forces say. What is shown is a mean of both estimates.
 
     Returns:
-        The posterior; (V, 3) metres to add to its positions in the result, or None: too much or too little is seen, or a body
-        tells where hidden cloth is.
+        The posterior; (V, 3) metres to add to its positions in the result, or None: too much is seen, or never was enough, or a
+        body tells where hidden cloth is. In frames that show too little what was added fades.
     """
     config, seen, model = problem.config.follow, estimate.learnable, problem.model
-    if config.reach == 0 or problem.body is not None or problem.health.unplaced:
+    if config.reach == 0 or problem.body is not None or problem.health.state in ("initializing", "lost"):
         return posterior, None
-    followed = np.interp(seen.mean(), SEEN, FOLLOWED)
+    share = seen.mean()
+    followed = np.interp(share, SEEN, FOLLOWED)
+    if problem.health.unplaced or share <= SEEN[0]:
+        last = problem.last.offset
+        return posterior, None if last is None else exp(-problem.dt / config.time) * last
     if followed == 0:
         return posterior, None
     state = posterior.state

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -65,10 +66,24 @@ def test_without_it_the_result_is_the_state(config):
     np.testing.assert_array_equal(result.vertices, tracker._track.state.position)
 
 
-def test_with_a_body_or_with_nothing_seen_it_does_nothing():
+def test_with_a_body_it_does_nothing():
     assert tracked(Config(), inner_body(GARMENT), 3)[0]._track.offset is None
-    tracker = tracked(Config(), frames=3)[0]
-    tracker.step(np.empty((0, 3)), timestamp=1.0)
+
+
+def test_what_is_shown_fades_while_nothing_is_seen():
+    """Hidden cloth does not jump back in an empty frame, nor in the one after it."""
+    tracker, _, truth = tracked(Config())
+    shown = [tracker._track.offset]
+    for k, points in ((31, np.empty((0, 3))), (32, front(truth, 32))):
+        tracker.step(points, timestamp=k / 30, sensor_origin=[0.0, 0.0, 3.0])
+        shown.append(tracker._track.offset)
+    faded = np.exp(-1 / 30 / Config().follow.time)
+    assert shown[0].any()
+    for before, after in pairwise(shown):
+        np.testing.assert_allclose(after, faded * before)
+    for k in range(120):
+        lost = tracker.step(np.empty((0, 3)), timestamp=2 + k / 30)
+    assert lost.state == "lost"
     assert tracker._track.offset is None
 
 
