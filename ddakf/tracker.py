@@ -81,8 +81,8 @@ class Tracker:
         """Starts again from these vertices; the body is in its first pose.
 
         Args:
-            vertices: (V, 3) metres, in whose folds and a share of whose strain the cloth is at rest from now on; the template's
-                if None.
+            vertices: (V, 3) metres, the template's if None. They become the rest shape: all of their folds, and a share of their
+                strain.
             velocities: (V, 3) metres per second; zero if None.
 
         Raises:
@@ -201,7 +201,7 @@ class Tracker:
         return other
 
     def another(self, config: Config) -> Tracker:
-        """A tracker of the same garment and body at the start; both have once in memory what is constant.
+        """A tracker of the same garment and body at the start, which shares all that is constant with this one.
 
         Raises:
             InvalidConfig: no configuration.
@@ -242,7 +242,7 @@ class Tracker:
         """The whole tracker; the next step of :meth:`restore` 's tracker is exact to the bit.
 
         Args:
-            compressed: False is ten times as fast and, as most of it are random digits, not twice as large.
+            compressed: False is ten times as fast and less than twice as large, as most digits cannot be compressed.
         """
         return snapshots.save(self, int(compressed))
 

@@ -264,7 +264,7 @@ class Health(NamedTuple):
     physics_lambda: float = 1.0
     poor_for: float = 0.0  # s of sensor time with points, but without a fit
     empty_for: float = 0.0  # s of empty clouds
-    doubtful: bool = False  # there is a fit, but hardly of this garment
+    doubtful: bool = False  # measured, but the score is below doubt_below
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
     spacing: float = 0.0  # s between the last two frames; before there were two 0, or first_step after a start with velocities

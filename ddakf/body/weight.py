@@ -32,9 +32,9 @@ LYING = 0.1  # cosine squared of its normals to the vertical, that cloth has at 
 def at_start(position: np.ndarray, strain: StrainConstants, setup: Setup) -> np.ndarray:
     """(V,) 1/m: upward forces on a garment that starts at (V, 3) ``position``, metres, which together are none.
 
-    In a small vertical stretch, stretch and shear do as much work as these forces. Cloth draws down by the share of its weight
-    which strain that is not at rest balances. Near the top, where it lies or is held, what carries it draws up. A garment in the
-    shape of its template has no strain, and needs none.
+    Cloth draws down by the share of its weight which strain that is not at rest balances: in a small vertical stretch, stretch
+    and shear do as much work as that share of the weight, held at the highest vertex. Near the top, where it lies or is held,
+    what carries it draws up. A garment in the shape of its template has no strain, and needs none.
 
     Args:
         position: of the start.

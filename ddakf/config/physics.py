@@ -31,7 +31,7 @@ class Physics(Checked):
     bend_height: float = bounded(0.1, 1e-3, 1)  # share of a face's rest height below which bending forces stop growing
     collision: float = bounded(3.0e9, 0, 1e15)  # 1/m^4
     thickness: float = bounded(0.003, 0, 0.1)  # m, distance from the body that collision enforces
-    deepest_gap: float = bounded(0.03, 0, 1)  # m inside the body, up to which a vertex is an error of the body model
+    deepest_gap: float = bounded(0.03, 0, 1)  # m: a vertex less deep inside the body shows an error of the body model
     collision_reach: float = bounded(0.05, 1e-3, 1)  # m, depth from which a body that does not carry pushes vertices out
     body_sd: float = bounded(0.006, 0, 1)  # m, first guess of the error of the body's surface, by which contact yields
     gap_time: float = bounded(0.5, 0, 1e3)  # s, time constant of the distance where cloth is seen deeper; 0: constant distance

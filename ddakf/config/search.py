@@ -79,7 +79,7 @@ class Relocalization(Checked):
     template_cost: float = bounded(0.05, 0, 10)  # share by which the template costs more than the last shape
     rigid_samples: float = bounded(60.0, 1e-3, 1e4)  # independent distances that the cost of a rigid pose is worth
     registered_samples: float = bounded(80.0, 1e-3, 1e4)  # the same after registration
-    heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees that a wearer turns at once
+    heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees, sd of the wearer's turn since the last frame
     heading_doubt: float = bounded(0.1, 0, 1)  # probability that the heading of a template that nobody has placed says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
     narrow_distance: float = bounded(0.08, 0, 1)  # m: in a larger cloud the part nearer to the garment is searched again; 0: none

@@ -105,7 +105,7 @@ class PlaneAssociation(Checked):
     narrow_gate: float = bounded(0.03, 1e-3, 1)  # m, of the last ones
     narrowing: float = bounded(0.6, 0.01, 1)  # factor from one pass to the next
     reassociation_motion: float = bounded(0.05, 0, 1)  # in cells: a vertex that moved less since its last search keeps its plane
-    lateral_gate: float = bounded(1.4, 0.1, 1e3)  # mean distances of plane fits, along the plane, after which the cloud has ended
+    lateral_gate: float = bounded(1.4, 0.1, 1e3)  # mean surfel spacings along the plane to its point, at most
     normal_cosine: float = bounded(0.5, -1, 1)  # agreement of vertex and cloud normals, at least
     normal_distance: float = bounded(0.015, 0, 1)  # m: distance that a unit difference of the normals counts as
     facing_cosine: float = bounded(-0.3, -1, 1)  # cosine between a vertex normal and its sensor, at least
@@ -113,7 +113,7 @@ class PlaneAssociation(Checked):
     visibility_motion: float = bounded(0.003, 0, 1)  # m, RMS motion within a frame after which visibility is judged again
     occluder_cell: float = bounded(1.5, 0.1, 10)  # edges: the vertices of an occluding surface leave no holes in such cells
     hem_reach: float = bounded(0.04, 0, 0.2)  # m from an open boundary, within which the cloud's end is sought; 0: nowhere
-    hem_width: float = bounded(0.012, 1e-3, 0.1)  # m to either side: a cloud with 1 cm between its points ends there
+    hem_width: float = bounded(0.012, 1e-3, 0.1)  # m along the boundary to either side, where the end is sought; more if sparse
     hem_spacings: float = bounded(1.5, 0, 10)  # mean distances of the points to either side, if that is wider; up to hem_reach
     hem_depth: float = bounded(0.010, 1e-3, 0.1)  # m above and below, and a third of the way across; another layer is farther
     hem_sd: float = bounded(0.004, 1e-4, 10)  # m, of the cloud's end
@@ -323,7 +323,7 @@ class Reliability(Checked):
     lost_coverage: float = bounded(0.05, 0, 1)  # coverage; a frame with points and less coverage counts towards a loss
     lost_after: float = bounded(0.5, 0, 100)  # s of such frames, or of rejected fits
     longest_frame: float = bounded(0.3, 1e-3, 100)  # s that one frame counts for, at most, towards a loss
-    gate_above: float = bounded(0.6, 0, 1)  # score from which a frame that follows is held against it; 1: none is
+    gate_above: float = bounded(0.6, 0, 1)  # least score of a frame to which the next one is compared; 1: none is
     gate_ratio: float = bounded(0.4, 0, 1)  # of that score: with a lower one, the prediction is kept
     lost_after_empty: float = bounded(2.0, 0, 1000)  # s of empty clouds
 
