@@ -280,8 +280,8 @@ def locate(problem: Problem) -> Problem:
         # a covariance that has grown out of sight would let each vertex follow its own points
         return _found_at(problem, prior.position, prior.velocity) if health.empty_for > 0.0 or after_gap else problem
     unseen = problem.dt + health.empty_for + health.poor_for
-    of_file = health.state == "initializing" and not (problem.resting is not None and problem.resting.given)
-    doubt = rule.heading_doubt if of_file else 0.0  # a start that the caller gave faces as the wearer does
+    starting, given = health.state == "initializing", problem.resting is not None and problem.resting.given
+    doubt = rule.heading_doubt if starting and not given else 0.0  # a start that the caller gave faces as the wearer does
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
     search = Search(model, _target(frame, config), config, problem.last.size)
     shapes = [shape @ turn.T for shape in shapes]
@@ -300,7 +300,7 @@ def locate(problem: Problem) -> Problem:
     found = found @ turn
     return _found_at(problem, found, np.zeros_like(found))._replace(
         motion_start=found,
-        rival=rival,
+        rival=None if starting and given else rival,
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )

@@ -167,6 +167,18 @@ def test_the_heading_of_a_given_start_is_not_doubted(given, doubt, monkeypatch):
     assert doubts == [doubt]
 
 
+@pytest.mark.parametrize("given", [True, False])
+def test_that_a_garment_fits_turned_as_well_is_told_unless_its_start_was_given(given):
+    truth = TUBE.vertices + [0.1, 0.0, 0.0]
+    tracker, told = Tracker(TUBE), set()
+    if given:
+        tracker.reset(TUBE.vertices)
+    for k in range(3):
+        result = tracker.step(scan(truth, TUBE, seed=k), timestamp=k / FPS)
+        told |= {warning.code for warning in result.warnings}
+    assert ("heading_uncertain" in told) is not given
+
+
 @pytest.mark.parametrize("name", ["trousers_dance_loose_11", "shorts_jump_loose_59"])
 def test_trousers_that_face_the_other_way_are_found_by_their_shape(name):
     """Front and back differ by centimetres alone, and the legs stand otherwise than the template's."""
