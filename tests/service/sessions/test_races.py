@@ -326,8 +326,8 @@ class NoLeases:
     async def of_request(self, owner, request_id):
         return None
 
-    async def release(self, session_id, epoch):
-        self.released.append(session_id)
+    async def release(self, uid, epoch):
+        self.released.append(uid)
 
 
 async def test_a_session_that_waits_for_a_worker_goes_to_another_server(server, pool):
@@ -341,7 +341,7 @@ async def test_a_session_that_waits_for_a_worker_goes_to_another_server(server, 
         leases, server._catalog, server._persistence, server._durability, server._lifecycle.depart, Tenure(), Metrics()
     )
     await asyncio.wait_for(handover.hand_over(session, StreamTakenOver("elsewhere")), 30.0)
-    assert leases.released == ["some"]
+    assert leases.released == [session.uid]
     assert session.closed
 
 

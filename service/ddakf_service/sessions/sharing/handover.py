@@ -113,7 +113,7 @@ class Handover:
             log.error("a session goes from an earlier checkpoint: the last one is not written", extra={"session": session.id})
         self._moves.labels("handed_over").inc()
         try:
-            await self._leases.release(session.id, session.epoch)
+            await self._leases.release(session.uid, session.epoch)
         except Unavailable as error:
             log.error("a lease could not be released: %s", error, extra={"session": session.id})
 
@@ -128,12 +128,14 @@ class Handover:
         self._persistence.forget(session)
 
     async def _answer(self, lease: Lease) -> None:
-        """Hands a session over to the gateway that asks for it, or refuses; without the session its lease is released."""
+        """Hands a session over to the gateway that asks for it, or refuses; without the session its lease is released, but
+        not before the end of a session that has ended is written: another gateway would bring the session back."""
         try:
             session = next(iter(self._catalog.live([lease.id])), None)
             if session is None or session.uid != lease.uid:  # it was taken by a caller who has left
                 await self.left(lease.id)
-                await self._leases.release(lease.id, lease.epoch)
+                if await self._persistence.written(lease.uid):  # its end, if any, which deletes the lease
+                    await self._leases.release(lease.uid, lease.epoch)
             elif lease.takeover or await self._is_left(session):
                 await self.hand_over(session, StreamTakenOver(f"another stream took over {session.name}"))
             else:

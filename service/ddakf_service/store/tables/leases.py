@@ -104,13 +104,11 @@ class Leases:
         """Declines to hand a session over."""
         await self._change(lease, {"wanted_by": "", "takeover": False}, tell=lease.wanted_by)
 
-    async def release(self, session_id: str, epoch: int) -> None:
-        """Gives up the lease of a session, which any gateway may then take."""
+    async def release(self, uid: int, epoch: int) -> None:
+        """Gives up the lease of a session, which any gateway may then take; not that of a later session of its id."""
 
         def change(connection: sa.Connection) -> None:
-            released = sa.update(leases).where(
-                leases.c.id == session_id, leases.c.epoch == epoch, leases.c.gateway == self.gateway
-            )
+            released = sa.update(leases).where(leases.c.uid == uid, leases.c.epoch == epoch, leases.c.gateway == self.gateway)
             wanted_by = connection.execute(released.values(gateway="").returning(leases.c.wanted_by)).scalar_one_or_none()
             _tell(connection, wanted_by)
 

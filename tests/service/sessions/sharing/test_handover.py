@@ -5,15 +5,21 @@ from __future__ import annotations
 import asyncio
 import time
 import uuid
+from dataclasses import replace
 
 import pytest
+from ddakf_api.errors import SessionExpired, to_detail
 from ddakf_service.observability.metrics import Metrics
+from ddakf_service.sessions.recovery.persistence import Persistence
 from ddakf_service.sessions.recovery.tenure import Tenure
 from ddakf_service.sessions.sharing.handover import _LONGEST_OPENING, Handover
 from ddakf_service.store.tables import leases as table
 from ddakf_service.store.tables.database import Database
 from ddakf_service.store.tables.heartbeat import Beat
 from ddakf_service.store.tables.leases import Leases
+from ddakf_service.store.tables.registry import Registry
+
+from ...store.conftest import record
 
 SPAN = 600.0  # seconds
 
@@ -41,18 +47,34 @@ class Tasks:
 
 @pytest.fixture
 def database(postgres):
-    database = Database(postgres.new_database(f"handover-{uuid.uuid4()}"), Metrics())
+    return Database(postgres.new_database(f"handover-{uuid.uuid4()}"), Metrics())
+
+
+@pytest.fixture
+def registry(database):
+    """The sessions of an open database with the leases of this gateway."""
+    registry = Registry(database, retention=SPAN)
     database.open()
-    yield database
+    with database.lasting_connections().connect() as connection:
+        table.reclaim(connection, "here", "", SPAN, False)
+    yield registry
     database.close()
 
 
-async def test_a_lease_that_stays_without_its_session_is_released(database):
-    with database.lasting_connections().connect() as connection:
-        table.reclaim(connection, "here", "", SPAN, False)
-    leases, tasks = Leases(database, "here"), Tasks()
+@pytest.fixture
+def leases(database, registry):
+    return Leases(database, "here")
+
+
+def handover_of(leases, registry, tasks) -> Handover:
+    persistence = Persistence(registry, None, None, "here", lambda: None, Tenure(), leases)
+    return Handover(leases, Catalog(), persistence, tasks, None, Tenure(), Metrics())
+
+
+async def test_a_lease_that_stays_without_its_session_is_released(leases, registry):
+    tasks = Tasks()
     await leases.claim("some-session", 7, "key")
-    handover = Handover(leases, Catalog(), None, tasks, None, Tenure(), Metrics())
+    handover = handover_of(leases, registry, tasks)
     began = time.monotonic()
     for seconds in (0.0, _LONGEST_OPENING / 2, _LONGEST_OPENING):
         handover.follow(Beat(began + seconds, began + SPAN, [await leases.find("some-session")]))
@@ -62,3 +84,28 @@ async def test_a_lease_that_stays_without_its_session_is_released(database):
     assert (await leases.find("some-session")).gateway == ""
     (lease, record), *_ = await leases.abandoned(10)
     assert (lease.id, record) == ("some-session", None), "the next look at abandoned sessions deletes it"
+
+
+async def test_a_session_whose_end_is_not_written_yet_is_left_to_no_other_gateway(leases, registry):
+    """Another one asks for it meanwhile."""
+    tasks, began = Tasks(), time.monotonic()
+    session = replace(record(), uid=7, epoch=await leases.claim("some-session", 7, "key"))
+    registry.save(session)
+    assert await registry.written(7, SPAN)
+    asked = (await leases.find("some-session"))._replace(wanted_by="there")
+    registry.end(session, to_detail(SessionExpired("it was left")))
+    handover_of(leases, registry, tasks).follow(Beat(began, began + SPAN, [asked]))
+    await asyncio.gather(*tasks.tasks)
+    assert await leases.find("some-session") is None, "its end has deleted it"
+
+
+async def test_only_the_lease_of_the_session_itself_is_released(leases, registry):
+    """Its id belongs to a later session meanwhile, with a lease of the same epoch."""
+    tasks, began = Tasks(), time.monotonic()
+    await leases.claim("some-session", 7, "key")
+    asked = (await leases.find("some-session"))._replace(wanted_by="there")
+    await leases.drop(7)
+    await leases.claim("some-session", 8, "key")
+    handover_of(leases, registry, tasks).follow(Beat(began, began + SPAN, [asked]))
+    await asyncio.gather(*tasks.tasks)
+    assert (await leases.find("some-session")).gateway == "here"

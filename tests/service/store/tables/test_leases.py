@@ -79,7 +79,7 @@ async def test_a_served_lease_cannot_be_taken(here, there):
 
 async def test_a_released_lease_is_taken_once(here, there):
     await here.claim("some", 7, None)
-    await here.release("some", 1)
+    await here.release(7, 1)
     lease = await there.find("some")
     assert not lease.served
     epochs = await asyncio.gather(*(gateway.take(lease) for gateway in (here, there) * 4))
@@ -90,7 +90,7 @@ async def test_an_earlier_gateway_releases_nothing(here, there, connection):
     await here.claim("some", 7, None)
     expire(connection, "here")
     assert await there.take(await there.find("some")) == 3, "the expiry, too, has increased the epoch"
-    await here.release("some", 1)
+    await here.release(7, 1)
     assert (await here.find("some")).gateway == "there"
 
 
@@ -232,9 +232,9 @@ async def test_abandoned_sessions_are_those_that_nobody_serves_and_that_have_exp
             registries[0].save(replace(session, uid=uid))
             assert await registries[0].written(uid, PATIENCE)
             if name != "served":
-                await leases.release(name, 1)
+                await leases.release(uid, 1)
         await leases.claim("unregistered", 9, None)
-        await leases.release("unregistered", 1)
+        await leases.release(9, 1)
     found = {lease.id: row and row.id for lease, row in await leases.abandoned(10)}
     assert found == {"over": "over", "unregistered": None}
 
