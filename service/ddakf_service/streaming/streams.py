@@ -49,27 +49,27 @@ class Streams:
         self._admission.require_running("streams")
         session = await self._ownership.obtain(start.name, takeover=start.takeover)
         self._require_room(replaced=session.stream)
-        if session.stream is not None and start.takeover:
-            before = session.stream
-            before.end(StreamTakenOver(f"another stream took over {session.name}"))
-            await self._close(before)
-        elif session.stream is not None:
-            await self._wait_for_end(session.stream)
-        session = self._catalog.changeable(start.name)  # another key may own the name by now
-        if session.stream is not None:
-            raise _busy(session)
-        async with self._tracker_access.exclusive(session):
-            self._catalog.changeable(start.name)  # the key may have been revoked meanwhile
-            if session.stream is not None:  # opened meanwhile
-                raise _busy(session)
-            self._admission.require_running("streams")
-            self._require_room()
-            session.departure_time = None
-            collaborators = self._pool, self._durability, self._penalties, self._recorder, self._rate_limit()
-            bounds = self._settings.reader_timeout, self._settings.max_image_pixels
-            session.stream = Stream(session, start, mode, *collaborators, *bounds)
+        stream = None
+        while stream is None:  # takeovers at a time come one after the other, so that the last one stays
+            await self._wait_until_free(session, start.takeover)
+            session = self._catalog.changeable(start.name)  # another key may own the name by now
+            _require_free(session, start.takeover)
+            async with self._tracker_access.exclusive(session):
+                self._catalog.changeable(start.name)  # the key may have been revoked meanwhile
+                _require_free(session, start.takeover)
+                if session.stream is None:  # none was opened meanwhile
+                    stream = session.stream = self._stream(session, start, mode)
         self._persistence.save(session)
-        return session.stream
+        return stream
+
+    def _stream(self, session: Session, start: pb.Start, mode: pb.FlowMode) -> Stream:
+        """The stream of a session that has none; the caller holds the session's lock."""
+        self._admission.require_running("streams")
+        self._require_room()
+        session.departure_time = None
+        collaborators = self._pool, self._durability, self._penalties, self._recorder, self._rate_limit()
+        bounds = self._settings.reader_timeout, self._settings.max_image_pixels
+        return Stream(session, start, mode, *collaborators, *bounds)
 
     def _rate_limit(self) -> RateLimit:
         """The frame rates of a new stream of the caller."""
@@ -106,6 +106,15 @@ class Streams:
             key_ids += session.watchers.key_ids()
         self._admission.require_stream_room(current_principal.get(), key_ids)
 
+    async def _wait_until_free(self, session: Session, takeover: bool) -> None:
+        """Returns when the present stream of a session, if any, is closed: with ``takeover`` it ends, else after the timeouts."""
+        if session.stream is not None and takeover:
+            before = session.stream
+            before.end(StreamTakenOver(f"another stream took over {session.name}"))
+            await self._close(before)
+        elif session.stream is not None:
+            await self._wait_for_end(session.stream)
+
     async def _wait_for_end(self, stream: Stream) -> None:
         """Returns when a stream whose client has left is closed, or after the timeouts."""
         with contextlib.suppress(TimeoutError):
@@ -115,5 +124,6 @@ class Streams:
                 await stream.session_free.wait()
 
 
-def _busy(session: Session) -> SessionBusy:
-    return SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")
+def _require_free(session: Session, takeover: bool) -> None:
+    if session.stream is not None and not takeover:
+        raise SessionBusy(f"{session.name} has a stream already; ask for takeover to end it")

@@ -191,6 +191,18 @@ async def test_a_server_that_stops_opens_no_stream(server, streams):
         await streams.open(START)
 
 
+async def test_of_takeovers_at_a_time_the_last_one_wins_and_none_is_refused(server, streams):
+    takeover = pb.Start(name="sessions/some", api_version=API_VERSION, takeover=True)
+    first = await streams.open(START)
+    opened = await asyncio.gather(*(streams.open(takeover) for _ in range(4)))
+    assert server._catalog.readable("sessions/some").stream is opened[-1]
+    for stream in (first, *opened[:-1]):
+        with pytest.raises(StreamTakenOver):
+            await stream.deliver(lambda response: asyncio.sleep(0))
+    assert not opened[-1].ending.is_set()
+    await streams.leave(opened[-1])
+
+
 async def test_before_the_register_is_read_nobody_is_told_that_a_session_does_not_exist(server, streams):
     server._catalog.loaded = False
     with pytest.raises(Unavailable, match="not known before the database can be read"):
