@@ -162,17 +162,16 @@ class FakeService(rpc.TrackingServiceServicer):
         return [answered[number] for number in range(start.answered_through + 1, last + 1) if number in answered]
 
     def _mailbox(self, requests, mode):
-        """A queue of the frames of the stream; in realtime mode it holds the newest frame and the number of replaced ones."""
+        """A queue of the requests of the stream; in realtime mode it holds the newest frame and the number of replaced ones."""
         box, dropped = queue.Queue(), [0]
 
         def fill():
             try:
                 for request in requests:
-                    if mode == pb.FLOW_MODE_REALTIME:
+                    if mode == pb.FLOW_MODE_REALTIME and request.HasField("frame"):
                         while not box.empty():
-                            box.get_nowait()
-                            dropped[0] += 1
-                    box.put((request.frame, dropped[0]))
+                            dropped[0] += box.get_nowait()[0].HasField("frame")
+                    box.put((request, dropped[0]))
                     self.most_waiting = max(self.most_waiting, box.qsize())
             except Exception:
                 pass  # the client has disconnected
@@ -185,7 +184,11 @@ class FakeService(rpc.TrackingServiceServicer):
         vertices, _ = unpack_mesh(session.garment, field="garment", max_vertices=100, max_faces=100)
         statistics = session.statistics
         while (item := box.get())[0] is not END:
-            frame, dropped = item
+            request, dropped = item
+            if request.HasField("ping"):
+                yield pb.TrackResponse(pong=pb.Pong(token=request.ping.token))
+                continue
+            frame = request.frame
             self.frames.append(frame)
             time.sleep(self.delay)
             while frame.sequence_number >= self.silent_from and context.is_active():

@@ -75,6 +75,22 @@ async def test_errors_of_frames_and_of_the_server(service, mesh, frames):
             await collected(session.track(frames(3)))
 
 
+async def test_a_frame_that_cannot_be_sent_is_refused_although_no_other_frame_comes(service, mesh, frames):
+    told = [asyncio.Event() for _ in range(4)]
+
+    async def source():
+        for i, good in enumerate(frames(4)):
+            yield (np.full((2, 3), np.nan), i / 30) if i in (1, 2) else good
+            await asyncio.wait_for(told[i].wait(), 10)
+
+    async with aconnect(service.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        answers = []
+        async for answer in session.track(source(), on_error="yield"):
+            answers.append((answer.sequence, type(answer).__name__))
+            told[answer.sequence - 1].set()
+    assert answers == [(1, "Result"), (2, "FrameError"), (3, "FrameError"), (4, "Result")]
+
+
 @pytest.mark.parametrize("bad_frame", ["ragged points", "code that fails"], indirect=True)
 async def test_a_bad_frame_names_its_field_and_the_stream_goes_on(service, mesh, frames, bad_frame):
     made, (bad, field) = frames(3), bad_frame

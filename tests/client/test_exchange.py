@@ -154,3 +154,22 @@ def test_an_invalid_frame_is_refused_once_across_a_lost_connection():
     exchange.refuse(offered, errors.InvalidFrame("bad"))
     exchange.refuse(exchange.take(1.0), errors.InvalidFrame("bad"))
     assert [refused.sequence for refused in exchange.refused()] == [1]
+
+
+def test_an_invalid_frame_is_reported_after_a_lost_connection_too_once_those_before_it_are_answered():
+    exchange, lose = opened("lossless"), errors.Unavailable("lost")
+    for _ in range(2):
+        exchange.offer(Frame(np.zeros((1, 3)), 0.0), 0.0)
+        taken = exchange.take(0.0)
+    assert exchange.refuse(taken, errors.InvalidFrame("no")) is None, "the answer to frame 1 will do"
+    assert exchange.may_resume(lose, 1.0)
+    answers = exchange.receive(pb.TrackResponse(started=pb.Started()), 1.0)
+    assert [type(answer).__name__ for answer in answers] == ["Notice"]
+    exchange.take(1.0)
+    assert [answer.sequence for answer in exchange.receive(result(1), 1.0)] == [1, 2]
+
+    exchange.offer(Frame(np.zeros((1, 3)), 0.0), 2.0)
+    assert exchange.refuse(exchange.take(2.0), errors.InvalidFrame("no")).HasField("ping")
+    assert exchange.may_resume(lose, 3.0)
+    resumed, refused = exchange.receive(pb.TrackResponse(started=pb.Started(last_sequence_number=1)), 3.0)
+    assert (resumed.kind, refused.sequence) == ("resumed", 3)

@@ -1,8 +1,12 @@
 """Stream errors: failures of frames, source and server raise specific errors, never a hang."""
 
+import threading
+
 import numpy as np
 import pytest
 from ddakf_client import Frame, FrameError, connect, errors
+
+NAN = np.full((2, 3), np.nan)
 
 
 def test_refused_frames_raise_or_are_yielded(service, mesh, frames):
@@ -32,6 +36,36 @@ def test_frames_that_cannot_be_sent_raise_or_are_yielded(service, mesh, frames):
             answers = list(session.track(made, on_error="yield"))
     assert {a.sequence for a in answers if isinstance(a, FrameError)} == {2, 4}
     assert [a.sequence for a in answers] == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("flow", ["lossless", "realtime"])
+def test_a_frame_that_cannot_be_sent_is_refused_although_no_other_frame_comes(service, mesh, frames, flow):
+    told = [threading.Event() for _ in range(5)]
+
+    def source():
+        for i, good in enumerate(frames(5)):
+            yield (NAN, i / 30) if i in (1, 2) else good
+            assert told[i].wait(10), f"frame {i + 1} has no answer"
+
+    with connect(service.target) as client, client.create_session(*mesh, flow=flow) as session:
+        answers = []
+        for answer in session.track(source(), on_error="yield"):
+            answers.append((answer.sequence, type(answer).__name__))
+            told[answer.sequence - 1].set()
+    assert answers == [(1, "Result"), (2, "FrameError"), (3, "FrameError"), (4, "Result"), (5, "Result")]
+
+
+def test_frames_that_cannot_be_sent_are_refused_in_their_place_before_slower_answers(service, mesh, frames):
+    """The frame after them is sent, and the last answers come only when they have been delivered."""
+    service.silent_from, seen = 4, []
+    made = [(NAN, i / 30) if i in (1, 2) else good for i, good in enumerate(frames(4))]
+    with (
+        connect(service.target) as client,
+        client.create_session(*mesh, flow="lossless") as session,
+        pytest.raises(errors.DeadlineExceeded, match="no answer to frame 4"),
+    ):
+        seen.extend(answer.sequence for answer in session.track(made, on_error="yield", timeout=1))
+    assert seen == [1, 2, 3]
 
 
 @pytest.mark.parametrize("by", ["client", "server"])

@@ -187,7 +187,8 @@ class _Stream:
             try:
                 yield encode_request(offered, exchange.plan)
             except ServiceError as error:
-                exchange.refuse(offered, error)
+                if (ping := exchange.refuse(offered, error)) is not None:
+                    yield ping
 
     async def _pull(self) -> None:
         try:

@@ -220,15 +220,25 @@ class Exchange:
         """Marks the end of the requests as sent: the server owes the end of the stream."""
         self._owed_since = now
 
-    def refuse(self, offered: Offered, error: ServiceError) -> None:
-        """Notes that a frame could not be made a message."""
+    def refuse(self, offered: Offered, error: ServiceError) -> pb.TrackRequest | None:
+        """Notes that a frame could not be made a message.
+
+        Returns a ping to send if no earlier frame is unanswered: the refusal is delivered with the next response, and the pong
+        may be the only one for a long time. None: no ping is needed.
+        """
         if self._unanswered.pop(offered.sequence, None) is None:
-            return  # the connection was lost meanwhile: it will be tried again
+            return None  # the connection was lost meanwhile: it will be tried again
         error.sequence = offered.sequence
         if self.plan.on_error == "raise":
             self.failure = self.failure or error
-        else:
-            self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
+            return None
+        self._refused.append(FrameError(offered.sequence, time_of(offered.frame), error))
+        return pb.TrackRequest(ping=pb.Ping()) if offered.sequence < self._first_waiting() else None
+
+    def _first_waiting(self) -> float:
+        """Number of the first frame that was taken and has no answer; infinite: none."""
+        resend = (offered.sequence for offered in self._resend)
+        return min((*(sequence for sequence in self._unanswered if sequence > self._answered_through), *resend), default=math.inf)
 
     # Answers out ----------------------------------------------------------------------------------------------------
 
@@ -237,7 +247,7 @@ class Exchange:
         self._reading_since = now
 
     def receive(self, response: pb.TrackResponse, now: float) -> list[Result | FrameError | Notice]:
-        """Converts a response to answers for the caller, after those of earlier frames that could not be sent."""
+        """Converts a response to answers for the caller, with those of frames that could not be sent in their place."""
         kind = response.WhichOneof("message")
         if kind == "started":
             return self._start(response.started, now)
@@ -249,10 +259,10 @@ class Exchange:
             latency = self._answered(response.result.sequence_number, now)
             result = result_from(response.result, dropped_before_sending=self._dropped, latency=latency)
             self._log_new_warnings(result)
-            return [*self.refused(result.sequence), result]
+            return [*self.refused(result.sequence), result, *self.refused(self._first_waiting())]
         elif kind == "frame_error":
-            return self._rejected(frame_error_from(response.frame_error))
-        return []
+            return [*self._rejected(frame_error_from(response.frame_error)), *self.refused(self._first_waiting())]
+        return self.refused(self._first_waiting())  # a pong
 
     def _log_new_warnings(self, result: Result) -> None:
         """Logs the first warning of each code; ``Result.warnings`` has all."""
@@ -306,7 +316,7 @@ class Exchange:
         growing = _PAUSE_SHARE * (now - self._lost_since)
         return random.uniform(0.5, 1.0) * min(max(growing, _FIRST_PAUSE), _LONGEST_PAUSE)
 
-    def _start(self, started: pb.Started, now: float) -> list[Notice]:
+    def _start(self, started: pb.Started, now: float) -> list[FrameError | Notice]:
         """Handles the start of the stream, the first one or one after a reconnect."""
         last, resumed = started.last_sequence_number, self.lost
         self.started, self.lost = True, False
@@ -328,7 +338,7 @@ class Exchange:
         message = f"connected again: the session continues after frame {last}; {sent_again} frames are sent again"
         if self._to_repeat:
             message += f", {self._to_repeat} answers are repeated"
-        return [Notice("resumed", message, float(lost_frames), "")]
+        return [Notice("resumed", message, float(lost_frames), ""), *self.refused(self._first_waiting())]
 
     def _has_answer(self, sequence: int) -> bool:
         """Whether the caller has the answer to this frame already: the server repeats it among others that were lost."""

@@ -165,7 +165,9 @@ class _Stream:
                 yield encode_request(offered, exchange.plan)
             except ServiceError as error:
                 with self._change():
-                    exchange.refuse(offered, error)
+                    ping = exchange.refuse(offered, error)
+                if ping is not None:
+                    yield ping
 
     def _over(self) -> bool:
         return self._closed.is_set() or self._exchange.is_done()
