@@ -6,27 +6,30 @@ import asyncio
 from collections import deque
 from typing import NamedTuple, Protocol
 
+from ddakf_api.errors import InvalidFrame
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .frame_message import FrameMessage
 
 
 class QueuedFrame(NamedTuple):
-    """A frame and its time of arrival (monotonic clock, seconds)."""
+    """A frame and its time of arrival (monotonic clock, seconds); with ``refusal`` it is not tracked, but refused in its turn."""
 
     frame: FrameMessage
     arrived: float
+    refusal: InvalidFrame | None = None
 
 
 class Mailbox(Protocol):
     """Queue between the reader of a stream and the session."""
 
-    async def put(self, frame: FrameMessage, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float, refusal: InvalidFrame | None = None) -> int:
         """Adds a frame and returns the number of frames that will not be tracked: older ones that it displaced, or itself where
         the mailbox is closed. A wait holds the client back.
 
         Args:
             arrived: time of arrival, monotonic clock, seconds.
+            refusal: why the frame is not to be tracked.
         """
 
     async def get(self) -> QueuedFrame | None:
@@ -51,13 +54,13 @@ class LosslessMailbox:
         self._closed = False
         self._filled, self._room = asyncio.Event(), asyncio.Event()
 
-    async def put(self, frame: FrameMessage, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float, refusal: InvalidFrame | None = None) -> int:
         while len(self._frames) >= self._capacity and not self._closed:
             self._room.clear()
             await self._room.wait()
         if self._closed:
             return 1
-        self._frames.append(QueuedFrame(frame, arrived))
+        self._frames.append(QueuedFrame(frame, arrived, refusal))
         self._filled.set()
         return 0
 
@@ -90,11 +93,11 @@ class RealtimeMailbox:
         self._closed = False
         self._filled = asyncio.Event()
 
-    async def put(self, frame: FrameMessage, arrived: float) -> int:
+    async def put(self, frame: FrameMessage, arrived: float, refusal: InvalidFrame | None = None) -> int:
         if self._closed:
             return 1
         displaced = len(self)
-        self._newest = QueuedFrame(frame, arrived)
+        self._newest = QueuedFrame(frame, arrived, refusal)
         self._filled.set()
         return displaced
 

@@ -100,23 +100,26 @@ class Stream:
         self._mailbox.close()
 
     async def _receive_frame(self, frame: FrameMessage, arrived: float) -> None:
+        refusal = None
         try:
             self._check(frame)
+            self._arrivals.arrived(arrived)
         except InvalidFrame as error:
-            await self._outbox.put(self._refused(frame, error, arrived))
+            refusal, frame = error.with_traceback(None), frame._replace(data=b"")  # which takes no memory in the mailbox
+        if refusal is not None and self._mode != pb.FLOW_MODE_LOSSLESS:
+            await self._outbox.put(self._refused(frame, refusal, arrived))
             return
-        self._arrivals.arrived(arrived)
         try:
-            if self._mode == pb.FLOW_MODE_LOSSLESS:
+            if self._mode == pb.FLOW_MODE_LOSSLESS and refusal is None:
                 await self._pause_for_frame_rate()
-            dropped = await self._mailbox.put(frame, arrived)
+            dropped = await self._mailbox.put(frame, arrived, refusal)
         except asyncio.CancelledError:  # the client has left, which ends the reader
             self._recorder.dropped(self.session, 1)
             raise
         self._record_dropped(dropped)
 
     def _check(self, frame: FrameMessage) -> None:
-        """Rejects an invalid frame before it takes memory in the mailbox."""
+        """Rejects a frame that is invalid at a glance."""
         if frame.sequence_number >= _SEQUENCE_NUMBERS:  # such a number would leave none to the frames that follow
             raise InvalidFrame(field="sequence_number", expected="less than 2^63", got=str(frame.sequence_number))
         require_frame_within_bounds(frame, self.session.limits.max_points, self._max_image_pixels)
@@ -272,6 +275,8 @@ class Stream:
         Raises:
             Irrecoverable: the session cannot be restored.
         """
+        if queued.refusal is not None:
+            return self._refused(queued.frame, queued.refusal, queued.arrived)
         try:
             return await self._tracked(queued, monotonic())
         except ServiceError as error:

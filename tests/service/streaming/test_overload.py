@@ -58,7 +58,8 @@ def test_a_frame_whose_turn_comes_too_late_is_not_tracked(single, api, sheet):
     assert answers[2].error.name == "DeadlineExceeded"
     assert answers[2].frames_late == 1
     assert (answers[4].error.name, answers[4].error.field) == ("InvalidFrame", "deadline")
-    assert (answers[3].frames_applied, answers[3].frames_late, answers[3].frames_rejected) == (2, 1, 1)
+    assert (answers[3].frames_applied, answers[3].frames_late, answers[3].frames_rejected) == (2, 1, 0)
+    assert answers[4].frames_rejected == 1
     statistics = api.get(name).statistics
     assert (statistics.frames_applied, statistics.frames_late, statistics.frames_rejected) == (2, 1, 1)
     api.delete(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import queue
 
 import grpc
@@ -52,6 +53,23 @@ def test_lossless_answers_every_frame_in_order(api, large_session, frames):
     assert [result.sequence_number for result in results] == list(range(1, FRAMES + 1))
     assert [result.frames_applied for result in results] == list(range(1, FRAMES + 1))
     assert results[-1].frames_dropped == 0
+
+
+def test_in_lossless_flow_a_frame_that_is_refused_at_a_glance_is_answered_in_its_turn(service, api, sheet):
+    name = api.create(sheet, limits=pb.SessionLimits(max_points=len(sheet.vertices))).name
+    with Talk(api, name) as talk:
+        talk.ask(frame_of(sheet, 1))
+        with held(workers(service.pid)):
+            for number in (2, 3, 4, 5):
+                talk.send(frame_of(make_sheet(20) if number == 4 else sheet, number))
+            talk.await_arrival()
+        told = itertools.islice((answer for answer in talk.answers if not answer.HasField("notice")), 4)
+        answers = [getattr(answer, answer.WhichOneof("message")) for answer in told]
+        assert [answer.sequence_number for answer in answers] == [2, 3, 4, 5]
+        assert answers[2].error.field == "point_cloud.point_count"
+        assert [answer.frames_rejected for answer in answers] == [0, 0, 1, 1]
+        talk.end()
+    api.delete(name)
 
 
 def test_realtime_drops_what_is_overtaken_and_counts_it(api, large_session, frames):
