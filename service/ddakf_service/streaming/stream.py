@@ -261,7 +261,8 @@ class Stream:
                 if self.ending.is_set():
                     self._recorder.dropped(self.session, 1)
                     break
-                await self._outbox.put(await self._track(queued), queued.frame.data)
+                if (response := await self._track(queued)) is not None:
+                    await self._outbox.put(response, queued.frame.data)
             self._outbox.close()
         except Irrecoverable as error:
             self.end(error.reason)
@@ -269,8 +270,8 @@ class Stream:
             log.exception("a stream failed")
             self.end(error)
 
-    async def _track(self, queued: QueuedFrame) -> Response:
-        """The response to a frame.
+    async def _track(self, queued: QueuedFrame) -> Response | None:
+        """The response to a frame; None: its worker was lost, and the stream has ended before it could be tracked in another.
 
         Raises:
             Irrecoverable: the session cannot be restored.
@@ -280,6 +281,9 @@ class Stream:
         try:
             return await self._tracked(queued, monotonic())
         except ServiceError as error:
+            if isinstance(error, WorkerLost) and self.ending.is_set():
+                self._recorder.dropped(self.session, 1)
+                return None
             if isinstance(error, DeadlineExceeded):
                 self._record_missed(1)
             refused = self._refused(queued.frame, error, queued.arrived)

@@ -130,6 +130,28 @@ async def test_a_frame_whose_session_is_deleted_while_it_is_tracked(serving):
     assert serving.counts() == {"dropped": 1}
 
 
+@pytest.mark.parametrize("how", ["its client leaves", "the session is deleted"])
+async def test_a_frame_that_waits_for_another_worker_when_its_stream_ends(serving, monkeypatch, how):
+    """It has not failed: the next worker would have tracked it."""
+    restoring, free = asyncio.Event(), asyncio.Event()
+
+    async def restore(session_id, request, memory):
+        restoring.set()
+        await free.wait()
+        return pb.Session().SerializeToString()
+
+    monkeypatch.setattr(serving.pool, "restore", restore)
+    serving.server.lose(["some"])
+    await serving.receive(1)
+    await restoring.wait()
+    ended = serving.server.delete("sessions/some") if how == "the session is deleted" else serving.stream.close()
+    ending = asyncio.create_task(ended)
+    await serving.streams.leave(serving.stream)
+    free.set()
+    await ending
+    assert serving.counts() == {"dropped": 1}
+
+
 @pytest.mark.parametrize("rate", [0.0, 1e-3], ids=["full mailbox", "frame rate"])
 async def test_a_frame_that_is_held_back_when_its_client_leaves(serving, rate):
     """One frame is in the worker, one may wait; at the low rate the second one is held back already."""
