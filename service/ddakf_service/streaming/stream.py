@@ -110,8 +110,6 @@ class Stream:
             await self._outbox.put(self._refused(frame, refusal, arrived))
             return
         try:
-            if self._mode == pb.FLOW_MODE_LOSSLESS and refusal is None:
-                await self._pause_for_frame_rate()
             dropped = await self._mailbox.put(frame, arrived, refusal)
         except asyncio.CancelledError:  # the client has left, which ends the reader
             self._recorder.dropped(self.session, 1)
@@ -140,16 +138,19 @@ class Stream:
                 return waited_for
 
     async def _next_frame(self) -> QueuedFrame | None:
-        """The next frame to track; None after the last. In realtime mode it waits for the session's frame rate, and gives way to
-        newer frames meanwhile: the client gets an answer to the newest one, and so learns of those that were dropped."""
+        """The next frame to track or to refuse; None after the last. One to track waits for the session's frame rate. In realtime
+        mode it gives way to newer frames meanwhile: the client gets an answer to the newest one, and so learns of those that were
+        dropped."""
         queued = await self._mailbox.get()
-        if queued is None or self._mode == pb.FLOW_MODE_LOSSLESS:
+        if queued is None or queued.refusal is not None:
             return queued
         self._held = 1
         rate = await self._pause_for_frame_rate()
         if self.ending.is_set():
             return None
         self._held = 0
+        if self._mode == pb.FLOW_MODE_LOSSLESS:
+            return queued
         if len(self._mailbox):
             queued = await self._mailbox.get()
             self._recorder.dropped(self.session, 1)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import httpx
 import pytest
 from ddakf_api.errors import FrameTooCostly
@@ -12,7 +14,7 @@ from ddakf_service.sessions.recovery.durability import Irrecoverable
 from ddakf_service.sessions.session import Session
 from ddakf_service.settings import Settings
 
-from ...conftest import Api, Talk, eventually, frame_of, is_running, running, workers
+from ...conftest import Api, Talk, eventually, frame_of, is_running, request_of, running, workers
 
 
 class Pool:
@@ -108,3 +110,13 @@ def test_a_client_learns_of_each_step_from_the_refusal_to_the_end(strict, sheet)
     for penalty in ("slowed", "isolated", "ended"):
         assert f'ddakf_session_penalties_total{{penalty="{penalty}"}} 1.0' in metrics
     api.delete(neighbour)
+
+
+@pytest.mark.slow
+def test_frames_that_wait_already_are_slowed_too(strict, sheet):
+    """All frames are sent at once; the fourth and the fifth, with which the session ends, wait a second each."""
+    api = Api(strict.grpc)
+    name, begun = api.create(sheet).name, time.monotonic()
+    with pytest.raises(FrameTooCostly, match="has ended: 5 frames exceeded"):
+        list(api.track(name, [request_of(frame_of(sheet, number)) for number in range(1, 8)]))
+    assert time.monotonic() - begun > 2.0
