@@ -148,9 +148,9 @@ class Lifecycle:
             return
         if owner is not None:
             self._admission.require_key_room(principal, await self._leases.count(owner))
-        epoch = await self._leases.claim(session_id, uid, owner, request_id)
+        epoch = await self._claim(session_id, uid, owner, request_id)
         if epoch is None and await self._ends_here(session_id):
-            epoch = await self._leases.claim(session_id, uid, owner, request_id)
+            epoch = await self._claim(session_id, uid, owner, request_id)
         if epoch is None:
             is_created = request_id and await self._leases.of_request(owner, request_id)
             raise _being_created() if is_created else _exists(session_id)
@@ -160,8 +160,21 @@ class Lifecycle:
             self._durability.background(self._disclaim(uid))
             raise
 
-    async def _disclaim(self, uid: int) -> None:
+    async def _claim(self, session_id: str, uid: int, owner: str | None, request_id: str) -> int | None:
+        """See :meth:`.Leases.claim`. A caller that leaves meanwhile leaves no lease, although the database goes on."""
+        claim = self._durability.background(self._leases.claim(session_id, uid, owner, request_id))
+        try:
+            return await asyncio.shield(claim)
+        except asyncio.CancelledError:
+            self._durability.background(self._disclaim(uid, claim))
+            raise
+        finally:
+            del claim  # the traceback of its error refers to this Python frame: a reference cycle
+
+    async def _disclaim(self, uid: int, claim: asyncio.Task[int | None] | None = None) -> None:
         with contextlib.suppress(Unavailable):  # the lease expires with this server, and is deleted then
+            if claim is not None:
+                await claim
             await self._leases.drop(uid)
 
     async def _ends_here(self, session_id: str) -> bool:

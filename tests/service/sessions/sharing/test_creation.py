@@ -110,6 +110,27 @@ async def test_a_creation_that_failed_is_made_elsewhere(gateways):
     assert "mine" in two.sessions._catalog
 
 
+async def test_a_creation_whose_caller_leaves_during_its_claim_leaves_no_lease(gateways, monkeypatch):
+    one, two = gateways
+    claim, claimed, told = Leases.claim, asyncio.Event(), asyncio.Event()
+
+    async def slow(leases, *of):
+        epoch = await claim(leases, *of)
+        claimed.set()
+        await told.wait()
+        return epoch
+
+    monkeypatch.setattr(Leases, "claim", slow)
+    creation = one.create(session_id="mine")
+    await claimed.wait()
+    creation.cancel()
+    await asyncio.wait({creation})
+    told.set()
+    await one.sessions._durability.settle(10.0)
+    assert await Leases(two.store.database, "two").find("mine") is None
+    assert (await two.create(session_id="mine")).name == "sessions/mine"
+
+
 @pytest.mark.parametrize("server", ["two", "gone"])
 async def test_a_creation_that_was_cut_off_with_its_server_is_made_anew(gateways, server):
     """The server has started again, or is gone."""
