@@ -9,7 +9,7 @@ import time
 
 import numpy as np
 import pytest
-from ddakf_api.errors import DeadlineExceeded, InvalidArgument, SessionNotFound
+from ddakf_api.errors import DeadlineExceeded, InvalidArgument, InvalidFrame, SessionNotFound
 from ddakf_client import Frame, connect, recordings
 from mcap.reader import make_reader
 
@@ -73,6 +73,39 @@ def test_without_a_snapshot_the_replay_starts_from_the_first_result(service, rec
         pairs = list(recordings.replay(client, bare))
     assert len(pairs) == FRAMES
     assert max(np.abs(before.vertices - now.vertices).max() for before, now in pairs) < 5e-3
+
+
+def test_without_a_snapshot_the_replay_begins_at_the_first_result_with_arrays(service, recorded):
+    """Those before it are between every nth."""
+    whole = recordings.load(recorded[0])
+    for result in whole.results[:2]:
+        for name in ("vertices", "sigma", "vertex_reliability", "observed", "covariance"):
+            result.ClearField(name)
+    with connect(service.grpc) as client:
+        pairs = list(recordings.replay(client, recordings.Recording(whole.session, whole.frames, whole.results)))
+    assert [now.sequence for _, now in pairs] == [frame.sequence_number for frame in whole.frames[2:]]
+    assert max(np.abs(before.vertices - now.vertices).max() for before, now in pairs) < 5e-3
+    assert all(now.covariance is not None for _, now in pairs)
+
+
+def test_a_replay_tracks_frames_whose_deadline_was_short(service, recorded):
+    recording = recordings.load(recorded[0])
+    for frame in recording.frames:
+        frame.deadline = 1e-6
+    with connect(service.grpc) as client:
+        pairs = list(recordings.replay(client, recording))
+    assert [np.abs(before.vertices - now.vertices).max() for before, now in pairs] == [0.0] * FRAMES
+    assert {frame.deadline for frame in recording.frames} == {1e-6}
+
+
+def test_a_frame_that_is_refused_in_a_replay_is_an_error(service, recorded):
+    recording = recordings.load(recorded[0])
+    recording.frames[2].ClearField("point_cloud")
+    seen = []
+    with connect(service.grpc) as client, pytest.raises(InvalidFrame, match="payload") as refused:
+        seen.extend(now.sequence for _, now in recordings.replay(client, recording))
+    numbers = [frame.sequence_number for frame in recording.frames]
+    assert (seen, refused.value.sequence) == (numbers[:2], numbers[2])
 
 
 def test_the_file_has_clouds_meshes_and_numbers_in_the_schemas_of_foxglove(recorded):

@@ -70,15 +70,16 @@ def replay(client, arguments: argparse.Namespace) -> None:
         recording = package.load(arguments.file)
     except OSError as error:
         raise InvalidArgument("file", "a recording", f"{arguments.file}: {error.strerror}") from None
-    in_full, short, states, largest, largest_in_full = 0, 0, 0, 0.0, 0.0
+    count, in_full, short, states, largest, largest_in_full = 0, 0, 0, 0, 0.0, 0.0
     for before, now in package.replay(client, recording):
+        count += 1
         short += any(result.usage.widening != 1 or result.usage.lighter for result in (before, now))
         states += before.state == now.state
         if len(before.vertices) and before.vertices.shape == now.vertices.shape:
             largest = max(largest, float(abs(before.vertices - now.vertices).max()))
         if not short:
             in_full, largest_in_full = in_full + 1, largest
-    values = {"frames": len(recording.results), "same state": states, "largest difference mm": 1e3 * largest}
+    values = {"frames": count, "same state": states, "largest difference mm": 1e3 * largest}
     values |= {"short of time": short, "frames before": in_full, "largest difference before mm": 1e3 * largest_in_full}
     if arguments.json:
         print_json({name.replace(" ", "_"): value for name, value in values.items()})

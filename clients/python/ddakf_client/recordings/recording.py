@@ -8,7 +8,7 @@
 | `/numbers` | `ddakf.Numbers` | reliability, score, coverage, counters, seconds per stage |
 
 The attachment ``snapshot`` holds the tracker's state before the first frame: a replay continues from it and gives the same
-results to the bit. A key that may only read gets none; its replay starts from the first result.
+results to the bit. A key that may only read gets none; its replay starts from the first result that has arrays.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from ddakf_client.calls import failure
 from ddakf_client.client import Client, Session
 from ddakf_client.recordings import foxglove
-from ddakf_client.results import Result, result_from
+from ddakf_client.results import Result, frame_error_from, result_from
 
 SESSION, FRAME, RESULT, CLOUD, GARMENT, NUMBERS = "/session", "/frame", "/result", "/cloud", "/garment", "/numbers"
 SNAPSHOT = "snapshot"
@@ -193,25 +193,36 @@ def load(path: str | PathLike) -> Recording:
 def replay(client: Client, recording: Recording) -> Iterator[tuple[Result, Result]]:
     """Sends the recorded frames to a new session and yields each recorded result with its new one; deletes the session.
 
-    With a snapshot of the same version of the tracker the arrays are equal to the bit.
+    With a snapshot of the same version of the tracker the arrays are equal to the bit. Without one the replay begins at the
+    first frame whose result has arrays. The deadlines of the frames do not hold: the server has all frames at once.
 
     Raises:
-        ServiceError: the server refuses the session, or ends its stream.
+        ServiceError: the server refuses the session or a frame, whose number ``sequence`` is, or ends its stream.
     """
-    with _session_of(client, recording) as session:
-        call = client.open_track(_requests(session.name, recording))
-        answers = (response.result for response in call if response.HasField("result"))
+    first, frames = _first_with_arrays(recording), recording.frames
+    if first is not None and not recording.snapshot:
+        frames = [frame for frame in frames if frame.sequence_number >= first.sequence_number]
+    with _session_of(client, recording, first) as session:
+        call = client.open_track(_requests(session.name, frames, first or pb.Result()))
         recorded = {result.sequence_number: result for result in recording.results}
         try:
-            for answer in answers:
-                yield _converted(recorded[answer.sequence_number]), _converted(answer)
+            for response in call:
+                if response.HasField("frame_error"):
+                    raise frame_error_from(response.frame_error).error
+                if response.HasField("result"):
+                    yield _converted(recorded[response.result.sequence_number]), _converted(response.result)
         except grpc.RpcError as error:
             raise failure(error, client.target, _NO_LIMIT) from None
         finally:
             call.cancel()
 
 
-def _session_of(client: Client, recording: Recording) -> Session:
+def _first_with_arrays(recording: Recording) -> pb.Result | None:
+    """The first result with arrays, which those between every nth lack; None: there is none."""
+    return next((result for result in recording.results if result.HasField("vertices")), None)
+
+
+def _session_of(client: Client, recording: Recording, first: pb.Result | None) -> Session:
     labels = {"source": "replay"}
     if recording.snapshot:
         return client.restore_session(recording.snapshot, labels=labels)
@@ -220,14 +231,14 @@ def _session_of(client: Client, recording: Recording) -> Session:
         message.body.CopyFrom(recording.session.body)
     request = pb.CreateSessionRequest(api_version=API_VERSION, session=message)
     session = client._session("CreateSession", request, keep=False)
-    if recording.results:
-        session.reset(_converted(recording.results[0]).vertices)
+    if first is not None:
+        session.reset(_converted(first).vertices)
     return session
 
 
-def _requests(name: str, recording: Recording) -> Iterator[pb.TrackRequest]:
-    """The frames as they were recorded, answered in the encodings of the recorded results."""
-    first = recording.results[0] if recording.results else pb.Result()
+def _requests(name: str, frames: list[pb.Frame], first: pb.Result) -> Iterator[pb.TrackRequest]:
+    """The frames as they were recorded, but without deadlines, answered in the encodings of the first recorded result with
+    arrays."""
     options = pb.ResultOptions(
         vertex_encoding=first.vertices.encoding,
         sigma_encoding=first.sigma.encoding,
@@ -237,8 +248,10 @@ def _requests(name: str, recording: Recording) -> Iterator[pb.TrackRequest]:
     )
     flow = pb.FLOW_MODE_LOSSLESS
     yield pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=flow, result_options=options))
-    for frame in recording.frames:
-        yield pb.TrackRequest(frame=frame)
+    for frame in frames:
+        request = pb.TrackRequest(frame=frame)
+        request.frame.ClearField("deadline")
+        yield request
 
 
 def _converted(message: pb.Result) -> Result:
