@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import logging
+
 import grpc
 import pytest
-from ddakf_api.errors import ERROR_METADATA_KEY, ERRORS, InvalidArgument, ResourceExhausted, from_rpc_error, to_detail
+from ddakf_api.errors import (
+    ERROR_METADATA_KEY,
+    ERRORS,
+    InvalidArgument,
+    ResourceExhausted,
+    Unavailable,
+    from_rpc_error,
+    to_detail,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_service.transports.grpc.errors import rich_status, shortened, trailers
+from ddakf_service.transports.grpc.errors import abort, rich_status, shortened, trailers
 from google.rpc import error_details_pb2
+from grpc._cython import cygrpc
 from grpc_status import rpc_status
 
 from ..conftest import TIMEOUT, make_sheet
@@ -110,3 +121,37 @@ def test_the_longest_texts_arrive(api):
     assert ERROR_METADATA_KEY in dict(error.trailing_metadata())
     assert type(from_rpc_error(error)).__name__ == "InvalidConfig"
     assert details_of(rpc_status.from_call(error))["ErrorInfo"].reason == "INVALID_CONFIG"
+
+
+class Cut:
+    """The context of a call whose client cuts it off at the moment of its abort."""
+
+    async def abort(self, *_):
+        raise cygrpc.ExecuteBatchError("the status cannot be sent")
+
+
+@pytest.mark.parametrize("kind", ["unary_unary", "stream_stream"])
+async def test_a_call_that_its_client_cuts_off_is_not_logged_as_a_defect(kind, caplog):
+    left = []
+
+    async def unary_unary(request, context):
+        left.append("aborted")
+        await abort(Cut(), Unavailable("too late"))
+        left.append("went on")
+
+    async def stream_stream(requests, context):
+        await unary_unary(requests, context)
+        yield b""
+
+    handler = {"unary_unary": grpc.unary_unary_rpc_method_handler, "stream_stream": grpc.stream_stream_rpc_method_handler}
+    method = handler[kind]({"unary_unary": unary_unary, "stream_stream": stream_stream}[kind])
+    server = grpc.aio.server(handlers=[grpc.method_handlers_generic_handler("some", {"Method": method})])
+    port = server.add_insecure_port("127.0.0.1:0")
+    await server.start()
+    async with grpc.aio.insecure_channel(f"127.0.0.1:{port}") as channel:
+        call = getattr(channel, kind)("/some/Method")(b"" if kind == "unary_unary" else iter([b""]), timeout=0.3)
+        with pytest.raises(grpc.RpcError):
+            await (call if kind == "unary_unary" else call.read())
+    await server.stop(0)
+    assert left == ["aborted"]
+    assert [record.getMessage() for record in caplog.records if record.levelno >= logging.ERROR] == []

@@ -6,7 +6,9 @@ texts are truncated so that the longest fit.
 
 from __future__ import annotations
 
+import asyncio
 import re
+from contextlib import suppress
 from typing import TypeVar
 
 import grpc
@@ -59,9 +61,15 @@ def _metadata(detail: pb.ErrorDetail) -> dict[str, str]:
 
 
 async def abort(context: grpc.aio.ServicerContext, error: Exception) -> None:
-    """Aborts the call. Call it outside the ``except`` block: gRPC would keep the handled error."""
+    """Aborts the call. Call it outside the ``except`` block: gRPC would keep the handled error.
+
+    Raises:
+        grpc.aio.AbortError: always, for gRPC. asyncio.CancelledError: the client has cut the call off meanwhile.
+    """
     detail, cls = shortened(to_detail(error)), class_of(error)
-    await context.abort(cls.status, detail.message, trailers(detail, cls))
+    with suppress(grpc.aio.InternalError):  # the status cannot be sent any more: gRPC would log it as a defect
+        await context.abort(cls.status, detail.message, trailers(detail, cls))
+    raise asyncio.CancelledError
 
 
 def without_traceback(error: E) -> E:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from urllib.parse import unquote
 
 import grpc
-from ddakf_api.errors import ServiceError, class_of, to_detail
+from ddakf_api.errors import ServiceError
 
 from ...auth.guard import ADMIN, GRPC_SCOPES, Guard, bearer_key
 from ...auth.principal import current_principal
-from .errors import trailers
+from .errors import abort, without_traceback
 
 
 class GrpcGuard(grpc.aio.ServerInterceptor):
@@ -30,7 +30,8 @@ class GrpcGuard(grpc.aio.ServerInterceptor):
         try:
             principal = await self._guard.admit(presented_key, sufficient, headers)
         except ServiceError as error:
-            return _refusing(error, functools.partial(self._guard.refusals.record, error, presented_key, details.method))
+            refused = without_traceback(error)
+            return _refusing(refused, functools.partial(self._guard.refusals.record, refused, presented_key, details.method))
         current_principal.set(principal)
         return handler
 
@@ -41,11 +42,10 @@ def _refusing(error: ServiceError, record: Callable[[str], None]) -> grpc.RpcMet
     Args:
         record: called with the address of the caller.
     """
-    detail, cls = to_detail(error), class_of(error)
 
     async def refuse(requests, context):
         record(unquote(context.peer()))
-        await context.abort(cls.status, detail.message, trailers(detail, cls))
+        await abort(context, error)
         yield
 
     return grpc.stream_stream_rpc_method_handler(refuse)
