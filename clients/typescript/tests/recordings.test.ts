@@ -42,7 +42,7 @@ async function record(): Promise<void> {
   async function* camera() {
     for (let i = 1; isRunning(); i++) {
       if (i > 1) while (!existsSync(path) && isRunning()) await pause(0.05);
-      yield sheetFrame(sheet, i);
+      yield { ...sheetFrame(sheet, i), deadline: 60 };
       await pause(0.05);
     }
   }
@@ -71,6 +71,11 @@ test("a recording has the session's meshes, and its frames with their answers in
   const pairs = await collected(recording.frames());
   expect(pairs).toHaveLength(FRAMES);
   for (const { frame, result } of pairs) expect(frame.sequenceNumber).toBe(result.sequenceNumber);
+});
+
+test("the deadlines of recorded frames do not hold in a replay", async () => {
+  const recording = await Recording.open(blob(), unzstd);
+  for (const { frame } of await collected(recording.frames())) expect(frame.deadline).toBe(0);
 });
 
 test("a replay of a recording gives the recorded vertices to the bit", async () => {

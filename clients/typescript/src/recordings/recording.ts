@@ -11,7 +11,7 @@ import { Mcap, type Unzstd } from "./mcap.js";
 
 const [SESSION, FRAME, RESULT, SNAPSHOT] = ["/session", "/frame", "/result", "snapshot"];
 
-/** A frame as it was sent, and its answer. */
+/** A frame as it was sent, but without its deadline, which does not hold in a replay; and its answer. */
 export interface RecordedFrame {
   frame: Frame;
   result: Result;
@@ -57,7 +57,10 @@ export class Recording {
     let frame: Frame | undefined;
     for await (const { topic, data } of this.file.messages(new Set([FRAME, RESULT])))
       if (topic === FRAME) frame = fromBinary(FrameSchema, data);
-      else if (frame && frame.sequenceNumber > known) yield { frame, result: fromBinary(ResultSchema, data) };
+      else if (frame && frame.sequenceNumber > known) {
+        frame.deadline = 0;
+        yield { frame, result: fromBinary(ResultSchema, data) };
+      }
   }
 
   /**
