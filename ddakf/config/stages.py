@@ -341,7 +341,7 @@ class PaperReliability(Checked):
 class ErrorEvidence(Checked):
     """Comparison of the cloud with the surface, as evidence of the error."""
 
-    points: int = bounded(800, 1, 10_000)  # of a cloud that are compared
+    points: int = bounded(800, 1, 10_000)  # of a cloud that are compared, at least, and less than twice as many
     reach: float = bounded(0.10, 0.01, 1)  # m: a point farther from all vertices says nothing about the surface
     foreign_share: float = bounded(0.15, 0, 1)  # of such points, removed ones too; a cloud with more is of more than the garment
     foreign_rest: float = bounded(0.02, 0, 1)  # share that skin removal and colours have left of them, from which on it still is

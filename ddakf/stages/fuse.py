@@ -24,6 +24,7 @@ from ddakf.physics.energies import total_blocks, total_gradient
 from ddakf.stages import robust
 from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem, State, System
 
+NOISY = 2.0  # variance of points over that of planes, from which on they count less
 OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
 
 
@@ -189,10 +190,15 @@ def _planes(problem: Problem, estimate: Estimate) -> Planes:
 
 
 def _information(problem: Problem, points: FoundFaces, variance: float) -> np.ndarray:
-    """(P,) 1/m^2 of points on faces, beside planes of this variance, m^2; few have in sum as much as all that are wanted."""
+    """(P,) 1/m^2 of points on faces, beside planes of this variance, m^2.
+
+    Few have in sum as much as all that are wanted. A point averages no others as a plane does: where heights scatter more than
+    planes err, by NOISY in their variances, they count less.
+    """
     model, association = problem.model, problem.config.associate
     share = association.wanted_points(model.area, model.edge_length) / len(points.face)
-    return association.points_weight * share / variance * robust.weigh_points(problem, points)
+    weight, scale = robust.weigh_points(problem, points)
+    return association.points_weight * share / max(variance, scale**2 / NOISY) * weight
 
 
 def accelerated(estimate: Estimate, delta: np.ndarray, config: MapUpdate) -> np.ndarray:

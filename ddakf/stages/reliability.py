@@ -60,8 +60,9 @@ def beside(frame: FrameInput, position: np.ndarray) -> FrameInput:
 
 
 def sample(frame: FrameInput, config: ErrorEvidence) -> FrameInput:
-    """The configured number of a frame's points, spread over all."""
-    return frame.only(spread_rows(len(frame.points), config.points))
+    """Some of a frame's points, spread over all: the configured number, and less than twice as many."""
+    n = len(frame.points)
+    return frame.only(spread_rows(n, n // max(1, n // config.points)))
 
 
 def missing(measurement: Measurement) -> bool:

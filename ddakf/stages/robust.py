@@ -67,14 +67,17 @@ def weigh(problem: Problem, estimate: Estimate, measurement: Measurement) -> np.
     return weight
 
 
-def weigh_points(problem: Problem, found: FoundFaces) -> np.ndarray:
-    """(P,) weights in [0, 1] of points on faces, by their height in units of its robust scale or the sensor's least noise."""
+def weigh_points(problem: Problem, found: FoundFaces) -> tuple[np.ndarray, float]:
+    """(P,) weights in [0, 1] of points on faces, by their heights in units of a robust scale; and that scale, metres.
+
+    It is at least the sensor's least noise.
+    """
     config, weight = problem.config.robust, found.agrees.astype(float)
     if isinstance(config, NoWeight) or not found.agrees.any():
-        return weight
+        return weight, problem.config.adapt.lowest_sd
     scale = max(kernels.NORMAL_MAD * float(np.median(np.abs(found.offset[found.agrees]))), problem.config.adapt.lowest_sd)
     weight[found.agrees] = tukey(found.offset[found.agrees] / scale, config.cutoff)
-    return weight
+    return weight, scale
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from ddakf.kernels import fuse as fuse_kernels
 from ddakf.kernels import surface_points as kernels
 from ddakf.kernels import uncertainty as uncertainty_kernels
 from ddakf.kernels.surface_points import NO_FACE, Agreement, FoundFaces, Sample
-from ddakf.stages import uncertainty
+from ddakf.stages import fuse, uncertainty
 from ddakf.stages.grid import nearest_vertices
 from tests.stages.scenes import FPS, scan, tube
 from tests.tracker_runs import SAMPLE, SHIRT
@@ -146,3 +146,21 @@ def test_points_are_no_coupling_between_patches(monkeypatch):
         least.append(values[0] / values[-1])
     assert least[0] > -1e-4
     assert least[1] < least[0] - 1e-4
+
+
+def test_points_of_a_noisy_sensor_count_less(monkeypatch):
+    """A plane averages many points, and one point none."""
+    seen, found, information = [], {}, fuse._information
+
+    def kept(problem, points, variance):
+        seen.append(variance * information(problem, points, variance))  # beside that of a plane
+        return seen[-1] / variance
+
+    monkeypatch.setattr(fuse, "_information", kept)
+    for noise in (0.001, 0.003, 0.010):
+        tracker = Tracker(GARMENT)
+        for k in range(4):
+            tracker.step(scan(GARMENT.vertices, GARMENT, 6000, noise, seed=k), timestamp=k / FPS)
+        found[noise] = np.median(seen[-1][seen[-1] > 0.0])
+    assert found[0.003] == pytest.approx(found[0.001], rel=0.3)
+    assert found[0.010] < 0.6 * found[0.003]
