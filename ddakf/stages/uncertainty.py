@@ -39,7 +39,10 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     state = predict.learned(problem, _conditioned(problem, estimate), estimate.learnable)
     covariance, drift = marginals(problem, estimate, state)
     tangential2 = colour.conditioned(problem, estimate, covariance)
-    turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance) if drift.unseen_turn > 0.0 else 0.0
+    turned2 = 0.0
+    if drift.unseen_turn > 0.0:
+        turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance)
+        covariance = _capped(covariance, problem.config.uncertainty)
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
         covariance = _capped(blind, problem.config.uncertainty)
