@@ -46,6 +46,7 @@ def table(result: Result, name: str = "headline", title: str = "Headline") -> Ta
     best_of_each = [f"{ratio:.2f}" for view in views if (ratio := best_of_each_ratio(result, view)) is not None]
     if best_of_each:
         notes.append(f"Against the best baseline of each sequence the ratios of the RMSE are {', '.join(best_of_each)}.")
+    notes += [sentence for view in views for sentence in _not_first(result, view)]
     if loads:
         notes.append(f"Load average while the runs ended: {min(loads):.1f} to {max(loads):.1f}.")
     return Table(name, title, heads, rows, notes, [result])
@@ -106,6 +107,26 @@ def best_of_each_ratio(result: Result, view: str, value: str = "rmse_mm") -> flo
     found = [_by_unit(result, m, view, value) for m in rivals]
     least = {unit: min(each[unit] for each in found if unit in each) for unit in ours if any(unit in each for each in found)}
     return float(np.exp(np.mean([np.log(least[unit] / ours[unit]) for unit in least]))) if least else None
+
+
+def better_baselines(result: Result, view: str, value: str = "rmse_mm") -> dict[str, tuple[float, str, float]]:
+    """By sequence (FAUST: subject) on which some baseline has less than DD-AKF: DD-AKF's value, that baseline and its value."""
+    ours = _by_unit(result, OURS, view, value)
+    rivals = {m: _by_unit(result, m, view, value) for m in result.methods if m not in NOT_RIVALS}
+    least = {unit: min((found[unit], m) for m, found in rivals.items() if unit in found) for unit in ours if rivals}
+    return {unit: (ours[unit], name, error) for unit, (error, name) in sorted(least.items()) if error < ours[unit]}
+
+
+def _not_first(result: Result, view: str) -> list[str]:
+    """A sentence on the sequences on which some baseline is better, if there is one."""
+    better, along = (better_baselines(result, view, value) for value in ("rmse_mm", "rmse_normal_mm"))
+    if not (better or along):
+        return []
+    cases = [f"{unit} ({ours:.1f}; {TITLES.get(name, name)} {error:.1f})" for unit, (ours, name, error) in better.items()]
+    which = f": {', '.join(cases)}" if cases else ""
+    n = len(_by_unit(result, OURS, view, "rmse_mm"))
+    return [f"{CONDITIONS[view].capitalize()}, some baseline has less RMSE on {len(better)} of {n} sequences{which}. "
+            f"Along the normal it is {len(along)}."]  # fmt: skip
 
 
 def _of(result: Result, view: str) -> list[dict]:

@@ -359,6 +359,14 @@ def test_a_baseline_that_lacks_a_sequence_is_not_the_best():
     assert headline.best_of_each_ratio(found, "front+body") == pytest.approx((0.75 * 0.75 * 2.0) ** (1 / 3))
 
 
+def test_the_headline_names_the_sequences_on_which_a_baseline_is_better():
+    found = headline_of({"still": [1.0] * 3, "icp": [3.0, 9, 9], "nicp": [8.0, 8, 5], "ddakf": [4.0, 4, 8]})
+    assert headline.better_baselines(found, "front+body") == {"s0": (4.0, "icp", 3.0), "s2": (8.0, "nicp", 5.0)}
+    assert any("less RMSE on 2 of 3 sequences" in note and "s2 (8.0;" in note for note in headline.table(found).notes)
+    alone = headline_of({"icp": [9.0], "ddakf": [4.0]})
+    assert not any("sequences:" in note for note in headline.table(alone).notes)
+
+
 def test_runs_of_uncommitted_code_are_marked_in_red(folder, monkeypatch):
     monkeypatch.setattr(machine, "is_traceable", lambda revision: False)
     text = html.page("t", [], content.tables_of(read.read(folder), folder), [], "..")
