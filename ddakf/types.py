@@ -394,6 +394,7 @@ class InputReference(NamedTuple):
     outward: float  # mean cosine of its normals to the outside
     body_outward: float  # of the body's; 1 without a body
     split_edges: int = 0  # open edges of the garment at the place of another
+    seam_gap: float = 0.0  # m between a part and another one whose opening runs beside it; 0 where none does
     fallen_body: str = ""  # what of the body at the start does not stand along the vertical of the configuration
 
 

@@ -1,6 +1,7 @@
 """Working mesh: the even mesh whose vertices are tracked, and the template that it carries along.
 
 Small pieces that nothing joins to the garment, such as buttons, are carried along: on their own too few points would hold them.
+So is the inner layer of a garment with a thickness.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.config import Discretisation
-from ddakf.garment import geodesic, remeshing
+from ddakf.garment import geodesic, remeshing, thickness
 from ddakf.kernels import working_mesh as kernels
 from ddakf.mesh import Mesh
 from ddakf.results import FrameResult
@@ -22,7 +23,6 @@ SHORTEST = 1e-6  # m: the square of less may be 0
 SLIVER = 0.01  # mean edges; a template with a shorter edge is not even: its forces would be too stiff
 SMALL = 0.05  # share of the surface below which a piece is carried along
 ALL_SMALL = 0.25  # share of all small pieces from which on they are the garment
-AT_ONCE = 256  # vertices of pieces whose nearest ones are sought at a time
 
 
 class Places(NamedTuple):
@@ -84,7 +84,7 @@ class WorkingMesh(NamedTuple):
 
 
 def build(template: Mesh, config: Discretisation) -> WorkingMesh:
-    """The working mesh of a template, which is its own where it is even, not finer than needed, and has no small pieces.
+    """The working mesh of a template, which is its own where it is even, of one layer, in large pieces, and not too fine.
 
     Args:
         template: the garment at rest.
@@ -92,9 +92,8 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
     """
     if config.working_edge == 0.0:
         return WorkingMesh(template, template, None)
-    loose = _in_small_pieces(template)
-    kept = np.flatnonzero(~loose)
-    cloth = _part(template, kept) if loose.any() else template
+    kept = _of_cloth(template)
+    cloth = template if kept.all() else _part(template, kept)
     edge, even = working_edge(cloth, config), None
     if not (cloth.edge_length > config.working_finest * edge and unevenness(cloth) < config.working_unevenness):
         even = remeshing.remesh(cloth, edge)
@@ -104,9 +103,9 @@ def build(template: Mesh, config: Discretisation) -> WorkingMesh:
         even = _itself(cloth)
     owner = np.empty(template.n_vertices, even.owner.dtype)
     owner[kept] = even.owner
-    owner[loose] = _nearest(template.vertices[loose], even.mesh.vertices)
+    owner[~kept] = geodesic.nearest_points(even.mesh.vertices, template.vertices[~kept])
     on_mesh = _on_mesh(template, even._replace(owner=owner))
-    return WorkingMesh(template, even.mesh, Places((kept[even.corner].astype(np.int32), even.share), on_mesh))
+    return WorkingMesh(template, even.mesh, Places((np.flatnonzero(kept)[even.corner].astype(np.int32), even.share), on_mesh))
 
 
 def working_edge(template: Mesh, config: Discretisation) -> float:
@@ -138,6 +137,14 @@ def interpolated(values: np.ndarray, corner: np.ndarray, share: np.ndarray) -> n
     return result
 
 
+def _of_cloth(template: Mesh) -> np.ndarray:
+    """(V,) bool, of the vertices of the faces that are tracked: neither of the inner layer nor in small pieces."""
+    left_out = _in_small_pieces(template) | thickness.inner_layer(template)
+    kept = np.zeros(template.n_vertices, bool)
+    kept[template.faces[~left_out[template.faces].any(axis=1)]] = True
+    return kept
+
+
 def _in_small_pieces(mesh: Mesh) -> np.ndarray:
     """(V,) bool, of the vertices of pieces with less than ``SMALL`` of the surface, unless the garment consists of such."""
     piece = geodesic.graph_of(mesh.edges, np.ones(len(mesh.edges)), mesh.n_vertices).piece_of_vertices()
@@ -147,23 +154,15 @@ def _in_small_pieces(mesh: Mesh) -> np.ndarray:
 
 
 def _part(mesh: Mesh, kept: np.ndarray) -> Mesh:
-    """The mesh of some vertices alone, all of whole pieces."""
-    number = np.full(mesh.n_vertices, -1)
-    number[kept] = np.arange(len(kept))
-    faces = number[mesh.faces]
-    return Mesh(mesh.vertices[kept], faces[(faces >= 0).all(axis=1)])
+    """The mesh of some vertices alone, (V,) bool, and of the faces whose corners are all of them."""
+    number = np.cumsum(kept) - 1
+    return Mesh(mesh.vertices[kept], number[mesh.faces[kept[mesh.faces].all(axis=1)]])
 
 
 def _itself(mesh: Mesh) -> remeshing.Remeshed:
     """A mesh as its own even one."""
     every = np.arange(mesh.n_vertices)
     return remeshing.Remeshed(mesh, np.repeat(every[:, None], 3, axis=1), np.tile([1.0, 0.0, 0.0], (len(every), 1)), every)
-
-
-def _nearest(points: np.ndarray, vertices: np.ndarray) -> np.ndarray:
-    """(N,) the vertex (W, 3) that is nearest to each of (N, 3) points."""
-    parts = (points[k : k + AT_ONCE, None] - vertices for k in range(0, len(points), AT_ONCE))
-    return np.concatenate([np.empty(0, np.int64), *(np.square(part).sum(axis=2).argmin(axis=1) for part in parts)])
 
 
 def _on_mesh(template: Mesh, even: remeshing.Remeshed) -> tuple[np.ndarray, np.ndarray]:

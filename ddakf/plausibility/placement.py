@@ -70,11 +70,14 @@ def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
 
 
 def split_seams(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a garment that falls apart along the seams of its texture."""
-    split = problem.reference.split_edges
-    if split < SPLIT:
-        return None
-    return Sign("garment", f"{split} open edges lie at the place of another: Mesh.cleaned() or clean=true joins them")
+    """The sign of a garment that falls apart: along the seams of its texture, or where a part is not joined to the rest."""
+    split, gap = problem.reference.split_edges, problem.reference.seam_gap
+    if split >= SPLIT:
+        return Sign("garment", f"{split} open edges lie at the place of another: Mesh.cleaned() or clean=true joins them")
+    if gap > 0.0:
+        apart = f"an opening of one part runs {1000 * gap:.0f} mm beside another part"
+        return Sign("garment", f"{apart}: join them if they are sewn, as parts move on their own")
+    return None
 
 
 def body_apart(problem: Problem, estimate: Estimate) -> Sign | None:

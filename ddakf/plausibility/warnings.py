@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 from ddakf.config import Config
+from ddakf.garment import seams
 from ddakf.mesh import Mesh
 from ddakf.plausibility import handedness, placement, sensor_poses, sidedness, units
 from ddakf.results import InputWarning, WarningCode
@@ -57,10 +58,11 @@ CHECKS: Mapping[WarningCode, Check] = {
 def reference(given: Mesh, garment: Model, body: Mesh | None, config: Config) -> InputReference:
     """What the frames of a garment are held against: the mesh as given, the garment that is tracked, and its body."""
     sides, outward = sidedness.sides(garment, config.sidedness, config.start.to_y_up[1]), handedness.outward(garment.mesh)
+    reference = InputReference(sides, outward, 1.0, given.split_edges, seams.gap(garment.mesh))
     if body is None:
-        return InputReference(sides, outward, 1.0, given.split_edges)
+        return reference
     fallen = handedness.fallen(body, config.start.to_y_up)
-    return InputReference(sides, outward, handedness.outward(body), given.split_edges, fallen)
+    return reference._replace(body_outward=handedness.outward(body), fallen_body=fallen)
 
 
 def warned(problem: Problem, estimate: Estimate, verdict: Verdict) -> Verdict:

@@ -119,6 +119,19 @@ def test_a_garment_that_a_texture_has_split_is_told():
     assert Tracker(joined).step(cloud(0), timestamp=0.0, sensor_origin=EYE).warnings == ()
 
 
+@pytest.mark.parametrize(("apart", "told"), [(0.005, True), (0.2, False)])
+def test_a_part_beside_the_rest_that_is_not_joined_to_it_is_told(apart, told):
+    """As a sleeve beside its armhole, not as trousers below a shirt."""
+    half = TUBE.vertices[TUBE.faces].mean(axis=1)[:, 1] > TUBE.vertices[:, 1].mean()
+    raised = TUBE.vertices + [0.0, apart, 0.0]
+    parts = np.concatenate([TUBE.faces[half], TUBE.faces[~half] + TUBE.n_vertices])
+    garment = Mesh(*_used(np.concatenate([raised, TUBE.vertices]), parts))
+    result = Tracker(garment).step(cloud(0), timestamp=0.0, sensor_origin=EYE)
+    found = [each for each in result.warnings if each.code == "split_seams"]
+    assert bool(found) == told
+    assert all("5 mm beside another part" in each.message for each in found)
+
+
 def _used(vertices, faces):
     kept, numbers = np.unique(faces, return_inverse=True)
     return vertices[kept], numbers.reshape(faces.shape)
