@@ -62,7 +62,7 @@ class Result:
     """The garment after one frame.
 
     Attributes:
-        sequence: number of the frame; frame i (from 0) of a stream has the number of its first frame plus i.
+        sequence: number of the frame, from 1 on in a session; frame i (from 0) of a stream has that of its first one plus i.
         timestamp: of the frame, seconds of the caller's clock.
         state: "initializing", "tracking", "recovering" or "lost".
         vertices: (V, 3) float32 metres.

@@ -38,12 +38,13 @@ class Outbox:
         self._append(response)
 
     def notify(self, notice: pb.Notice) -> None:
-        """Appends a notice without waiting; replaces a queued notice of the same kind."""
+        """Appends a notice without waiting. It replaces a queued one of its kind, but RESUMED ones, each with its own losses."""
         response = Response(pb.TrackResponse(notice=notice))
         self._publish(response)
-        older = [r for r in self._responses if r.has("notice") and r.message.notice.kind == notice.kind]
-        for waiting in older:
-            self._responses.remove(waiting)
+        if notice.kind != pb.NOTICE_KIND_RESUMED:
+            older = [r for r in self._responses if r.has("notice") and r.message.notice.kind == notice.kind]
+            for waiting in older:
+                self._responses.remove(waiting)
         self._append(response)
 
     def _append(self, response: Response) -> None:

@@ -85,6 +85,17 @@ async def test_one_response_waits_for_a_slow_reader():
     await asyncio.wait_for(second, 30)
 
 
+async def test_a_notice_replaces_a_queued_one_but_losses_are_all_told():
+    outbox = Outbox(lambda response, frame=b"": None)
+    for kind in (pb.NOTICE_KIND_WAITING, pb.NOTICE_KIND_RESUMED):
+        for value in (2.0, 3.0):
+            outbox.notify(pb.Notice(kind=kind, value=value))
+    notices = [(await outbox.get()).message.notice for _ in range(3)]
+    assert [(notice.kind, notice.value) for notice in notices] == [
+        (pb.NOTICE_KIND_WAITING, 3.0), (pb.NOTICE_KIND_RESUMED, 2.0), (pb.NOTICE_KIND_RESUMED, 3.0)
+    ]  # fmt: skip
+
+
 @pytest.mark.parametrize("rate", [0.5, 10.0, 90.0])
 def test_a_rate_is_kept_in_the_mean_and_a_stutter_is_no_offence(rate):
     limit, interval = frame_bucket(), 0.5 / rate

@@ -259,9 +259,11 @@ class Checkpoints:
                 self.condition.works()
 
     def _write_waiting(self) -> None:
-        while self._waiting:
+        while True:
             with self._changed:
-                uid = next(iter(self._waiting))
+                uid = next(iter(self._waiting), None)  # the last one may just have been deleted
+                if uid is None:
+                    return
                 self._writing = uid, self._waiting.pop(uid)
             try:
                 self._write(*self._writing)
