@@ -270,6 +270,7 @@ REASONS = {
     "Relocalization.heading_rate": "chosen: a wearer out of sight turns slowly",
     "Relocalization.narrow_distance": "chosen by starts of training recordings in clouds of whole persons",
     "Relocalization.narrowed_cost": "chosen: below that of a wall, above those of whole persons",
+    "Relocalization.rival_excess": "tuned on training recordings in four headings: how often the one found was wrong",
     "Relocalization.found_sd": "chosen: error of a registered garment",
     "Relocalization.settling_frames": "chosen: registration and fit need a few frames",
     "Relocalization.settling_sd": "chosen",

@@ -248,7 +248,7 @@ class Drift(NamedTuple):
     speed2: float  # m^2/s^2, running mean of the squared innovation per second
     stored2: float  # m^2, mean variance of the stored blocks: its growth is how fast an unseen garment is lost
     hem2: float = 0.0  # m^2, mean squared distance of hems from where the cloud ends, when hems were last seen
-    unseen_turn: float = 0.0  # rad by which a smooth round garment may have turned about its axis, as nothing shows that
+    unseen_turn: float = 0.0  # rad by which the garment may be turned about its axis, as nothing shows that
     missed: np.ndarray = np.zeros((3, 3))  # m^2/s^2, running mean of d d' of what predictions miss per second, and their body
 
     @classmethod
@@ -504,6 +504,13 @@ class Evidence(NamedTuple):
     forces: Energies | None
 
 
+class Rival(NamedTuple):
+    """Another heading that suits a garment, which was found at one that suits it best."""
+
+    degrees: float  # from the one that was found
+    expected: float  # rad: the chord of that turn times the probability that it is the right one
+
+
 class Problem(NamedTuple):
     """What is constant within a frame: stages B to G read it."""
 
@@ -524,7 +531,7 @@ class Problem(NamedTuple):
     anchored: Planes | None = None  # pseudo-measurements of unseen vertices and waistbands by the body anchor
     reference: InputReference | None = None
     overturned: tuple[float, float] | None = None  # m, costs of the garment upright and upside down, where a search prefers that
-    rival: float | None = None  # degrees by which a garment that was just found may as well be turned, with equal fit
+    rival: Rival | None = None  # another heading that suits a garment that was just found
     effort: Effort = Effort()  # of the next stage
     resting: Resting | None = None  # of the track
 

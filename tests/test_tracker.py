@@ -330,7 +330,7 @@ def test_a_velocity_that_a_start_was_given_holds_however_long_before_the_first_f
     for k in range(4):
         where = TUBE.vertices + velocity * (before + k / rate)
         result = tracker.step(scan(where, TUBE, 3000, 0.002, seed=k), timestamp=k / rate, sensor_origin=EYE)
-    assert np.linalg.norm((result.vertices - where).mean(axis=0)) < 0.01  # it may turn unnoticed
+    assert np.linalg.norm((result.vertices - where).mean(axis=0)) < 0.02  # a sixth of its step: it may turn unnoticed
 
 
 def test_the_seconds_of_the_stages_add_up_to_the_frames():

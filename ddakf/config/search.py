@@ -82,6 +82,7 @@ class Relocalization(Checked):
     heading_sd: float = bounded(30.0, 0.1, 1e4)  # degrees, sd of the wearer's turn since the last frame
     heading_doubt: float = bounded(0.1, 0, 1)  # probability that the heading of a template that nobody has placed says nothing
     heading_rate: float = bounded(20.0, 0, 1e4)  # degrees/s by which heading_sd grows while the garment is out of sight
+    rival_excess: float = bounded(0.07, 1e-6, 10)  # excess cost, over the best, at which another heading is e times less likely
     narrow_distance: float = bounded(0.08, 0, 1)  # m: in a larger cloud the part nearer to the garment is searched again; 0: none
     narrowed_cost: float = bounded(0.025, 0, 1)  # m: such a part whose cost is higher is of something else
     found_sd: float = bounded(0.03, 1e-4, 10)  # m, of the vertices of a relocalized garment

@@ -12,6 +12,7 @@ LYING = 0.6  # times its width, below which the height of a body is that of one 
 UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
 OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
+TURNED = 0.4  # rad, from which on the turn that is expected of a garment is told
 FITS = 0.35  # reliability of the last frame above which a hollow shape is right
 
 
@@ -72,10 +73,11 @@ def fallen(body: Mesh, to_y_up: np.ndarray) -> str:
 
 
 def heading_uncertain(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a search that found the garment, and as good a fit the other way round."""
-    if problem.rival is None:
+    """The sign of a search that found the garment, and another heading that suits it nearly as well."""
+    rival = problem.rival
+    if rival is None or rival.expected < TURNED:
         return None
-    return Sign("garment", f"turned by {abs(problem.rival):.0f} degrees it fits as well: a reset tells which way it faces")
+    return Sign("garment", f"turned by {abs(rival.degrees):.0f} degrees it fits about as well: a reset tells which way it faces")
 
 
 def outward(garment: Mesh) -> float:

@@ -14,11 +14,9 @@ from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.physics import rigidity
 from ddakf.physics.size import stretched
-from ddakf.search.nonrigid_registration import NO_TURN, Target, register, rows
+from ddakf.search.nonrigid_registration import Target, register, rows
 from ddakf.stages import skin_removal
-from ddakf.types import Drift, FrameInput, Health, Model, Problem, State
-
-_ALIKE = 1.05  # cost of a pose over the best one's, below which either may be the garment's
+from ddakf.types import Drift, FrameInput, Health, Model, Problem, Rival, State
 
 
 class Search(NamedTuple):
@@ -297,10 +295,13 @@ def locate(problem: Problem) -> Problem:
             (found, cost, rival), accepted = again, accepted or narrowed
     if not accepted:
         return problem
-    found = found @ turn
-    return _found_at(problem, found, np.zeros_like(found))._replace(
+    found, unplaced = found @ turn, starting and not given
+    problem = _found_at(problem, found, np.zeros_like(found))
+    if unplaced and rival is not None:
+        problem = problem._replace(last=problem.last._replace(drift=problem.last.drift._replace(unseen_turn=rival.expected)))
+    return problem._replace(
         motion_start=found,
-        rival=None if starting and given else rival,
+        rival=rival if unplaced else None,
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
@@ -407,7 +408,7 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
     return 0.5 * (there + back)
 
 
-def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, float | None]:
+def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, Rival | None]:
     """The shape that fits the cloud best after registration, (V, 3) metres, its cost, and its :func:`_rival`.
 
     The wrong heading may fit as well as the right one until both are registered.
@@ -424,12 +425,19 @@ def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tupl
             order = _negative_log_posterior(total, config.registered_samples, prior)
             trials.append((order, len(trials), cost, registered, total))
     _, _, cost, found, best = min(trials, key=lambda trial: trial[:2])
-    return found, cost, _rival(best, [trial[-1] for trial in trials])
+    return found, cost, _rival(best, [trial[-1] for trial in trials], config)
 
 
-def _rival(best: CandidatePose, others: list[CandidatePose]) -> float | None:
-    """Degrees from the best heading to the best of those more than a right angle away, where that costs hardly more; or None."""
-    turns = [best.rotation.T @ other.rotation for other in others]
-    away = [(other.cost, turn) for other, turn in zip(others, turns, strict=True) if turn[0, 0] < 0.0]
-    cost, turn = min(away, key=lambda each: each[0], default=(math.inf, NO_TURN))
-    return math.degrees(math.atan2(turn[0, 2], turn[0, 0])) if cost < _ALIKE * best.cost else None
+def _rival(best: CandidatePose, others: list[CandidatePose], config: Relocalization) -> Rival | None:
+    """Of the other headings that by which the garment is off most, if each is right with a probability that falls with its cost.
+
+    A garment that is alike from several sides, such as a skirt, fits in each of them.
+    """
+    rivals = []
+    for other in others:
+        turned = best.rotation.T @ other.rotation
+        degrees = math.degrees(math.atan2(turned[0, 2], turned[0, 0]))
+        if abs(degrees) >= config.heading_separation:
+            probability = math.exp(min(1.0 - other.cost / best.cost, 0.0) / config.rival_excess)
+            rivals.append(Rival(degrees, 2.0 * math.sin(math.radians(abs(degrees)) / 2.0) * probability))
+    return max(rivals, key=lambda rival: rival.expected, default=None)

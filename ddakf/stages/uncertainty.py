@@ -101,7 +101,7 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
 
 
 def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> float:
-    """Radians by which the garment may have turned unnoticed until now.
+    """Radians by which the garment may be turned, unnoticed: since a start to which several headings were alike, or later.
 
     A smooth surface of revolution, such as a plain skirt, may turn with its wearer, and noise may turn the estimate: the cloud is
     the same. Folds show a turn, and so do colours, and a body, on which the waistband stays.
@@ -113,9 +113,7 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
         slip: of the evidence.
     """
     model, limits, angle = problem.model, problem.config.uncertainty, problem.last.drift.unseen_turn
-    if estimate.clearance is not None:
-        return 0.0
-    if problem.coloured or slip + error_size.BALL < 1.0 / limits.turn_share:
+    if estimate.clearance is not None or problem.coloured or slip + error_size.BALL < 1.0 / limits.turn_share:
         return angle
     folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
     if folds >= limits.smooth_folds:

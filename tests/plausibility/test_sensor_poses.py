@@ -27,6 +27,7 @@ def around(k, shifts, eyes=EYES, count=2000, noise=0.002):
 def looked(shifts, frames=12, config=None, **how):
     """A tracker after so many frames of the tube."""
     tracker = Tracker(TUBE, config=config)
+    tracker.reset(TUBE.vertices)
     for k in range(frames):
         points, origin = around(k, shifts, **how)
         tracker.step(points, timestamp=k / FPS, sensor_origin=origin)

@@ -179,6 +179,22 @@ def test_that_a_garment_fits_turned_as_well_is_told_unless_its_start_was_given(g
     assert ("heading_uncertain" in told) is not given
 
 
+@pytest.mark.parametrize(("garment", "alike"), [(TUBE, True), (SHIRT, False)], ids=["tube", "shirt"])
+def test_the_covariance_of_a_found_garment_knows_of_the_headings_that_suit_it(garment, alike):
+    """The state does not: neither stiffer cloth nor another search would help."""
+    truth, results = garment.vertices + np.float32([0.1, 0.0, 0.0]), {}
+    for given in (True, False):
+        tracker = Tracker(garment)
+        if given:
+            tracker.reset(garment.vertices)
+        for k in range(6):
+            results[given] = tracker.step(scan(truth, garment, 5000, seed=k), timestamp=k / FPS)
+    wider = np.median(results[False].sigma) / np.median(results[True].sigma)
+    assert (wider > 2.0) == alike
+    assert (results[False].reliability < 0.6 * results[True].reliability) == alike
+    assert {result.state for result in results.values()} == {"tracking"}
+
+
 @pytest.mark.parametrize("name", ["trousers_dance_loose_11", "shorts_jump_loose_59"])
 def test_trousers_that_face_the_other_way_are_found_by_their_shape(name):
     """Front and back differ by centimetres alone, and the legs stand otherwise than the template's."""

@@ -97,7 +97,7 @@ def test_a_garment_that_can_turn_unnoticed_is_less_certain_across_its_normals():
     configs = known, dataclasses.replace(known, tangential_error=blind)
     tube = [sigma(TUBE, lambda k: scan(TUBE.vertices, TUBE, seed=k), c).sigma.mean() for c in configs]
     shirt = [sigma(SHIRT, lambda k: scan(SHIRT.vertices, SHIRT, seed=k), c).sigma.mean() for c in configs]
-    assert tube[0] / tube[1] > 1.3 * shirt[0] / shirt[1]
+    assert tube[0] / tube[1] > 1.1 * shirt[0] / shirt[1]
 
 
 def test_what_is_known_of_hems_stays_while_nothing_is_seen():

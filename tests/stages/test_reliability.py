@@ -438,6 +438,7 @@ def test_half_a_garment_is_less_reliable_than_a_whole_one():
     mesh, results = tube(), {}
     for share in (1.0, 0.5):
         tracker = Tracker(mesh)
+        tracker.reset(mesh.vertices)
         for k in range(10):
             points = scan(mesh.vertices, mesh, seed=k)
             points = points[points[:, 1] <= share * mesh.vertices[:, 1].max() + 0.01]
