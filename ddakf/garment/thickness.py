@@ -14,6 +14,7 @@ from ddakf.mesh import Mesh
 THICKEST = 0.01  # m between the layers
 AGAINST = -0.8  # cosine between the normals of faces of both layers, at most
 PAIRED = 0.7  # least share of the surface that has another layer beneath
+SAMPLE = 1000  # faces that are looked at first
 FLAT = 0.5  # |mean normal| from which on a piece goes around nothing: of two flat ones neither is the inner one
 
 
@@ -29,7 +30,11 @@ def inner_layer(mesh: Mesh) -> np.ndarray:
     if not closed and piece.max() == 0:
         return none
     normal, area = _normals_and_areas(mesh)
-    behind = _faces_behind(mesh, normal)
+    body, every = proximity.build(mesh), np.arange(mesh.n_faces)
+    some = every[:: mesh.n_faces // SAMPLE + 1]
+    if area[some[_faces_behind(mesh, body, normal, some) >= 0]].sum() < 0.5 * PAIRED * area[some].sum():
+        return none
+    behind = _faces_behind(mesh, body, normal, every)
     paired = behind >= 0
     if not closed:
         paired &= piece[mesh.faces[behind, 0]] != piece[mesh.faces[:, 0]]
@@ -57,16 +62,15 @@ def _normals_and_areas(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return doubled / np.maximum(length, np.finfo(float).tiny)[:, None], 0.5 * length
 
 
-def _faces_behind(mesh: Mesh, normal: np.ndarray) -> np.ndarray:
-    """(F,) the face of the other layer behind each face, or -1.
+def _faces_behind(mesh: Mesh, body: proximity.Body, normal: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+    """(N,) the face of the other layer behind each of the chosen faces, (N,), or -1; ``body`` is the search tree of the mesh.
 
     From the point that is ``THICKEST`` behind a face any other layer in between is nearer than the face itself.
     """
-    body = proximity.build(mesh)
-    points = mesh.vertices[mesh.faces].mean(axis=1) - THICKEST * normal
+    points = mesh.vertices[mesh.faces[chosen]].mean(axis=1) - THICKEST * normal[chosen]
     found = proximity.closest_points(body, proximity.refresh(body, mesh.vertices), points, THICKEST).face
     behind = np.where(found >= 0, body.original_face[found], -1)
-    against = np.einsum("fi,fi->f", normal, normal[behind]) < AGAINST
+    against = np.einsum("ni,ni->n", normal[chosen], normal[behind]) < AGAINST
     return np.where(against, behind, -1)
 
 
