@@ -150,12 +150,12 @@ def test_the_quoted_measurements_are_those_of_the_result_file():
     assert json.loads((ROOT / "benchmarks/results/bench.json").read_text())["size"] != "quick"
 
 
-def test_the_errors_by_reliability_are_those_of_the_result_file():
-    rows = json.loads((ROOT / "benchmarks/results/error_size.json").read_text())["said"]["held-out"]
-    frames, document = sum(row["frames"] for row in rows), (ROOT / "docs/read_reliability.md").read_text()
-    for row in rows:
-        errors = f"{row['said_mm']:.0f} | {row['median_mm']:.0f}, {row['p90_mm']:.0f} | {100 * row['below']:.0f} % |"
-        assert f" {100 * row['frames'] / frames:.0f} % | {errors}\n" in document
+def test_the_tables_of_the_claimed_errors_are_those_of_the_result_files(monkeypatch):
+    monkeypatch.syspath_prepend(ROOT / "benchmarks")
+    tables = importlib.import_module("error_tables")
+    found, laws = tables.read()
+    assert tables.shares(found, laws) in (ROOT / "docs/algorithm.md").read_text(), "python benchmarks/error_tables.py"
+    assert tables.worth(found["said"]["held-out"]) in (ROOT / "docs/read_reliability.md").read_text()
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
