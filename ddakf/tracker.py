@@ -295,7 +295,7 @@ def _learned(
 ) -> Track:
     """The track after a frame."""
     state, position, measured = posterior.state, posterior.state.position, estimate.learnable
-    larger = size.learned(problem, position, measured, verdict.reliability)
+    larger = size.learned(problem, position, measured, verdict.health.reliability)
     return Track(
         state=state,
         rotation=problem.rotation if estimate.rejected else rigidity.against_template(estimate.rest, problem.resting),
@@ -311,8 +311,8 @@ def _learned(
         costs=problem.last.costs,
         resting=rigidity.resized(problem.last.resting, larger, setup),
         size=larger,
-        appearance=colour.learned(problem, estimate, posterior, verdict.reliability),
-        palette=segmentation.learned(problem, position, verdict.reliability),
+        appearance=colour.learned(problem, estimate, posterior, verdict.health.reliability),
+        palette=segmentation.learned(problem, position, verdict.health.reliability),
     )
 
 

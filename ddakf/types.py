@@ -268,8 +268,8 @@ class Health(NamedTuple):
     frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
     spacing: float = 0.0  # s between the last two frames; before there were two 0, or first_step after a start with velocities
-    reliability: float = 0.0  # of the last frame
-    # of the predicted error
+    reliability: float = 0.0  # of the last frame, but for turns that nothing shows
+    # evidence of the predicted error
     offset: float = 0.0  # m^2
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far

@@ -24,7 +24,7 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
     config, before = problem.config.reliability, problem.health.reliability
     if isinstance(config, PaperReliability) or estimate.rejected or before < config.gate_above:
         return False
-    share, widening = verdict.reliability, omission.widening(problem, estimate)
+    share, widening = verdict.health.reliability, omission.widening(problem, estimate)
     whole = share / (share + (1.0 - share) / widening**2)  # the score of an error that is not widened
     return whole < config.gate_ratio * before
 

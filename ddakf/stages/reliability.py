@@ -173,13 +173,13 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)
     reliability = float(score(error, config))
-    # no search and no stiffer cloth helps against a turn that nothing shows
-    seen = math.sqrt(max(evidence.sigma**2 - posterior.turned2, 0.0)) / max(evidence.sigma, 1e-12)
-    placed = s_k if isinstance(config, PaperReliability) else float(score(seen * error, config))
-    outcome = Outcome(placed, coverage, len(points), estimate.rejected)
+    # no search and no stiffer cloth helps against a turn that nothing shows, and size and colours are learned all the same
+    seen = math.sqrt(max(1.0 - posterior.turned2 / max(evidence.sigma**2, 1e-24), 0.0))
+    but_turned = float(score(seen * error, config))
+    outcome = Outcome(s_k if isinstance(config, PaperReliability) else but_turned, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
-    moved = moved._replace(spacing=spacing, reliability=reliability)
+    moved = moved._replace(spacing=spacing, reliability=but_turned)
     return Verdict(moved, reliability, s_k, coverage, score(errors, config), variance)
 
 

@@ -27,10 +27,11 @@ def captured(frame: int) -> np.ndarray:
     return Sensor(view="full", points=4000).capture(SAMPLE, frame, np.random.default_rng(frame)).points
 
 
-def results(config: Config, spoiled=(), frames: int = 8, every: int = 1) -> list:
-    """Results of frames after the start; the spoiled ones, counted from 1, show something else."""
+def results(config: Config, spoiled=(), frames: int = 8, every: int = 1, turn: float = 0.0) -> list:
+    """Results of frames after the start; the spoiled ones, counted from 1, show other things. The heading may be off by ``turn``."""
     tracker = Tracker(SHIRT, config=config)
     tracker.reset(vertices=SAMPLE.garment_vertices[START])
+    tracker._track = tracker._track._replace(drift=tracker._track.drift._replace(unseen_turn=turn))
     found = []
     for k in range(1, frames + 1):
         frame = START + k * every
@@ -52,6 +53,14 @@ def test_after_one_frame_of_nonsense_the_garment_is_where_it_would_be_without():
     assert spoiled[3].coverage == 0.0
     assert error(spoiled[4], 5) < error(clean[4], 5) + 3.0
     assert spoiled[4].reliability > clean[4].reliability - 0.05
+
+
+def test_a_garment_of_uncertain_heading_is_held_too():
+    """Its reliability is low all the time, and says nothing of a single frame."""
+    spoiled = results(Config(), {4}, turn=1.0)
+    assert max(each.reliability for each in spoiled) < 0.3
+    assert not spoiled[3].observed.any()
+    assert error(spoiled[4], 5) < 15.0
 
 
 def test_what_was_held_is_claimed_less():
