@@ -28,7 +28,7 @@ def captured(frame: int) -> np.ndarray:
 
 
 def results(config: Config, spoiled=(), frames: int = 8, every: int = 1, turn: float = 0.0) -> list:
-    """Results of frames after the start; the spoiled ones, counted from 1, show other things. The heading may be off by ``turn``."""
+    """Results of frames after the start; the spoiled ones, from 1, show other things. The heading may be off by ``turn``, rad."""
     tracker = Tracker(SHIRT, config=config)
     tracker.reset(vertices=SAMPLE.garment_vertices[START])
     tracker._track = tracker._track._replace(drift=tracker._track.drift._replace(unseen_turn=turn))
