@@ -189,6 +189,9 @@ class Config:
         default, fast = Config(), Config.fast()
         if self.discretisation != default.discretisation:
             return self
+        # frames that are far apart, as others are dropped, may not cost more: still more would be dropped
+        quick = dataclasses.replace(fast.associate, slow_iterations=fast.associate.iterations)
+        fast = dataclasses.replace(fast, associate=quick)
         stages = [stage.name for stage in dataclasses.fields(self)]
         usual = [name for name in stages if getattr(self, name) == getattr(default, name)]
         return dataclasses.replace(self, **{name: getattr(fast, name) for name in usual})
