@@ -24,6 +24,8 @@ def collapsed(problem: Problem, estimate: Estimate, verdict: Verdict) -> bool:
     config, before = problem.config.reliability, problem.health.reliability
     if isinstance(config, PaperReliability) or estimate.rejected or before < config.gate_above:
         return False
+    if len(problem.frame.points) == 0:
+        return False  # it counts as time without points, which a held frame does not
     share, widening = verdict.health.reliability, omission.widening(problem, estimate)
     whole = share / (share + (1.0 - share) / widening**2)  # the score of an error that is not widened
     return whole < config.gate_ratio * before
