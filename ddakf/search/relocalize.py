@@ -438,6 +438,6 @@ def _rival(best: CandidatePose, others: list[CandidatePose], config: Relocalizat
         turned = best.rotation.T @ other.rotation
         degrees = math.degrees(math.atan2(turned[0, 2], turned[0, 0]))
         if abs(degrees) >= config.heading_separation:
-            probability = math.exp(min(1.0 - other.cost / best.cost, 0.0) / config.rival_excess)
+            probability = math.exp(min(1.0 - other.cost / max(best.cost, 1e-12), 0.0) / config.rival_excess)
             rivals.append(Rival(degrees, 2.0 * math.sin(math.radians(abs(degrees)) / 2.0) * probability))
     return max(rivals, key=lambda rival: rival.expected, default=None)
