@@ -1,6 +1,7 @@
 """Speed beside accuracy, on one thread: ``python benchmarks/bench.py [--quick | --full] [--only PART ...]``.
 
-Every part writes its measurements under its name into ``benchmarks/results/NAME.json``, with a description of the machine.
+Every part writes its measurements under its name into ``benchmarks/results/NAME.json``, with a description of the machine; those
+of ``--only`` go to ``out``.
 Compare ratios inside one run, and milliseconds of two runs only if the machine was otherwise idle.
 """
 
@@ -18,6 +19,7 @@ from pathlib import Path
 from committed import parsed
 
 RESULTS = Path(__file__).parent / "results"
+NAME, SOME = "bench", RESULTS.parents[1] / "out"
 PARTS = ("frame", "changes", "open3d", "icp", "scaling", "outliers", "memory", "cold", "growth", "codecs", "images", "service")
 ALL_CORES = ("service",)  # parts that are about several processes
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -96,8 +98,10 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{part} ...", file=sys.stderr, flush=True)
         with contextlib.nullcontext() if part in ALL_CORES else machine.one_core():
             report[part] = measure[part](settings)
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    path = arguments.out / f"{arguments.name}.json"
+    complete = arguments.only is None or arguments.name != NAME or arguments.out != RESULTS
+    folder = arguments.out if complete else SOME  # some parts would replace the measurements of all
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{arguments.name}.json"
     path.write_text(json.dumps(report, indent=1) + "\n")
     show(report)
     print(path)
@@ -134,8 +138,8 @@ def _parser() -> argparse.ArgumentParser:
     size.add_argument("--quick", action="store_true", help="a few seconds: shows that it runs, measures nothing")
     size.add_argument("--full", action="store_true", help="whole recordings, V up to 80,000, 10,000 frames for growth")
     parser.add_argument("--only", nargs="+", choices=PARTS, metavar="PART", help=f"some of {', '.join(PARTS)}")
-    parser.add_argument("--name", default="bench", help="of the result file (default bench)")
-    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result file")
+    parser.add_argument("--name", default=NAME, help="of the result file (default bench)")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="folder of the result file (with --only default out)")
     return parser
 
 
