@@ -41,6 +41,11 @@ def graph_of(edges: np.ndarray, length: np.ndarray, n_vertices: int) -> Graph:
     return Graph(start, np.ascontiguousarray(ends[order, 1], np.int32), lengths[order])
 
 
+def pieces(edges: np.ndarray, n_vertices: int) -> np.ndarray:
+    """(V,) number, from 0 on, of the piece that each vertex is of, by edges (E, 2)."""
+    return graph_of(edges, np.ones(len(edges)), n_vertices).piece_of_vertices()
+
+
 def distances(graph: Graph, seeds: np.ndarray, begun: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """(V,) distance from the nearest seed in metres, infinite in a piece without one, and (V,) the seed's number, -1 there.
 

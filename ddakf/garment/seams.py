@@ -17,7 +17,7 @@ def gap(mesh: Mesh) -> float:
     Nearly all of the opening has to be within a mean edge of them, and the mean distance counts.
     """
     boundary = np.flatnonzero(mesh.boundary_vertices)
-    piece = geodesic.graph_of(mesh.edges, np.ones(len(mesh.edges)), mesh.n_vertices).piece_of_vertices()[boundary]
+    piece = geodesic.pieces(mesh.edges, mesh.n_vertices)[boundary]
     if len(boundary) == 0 or np.ptp(piece) == 0:
         return 0.0
     place, opening, near = mesh.vertices[boundary], _openings(mesh)[boundary], np.empty(len(boundary))
@@ -34,4 +34,4 @@ def _openings(mesh: Mesh) -> np.ndarray:
     """(V,) number of the opening that each boundary vertex is at."""
     edges = np.sort(np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]], mesh.faces[:, [2, 0]]]), axis=1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
-    return geodesic.graph_of(edges[count == 1], np.ones((count == 1).sum()), mesh.n_vertices).piece_of_vertices()
+    return geodesic.pieces(edges[count == 1], mesh.n_vertices)

@@ -25,7 +25,7 @@ def inner_layer(mesh: Mesh) -> np.ndarray:
     where they are two pieces that go around something: front and back of a shirt that lies flat are open at its hems, or flat.
     """
     none = np.zeros(mesh.n_vertices, bool)
-    piece = _pieces(mesh.edges, mesh.n_vertices)
+    piece = geodesic.pieces(mesh.edges, mesh.n_vertices)
     closed = not mesh.boundary_vertices.any()
     if not closed and piece.max() == 0:
         return none
@@ -74,15 +74,10 @@ def _faces_behind(mesh: Mesh, body: proximity.Body, normal: np.ndarray, chosen: 
     return np.where(against, behind, -1)
 
 
-def _pieces(edges: np.ndarray, n: int) -> np.ndarray:
-    """(V,) number of the piece of each vertex, by these edges."""
-    return geodesic.graph_of(edges, np.ones(len(edges)), n).piece_of_vertices()
-
-
 def _parts(faces: np.ndarray, chosen: np.ndarray, n_vertices: int) -> np.ndarray:
     """(F,) number of the part of the chosen faces (bool) that each is of; of others, of the part at its first corner."""
     own = faces[chosen]
-    return _pieces(np.concatenate([own[:, [0, 1]], own[:, [1, 2]]]), n_vertices)[faces[:, 0]]
+    return geodesic.pieces(np.concatenate([own[:, [0, 1]], own[:, [1, 2]]]), n_vertices)[faces[:, 0]]
 
 
 def _is_inner(part: np.ndarray, behind: np.ndarray, areas: np.ndarray, closed: bool) -> np.ndarray:

@@ -147,7 +147,7 @@ def _of_cloth(template: Mesh) -> np.ndarray:
 
 def _in_small_pieces(mesh: Mesh) -> np.ndarray:
     """(V,) bool, of the vertices of pieces with less than ``SMALL`` of the surface, unless the garment consists of such."""
-    piece = geodesic.graph_of(mesh.edges, np.ones(len(mesh.edges)), mesh.n_vertices).piece_of_vertices()
+    piece = geodesic.pieces(mesh.edges, mesh.n_vertices)
     area = np.bincount(piece[mesh.faces[:, 0]], remeshing.areas(mesh), piece.max() + 1)
     small = area < SMALL * area.sum()
     return (small & (area[small].sum() < ALL_SMALL * area.sum()))[piece]
