@@ -16,7 +16,7 @@ from ddakf.evaluation.datasets import collection
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.trials.recordings import find_recording, recording_names
 from ddakf.kernels.normals import vertex_normals
-from ddakf.stages import error_size, reliability
+from ddakf.stages import error_size
 from ddakf.stages.error_size import USUAL, SizeEvidence
 
 VIEWS = ("full", "ring4", "front", "full+body", "front+body")
@@ -60,7 +60,6 @@ class Frames(NamedTuple):
     rmse: np.ndarray  # (N,) m
     reliability: np.ndarray  # (N,)
     sigma: np.ndarray  # (N,) m, root mean trace of the covariances
-    unexplained: np.ndarray  # (N,) share of the points
 
 
 def planned(names: Sequence[str] | None) -> list[Run]:
@@ -124,9 +123,9 @@ def _names(runs: list[Run]) -> list[str]:
 
 
 @contextmanager
-def _watched(seen: list, verdicts: list) -> Iterator[None]:
-    """Records evidence and claimed covariances in the first list, verdicts in the second."""
-    resized, evidence, judge = error_size.resized, error_size.evidence, reliability.judge
+def _watched(seen: list) -> Iterator[None]:
+    """Records evidence and claimed covariances."""
+    resized, evidence = error_size.resized, error_size.evidence
 
     def keep_evidence(*arguments):
         seen.append(evidence(*arguments))
@@ -136,15 +135,11 @@ def _watched(seen: list, verdicts: list) -> Iterator[None]:
         seen.append(covariance)
         return resized(covariance, *arguments)
 
-    def keep_verdict(*arguments):
-        verdicts.append(judge(*arguments))
-        return verdicts[-1]
-
-    error_size.resized, error_size.evidence, reliability.judge = keep_covariance, keep_evidence, keep_verdict
+    error_size.resized, error_size.evidence = keep_covariance, keep_evidence
     try:
         yield
     finally:
-        error_size.resized, error_size.evidence, reliability.judge = resized, evidence, judge
+        error_size.resized, error_size.evidence = resized, evidence
 
 
 def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
@@ -158,19 +153,19 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
     )
     tracker.reset(vertices=sequence.garment_vertices[0])
     spread = tracker._working.spread
-    sensor, kept, of_frames, seen, verdicts = Sensor(view=view, **CONDITIONS[run.condition]), [], [], [], []
+    sensor, kept, of_frames, seen = Sensor(view=view, **CONDITIONS[run.condition]), [], [], []
     chosen = np.random.default_rng(number).permutation(len(sequence.template))[:VERTICES]
-    with _watched(seen, verdicts):
+    with _watched(seen):
         for k in range(sensor.every, min(frames, len(sequence)), sensor.every):
             cloud = sensor.capture(sequence, k, np.random.default_rng([1, k]))
             pose = None if given is None else given[k]
             step = dict(timestamp=k / sequence.fps, sensor_origin=cloud.sensor_origin, body_vertices=pose)
             seen.clear()
             result, truth = tracker.step(cloud.points, **step), sequence.garment_vertices[k]
-            verdict, off = verdicts.pop(), result.vertices - truth
-            claim = np.sqrt(verdict.variance.mean())
+            off = result.vertices - truth
+            claim = np.sqrt(3.0 * np.square(result.sigma).mean())
             rmse = np.sqrt(np.square(off).sum(axis=1).mean())
-            of_frames.append((k, rmse, result.reliability, claim, verdict.health.unexplained))
+            of_frames.append((k, rmse, result.reliability, claim))
             if k % STRIDE < sensor.every and len(seen) == 2:
                 of_vertices = error_size.at_vertices(seen[0], tracker._setup.model.patch)
                 found = SizeEvidence(*(spread(value) for value in of_vertices))

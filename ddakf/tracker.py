@@ -152,6 +152,7 @@ class Tracker:
             estimate, verdict = frame_gate.held(problem, estimate, verdict)
             problem = problem._replace(last=problem.last._replace(view=self._track.view, sensors=self._track.sensors))
             posterior = uncertainty.posterior(problem, estimate)
+        posterior = uncertainty.widened(problem, estimate, posterior, verdict.widening)
         posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
         posterior, offset = follow.follow(problem, estimate, posterior)
         track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)

@@ -358,7 +358,10 @@ class ErrorEvidence(Checked):
 
 @dataclass(frozen=True)
 class FrameError(Checked):
-    """Predicted error of a frame: a share of the RMS error that sigma claims times (1 + unexplained / scale)^power."""
+    """Predicted error of a frame: a share of the RMS error that sigma claims.
+
+    All sigmas are wider by (1 + unexplained / scale)^power where the surface misses the cloud.
+    """
 
     sigma_share: float = bounded(0.78, 0, 10)  # six of seven frames have less error
     unexplained_scale: float = bounded(5e-3, 1e-12, 1e6)  # share of the points

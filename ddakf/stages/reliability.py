@@ -38,17 +38,14 @@ def paper_score(innovation: np.ndarray, R: np.ndarray, found: np.ndarray) -> flo
     return float(np.exp(-kernels.squared_innovations(innovation, R, found) / len(found)))
 
 
-class FrameEvidence(NamedTuple):
-    """What the error of a frame is predicted from."""
+def widening(unexplained: float, config: FrameError) -> float:
+    """Factor, 1 or more, on the errors of a surface that misses the cloud.
 
-    sigma: float  # m, root mean trace of the calibrated covariances
-    unexplained: float  # share of the points, in clumps, that no vertex is near, over the last half second; see misfit
-
-
-def predicted_error(evidence: FrameEvidence, config: FrameError) -> float:
-    """Metres: the RMS error of a frame, in proportion to its RMS sigma, and more where the surface misses the cloud."""
-    missed = (1.0 + evidence.unexplained / config.unexplained_scale) ** config.unexplained_power
-    return config.sigma_share * evidence.sigma * missed
+    Args:
+        unexplained: share of the points, in clumps, that no vertex is near, over the last half second; see :func:`misfit`.
+        config: the law.
+    """
+    return (1.0 + unexplained / config.unexplained_scale) ** config.unexplained_power
 
 
 def beside(frame: FrameInput, position: np.ndarray) -> FrameInput:
@@ -150,7 +147,7 @@ class Verdict(NamedTuple):
     paper_score: float
     coverage: float
     vertex_reliability: np.ndarray  # (V,)
-    variance: np.ndarray  # (V,) m^2, trace of the calibrated covariance
+    widening: float = 1.0  # factor on the calibrated standard deviations, for a surface that misses the cloud
     warnings: tuple[InputWarning, ...] = ()  # of wrong input
     signs: Mapping[str, int] = {}  # of wrong input, by code: frames in a row that had them
 
@@ -166,21 +163,23 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     health = problem.health
     if len(points):
         health = misfit(problem, health, points, posterior.state.position, missing(measurement))
+    law = problem.config.frame_error
+    wider = widening(health.unexplained, law)
     variance = 3.0 * variances(posterior.covariance)
-    evidence = FrameEvidence(math.sqrt(variance.mean()), health.unexplained)
-    error = predicted_error(evidence, problem.config.frame_error)
+    sigma = math.sqrt(variance.mean())
+    error = law.sigma_share * wider * sigma
     if problem.lacks_place(estimate.observed):
         error = max(error, problem.config.sidedness.blind_error)
     errors = vertex_error(error, variance)
     reliability = float(score(error, config))
     # no search and no stiffer cloth helps against a turn that nothing shows, and size and colours are learned all the same
-    seen = math.sqrt(max(1.0 - posterior.turned2 / max(evidence.sigma**2, 1e-24), 0.0))
+    seen = math.sqrt(max(1.0 - posterior.turned2 / max(sigma**2, 1e-24), 0.0))
     but_turned = float(score(seen * error, config))
     outcome = Outcome(s_k if isinstance(config, PaperReliability) else but_turned, coverage, len(points), estimate.rejected)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=but_turned)
-    return Verdict(moved, reliability, s_k, coverage, score(errors, config), variance)
+    return Verdict(moved, reliability, s_k, coverage, score(errors, config), wider)
 
 
 class Outcome(NamedTuple):

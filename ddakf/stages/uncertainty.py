@@ -48,10 +48,18 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
         covariance = _capped(blind, problem.config.uncertainty)
     if problem.last.sensors is not None:
         covariance = _capped(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
-    widening = omission.widening(problem, estimate)
-    if widening > 1.0:
-        covariance = _capped(widening**2 * covariance, problem.config.uncertainty)
-    return Posterior(state, covariance, drift, tangential2, turned2)
+    found = Posterior(state, covariance, drift, tangential2, turned2)
+    return widened(problem, estimate, found, omission.widening(problem, estimate))
+
+
+def widened(problem: Problem, estimate: Estimate, posterior: Posterior, factor: float) -> Posterior:
+    """The posterior with calibrated standard deviations that are larger by a factor of 1 or more, within the bounds.
+
+    The stored blocks, which the paper's preset reports, stay.
+    """
+    if factor == 1.0 or estimate.state is not None:
+        return posterior
+    return posterior._replace(covariance=_capped(factor**2 * posterior.covariance, problem.config.uncertainty))
 
 
 def _conditioned(problem: Problem, estimate: Estimate) -> State:

@@ -16,16 +16,15 @@ from ddakf.garment import model
 from ddakf.kernels import reliability as kernels
 from ddakf.stages.grid import nearest_vertices
 from ddakf.stages.reliability import (
-    FrameEvidence,
     Outcome,
     advance,
     clumped,
     misfit,
     missing,
     paper_score,
-    predicted_error,
     score,
     vertex_error,
+    widening,
 )
 from ddakf.types import Health, Measurement
 from tests.stages.scenes import FPS, blocks, frame_of, problem_of, rms, scan, tube
@@ -80,16 +79,15 @@ def test_s_k_tends_to_the_same_value_at_every_noise():
     assert late == pytest.approx([np.exp(-1)] * 2, abs=0.06)
 
 
-@given(
-    sigma=st.floats(1e-6, 1.0), unexplained=st.floats(0, 1.0), factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0)
-)
+@given(error=st.floats(1e-6, 1.0), unexplained=st.floats(0, 1.0), factor=st.floats(1.0, 10.0), more=st.floats(0, 1.0))
 @settings(max_examples=100, deadline=None, derandomize=True)
-def test_score_is_a_share_that_no_sign_of_error_raises(sigma, unexplained, factor, more):
-    signs = FrameEvidence(sigma, unexplained)
-    worse = {"sigma": factor * sigma, "unexplained": unexplained + more}
-    cases = signs, *(signs._replace(**{name: value}) for name, value in worse.items())
-    here, *scores = (score(predicted_error(each, LAW), CONFIG) for each in cases)
-    assert all(0.0 <= each <= here <= 1.0 for each in scores)
+def test_score_is_a_share_that_no_sign_of_error_raises(error, unexplained, factor, more):
+    wider = widening(unexplained, LAW)
+    here, worse = score(error * wider, CONFIG), score(factor * error * wider, CONFIG)
+    missed = score(error * widening(unexplained + more, LAW), CONFIG)
+    assert 0.0 <= worse <= here <= 1.0
+    assert 0.0 <= missed <= here
+    assert wider >= 1.0
 
 
 def test_score_is_a_half_at_the_configured_error():
@@ -97,18 +95,29 @@ def test_score_is_a_half_at_the_configured_error():
     assert score(0.0, CONFIG) == 1.0
 
 
-def test_the_error_of_a_frame_is_in_proportion_to_its_sigma():
-    sigma = np.array([0.001, 0.01, 0.1])
-    alone, missed = FrameEvidence(sigma, 0.0), FrameEvidence(sigma, 0.1)
-    assert predicted_error(alone, LAW) == pytest.approx(LAW.sigma_share * sigma)
-    assert predicted_error(missed._replace(sigma=2 * sigma), LAW) == pytest.approx(2 * predicted_error(missed, LAW))
-
-
-def test_the_error_of_a_frame_is_that_of_its_reported_sigma():
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_the_error_of_a_frame_is_that_of_its_reported_sigma(share):
+    """Also where the surface misses a share of the cloud: the sigmas of all vertices are larger then."""
     mesh = tube()
-    result = Tracker(mesh).step(scan(mesh.vertices, mesh, seed=1, noise=0.003), timestamp=0.0)
+    points = scan(mesh.vertices, mesh, seed=1, noise=0.003)
+    away = int(share * len(points))
+    points[:away] = points[:away] + [0.0, 0.3, 0.0]
+    result = Tracker(mesh).step(points, timestamp=0.0)
     claimed = np.sqrt(3 * np.square(result.sigma).mean())
     assert result.reliability == pytest.approx(score(LAW.sigma_share * claimed, CONFIG))
+    assert result.sigma == pytest.approx(np.sqrt(np.trace(result.covariance, axis1=1, axis2=2) / 3))
+
+
+def test_sigma_grows_where_the_surface_misses_the_cloud(monkeypatch):
+    mesh = tube()
+    points = scan(mesh.vertices, mesh, seed=1, noise=0.003)
+    points = np.concatenate([points, points[: len(points) // 4] + [0.0, 0.3, 0.0]])
+    wide = Tracker(mesh).step(points, timestamp=0.0)
+    monkeypatch.setattr("ddakf.stages.reliability.widening", lambda unexplained, config: 1.0)
+    narrow = Tracker(mesh).step(points, timestamp=0.0)
+    assert wide.sigma.min() > 1.5 * narrow.sigma.min()
+    factor = np.square(wide.sigma / narrow.sigma)
+    assert wide.covariance == pytest.approx(factor[:, None, None] * narrow.covariance)
 
 
 # Evidence -----------------------------------------------------------------------------------------------------------
