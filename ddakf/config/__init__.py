@@ -183,16 +183,16 @@ class Config:
     def lighter(self) -> Config:
         """The same configuration with the working mesh of :meth:`fast`, and its other stages where it has the default's.
 
-        Frames that are far apart get no more passes than others. A tracker that has too little time goes on with it, see
-        :meth:`ddakf.Tracker.continue_from`. A configuration with another discretisation than the default's has no lighter one,
-        and is returned as it is.
+        Frames that are far apart get no more passes than others, and half the passes of cluster alignment. A tracker that has
+        too little time goes on with it, see :meth:`ddakf.Tracker.continue_from`. A configuration with another discretisation
+        than the default's has no lighter one, and is returned as it is.
         """
         default, fast = Config(), Config.fast()
         if self.discretisation != default.discretisation:
             return self
         # where frames are dropped the others are far apart: if these cost more, still more would be dropped
         quick = dataclasses.replace(fast.associate, slow_iterations=fast.associate.iterations)
-        fast = dataclasses.replace(fast, associate=quick)
+        fast = dataclasses.replace(fast, associate=quick, coarse=Coarse(iterations=2))
         stages = [stage.name for stage in dataclasses.fields(self)]
         usual = [name for name in stages if getattr(self, name) == getattr(default, name)]
         return dataclasses.replace(self, **{name: getattr(fast, name) for name in usual})

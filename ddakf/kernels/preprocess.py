@@ -62,7 +62,7 @@ def crop(points, lower, upper, inside):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def fill_grid(points, chosen, grid, sorted_points, sorted_index):
-    """Sorts the chosen points by grid cell (counting sort).
+    """Sorts the chosen points by grid cell (counting sort). Returns the most points that a cell holds.
 
     Args:
         points: (N, 3) metres, world.
@@ -83,8 +83,9 @@ def fill_grid(points, chosen, grid, sorted_points, sorted_index):
         iz = min(max(int((points[i, 2] - origin[2]) * inverse), 0), dims[2] - 1)
         own[k] = (ix * dims[1] + iy) * dims[2] + iz + 1
         start[own[k] + 1] += 1
-    total = 0
+    total = most = 0
     for c in range(2, start.shape[0]):
+        most = max(most, start[c])
         total += start[c]
         start[c] = total
     for k in range(n):
@@ -94,6 +95,7 @@ def fill_grid(points, chosen, grid, sorted_points, sorted_index):
         for a in range(3):
             sorted_points[a, slot] = points[i, a] - origin[a]
         sorted_index[slot] = i
+    return most
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

@@ -26,6 +26,17 @@ def along_normals(position, target, normal, R, squared, variance):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def median_of(values, chosen):
+    """Median of the chosen ones of (N,) values, one at least."""
+    n, some = 0, np.empty(values.shape[0])
+    for i in range(values.shape[0]):
+        if chosen[i]:
+            some[n] = values[i]
+            n += 1
+    return np.median(some[:n])
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def scale(found, squared, variance):
     """Robust variance of residuals from their median absolute deviation, at least the median of their variances.
 
@@ -36,24 +47,12 @@ def scale(found, squared, variance):
     Returns:
         Variance, m^2.
     """
-    n = 0
-    chosen = np.empty(squared.shape[0])
+    scale2 = NORMAL_MAD**2 * median_of(squared, found)
+    more = count = 0
     for i in range(squared.shape[0]):
-        if found[i]:
-            chosen[n] = squared[i]
-            n += 1
-    scale2 = NORMAL_MAD**2 * np.median(chosen[:n])
-    more = 0
-    for i in range(squared.shape[0]):
+        count += int(found[i])
         more += int(found[i] and variance[i] > scale2)
-    if 2 * more < n:
-        return scale2
-    n = 0
-    for i in range(squared.shape[0]):
-        if found[i]:
-            chosen[n] = variance[i]
-            n += 1
-    return max(scale2, np.median(chosen[:n]))
+    return scale2 if 2 * more < count else max(scale2, median_of(variance, found))
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -72,3 +71,22 @@ def bisquare(found, squared, variance, least, cutoff, gate, weight):
         ratio = squared[i] / max(variance[i], least)
         rest = max(1.0 - ratio / (cutoff * cutoff), 0.0)
         weight[i] = rest * rest if found[i] and not ratio > gate else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def weigh_heights(height, chosen, least, cutoff, weight):
+    """Tukey's weights of heights, in units of their robust scale, which is returned: ``least`` metres or more.
+
+    Args:
+        height: (P,) metres.
+        chosen: (P,) bool, those that count, one at least.
+        least: metres.
+        cutoff: in units of the scale.
+        weight: (P,) out, 0 of the others.
+    """
+    size = max(NORMAL_MAD * median_of(np.abs(height), chosen), least)
+    for i in range(height.shape[0]):
+        ratio = height[i] / size / cutoff
+        inside = max(1.0 - ratio * ratio, 0.0)
+        weight[i] = inside * inside if chosen[i] else 0.0
+    return size

@@ -55,10 +55,10 @@ def align(problem: Problem) -> Estimate:
     if problem.body is not None and config.physics.collision > 0:
         begun = begun._replace(contacts=contact.followed(problem, begun.position))
         floor = contact.planes(problem.body, begun.contacts, config.physics)
-    work = Work()
+    work, variance = Work(), max(float(np.median(variances(problem.prior.R))), config.adapt.lowest_sd**2)
     for gate in gates:
         estimate = _measured(problem, estimate, clusters.sample, gate)
-        motion, center = _solve(problem, estimate, floor, gate)
+        motion, center = _solve(problem, estimate, floor, gate, variance)
         if not np.isfinite(motion).all():
             return begun
         moved = np.empty_like(estimate.position)
@@ -107,17 +107,16 @@ def _prior_sd(problem: Problem) -> float:
 
 
 def _solve(
-    problem: Problem, estimate: Estimate, floor: tuple[np.ndarray, np.ndarray] | None, gate: float
+    problem: Problem, estimate: Estimate, floor: tuple[np.ndarray, np.ndarray] | None, gate: float, variance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(K, 6) rotation vector and translation of each cluster about its centre (K, 3): Gauss-Newton of the MAP problem.
 
     ``floor`` is the point and the normal, (V, 3) each, of the body's plane beside each vertex; None without a body. ``gate`` is
-    the reach of points, metres.
+    the reach of points, metres, ``variance`` that of a measurement, m^2.
     """
     model, config, position, measurement = problem.model, problem.config, estimate.position, estimate.evidence.measurement
     clusters, physics, k = model.clusters, config.physics, model.n_clusters
     weight = robust.weigh(problem, estimate, measurement)
-    variance = max(float(np.median(variances(problem.prior.R))), config.adapt.lowest_sd**2)
     A, b, center = np.zeros((6 * k, 6 * k)), np.zeros(6 * k), np.empty((k, 3))
     kernels.centers(position, model.cluster, center)
     stands_for = len(position) / len(clusters.sample)

@@ -143,7 +143,7 @@ def _surface_points(problem: Problem, estimate: Estimate) -> FoundFaces | None:
     n, last = len(cloud.sample.point), estimate.evidence.measurement.points
     if last is None:
         reach = FACE_REACH * model.edge_length
-        vertex, _ = nearest_vertices(cloud.sample.point, position, reach, rings=1)
+        vertex, _ = nearest_vertices(cloud.sample.point, position, reach)
         face = np.full(n, NO_FACE)
     else:
         vertex, face = np.full(n, -1, np.int32), last.face.copy()

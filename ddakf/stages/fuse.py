@@ -171,7 +171,7 @@ def _planes(problem: Problem, estimate: Estimate) -> Planes:
     tangential, target = np.full(n, config.associate.tangential_sd**2), measurement.target
     points, found, information = measurement.points, None, None
     if points is not None and weight.any():
-        found, information = points, _information(problem, points, float(np.median(variance[weight > 0.0])))
+        found, information = points, _information(problem, points, robust_kernels.median_of(variance, weight > 0.0))
     if estimate.bulge is not None:
         target = np.empty_like(target)
         kernels.shift_along(measurement.target, measurement.normal, estimate.bulge, target)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +11,9 @@ from ddakf.kernels import preprocess as kernels
 from ddakf.kernels import vertex_search
 from ddakf.kernels.preprocess import Grid
 
-# Cells in the reach of a search, and at most along each axis of the grid: they change its time, not its result.
-RINGS, CELLS = 4, 127
+# Of a search, cells within its reach at most, of the mean distance of the vertices, and along each axis of the grid at most: they
+# change its time, not its result.
+RINGS, CELL_SPACINGS, CELLS = 8, 0.8, 127
 CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
 ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
 
@@ -36,10 +38,10 @@ def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
     """
     lower, upper = np.empty(3), np.empty(3)
     kernels.bounds(position, 0.0, lower, upper)
-    vertices, index, grid = _filled(position, (lower, upper), cell, most)
-    if np.diff(grid.start[:-1]).max() <= CROWDED:
+    (vertices, index, grid), fullest = _filled(position, (lower, upper), cell, most)
+    if fullest <= CROWDED:
         return VertexGrid(vertices, index, grid)
-    vertices, index, grid = _filled(position, np.quantile(position, (ASTRAY, 1.0 - ASTRAY), axis=0), cell, most)
+    (vertices, index, grid), _ = _filled(position, np.quantile(position, (ASTRAY, 1.0 - ASTRAY), axis=0), cell, most)
     surplus = np.empty(len(position), bool)
     left = kernels.mark_surplus(grid.start, CROWDED, surplus)
     start, some, their_index = np.empty_like(grid.start), np.empty((3, left), np.float32), np.empty(left, np.int32)
@@ -47,15 +49,16 @@ def vertex_grid(position: np.ndarray, cell: float, most: int) -> VertexGrid:
     return VertexGrid(some, their_index, grid._replace(start=start))
 
 
-def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float, most: int) -> VertexGrid:
+def _filled(position: np.ndarray, box: tuple[np.ndarray, np.ndarray], cell: float, most: int) -> tuple[VertexGrid, int]:
+    """The grid, and the most vertices that a cell holds."""
     lower, upper = box
     extent = upper - lower
     cell = max(cell, float(extent.max()) / most)
     dims = (extent / cell).astype(np.int64) + 1
     grid = Grid(np.empty(int(np.prod(dims)) + 2, np.int32), lower, cell, dims)
     vertices, index = np.empty((3, len(position)), np.float32), np.empty(len(position), np.int32)
-    kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), grid, vertices, index)
-    return VertexGrid(vertices, index, grid)
+    fullest = kernels.fill_grid(position, np.arange(len(position), dtype=np.int32), grid, vertices, index)
+    return VertexGrid(vertices, index, grid), fullest
 
 
 def spread_rows(n: int, count: int) -> np.ndarray:
@@ -67,16 +70,20 @@ def spread_rows(n: int, count: int) -> np.ndarray:
     return ((at + at * GOLDEN % 1.0) * n / count).astype(np.int64)
 
 
-def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float, rings: int = RINGS) -> tuple[np.ndarray, np.ndarray]:
+def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
 
     Args:
         points: (N, 3) metres.
         position: (V, 3) metres.
         reach: metres.
-        rings: cells within the reach.
     """
-    _, index, grid = vertex_grid(position, reach / rings, CELLS)
+    lower, upper = np.empty(3), np.empty(3)
+    kernels.bounds(position, 0.0, lower, upper)
+    width, height, depth = (upper - lower).tolist()
+    spacing = sqrt(2.0 * (width * height + height * depth + depth * width) / len(position))  # of vertices on the sides of a box
+    cell = min(max(CELL_SPACINGS * spacing, reach / RINGS), reach)
+    _, index, grid = vertex_grid(position, cell, CELLS)
     nearest, away = np.empty(len(points), np.int32), np.empty(len(points))
     vertex_search.nearest_vertices(points, position, index, grid, reach, nearest, away)
     return nearest, away

@@ -75,9 +75,7 @@ def weigh_points(problem: Problem, found: FoundFaces) -> tuple[np.ndarray, float
     config, weight = problem.config.robust, found.agrees.astype(float)
     if isinstance(config, NoWeight) or not found.agrees.any():
         return weight, problem.config.adapt.lowest_sd
-    scale = max(kernels.NORMAL_MAD * float(np.median(np.abs(found.offset[found.agrees]))), problem.config.adapt.lowest_sd)
-    weight[found.agrees] = tukey(found.offset[found.agrees] / scale, config.cutoff)
-    return weight, scale
+    return weight, kernels.weigh_heights(found.offset, found.agrees, problem.config.adapt.lowest_sd, config.cutoff, weight)
 
 
 def tukey(ratio: np.ndarray, cutoff: float) -> np.ndarray:

@@ -37,7 +37,7 @@ def on_faces(rng, n, height=0.0, least=0.05):
 
 def beneath(points, normal, oriented=True, position=GARMENT.vertices):
     found, reach = nothing(len(points)), 1.25 * MODEL.edge_length
-    vertex, _ = nearest_vertices(points, position, reach, rings=1)
+    vertex, _ = nearest_vertices(points, position, reach)
     kernels.faces_beneath(position, MODEL.rings, vertex, Sample(points, normal, oriented), AGREEMENT, found)
     return found
 
