@@ -69,6 +69,8 @@ REASONS = {
     "Anchor.slip_sd": "tuned on training recordings; 2 mm the same within 1 %",
     "Anchor.shoulder_slip_sd": "tuned on training recordings, and on tuned ones of other simulators",
     "Anchor.slip_slope": "the same; simulated garments slip by 5 mm at the top, 20 at 20 cm, 45 at 50 cm",
+    "Anchor.slip_share": "tuned on training recordings: flat from 1.3 to 2",
+    "Anchor.seen_slip": "tuned on training recordings: flat from 1 to 1.7",
     "Anchor.reach": "chosen",
     "Anchor.least_sd": "chosen: no garment follows its body more exactly",
     "Anchor.first_share": "tuned on training recordings",

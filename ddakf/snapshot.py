@@ -98,6 +98,8 @@ def parts(tracker) -> tuple[dict, dict[str, np.ndarray]]:
     if track.anchor is not None:
         arrays |= {"worn_pose": track.anchor.bound.pose, "worn_position": track.anchor.bound.position}
         arrays |= {f"worn_{name}": getattr(track.anchor, name) for name in LEARNED}
+        if track.anchor.across is not None:
+            arrays["worn_across"] = track.anchor.across
     arrays["size"] = track.size
     if track.resting is not None:
         arrays["resting_size"] = track.resting.size
@@ -266,8 +268,9 @@ def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
     pose = like(tracker.body.vertices, arrays, "worn_pose")
     position = like(tracker._track.state.position, arrays, "worn_position")
     fresh = body_anchor.start(tracker._setup, pose, position)
-    learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in LEARNED}
-    if (learned["seen"] < 0).any() or (learned["squares"] < 0).any():
+    names = LEARNED if fresh.across is None or "worn_across" not in arrays else (*LEARNED, "across")
+    learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in names}
+    if any((learned[name] < 0).any() for name in names if name != "measured"):
         raise InvalidSnapshot("snapshot.worn", "shares and squares that are not negative", "others")
     return fresh._replace(**learned)
 

@@ -146,5 +146,6 @@ def _anchor(anchor: BodyAnchor | None, share: np.ndarray, source: Discretised, t
     return body_anchor.start(target.setup, pose, position)._replace(
         seen=share @ anchor.seen,
         squares=share @ anchor.squares,
+        across=None if anchor.across is None else share @ anchor.across,
         measured=_resampled(anchor.measured.astype(np.float64), source, target) > 0.5,
     )

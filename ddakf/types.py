@@ -234,8 +234,9 @@ class BodyAnchor(NamedTuple):
     squares: np.ndarray  # (L,) m^2, squared deviation of these along the normal, times that share
     measured: np.ndarray  # (V,) bool, in the last frame
     guess: np.ndarray  # (L,) m^2, the same of a patch of which all is measured, as guessed before anything is
-    slip: np.ndarray  # (L,) m^2, squared deviation along either tangent
+    slip: np.ndarray  # (L,) m^2, squared deviation along either tangent, as guessed before anything is measured
     held: np.ndarray  # (V,) m^2, the same of a waistband's vertex, which is held where it is seen too; 0: of another vertex
+    across: np.ndarray | None  # (L,) m^2, as squares, along either tangent; None: of a garment whose slip is not learned
 
 
 # What changes from frame to frame -----------------------------------------------------------------------------------

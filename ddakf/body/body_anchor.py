@@ -5,11 +5,10 @@ the start does not. Along the normal it deviates the more, the wider the cloth h
 top. By how much more or less than that a garment does is learned where it is seen, as stage D learns R: a shirt that fits tightly
 is held, a skirt that swings is not.
 
-Across the normal cloth slips on the body. A garment hangs by its top. A waistband goes with the body, and what lies on the
-shoulders slips by some millimetres; the farther below, the more the cloth goes with itself: shorts turn as their waistband does,
-and not as the thighs inside. What the fit shows of that slip is not learned, as cloth that is held along itself seems to stay
-where it is held. A cloud does not show how a skirt is turned either, so that a waistband is held along itself where it is seen
-too.
+Across the normal cloth slips on the body. A garment hangs by its top. A waistband goes with the body; the farther below, the
+more the cloth goes with itself: shorts turn as their waistband does, and not as the thighs inside. A cloud does not show how a
+skirt is turned, so that a waistband is held along itself where it is seen too. What lies on the shoulders, such as a shirt, goes
+with the body all over: by how much it slips is learned where it is seen, as along the normal, and it is held by that much.
 """
 
 from __future__ import annotations
@@ -38,7 +37,8 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     waistband = (model.hanging <= TOP) & (not lying and not _is_flap(model.mesh))
     held = np.square(config.slip_sd + config.slip_slope * model.hanging) * waistband
     measured = np.zeros(len(position), bool)
-    return BodyAnchor(bound, np.zeros(n), np.zeros(n), measured, _first_guess(setup, bound), np.square(slip), held)
+    across = np.zeros(n) if lying else None
+    return BodyAnchor(bound, np.zeros(n), np.zeros(n), measured, _first_guess(setup, bound), np.square(slip), held, across)
 
 
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
@@ -75,11 +75,12 @@ def enabled(config: Config) -> bool:
 
 
 def measure(problem: Problem) -> Problem:
-    """The problem with the pseudo-measurements of the vertices that were not measured in the last frame, and of the waistband.
+    """The problem with the pseudo-measurements of the vertices that were not measured in the last frame, and of held ones.
 
-    What was measured is held along the surface alone. The error of the body adds to the slip. There are none where the pose of
-    the body is not known, and while a relocalized garment settles. The deviations of a patch count as one. A patch of which
-    nothing was seen deviates along the normal as the patches around it do, each over its first guess.
+    What was measured is held along the surface alone: a waistband, and all of what lies on the shoulders. The error of the body
+    adds to the slip. There are none where the pose of the body is not known, and while a relocalized garment settles. The
+    deviations of a patch count as one. A patch of which nothing was seen deviates as the patches around it do, each over its
+    first guess.
     """
     anchor, body, model, config = problem.last.anchor, problem.body, problem.model, problem.config.anchor
     if anchor is None or body is None or problem.health.settling:
@@ -87,13 +88,13 @@ def measure(problem: Problem) -> Problem:
     target = contact.follow(anchor.bound, body, config.reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
-    size, seen = len(target) / len(model.likeness), anchor.measured
+    size, seen, held = len(target) / len(model.likeness), anchor.measured, _held(anchor, model, config)
     planes = Planes(
         target=target,
         normal=normal,
-        weight=np.where((seen & (anchor.held == 0.0)) | (anchor.bound.contact.face < 0), 0.0, 1.0),
+        weight=np.where((seen & (held == 0.0)) | (anchor.bound.contact.face < 0), 0.0, 1.0),
         variance=np.where(seen, UNKNOWN, size * _along(anchor, model, config)[model.patch]),
-        tangential=size * (np.where(seen, anchor.held, anchor.slip[model.patch]) + contact.error2(body)),
+        tangential=size * (np.where(seen, held, _slip(anchor, model, config)[model.patch]) + contact.error2(body)),
     )
     return problem._replace(anchored=planes)
 
@@ -103,14 +104,34 @@ def slack(problem: Problem) -> np.ndarray | None:
     if problem.anchored is None:
         return None
     anchor = problem.last.anchor
-    return np.sqrt(_along(anchor, problem.model, problem.config.anchor) + 2.0 * (anchor.slip + contact.error2(problem.body)))
+    model, config = problem.model, problem.config.anchor
+    return np.sqrt(_along(anchor, model, config) + 2.0 * (_slip(anchor, model, config) + contact.error2(problem.body)))
 
 
 def _along(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
     """(L,) m^2 of the deviations in a patch along the normal."""
-    relative, seen = (model.likeness @ np.column_stack([anchor.squares / anchor.guess, anchor.seen])).T
+    return _deviations(anchor, anchor.guess, anchor.squares, model, config)
+
+
+def _slip(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
+    """(L,) m^2 of the deviations in a patch along either tangent: learned of what lies on the shoulders."""
+    if anchor.across is None:
+        return anchor.slip
+    return _deviations(anchor, anchor.slip, config.slip_share**2 * anchor.across, model, config)
+
+
+def _held(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
+    """(V,) m^2 along either tangent of vertices that are held where they are seen; 0 of others."""
+    if anchor.across is None:
+        return anchor.held
+    return config.seen_slip**2 * _slip(anchor, model, config)[model.patch]
+
+
+def _deviations(anchor: BodyAnchor, guess: np.ndarray, squares: np.ndarray, model: Model, config: Anchor) -> np.ndarray:
+    """(L,) m^2 by patch: the first ``guess``, times what the ``squares`` of the patches around it are of theirs."""
+    relative, seen = (model.likeness @ np.column_stack([squares / guess, anchor.seen])).T
     first = config.first_share
-    return np.maximum(anchor.guess * (relative + first) / (seen + first), config.least_sd**2)
+    return np.maximum(guess * (relative + first) / (seen + first), config.least_sd**2)
 
 
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> BodyAnchor | None:
@@ -130,10 +151,13 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray) -> Bod
     if planes is None:
         return anchor
     n, used = len(anchor.seen), measured & (anchor.bound.contact.face >= 0)
-    along = np.einsum("va,va->v", (position - planes.target)[used], planes.normal[used])
+    off = (position - planes.target)[used]
+    along = np.einsum("va,va->v", off, planes.normal[used])
     patch, size, old = model.patch[used], np.bincount(model.patch, minlength=n), exp(-problem.dt / config.memory)
-    return anchor._replace(
-        seen=old * anchor.seen + (1.0 - old) * np.bincount(patch, minlength=n) / size,
-        squares=old * anchor.squares + (1.0 - old) * np.bincount(patch, np.square(along), n) / size,
-        measured=measured,
-    )
+    seen = old * anchor.seen + (1.0 - old) * np.bincount(patch, minlength=n) / size
+    squares = old * anchor.squares + (1.0 - old) * np.bincount(patch, np.square(along), n) / size
+    anchor = anchor._replace(seen=seen, squares=squares, measured=measured)
+    if anchor.across is None:
+        return anchor
+    across = 0.5 * (np.einsum("va,va->v", off, off) - np.square(along))
+    return anchor._replace(across=old * anchor.across + (1.0 - old) * np.bincount(patch, across, n) / size)

@@ -65,10 +65,41 @@ def test_of_what_was_measured_only_the_top_is_held_and_only_along_itself():
     np.testing.assert_allclose(np.sqrt(held.tangential / PER_VERTEX)[FRONT & top], wanted, rtol=1e-6)
 
 
-def test_what_lies_on_the_shoulders_is_not_held_where_it_is_measured():
-    body = Mesh(SAMPLE.body_vertices[0], SAMPLE.body_faces)
-    anchor = body_anchor.start(Setup(model.build(SHIRT), contact.build(body, 0.1), Config()), body.vertices, SHIRT.vertices)
-    assert not anchor.held.any()
+def shirt_after(slip, frames=90):
+    """Anchor and pseudo-measurements of the sample's shirt, of which all but its left has slipped by so many metres."""
+    garment, body = model.build(SHIRT), Mesh(SAMPLE.body_vertices[0], SAMPLE.body_faces)
+    setup, normal = Setup(garment, contact.build(body, 0.1), Config()), np.empty_like(SHIRT.vertices)
+    vertex_normals(SHIRT.vertices, garment.faces, normal)
+    across = np.cross(normal, [0.0, 1.0, 0.0])
+    slipped = SHIRT.vertices + slip * across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+    under = contact.start(setup.body, SHIRT.vertices, Config().physics)
+    anchor, seen = body_anchor.start(setup, body.vertices, SHIRT.vertices), SHIRT.vertices[:, 0] < 0.05
+    for step in range(frames + 1):
+        last = Track(None, None, None, 0.0, Health(), None, under, anchor)
+        pose = contact.posed(setup.body, under, body.vertices)
+        problem = body_anchor.measure(problem_of(garment, None, Config(), last=last, body=pose, dt=1 / FPS))
+        if step < frames:
+            anchor = body_anchor.learned(problem, slipped, seen)
+    return anchor, problem.anchored, seen
+
+
+def test_what_lies_on_the_shoulders_is_held_by_as_much_as_it_is_seen_to_slip():
+    sizes = []
+    for slip in (0.005, 0.04):
+        anchor, held, seen = shirt_after(slip)
+        assert not anchor.held.any()
+        assert (held.weight[anchor.bound.contact.face >= 0] == 1.0).all()
+        assert (held.variance[seen] > 1e3).all()  # along its normal the cloud alone measures
+        sizes.append([np.sqrt(np.median(held.tangential[part])) for part in (seen, ~seen)])
+    little, much = np.array(sizes)
+    assert (much > 2.5 * little).all()
+    assert little[0] > CONFIG.seen_slip * 0.8 * little[1]
+
+
+def test_before_it_is_seen_what_lies_on_the_shoulders_slips_as_guessed():
+    anchor, held, _ = shirt_after(0.04, frames=0)
+    size = SHIRT.n_vertices / len(anchor.slip)
+    np.testing.assert_allclose(held.tangential, size * anchor.slip[model.build(SHIRT).patch])
 
 
 def test_the_place_on_a_body_that_is_wrong_is_as_uncertain():
