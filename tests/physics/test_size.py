@@ -1,6 +1,7 @@
-"""The garment's size: what all edges are strained by alike is a stretch of the template, learned where it is seen all around."""
+"""The garment's size: what all edges are strained by alike is a stretch of the template, learned where it is seen."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from ddakf.errors import InvalidSnapshot
 from ddakf.evaluation.sensors import Sensor
 from ddakf.garment import model
 from ddakf.physics import rigidity, size
-from tests.stages.scenes import FPS, rms, scan, tube
-from tests.tracker_runs import EYE, SAMPLE, SHIRT, assert_same
+from ddakf.types import Health
+from tests.stages.scenes import FPS, problem_of, rms, scan, tube
+from tests.tracker_runs import SAMPLE, SHIRT, assert_same
 
 TUBE = tube()
 GARMENT = model.build(TUBE, Config())
@@ -20,14 +22,16 @@ OF_ONE_SIZE = dataclasses.replace(Config(), physics=dataclasses.replace(NUMBERS,
 STRETCH = np.array([[0.05, 0.01, -0.02], [0.01, -0.04, 0.0], [-0.02, 0.0, 0.02]])
 
 
-def worn(scale, config=None, frames=30, **how):
-    """A tracker of the sample with a template so large, after frames from all around, and its errors in metres."""
-    tracker, rng, errors = Tracker(Mesh(SHIRT.vertices * scale, SHIRT.faces), config=config), np.random.default_rng(1), []
-    start = SAMPLE.garment_vertices[0]
-    tracker.reset(vertices=start if how.get("placed") else start.mean(axis=0) + (start - start.mean(axis=0)) * scale)
+def worn(scale, config=None, frames=30, *, placed=False, view="full", body=False):
+    """A tracker of the sample with a template so large, after some frames, and its errors in metres."""
+    poses = [pose if body else None for pose in SAMPLE.body_vertices]
+    wearer = Mesh(poses[0], SAMPLE.body_faces) if body else None
+    tracker = Tracker(Mesh(SHIRT.vertices * scale, SHIRT.faces), body=wearer, config=config)
+    start, rng, errors = SAMPLE.garment_vertices[0], np.random.default_rng(1), []
+    tracker.reset(vertices=start if placed else start.mean(axis=0) + (start - start.mean(axis=0)) * scale)
     for k in range(1, frames + 1):
-        cloud = Sensor("full").capture(SAMPLE, k, rng)
-        result = tracker.step(cloud.points, timestamp=k / FPS, sensor_origin=cloud.sensor_origin)
+        cloud = Sensor(view).capture(SAMPLE, k, rng)
+        result = tracker.step(cloud.points, timestamp=k / FPS, sensor_origin=cloud.sensor_origin, body_vertices=poses[k])
         errors.append(rms(result.vertices - SAMPLE.garment_vertices[k]))
     return tracker, np.array(errors)
 
@@ -104,12 +108,27 @@ def test_a_garment_of_its_templates_size_keeps_it():
     assert np.abs(tracker._track.size).max() < 0.005
 
 
-def test_one_side_teaches_no_size():
-    tracker = Tracker(Mesh(1.05 * TUBE.vertices, TUBE.faces))
-    for k in range(10):
-        points = scan(TUBE.vertices, TUBE, 6000, 0.002, seed=k)
-        tracker.step(points[points[:, 2] > 0.02], timestamp=k / FPS, sensor_origin=EYE)
+@pytest.mark.parametrize("scale", [0.93, 1.07])
+@pytest.mark.parametrize("body", [False, True])
+def test_one_side_tells_the_size_in_the_mean_of_all_directions(scale, body):
+    tracker, errors = worn(scale, view="front", body=body)
+    learned = np.diag(tracker._track.size) / -np.log(scale)
+    assert np.ptp(learned) < 1e-9
+    assert 0.2 < learned[0] < 1.1
+    assert errors[-10:].mean() < 0.95 * worn(scale, OF_ONE_SIZE, view="front", body=body)[1][-10:].mean()
+
+
+@pytest.mark.parametrize("body", [False, True])
+def test_one_side_of_a_garment_of_its_templates_size_teaches_nothing(body):
+    tracker, _ = worn(1.0, view="front", body=body)
     assert not tracker._track.size.any()
+
+
+def test_little_that_is_seen_teaches_no_size():
+    height, last = TUBE.vertices[:, 1], SimpleNamespace(size=np.zeros((3, 3)), health=Health(state="tracking"))
+    problem = problem_of(GARMENT, None, Config(), last=last)
+    sizes = [size.learned(problem, 1.05 * TUBE.vertices, height > np.quantile(height, q), 1.0) for q in (0.5, 0.9)]
+    assert [learned.any() for learned in sizes] == [True, False]
 
 
 def test_the_papers_preset_has_the_templates_size():
