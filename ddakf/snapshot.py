@@ -268,9 +268,11 @@ def _anchor(tracker, arrays: dict[str, np.ndarray]) -> BodyAnchor:
     pose = like(tracker.body.vertices, arrays, "worn_pose")
     position = like(tracker._track.state.position, arrays, "worn_position")
     fresh = body_anchor.start(tracker._setup, pose, position)
-    names = LEARNED if fresh.across is None or "worn_across" not in arrays else (*LEARNED, "across")
-    learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in names}
-    if any((learned[name] < 0).any() for name in names if name != "measured"):
+    learned = {name: like(getattr(fresh, name), arrays, f"worn_{name}") for name in LEARNED}
+    if fresh.across is not None:  # of earlier snapshots the guess
+        known = "worn_across" in arrays
+        learned["across"] = like(fresh.across, arrays, "worn_across") if known else learned["seen"] * fresh.slip
+    if any((values < 0).any() for values in learned.values()):
         raise InvalidSnapshot("snapshot.worn", "shares and squares that are not negative", "others")
     return fresh._replace(**learned)
 

@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ddakf import Config, Tracker, snapshot
+from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.errors import InvalidSnapshot
 from tests.stages.scenes import FPS, inner_body, scan, tube
+from tests.tracker_runs import SAMPLE, SHIRT
 
 GARMENT = tube(around=16, along=8)
 BODY = inner_body(GARMENT)
@@ -108,6 +109,24 @@ def test_renamed_fields_keep_their_values():
     del numbers["config"]["anchor"]
     twin = Tracker.restore(snapshot.sealed(snapshot.pack(numbers, arrays)[16:], 18))
     assert twin.config == tracker.config
+
+
+def test_how_far_a_shirt_slips_is_kept_and_of_earlier_snapshots_the_guess():
+    poses = SAMPLE.body_vertices.astype(float)
+    tracker = Tracker(SHIRT, body=Mesh(poses[0], SAMPLE.body_faces))
+    steps = [(SAMPLE.garment_vertices[k], {"timestamp": k / 30, "body_vertices": poses[k]}) for k in range(1, 8)]
+    for points, how in steps[:-1]:
+        tracker.step(points, **how)
+    numbers, arrays = snapshot.parts(tracker)
+    twin = Tracker.restore(tracker.snapshot())
+    earlier = Tracker.restore(
+        snapshot.sealed(snapshot.pack(numbers, {k: v for k, v in arrays.items() if k != "worn_across"})[16:], 24)
+    )
+    anchor = earlier._track.anchor
+    assert tracker._track.anchor.across.any()
+    np.testing.assert_array_equal(anchor.across, anchor.seen * anchor.slip)
+    points, how = steps[-1]
+    assert_same(twin.step(points, **how), tracker.step(points, **how))
 
 
 @pytest.mark.parametrize("gap_time", [0.0, 0.5])
