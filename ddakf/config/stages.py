@@ -45,8 +45,8 @@ class Anchor(Checked):
     slip_sd: float = bounded(0.001, 1e-4, 1)  # m by which cloth slips on the body, at the garment's top: a waistband
     shoulder_slip_sd: float = bounded(0.005, 1e-4, 1)  # the same of a garment that lies on the shoulders
     slip_slope: float = bounded(0.15, 0, 10)  # m more per m of cloth from there
-    slip_share: float = bounded(1.5, 0, 10)  # of what such a garment is seen to slip, by which it is held
-    seen_slip: float = bounded(1.4, 0, 100)  # times that, where it is seen
+    slip_share: float = bounded(2.0, 0, 10)  # of what such a garment is seen to slip, by which it is held
+    seen_slip: float = bounded(2.0, 0, 100)  # times that, where it is seen
 
 
 # Preprocessing ------------------------------------------------------------------------------------------------------

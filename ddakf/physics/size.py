@@ -43,9 +43,10 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
 def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliability: float) -> np.ndarray:
     """(3, 3) logarithm of the stretch after a frame: it follows the strain that the measured edges have in common.
 
-    Where less than ``strain_coverage`` of the edges is measured, as from one side, only the mean of all directions is learned.
-    Beside a body right templates are strained there, as the hidden side holds the seen one. Nothing is learned while the
-    garment's place is not known, or less than ``size_coverage`` is measured. A frame counts for at most ``LONGEST_LESSON``.
+    Where less than ``strain_coverage`` of the edges is measured, as from one side, only the mean of all directions is learned,
+    and on a body alone: the hidden side, which the body holds, strains the seen one of a right template by ``size_pull``, while
+    without a body a shape that has shrunk holds nothing that would stop it. Nothing is learned while the garment's place is not
+    known, or less than ``size_coverage`` is measured. A frame counts for at most ``LONGEST_LESSON``.
 
     Args:
         problem: the frame.
@@ -57,12 +58,11 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliab
     if config.size_memory == 0 or problem.last.health.unplaced:
         return size
     strain, share = common_strain(position, measured, model, rest_length(problem))
-    if share < config.size_coverage:
+    one_side = share < config.strain_coverage
+    if share < config.size_coverage or (one_side and problem.body is None):
         return size
     new = reliability * (1.0 - math.exp(-min(problem.dt, LONGEST_LESSON) / config.size_memory))
-    mean, one_side = np.trace(strain) / 3.0, share < config.strain_coverage
-    if one_side and problem.body is not None:
-        mean -= config.size_pull
+    mean = np.trace(strain) / 3.0 - (config.size_pull if one_side else 0.0)
     if not size.any() and abs(mean) < config.size_doubt * config.size_slack:
         return size
     if one_side:
