@@ -88,13 +88,14 @@ def measure(problem: Problem) -> Problem:
     target = contact.follow(anchor.bound, body, config.reach)
     normal = np.empty_like(target)
     vertex_normals(target, model.faces, normal)
-    size, seen, held = len(target) / len(model.likeness), anchor.measured, _held(anchor, model, config)
+    size, seen, slip = len(target) / len(model.likeness), anchor.measured, _slip(anchor, model, config)[model.patch]
+    held = anchor.held if anchor.across is None else config.seen_slip**2 * slip
     planes = Planes(
         target=target,
         normal=normal,
         weight=np.where((seen & (held == 0.0)) | (anchor.bound.contact.face < 0), 0.0, 1.0),
         variance=np.where(seen, UNKNOWN, size * _along(anchor, model, config)[model.patch]),
-        tangential=size * (np.where(seen, held, _slip(anchor, model, config)[model.patch]) + contact.error2(body)),
+        tangential=size * (np.where(seen, held, slip) + contact.error2(body)),
     )
     return problem._replace(anchored=planes)
 
@@ -118,13 +119,6 @@ def _slip(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
     if anchor.across is None:
         return anchor.slip
     return _deviations(anchor, anchor.slip, config.slip_share**2 * anchor.across, model, config)
-
-
-def _held(anchor: BodyAnchor, model: Model, config: Anchor) -> np.ndarray:
-    """(V,) m^2 along either tangent of vertices that are held where they are seen; 0 of others."""
-    if anchor.across is None:
-        return anchor.held
-    return config.seen_slip**2 * _slip(anchor, model, config)[model.patch]
 
 
 def _deviations(anchor: BodyAnchor, guess: np.ndarray, squares: np.ndarray, model: Model, config: Anchor) -> np.ndarray:
