@@ -143,6 +143,7 @@ class LocalPool:
             if placement.worker is not isolated:
                 self._require_memory(isolated, placement.worker.sessions.get(session_id, UNKNOWN))
                 await self._move(session_id, placement.worker, isolated)
+                isolated.lower_priority()  # its threads that were being started when it began
 
     async def close(self, session_id: str) -> None:
         placement = self._placements.get(session_id)

@@ -76,6 +76,7 @@ class Worker:
         self._numbers = itertools.count(1)
         self._waiting: dict[int, _Call] = {}
         self._listener: asyncio.Task | None = None
+        self._lowered: int | None = None  # nice value
 
     @classmethod
     async def start(cls, source: WorkerSource, timeout: float, progress: Progress) -> Worker:
@@ -112,17 +113,21 @@ class Worker:
             return 0
 
     def lower_priority(self) -> None:
-        """Gives way to all other processes of this machine where they need the cores."""
+        """Gives way to all other processes of this machine where they need the cores; safe to call again.
+
+        A thread that is being started at this time may keep the priority of before; a later call lowers it.
+        """
         if not self._here:
             return
-        lowered: set[str] = set()
+        reached: set[str] = set()
         with contextlib.suppress(OSError):  # it has ended, or the system has no /proc
-            nice = os.getpriority(os.PRIO_PROCESS, self.process.pid) + _GIVING_WAY  # the system knows the highest value
-            while started := set(os.listdir(f"/proc/{self.process.pid}/task")) - lowered:  # threads start others meanwhile
+            if self._lowered is None:  # the system knows the highest value
+                self._lowered = os.getpriority(os.PRIO_PROCESS, self.process.pid) + _GIVING_WAY
+            while started := set(os.listdir(f"/proc/{self.process.pid}/task")) - reached:  # threads start others meanwhile
                 for thread in started:
                     with contextlib.suppress(ProcessLookupError):  # the thread has ended
-                        os.setpriority(os.PRIO_PROCESS, int(thread), nice)
-                lowered |= started
+                        os.setpriority(os.PRIO_PROCESS, int(thread), self._lowered)
+                reached |= started
 
     def send(
         self,
