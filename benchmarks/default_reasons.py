@@ -22,8 +22,6 @@ REASONS = {
     "Physics.size_memory": "tuned on training recordings with templates 5 % off: 0.15 s is too slow; the paper has one size",
     "Physics.size_slack": "tuned on training recordings, with their templates and with others 5 % off",
     "Physics.size_slack_across": "the same: directions along which cloth slides show less",
-    "Physics.size_slack_one_side": "the same, from one camera: 0.5 % finds half as much",
-    "Physics.size_pull": "mean strain of right templates from one camera with the body, training recordings",
     "Physics.size_coverage": "chosen: one camera sees a third of the edges",
     "Physics.size_doubt": "the same: right templates stay as they are",
     "Physics.size_start": "chosen: true frames show up to 2.1 %, `python benchmarks/strains.py`",

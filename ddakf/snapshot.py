@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
 import struct
@@ -42,23 +43,26 @@ from ddakf.types import (
 
 MAGIC = b"DDAKFSNP"
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 24
+VERSION = 25
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
 # size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
 # another guess of how far it deviates along the normal, which is not read, and the template's lengths at rest; 17 has another
 # law of the frame's error, which is not read; 18 has other names for fields of the configuration;
 # 19 has none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
-# size and of the frame's error, and 22 of the size, which are not read; 23 has no palette.
+# size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the size.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
-DROPPED = (
-    ("evidence", "free_clearance"),
-    ("reliability", "sigma_share"),
-    *(("predict", f"worn_{name}") for name in ("normal_sd", "slope", "sd", "tangential_sd")),
-    *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
-    *(("predict", f"anchor_{name}") for name in ("first_share", "slippage", "slippage_power")),
-)  # parts and fields of earlier configurations, which are not read
+DROPPED = {
+    17: (
+        ("evidence", "free_clearance"),
+        ("reliability", "sigma_share"),
+        *(("predict", f"worn_{name}") for name in ("normal_sd", "slope", "sd", "tangential_sd")),
+        *(("predict", f"anchor_{name}") for name in ("normal_samples", "tangential_samples", "seen_samples", "seen_sd")),
+        *(("predict", f"anchor_{name}") for name in ("first_share", "slippage", "slippage_power")),
+    ),
+    25: (("physics", "size_slack_one_side"), ("physics", "size_pull")),
+}  # parts and fields of configurations before a version, which are not read
 MOVED = {  # part and field of the configuration before 19, and since
     ("predict", "worn_memory"): ("anchor", "memory"),
     ("predict", "worn_normal_sd"): ("anchor", "normal_sd"),
@@ -410,7 +414,7 @@ def _present(numbers: dict, version: int) -> dict:
     if isinstance(config := numbers.get("config"), dict):
         for law in ("frame_error", "vertex_error", "normal_error", "tangential_error"):  # fitted together
             config.pop(law, None)
-        for part, field in DROPPED if version < 17 else ():
+        for part, field in itertools.chain(*(fields for end, fields in DROPPED.items() if version < end)):
             if isinstance(config.get(part), dict):
                 config[part].pop(field, None)
         for (part, field), (new_part, new_field) in MOVED.items():

@@ -296,7 +296,7 @@ def _learned(
 ) -> Track:
     """The track after a frame."""
     state, position, measured = posterior.state, posterior.state.position, estimate.learnable
-    larger = size.learned(problem, position, measured, verdict.health.reliability)
+    larger = size.learned(problem, estimate, position, verdict.health.reliability)
     return Track(
         state=state,
         rotation=problem.rotation if estimate.rejected else rigidity.against_template(estimate.rest, problem.resting),

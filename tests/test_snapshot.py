@@ -147,6 +147,15 @@ def test_another_configuration_goes_on_from_the_same_state(gap_time):
     assert 0 < np.abs(changed.vertices - unchanged.vertices).max() < 0.02
 
 
+def test_fields_that_only_the_last_version_had_are_not_read():
+    numbers, arrays = snapshot.parts(tracked(5, BODY))
+    numbers["config"]["physics"] |= {"size_pull": 0.003, "size_slack_one_side": 0.002}
+    earlier, current = (snapshot.sealed(snapshot.pack(numbers, arrays)[16:], v) for v in (24, snapshot.VERSION))
+    assert Tracker.restore(earlier).config == Config()
+    with pytest.raises(InvalidSnapshot, match="size_pull"):
+        Tracker.restore(current)
+
+
 @pytest.mark.parametrize("version", [11, 12, 13, 15, 16, 17, 18])
 def test_a_snapshot_of_an_earlier_version_goes_on_without_what_it_lacks(version):
     tracker = tracked(5, BODY)

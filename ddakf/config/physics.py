@@ -24,8 +24,6 @@ class Physics(Checked):
     size_memory: float = bounded(0.08, 0, 1e3)  # s, time constant of the garment's size; 0: the template's size is right
     size_slack: float = bounded(0.005, 0, 1)  # mean strain that cloth may show at its size
     size_slack_across: float = bounded(0.008, 0, 1)  # the same of the difference between directions
-    size_slack_one_side: float = bounded(0.002, 0, 1)  # the same of the mean strain, of cloth that is seen from one side
-    size_pull: float = bounded(0.003, 0, 1)  # mean strain of such cloth on a body, whose hidden side pulls, at its size
     size_coverage: float = bounded(0.15, 0, 1)  # share of the edges that must be measured before the size is learned
     size_doubt: float = bounded(2.0, 1, 100)  # times as much mean strain is no size while the garment has its template's
     size_start: float = bounded(0.02, 0, 1)  # mean strain from which on a start is of another size than the template

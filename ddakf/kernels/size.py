@@ -46,3 +46,47 @@ def accumulate(position, measured, rings, stride, rest_edge, rest_length, matrix
                     matrix[a, b] += w * d[a] * d[b]
             n += 1
     return n, looked
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def accumulate_hems(vertex, rest, rotation, direction, offset, weight, matrix, vector):
+    """Adds the normal equations of strain c . (t - t_mean) + c . shift = offset over hems, c their outward direction at rest.
+
+    The four unknowns are the strain and the shift (m). All sums are divided by the sum of the weights.
+
+    Args:
+        vertex: (H,) of the boundary.
+        rest: t (V, 3) metres.
+        rotation: (V, 3, 3) of the one-rings against the shape at rest.
+        direction: (H, 3) unit, outward.
+        offset: (H,) metres, from the vertex to the end of the cloud.
+        weight: (H,).
+        matrix: (4, 4) in and out.
+        vector: (4,) in and out.
+
+    Returns:
+        Number of hems with a weight, and the mean square of their offsets, m^2.
+    """
+    n, total, square, row, mean = 0, 0.0, 0.0, np.empty(4), np.zeros(3)
+    for h in range(vertex.shape[0]):
+        n += int(weight[h] > 0.0)
+        total += weight[h]
+        for a in range(3):
+            mean[a] += weight[h] * rest[vertex[h], a]
+    if n == 0:
+        return 0, 0.0
+    for h in range(vertex.shape[0]):
+        if weight[h] <= 0.0:
+            continue
+        i, share, row[0] = vertex[h], weight[h] / total, 0.0
+        for a in range(3):
+            row[a + 1] = 0.0
+            for b in range(3):
+                row[a + 1] += rotation[i, b, a] * direction[h, b]
+            row[0] += row[a + 1] * (rest[i, a] - mean[a] / total)
+        square += share * offset[h] ** 2
+        for a in range(4):
+            vector[a] += share * row[a] * offset[h]
+            for b in range(4):
+                matrix[a, b] += share * row[a] * row[b]
+    return n, square

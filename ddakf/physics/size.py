@@ -14,11 +14,13 @@ import numpy as np
 
 from ddakf.config import Physics
 from ddakf.kernels import size as kernels
-from ddakf.types import Model, Problem
+from ddakf.types import Estimate, Model, Problem
 
 LONGEST_LESSON = 0.04  # s that a frame counts for, at most
 STRIDE = 3  # of the vertices whose edges are looked at in a frame
 ALIKE = 0.01  # weight of the edges with which the matrix is a multiple of the identity: no edge shows it across a sheet
+FEWEST_HEMS = 6  # vertices
+SIZE_SD = 0.03  # of the strain that hems tell, before they are seen
 BELIEVED = 0.1  # root mean square strain of what is left, from which a start is believed by half
 
 
@@ -40,8 +42,10 @@ def at_start(position: np.ndarray, model: Model, config: Physics) -> np.ndarray:
     return _bounded(_beyond(strain, config.size_slack) / (1.0 + float(np.square(left).mean()) / BELIEVED**2), config)
 
 
-def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliability: float) -> np.ndarray:
+def learned(problem: Problem, estimate: Estimate, position: np.ndarray, reliability: float) -> np.ndarray:
     """(3, 3) logarithm of the stretch after a frame: it follows the strain that the measured edges have in common.
+
+    Cloth that is too large folds instead of being strained, and its hems reach beyond the cloud: their strain is added.
 
     Where less than ``strain_coverage`` of the edges is measured, as from one side, only the mean of all directions is learned,
     and on a body alone: the hidden side, which the body holds, strains the seen one of a right template by ``size_pull``, while
@@ -50,26 +54,47 @@ def learned(problem: Problem, position: np.ndarray, measured: np.ndarray, reliab
 
     Args:
         problem: the frame.
+        estimate: whose vertices that learn and hems count.
         position: (V, 3) the posterior, metres.
-        measured: (V,) bool.
         reliability: of the frame, by which it counts.
     """
     size, config, model = problem.last.size, problem.config.physics, problem.model
     if config.size_memory == 0 or problem.last.health.unplaced:
         return size
-    strain, share = common_strain(position, measured, model, rest_length(problem))
+    strain, share = common_strain(position, estimate.learnable, model, rest_length(problem))
     one_side = share < config.strain_coverage
     if share < config.size_coverage or (one_side and problem.body is None):
         return size
     new = reliability * (1.0 - math.exp(-min(problem.dt, LONGEST_LESSON) / config.size_memory))
-    mean = np.trace(strain) / 3.0 - (config.size_pull if one_side else 0.0)
+    mean = np.trace(strain) / 3.0
+    across = strain - mean * np.eye(3)
+    mean += hem_strain(problem, estimate)
     if not size.any() and abs(mean) < config.size_doubt * config.size_slack:
         return size
     if one_side:
-        return _bounded(size + new * _beyond(mean * np.eye(3), config.size_slack_one_side), config)
-    across = strain - mean * np.eye(3)
+        return _bounded(size + new * _beyond(mean * np.eye(3), config.size_slack), config)
     grown = _beyond(mean * np.eye(3), config.size_slack) + _beyond(across, config.size_slack_across)
     return _bounded(size + new * grown, config)
+
+
+def hem_strain(problem: Problem, estimate: Estimate) -> float:
+    """Strain of the whole template with which its hems would meet the ends of the cloud, up to a translation; at most 0.
+
+    Noise lets a cloud end farther out, so that hems tell only of a garment that is too large. What they have not in common,
+    as in a jump, makes it count less.
+    """
+    hem, model = estimate.evidence.measurement.hem, problem.model
+    if hem is None:
+        return 0.0
+    matrix, vector = np.diag([1e-12, ALIKE, ALIKE, ALIKE]), np.zeros(4)
+    at = model.boundary[:, 0], model.mesh.vertices, problem.rotation
+    n, square = kernels.accumulate_hems(*at, *hem, matrix, vector)
+    if n < FEWEST_HEMS:
+        return 0.0
+    inverse = np.linalg.inv(matrix)
+    strain, left = inverse[0] @ vector, square - vector @ inverse @ vector
+    told = SIZE_SD**2 / inverse[0, 0]
+    return min(float(strain * told / (told + left)), 0.0)
 
 
 def rest_length(problem: Problem) -> np.ndarray:

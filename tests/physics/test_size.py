@@ -10,8 +10,9 @@ from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.errors import InvalidSnapshot
 from ddakf.evaluation.sensors import Sensor
 from ddakf.garment import model
+from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity, size
-from ddakf.types import Health
+from ddakf.types import Health, Hem, Measurement
 from tests.stages.scenes import FPS, problem_of, rms, scan, tube
 from tests.tracker_runs import SAMPLE, SHIRT, assert_same
 
@@ -126,8 +127,45 @@ def test_one_side_of_a_garment_of_its_templates_size_or_without_a_body_teaches_n
 def test_little_that_is_seen_teaches_no_size():
     height, last = TUBE.vertices[:, 1], SimpleNamespace(size=np.zeros((3, 3)), health=Health(state="tracking"))
     problem = problem_of(GARMENT, None, Config(), last=last, body=object())
-    sizes = [size.learned(problem, 1.05 * TUBE.vertices, height > np.quantile(height, q), 1.0) for q in (0.5, 0.9)]
+    seen = [height > np.quantile(height, q) for q in (0.5, 0.9)]
+    sizes = [size.learned(problem, estimate_of(None, learnable), 1.05 * TUBE.vertices, 1.0) for learnable in seen]
     assert [learned.any() for learned in sizes] == [True, False]
+
+
+def estimate_of(hem, learnable=None):
+    measurement = Measurement.none(len(TUBE.vertices))._replace(hem=hem)
+    return SimpleNamespace(learnable=learnable, evidence=SimpleNamespace(measurement=measurement))
+
+
+def hems_of(ends, turn=None, noise=0.0):
+    """The tube's hems, and a problem, where the cloud ends at (V, 3) ``ends`` of its vertices; all turned."""
+    turn, (vertex, before, after) = np.eye(3) if turn is None else turn, GARMENT.boundary.T
+    rest, normals = TUBE.vertices, vertex_normals(TUBE.vertices, TUBE.faces)
+    outward = np.cross(rest[after] - rest[before], normals[vertex])
+    outward /= np.linalg.norm(outward, axis=1)[:, None]
+    offset = np.einsum("ha,ha->h", outward, (ends - rest)[vertex])
+    offset += noise * np.random.default_rng(1).normal(size=len(offset))
+    hem = Hem(outward @ turn.T, offset, np.ones(len(vertex)))
+    rotation = np.tile(turn, (len(rest), 1, 1))
+    return problem_of(GARMENT, None, Config(), rotation=rotation), estimate_of(hem)
+
+
+def test_hems_tell_how_much_too_large_a_garment_is_wherever_it_is_turned():
+    turn = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    for placed in (np.eye(3), turn):
+        found = size.hem_strain(*hems_of(0.95 * TUBE.vertices + [0.01, 0.02, 0.0], placed))
+        assert found == pytest.approx(-0.05, abs=0.003)
+
+
+def test_clouds_that_end_farther_out_or_beside_the_hems_are_no_size():
+    assert size.hem_strain(*hems_of(1.05 * TUBE.vertices)) == 0.0
+    assert size.hem_strain(*hems_of(TUBE.vertices + [0.0, 0.02, 0.0])) == pytest.approx(0.0, abs=1e-3)
+    assert size.hem_strain(problem_of(GARMENT, None, Config()), estimate_of(None)) == 0.0
+
+
+def test_hems_that_disagree_tell_less():
+    clear, blurred = (size.hem_strain(*hems_of(0.95 * TUBE.vertices, noise=noise)) for noise in (0.0, 0.02))
+    assert clear < 1.5 * blurred < 0.0
 
 
 def test_the_papers_preset_has_the_templates_size():
