@@ -412,7 +412,8 @@ def _present(numbers: dict, version: int) -> dict:
     if version >= VERSION or not isinstance(numbers, dict):
         return numbers
     if isinstance(config := numbers.get("config"), dict):
-        for law in ("frame_error", "vertex_error", "normal_error", "tangential_error"):  # fitted together
+        laws = ("frame_error", "vertex_error", "normal_error", "tangential_error")  # fitted together, last for 24
+        for law in laws if version < 24 else ():
             config.pop(law, None)
         for part, field in itertools.chain(*(fields for end, fields in DROPPED.items() if version < end)):
             if isinstance(config.get(part), dict):

@@ -48,8 +48,7 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray, reliabil
     Cloth that is too large folds instead of being strained, and its hems reach beyond the cloud: their strain is added.
 
     Where less than ``strain_coverage`` of the edges is measured, as from one side, only the mean of all directions is learned,
-    and on a body alone: the hidden side, which the body holds, strains the seen one of a right template by ``size_pull``, while
-    without a body a shape that has shrunk holds nothing that would stop it. Nothing is learned while the garment's place is not
+    and on a body alone: without one a right template shrinks too. Nothing is learned while the garment's place is not
     known, or less than ``size_coverage`` is measured. A frame counts for at most ``LONGEST_LESSON``.
 
     Args:
@@ -71,9 +70,9 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray, reliabil
     mean += hem_strain(problem, estimate)
     if not size.any() and abs(mean) < config.size_doubt * config.size_slack:
         return size
-    if one_side:
-        return _bounded(size + new * _beyond(mean * np.eye(3), config.size_slack), config)
-    grown = _beyond(mean * np.eye(3), config.size_slack) + _beyond(across, config.size_slack_across)
+    grown = _beyond(mean * np.eye(3), config.size_slack)
+    if not one_side:
+        grown += _beyond(across, config.size_slack_across)
     return _bounded(size + new * grown, config)
 
 
