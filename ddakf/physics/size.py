@@ -21,6 +21,7 @@ STRIDE = 3  # of the vertices whose edges are looked at in a frame
 ALIKE = 0.01  # weight of the edges with which the matrix is a multiple of the identity: no edge shows it across a sheet
 FEWEST_HEMS = 6  # vertices
 SIZE_SD = 0.03  # of the strain that hems tell, before they are seen
+HEM_FLIGHT = 0.05  # s: hems that move against each other, as when a skirt flies, are as far off as they move in that time
 BELIEVED = 0.1  # root mean square strain of what is left, from which a start is believed by half
 
 
@@ -80,7 +81,7 @@ def hem_strain(problem: Problem, estimate: Estimate) -> float:
     """Strain of the whole template with which its hems would meet the ends of the cloud, up to a translation; at most 0.
 
     Noise lets a cloud end farther out, so that hems tell only of a garment that is too large. What they have not in common,
-    as in a jump, makes it count less.
+    and strain at which they move now, as in a jump, makes it count less.
     """
     hem, model = estimate.evidence.measurement.hem, problem.model
     if hem is None:
@@ -92,8 +93,12 @@ def hem_strain(problem: Problem, estimate: Estimate) -> float:
         return 0.0
     inverse = np.linalg.inv(matrix)
     strain, left = inverse[0] @ vector, square - vector @ inverse @ vector
-    told = SIZE_SD**2 / inverse[0, 0]
-    return min(float(strain * told / (told + left)), 0.0)
+    moved = estimate.position[at[0]] - problem.last.state.position[at[0]]
+    speed, along = np.einsum("ha,ha->h", hem.direction, moved) / problem.dt, np.zeros(4)
+    kernels.accumulate_hems(*at, hem.direction, speed, hem.weight, np.zeros((4, 4)), along)
+    flown = HEM_FLIGHT * inverse[0] @ along
+    told = SIZE_SD**2 / (SIZE_SD**2 + left * inverse[0, 0] + flown**2)
+    return min(float(strain * told), 0.0)
 
 
 def rest_length(problem: Problem) -> np.ndarray:

@@ -132,12 +132,12 @@ def test_little_that_is_seen_teaches_no_size():
     assert [learned.any() for learned in sizes] == [True, False]
 
 
-def estimate_of(hem, learnable=None):
+def estimate_of(hem, learnable=None, position=None):
     measurement = Measurement.none(len(TUBE.vertices))._replace(hem=hem)
-    return SimpleNamespace(learnable=learnable, evidence=SimpleNamespace(measurement=measurement))
+    return SimpleNamespace(learnable=learnable, evidence=SimpleNamespace(measurement=measurement), position=position)
 
 
-def hems_of(ends, turn=None, noise=0.0):
+def hems_of(ends, turn=None, noise=0.0, velocity=0.0):
     """The tube's hems, and a problem, where the cloud ends at (V, 3) ``ends`` of its vertices; all turned."""
     turn, (vertex, before, after) = np.eye(3) if turn is None else turn, GARMENT.boundary.T
     rest, normals = TUBE.vertices, vertex_normals(TUBE.vertices, TUBE.faces)
@@ -146,8 +146,9 @@ def hems_of(ends, turn=None, noise=0.0):
     offset = np.einsum("ha,ha->h", outward, (ends - rest)[vertex])
     offset += noise * np.random.default_rng(1).normal(size=len(offset))
     hem = Hem(outward @ turn.T, offset, np.ones(len(vertex)))
-    rotation = np.tile(turn, (len(rest), 1, 1))
-    return problem_of(GARMENT, None, Config(), rotation=rotation), estimate_of(hem)
+    last = SimpleNamespace(state=SimpleNamespace(position=rest @ turn.T))
+    problem = problem_of(GARMENT, None, Config(), rotation=np.tile(turn, (len(rest), 1, 1)), last=last)
+    return problem, estimate_of(hem, position=last.state.position + problem.dt * velocity)
 
 
 def test_hems_tell_how_much_too_large_a_garment_is_wherever_it_is_turned():
@@ -166,6 +167,13 @@ def test_clouds_that_end_farther_out_or_beside_the_hems_are_no_size():
 def test_hems_that_disagree_tell_less():
     clear, blurred = (size.hem_strain(*hems_of(0.95 * TUBE.vertices, noise=noise)) for noise in (0.0, 0.02))
     assert clear < 1.5 * blurred < 0.0
+
+
+def test_hems_that_fly_tell_less_and_hems_that_move_together_do_not():
+    ends = 0.95 * TUBE.vertices
+    still, moved, flown = (size.hem_strain(*hems_of(ends, velocity=v)) for v in (0.0, np.ones(3), -1.0 * TUBE.vertices))
+    assert moved == pytest.approx(still, rel=1e-3)
+    assert 0.5 * still < flown < 0.0
 
 
 def test_the_papers_preset_has_the_templates_size():
