@@ -569,6 +569,7 @@ class Estimate(NamedTuple):
     evidence: Evidence  # of the last pass
     gravity: np.ndarray | None = None  # (V, 3) 1/m, force of the cloth's weight; None: nothing tells what carries it
     bulge: np.ndarray | None = None  # (V, 3) m by which vertices stand out of their planes' patches; None: not known
+    yielding: float = 1.0  # share of the rigidity between frames that seen vertices have
     contacts: Contacts | None = None  # on the body; None: not searched
     planes: Planes | None = None
     system: System | None = None

@@ -163,7 +163,7 @@ class Config:
 
     @classmethod
     def fast(cls) -> Config:
-        """Half to two thirds of the default's time for a larger error: a coarser working mesh, fewer passes and planes."""
+        """Half to three quarters of the default's time for a larger error: a coarser working mesh, fewer passes."""
         return cls(
             discretisation=Discretisation(
                 working_edge=0.025,
@@ -175,7 +175,7 @@ class Config:
                 patches=24,
                 aggregates=20,
             ),
-            preprocess=GridFilter(points_per_cell=8.0, planes_per_vertex=3.0, neighbours=8, suspect_rings=2, sample=100),
+            preprocess=GridFilter(points_per_cell=8.0, neighbours=8, suspect_rings=2, sample=100),
             associate=PlaneAssociation(iterations=4, slow_iterations=12, least_iterations=1, tolerance=0.002),
             evidence=ErrorEvidence(points=300),
         )

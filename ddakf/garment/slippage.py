@@ -8,6 +8,7 @@ import numpy as np
 
 from ddakf.kernels import slippage as kernels
 
+FACES = 1000
 FOLD_WIDTH = 0.06  # m, along the surface: folds that are wider a mesh can follow without sliding
 TINY = 1e-9  # of the mean squared distance from the middle, so that a line, which nothing turns about itself, has a result
 
@@ -27,6 +28,11 @@ def least_normal_share(vertices: np.ndarray, faces: np.ndarray) -> float:
     if kernels.rigid_motions(vertices, np.ascontiguousarray(faces), along, moved) == 0.0:
         return 0.0
     return min(max(kernels.smallest_share(along, moved, TINY), 0.0), 1.0)
+
+
+def some_faces(faces: np.ndarray) -> np.ndarray:
+    """(F, 3) at most FACES of a garment's faces, spread over it, which tell its slippage."""
+    return faces[:: -(-len(faces) // FACES)]
 
 
 class Turn(NamedTuple):

@@ -109,22 +109,21 @@ def since(position: np.ndarray, model: Model, weight: float) -> LocalRigidity:
 
 def stiffen_hidden(
     terms: tuple[LocalRigidity, LocalRigidity],
-    weights: tuple[float, float],
+    seen: tuple[float, float],
+    unseen: tuple[float, float],
     hidden: np.ndarray,
     finer: float,
-    share: float = 1.0,
 ) -> None:
-    """Gives the rings of hidden vertices the weights at which bends and strains cost as much as in a coarser mesh, in place.
+    """Weighs the rings of seen and of hidden vertices, in place. Hidden cloth bends and strains as that of a coarser mesh.
 
     Args:
         terms: to the rest shape, which resists bends, and between frames, which resists strain.
-        weights: of each, 1/m^2.
+        seen, unseen: weights of each at seen vertices, and at hidden ones of the coarser mesh, 1/m^2.
         hidden: (V,) bool.
         finer: edges of the coarser mesh over those of this one, at least 1.
-        share: of the weights, that seen vertices have.
     """
-    for term, weight, power in zip(terms, weights, (4, 2), strict=True):
-        np.copyto(term.weight, np.where(hidden, weight * finer**power, share * weight))
+    for term, weight, other, power in zip(terms, seen, unseen, (4, 2), strict=True):
+        np.copyto(term.weight, np.where(hidden, other * finer**power, weight))
 
 
 def edges(position: np.ndarray, model: Model) -> np.ndarray:

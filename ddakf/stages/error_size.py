@@ -16,13 +16,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.body import body_anchor
-from ddakf.garment.slippage import least_normal_share
+from ddakf.garment.slippage import least_normal_share, some_faces
 from ddakf.kernels import error_size as kernels
 from ddakf.kernels.error_size import LogLaw
 from ddakf.kernels.uncertainty import PatchMeans
 from ddakf.types import Estimate, Model, Problem
 
-FACES = 1000  # of a garment whose slippage is looked at
 LEAST_SHARE = 0.02  # along the normals: of the straightest skirts that the laws were fitted on
 BALL = 5.0  # inverse normal share that says nothing of slipping
 USUAL = 0.005  # m, claimed error that the laws' bases belong to
@@ -91,7 +90,7 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
         clearance=clearance,
         slack=0.0 if slack is None else slack,
         strain=patches.strain,
-        slip=max(1.0 / max(least_normal_share(position, some_faces(model)), LEAST_SHARE) - BALL, 0.0),
+        slip=max(1.0 / max(least_normal_share(position, some_faces(model.faces)), LEAST_SHARE) - BALL, 0.0),
         offset=sqrt(problem.health.offset),
         distance=0.0 if beside else away,
         free=clearance * away if beside else 0.0,
@@ -100,11 +99,6 @@ def evidence(problem: Problem, estimate: Estimate, position: np.ndarray, patches
         soft=problem.last.strain2,
         blind=0.0 if beside else 1.0 - count / len(measured),
     )
-
-
-def some_faces(model: Model) -> np.ndarray:
-    """(F, 3) at most FACES of the faces, spread over the garment."""
-    return model.faces[:: -(-len(model.faces) // FACES)]
 
 
 def along_cloth(measured: np.ndarray, model: Model) -> np.ndarray:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ddakf.body import weight as cloth_weight
 from ddakf.config import DecoupledUpdate, MapUpdate, NearestPoint, PlaneAssociation
+from ddakf.garment.slippage import least_normal_share, some_faces
 from ddakf.kernels import colour as colour_kernels
 from ddakf.kernels import conjugate_gradients as solver
 from ddakf.kernels import fuse as kernels
@@ -18,6 +19,7 @@ from ddakf.kernels import strain as strain_kernels
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels.conjugate_gradients import BlockMatrix, Preconditioner
 from ddakf.kernels.predict import CovarianceBlocks
+from ddakf.kernels.rigidity import LocalRigidity
 from ddakf.kernels.surface_points import FoundFaces
 from ddakf.physics import rigidity
 from ddakf.physics.energies import total_blocks, total_gradient
@@ -26,6 +28,8 @@ from ddakf.types import Estimate, Evidence, Measurement, Model, Planes, Problem,
 
 NOISY = 2.0  # variance of points over that of planes, from which on they count less
 OPPOSITE = -0.4  # cosine between the directions to two sensors that see all sides of a garment, at most
+SLIPPERY = 0.1  # least share of a rigid motion along the normals, below which a garment slips along itself
+LEAST_MOTION = 0.25  # of the rigidity between frames, that such a garment has at least where it is seen
 
 
 def begin(problem: Problem) -> Estimate:
@@ -42,6 +46,7 @@ def begin(problem: Problem) -> Estimate:
         evidence=Evidence(Measurement.none(n), np.zeros(n), prior.R, None),
         gravity=cloth_weight.force(problem, rest.rotation),
         bulge=_bulge(problem),
+        yielding=_yielding(problem),
     )
 
 
@@ -93,9 +98,7 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
     steps = config.physics.first_rotation_steps if first else config.physics.rotation_steps
     planes = _planes(problem, estimate)
     rows, rigid = rigidity.padded(estimate.position), (estimate.rest, estimate.motion)
-    if _folds_unseen(problem):
-        finer = max(1.0, config.physics.hidden_edge / model.edge_length)
-        rigidity.stiffen_hidden(rigid, _rigidities(problem), ~estimate.observed, finer, _softer(problem))
+    _weigh(rigid, problem, estimate)
     for term in rigid:
         rigidity.fit(term, rows, model, steps)
     system = normal_equations(problem, estimate, rows, planes)
@@ -118,6 +121,26 @@ def _map_update(problem: Problem, estimate: Estimate, gate: float) -> Estimate:
         settled=settled,
         before=(estimate.position, delta),
     )
+
+
+def _weigh(rigid: tuple[LocalRigidity, LocalRigidity], problem: Problem, estimate: Estimate) -> None:
+    """Gives the locally rigid terms the weights of seen and of hidden vertices, in place."""
+    (rest, motion), share, finer = _rigidities(problem), _softer(problem), 1.0
+    seen, hidden = (share * rest, share * estimate.yielding * motion), (share * rest, share * motion)
+    if _folds_unseen(problem):
+        finer, hidden = max(1.0, problem.config.physics.hidden_edge / problem.model.edge_length), (rest, motion)
+    rigidity.stiffen_hidden(rigid, seen, hidden, ~estimate.observed, finer)
+
+
+def _yielding(problem: Problem) -> float:
+    """Share of the rigidity between frames that seen vertices have: the less, the more the garment slips along itself.
+
+    Only its folds show that a skirt turns. Held by the last frame it falls behind, until the folds match others.
+    """
+    if not _held(problem):
+        return 1.0
+    share = least_normal_share(problem.motion_start, some_faces(problem.model.faces))
+    return min(1.0, max(LEAST_MOTION, (share / SLIPPERY) ** 2))
 
 
 def _folds_unseen(problem: Problem) -> bool:
@@ -152,10 +175,17 @@ def _softer(problem: Problem) -> float:
     All where one side is seen and no body holds the other, as a soft tube turns about itself unnoticed, and of a sheet, which
     folds. And all until the garment is tracked, or again.
     """
-    physics, health = problem.config.physics, problem.health
-    if not (problem.body is not None or _all_around(problem)) or health.settling or health.state != "tracking":
+    physics = problem.config.physics
+    if not _held(problem):
         return 1.0
     return min(1.0, max(physics.coarse_share, (physics.coarse_edge / problem.model.edge_length) ** 2))
+
+
+def _held(problem: Problem) -> bool:
+    """A body or what is seen holds all of the garment, and it is tracked."""
+    health = problem.health
+    held = problem.body is not None or _all_around(problem)
+    return held and not health.settling and health.state == "tracking"
 
 
 def _planes(problem: Problem, estimate: Estimate) -> Planes:

@@ -16,7 +16,7 @@ import numpy as np
 from ddakf.appearance import colour
 from ddakf.config import NearestPoint, Uncertainty
 from ddakf.config.stages import USUAL_RATE
-from ddakf.garment.slippage import fold_height, least_seen_turn
+from ddakf.garment.slippage import fold_height, least_seen_turn, some_faces
 from ddakf.kernels import follow
 from ddakf.kernels import surface_points as point_kernels
 from ddakf.kernels import uncertainty as kernels
@@ -126,7 +126,7 @@ def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: f
     folds = fold_height(*surface, (model.start, model.neighbour), model.edge_length)
     if folds >= limits.smooth_folds:
         return angle
-    share = least_seen_turn(*surface, error_size.some_faces(model), model.boundary).share
+    share = least_seen_turn(*surface, some_faces(model.faces), model.boundary).share
     unseen = (1.0 - folds / limits.smooth_folds) * max(0.0, 1.0 - share / limits.turn_share)
     dt = min(problem.dt, problem.config.predict.longest_step)
     return float(min(angle + np.radians(limits.turn_rate) * unseen * dt, MOST_TURNED))
@@ -136,7 +136,7 @@ def _add_turn(problem: Problem, position: np.ndarray, angle: float, covariance: 
     """Adds the displacements of a turn by ``angle`` to (V, 3, 3). Returns their mean square, m^2."""
     model, normal = problem.model, np.empty_like(position)
     vertex_normals(position, model.faces, normal)
-    moved = angle * least_seen_turn(position, normal, error_size.some_faces(model), model.boundary).moved
+    moved = angle * least_seen_turn(position, normal, some_faces(model.faces), model.boundary).moved
     covariance += moved[:, :, None] * moved[:, None, :]
     return float(np.square(moved).sum(axis=1).mean())
 

@@ -206,7 +206,7 @@ def test_rings_of_unlike_weights_pull_as_their_energy_says(seed, share):
     rng = np.random.default_rng(seed)
     x = SHEET.mesh.vertices + rng.normal(scale=0.005, size=(20, 3))
     term = rigidity.to_rest(SHEET, 1.0, rigidity.rotations(x, SHEET), share)
-    rigidity.stiffen_hidden((term, term), (2e3, 2e3), rng.random(20) < 0.5, 1.5)
+    rigidity.stiffen_hidden((term, term), (2e3, 2e3), (2e3, 2e3), rng.random(20) < 0.5, 1.5)
     assert len(np.unique(term.weight)) == 2
     rigidity.fit(term, rigidity.padded(x), SHEET, 4)
     force, rotation = np.zeros((20, 4)), dense.transforms(term)

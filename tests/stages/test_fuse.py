@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ddakf import Config, Fabric, Tracker
+from ddakf import Config, Fabric, Mesh, Tracker
 from ddakf.body import contact as body_contact
 from ddakf.config import MapUpdate, PlaneAssociation
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.physics import energies, rigidity
 from ddakf.stages import fuse
-from ddakf.types import Evidence, Health, InputReference, Sides, Track
+from ddakf.types import Evidence, Health, InputReference, Sides, State, Track
 from tests.physics.shapes import ball, sheet
 from tests.stages import dense
 from tests.stages.scenes import FPS, blocks, full, measured, posed, problem_of, random_state, rms, scan, tube
@@ -148,6 +148,32 @@ def test_a_coarse_mesh_is_as_soft_per_area_as_a_finer_one_where_the_garment_is_k
         weights.append((start.rest.weight[0], start.motion.weight[0]))
     shares = np.array(weights) / weights[0]
     np.testing.assert_allclose(shares, np.transpose([[1.0, 0.81, 0.3] if soft else [1.0] * 3] * 2))
+
+
+ROUND, EGG = tube(), Mesh(ball(3, 0.2).vertices * [1.0, 0.6, 0.3], ball(3, 0.2).faces)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "cloud", "health", "share"),
+    [
+        (ROUND, ALL_AROUND, TRACKED, fuse.LEAST_MOTION),
+        (EGG, ALL_AROUND, TRACKED, 1.0),
+        (ROUND, ONE_SIDE, TRACKED, 1.0),
+        (ROUND, ALL_AROUND, Health(state="recovering"), 1.0),
+    ],
+    ids=["tube", "unequal axes", "one side", "recovering"],
+)
+def test_seen_cloth_that_slips_along_itself_moves_less_rigidly(mesh, cloud, health, share):
+    garment, at_rest = model.build(mesh), np.zeros_like(mesh.vertices)
+    prior, before = State.at(mesh.vertices, at_rest, 0.01, 0.1, 0.005), Track(None, None, None, 0.0, Health(), 0.0, None, None)
+    physics = dataclasses.replace(CONFIG.physics, coarse_share=1.0, hidden_edge=0.0)
+    now = problem_of(garment, prior, dataclasses.replace(CONFIG, physics=physics), last=before, health=health)
+    start, seen = fuse.begin(now._replace(cloud=cloud)), np.arange(mesh.n_vertices) % 2 == 0
+    planes = measured(mesh.vertices, at_rest + [0.0, 1.0, 0.0], seen)
+    R = np.tile(1e-5 * np.eye(3), (mesh.n_vertices, 1, 1))
+    evidence = Evidence(planes, seen.astype(float), R, energies.linearize(now, start))
+    weight = fuse.fuse(now, start, evidence, FAR).motion.weight
+    np.testing.assert_allclose(weight[seen], share * weight[~seen])
 
 
 @pytest.mark.parametrize("sheet", [True, False])
