@@ -135,9 +135,10 @@ def _weigh(rigid: tuple[LocalRigidity, LocalRigidity], problem: Problem, estimat
 def _yielding(problem: Problem) -> float:
     """Share of the rigidity between frames that seen vertices have: the less, the more the garment slips along itself.
 
-    Only its folds show that a skirt turns. Held by the last frame it falls behind, until the folds match others.
+    Only its folds show that a skirt turns. Held by the last frame it falls behind, until the folds match others. A body shows
+    it too.
     """
-    if not _held(problem):
+    if not (_held(problem) and _all_around(problem)):
         return 1.0
     share = least_normal_share(problem.motion_start, some_faces(problem.model.faces))
     return min(1.0, max(LEAST_MOTION, (share / SLIPPERY) ** 2))
