@@ -8,7 +8,7 @@ import numpy as np
 
 from ddakf.kernels import slippage as kernels
 
-FACES = 1000
+FACES = 1000  # of a garment, at most, whose slippage is looked at
 FOLD_WIDTH = 0.06  # m, along the surface: folds that are wider a mesh can follow without sliding
 TINY = 1e-9  # of the mean squared distance from the middle, so that a line, which nothing turns about itself, has a result
 

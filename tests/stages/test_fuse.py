@@ -175,6 +175,7 @@ def test_seen_cloth_that_slips_along_itself_moves_less_rigidly(mesh, cloud, heal
     evidence = Evidence(planes, seen.astype(float), R, energies.linearize(now, start))
     weight = fuse.fuse(now, start, evidence, FAR).motion.weight
     np.testing.assert_allclose(weight[seen], share * weight[~seen])
+    assert fuse._yielding(now._replace(cloud=cloud, body=object())) == 1.0
 
 
 @pytest.mark.parametrize("sheet", [True, False])
