@@ -12,7 +12,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 help:
 	@echo "make demo    track the bundled sample through the service; pictures in out/demo (KEEP=1 leaves it running)"
 	@echo "make test    lint and the tests that matter most, in at most five minutes on two cores (ARGS='tests/stages -x')"
-	@echo "make test-all  lint and all tests, with line coverage, in at most twelve minutes on two cores"
+	@echo "make test-all  lint and all tests"
 	@echo "make test-without-recordings  the tests that depend on the recordings of DDAKF_DATA, without them"
 	@echo "make test-web  the TypeScript client and the dashboard: types, lint, tests with a service and in Chromium (needs Node 20 and Chromium)"
 	@echo "make dashboard  the dashboard's page into $(BUILT), which is committed (needs Node 20)"
@@ -96,14 +96,14 @@ test: lint warm
 	@$(PYTEST) -m "not slow" $(ARGS)
 
 test-all: lint warm
-	@$(PYTEST) --cov --cov-report= $(ARGS)
-	@$(MAKE) --no-print-directory coverage
+	@$(PYTEST) $(ARGS)
 
 test-without-recordings: warm
 	@DDAKF_DATA=/nonexistent $(PYTEST) -m recordings $(ARGS)
 
-# line coverage of the last `make test-all`: modules that are not covered in full, and the sum of each package
-coverage: $(DEV)
+# line coverage of all tests, which take half as long again with it: modules that are not covered in full, the sum of each package
+coverage: warm
+	@$(PYTEST) --cov --cov-report= $(ARGS)
 	@$(BIN)/coverage combine --append --quiet 2>/dev/null || true
 	@rm -f .coverage.*  # of processes killed while they wrote
 	@$(BIN)/coverage report --skip-covered --sort cover

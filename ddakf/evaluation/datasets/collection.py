@@ -78,6 +78,15 @@ def load(name: str, where: Path | None = None) -> Sequence:
     """A recording of the collection.
 
     Raises:
+        InvalidArgument, InvalidFile: as :func:`file_of`; or a file that cannot be read.
+    """
+    return load_sequence(file_of(name, where))
+
+
+def file_of(name: str, where: Path | None = None) -> Path:
+    """Where a recording of the collection is, whose content is the one that the manifest lists.
+
+    Raises:
         InvalidArgument: no such recording. InvalidFile: a file that is not there, or not the one that the manifest lists.
     """
     where = where or folder()
@@ -89,7 +98,7 @@ def load(name: str, where: Path | None = None) -> Sequence:
         raise InvalidFile(str(path), "the recording that the manifest lists", "nothing there")
     if (found := checksum(path)) != known[name].sha256:
         raise InvalidFile(path.name, f"SHA-256 {known[name].sha256[:12]}... as in {MANIFEST}", f"{found[:12]}...")
-    return load_sequence(path)
+    return path
 
 
 def checksum(path: Path) -> str:

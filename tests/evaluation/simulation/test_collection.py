@@ -213,7 +213,7 @@ def test_a_committed_recording_is_as_its_row_says(each):
 
 @pytest.mark.slow
 def test_all_committed_recordings_agree_with_the_manifest():
-    assert recordings.problems(recordings.Manifest(collection.CHECKOUT)) == []
+    assert recordings.problems(recordings.Manifest(collection.CHECKOUT), every=9) == []
 
 
 @pytest.mark.slow

@@ -34,7 +34,7 @@ class Gateway:
         self._arguments = ["--workers", "1", "--spare-workers", "0", "--server-id", name, "--data-dir", str(folder / name)]
         self._arguments += ["--database-url", url, "--checkpoint-url", checkpoints or f"file://{folder}/checkpoints"]
         self._arguments += ["--share-sessions", "--lease-seconds", str(SPAN), "--gateway-address", self.address]
-        self._arguments += ["--checkpoint-every", str(EVERY), "--drain-grace", "0.5", "--departure-timeout", "20"]
+        self._arguments += ["--checkpoint-every", str(EVERY), "--drain-grace", "0.5", "--departure-timeout", "60"]
         self._arguments += ["--grpc-port", self.address.rpartition(":")[2]]
         self._starts = 0
         self.start()
