@@ -182,7 +182,8 @@ class Tracker:
         if seconds == 0.0:
             return result
         later = predict.ahead(track, seconds, self.config.predict)
-        covariance = result.covariance + (later.growth if later.growth.ndim == 2 else working.spread(later.growth))
+        grown = result.covariance + (later.growth if later.growth.ndim == 2 else working.spread(later.growth))
+        covariance = uncertainty.capped(grown, self.config.uncertainty)
         return dataclasses.replace(
             result,
             vertices=working.carried(track.shown(later.position), track.rotation),
@@ -233,7 +234,7 @@ class Tracker:
         if config.discretisation != other.config.discretisation:
             track = transferred(track, other._discretised, self._discretised, self._track.resting)
         elif _shaping(config) != _shaping(other.config):
-            track = reconfigured(track, self._setup)
+            track = reconfigured(track, other._setup, self._setup)
         if track.body is not None:
             body = contact.configured(self._setup.body, track.body, track.state.position, config.physics)
             track = track._replace(body=body)
@@ -267,8 +268,8 @@ def _constants(garment: Mesh, body: Mesh | None, config: Config, known: Setup | 
 
 
 def _shaping(config: Config) -> tuple:
-    """What a configuration decides of the start's forces and of the hold on the body."""
-    return config.physics, config.anchor, config.start.up
+    """What a configuration decides of the start's forces, of the hold on the body and of the texels."""
+    return config.physics, config.anchor, config.start.up, config.colour.texel
 
 
 def _start(setup: Setup, position: np.ndarray, velocity: np.ndarray) -> Track:

@@ -45,13 +45,17 @@ def transferred(track: Track, source: Discretised, target: Discretised, kept: Re
     )
 
 
-def reconfigured(track: Track, setup: Setup) -> Track:
-    """The track with the shape at rest and the guesses of the body anchor that a restore makes of the configuration."""
-    anchor, resting = track.anchor, track.resting
+def reconfigured(track: Track, source: Setup, setup: Setup) -> Track:
+    """The track with the rest shape, the body anchor's guesses and the texels of another configuration of the same mesh."""
+    anchor, resting, appearance = track.anchor, track.resting, track.appearance
     if anchor is not None:
         new = body_anchor.start(setup, anchor.bound.pose, anchor.bound.position)
-        anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip, held=new.held)
-    return track._replace(anchor=anchor, resting=_again(resting, setup))
+        across = anchor.seen * new.slip if anchor.across is None and new.across is not None else anchor.across
+        across = None if new.across is None else across
+        anchor = anchor._replace(bound=new.bound, guess=new.guess, slip=new.slip, held=new.held, across=across)
+    if appearance is not None and source.config.colour.texel != setup.config.colour.texel:
+        appearance = colour.resampled(appearance, np.arange(len(appearance.axis)), source, setup)
+    return track._replace(anchor=anchor, resting=_again(resting, setup), appearance=appearance)
 
 
 def _again(shape: Resting | None, setup: Setup) -> Resting | None:
@@ -108,7 +112,8 @@ def _body(track: BodyTrack | None, source: Discretised, target: Discretised) -> 
 def _resting(shape: Resting | None, source: Discretised, target: Discretised, kept: Resting | None) -> Resting | None:
     if shape is None:
         return None
-    if kept is not None and (kept.source is shape.edge or shape.source is kept.edge):
+    known = kept is not None and (kept.source is shape.edge or shape.source is kept.edge)
+    if known and np.array_equal(kept.size, shape.size):
         return kept
     if not shape.given:
         return rigidity.of_template(shape.size, target.setup)._replace(source=shape.edge)

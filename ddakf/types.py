@@ -266,7 +266,7 @@ class Health(NamedTuple):
     poor_for: float = 0.0  # s of sensor time with points, but without a fit
     empty_for: float = 0.0  # s of empty clouds
     doubtful: bool = False  # measured, but the score is below doubt_below
-    frames_unplaced: int = 0  # frames with points that have been searched since there was a fit
+    frames_unplaced: int = 0  # frames with points since there was a fit
     settling: int = 0  # frames in which a relocalized garment is registered further
     spacing: float = 0.0  # s between the last two frames; before there were two 0, or first_step after a start with velocities
     reliability: float = 0.0  # of the last frame, but for turns that nothing shows

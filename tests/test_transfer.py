@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from ddakf import Config, Mesh, Tracker
+from ddakf.config import Start
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.sensors import Sensor
+from ddakf.physics import rigidity
 from tests.stages.scenes import rms
 from tests.tracker_runs import SAMPLE, SHIRT, TUBE, WEARER, assert_same
 
@@ -65,9 +67,22 @@ def test_the_shape_at_rest_is_carried_over_once():
         coarse.continue_from(own)
         assert own._track.resting is first
         assert coarse._track.resting is kept
+    learned = np.diag([0.1, 0.1, 0.1])
+    coarse._track = coarse._track._replace(resting=rigidity.resized(kept, learned, coarse._setup))
+    own.continue_from(coarse)
+    np.testing.assert_array_equal(own._track.resting.size, learned, "a size that is learned meanwhile is kept")
     own.reset(SAMPLE.garment_vertices[FIRST + 1])
     coarse.continue_from(own)
     assert coarse._track.resting is not kept
+
+
+def test_a_configuration_moves_what_it_decides_of_the_track_as_a_restore_does():
+    """The axis that points upward decides whether a shirt lies on the shoulders; texels are sampled anew."""
+    side = started(body=True).configured(Config(start=Start(up="-y")))
+    assert side._track.anchor.across is None
+    again = side.configured(Config())
+    assert again._track.anchor.across is not None
+    assert Tracker.restore(again.snapshot())._track.anchor.across is not None
 
 
 @VIEWS

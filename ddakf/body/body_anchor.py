@@ -19,12 +19,13 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.config import Anchor, Config
+from ddakf.garment import geodesic
 from ddakf.kernels.normals import vertex_normals
-from ddakf.mesh import Mesh
 from ddakf.types import BodyAnchor, Bound, Model, Planes, Problem, Setup
 
 TOP = 0.05  # m below the highest vertex, or of cloth below it, that are a garment's top
 UNKNOWN = 1e6  # m^2, variance of what is not measured
+ROUND = 0.6  # of the squared boundary of a flat disc of the same area: a sheet has more, half a sphere half
 LEVEL = 0.5  # mean vertical part of its normals there, in size: waistbands have a third at most, shoulders two thirds at least
 
 
@@ -34,7 +35,7 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
     bound = contact.bind(setup.body, pose, position, config.reach)
     lying = _lies_on_shoulders(model, setup.config.start.to_y_up[1])
     slip = (config.shoulder_slip_sd if lying else config.slip_sd) + config.slip_slope * _patch_means(model, model.hanging)
-    waistband = (model.hanging <= TOP) & (not lying and not _is_flap(model.mesh))
+    waistband = (model.hanging <= TOP) & (not lying and not _is_flap(model, setup.config.start.to_y_up[1]))
     held = np.square(config.slip_sd + config.slip_slope * model.hanging) * waistband
     measured = np.zeros(len(position), bool)
     across = np.zeros(n) if lying else None
@@ -43,17 +44,29 @@ def start(setup: Setup, pose: np.ndarray, position: np.ndarray) -> BodyAnchor:
 
 def _lies_on_shoulders(model: Model, up: np.ndarray) -> bool:
     """Whether the template is level at its top, as on shoulders; a waistband is upright, and a cape, a flap, is fastened."""
-    mesh, position, normal = model.mesh, model.mesh.vertices, np.empty_like(model.mesh.vertices)
-    if _is_flap(mesh):
+    position, normal = model.mesh.vertices, np.empty_like(model.mesh.vertices)
+    if _is_flap(model, up):
         return False
     vertex_normals(position, model.faces, normal)
     height = position @ up
     return bool(np.abs(normal @ up)[height > height.max() - TOP].mean() > LEVEL)
 
 
-def _is_flap(mesh: Mesh) -> bool:
-    """Whether the template is one sheet, as a cape; by Euler's number: a sheet has 1, a tube 0, a shirt with sleeves -2."""
-    return mesh.n_vertices - len(mesh.edges) + len(mesh.faces) > 0
+def _is_flap(model: Model, up: np.ndarray) -> bool:
+    """Whether the topmost piece of the template is one sheet, as a cape.
+
+    By Euler's number a sheet has 1, a tube 0, a shirt with sleeves -2. A bag, such as a sock or a cap, has 1 too, but a shorter
+    boundary than a disc of its area.
+    """
+    mesh = model.mesh
+    piece = geodesic.pieces(mesh.edges, mesh.n_vertices)
+    top = piece == piece[(mesh.vertices @ up).argmax()]
+    corner, boundary = mesh.vertices[mesh.faces[top[mesh.faces[:, 0]]]], model.boundary[top[model.boundary[:, 0]]]
+    if np.count_nonzero(top) - np.count_nonzero(top[mesh.edges[:, 0]]) + len(corner) <= 0:
+        return False
+    area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
+    around = np.linalg.norm(mesh.vertices[boundary[:, 2]] - mesh.vertices[boundary[:, 0]], axis=1).sum()
+    return bool(around**2 >= ROUND * 4.0 * np.pi * area)
 
 
 def _first_guess(setup: Setup, bound: Bound) -> np.ndarray:

@@ -10,6 +10,7 @@ from ddakf.kernels import slippage as kernels
 
 FACES = 1000  # of a garment, at most, whose slippage is looked at
 FOLD_WIDTH = 0.06  # m, along the surface: folds that are wider a mesh can follow without sliding
+MOST_PASSES = 25  # of smoothing, so that a small garment's folds are narrower
 TINY = 1e-9  # of the mean squared distance from the middle, so that a line, which nothing turns about itself, has a result
 
 
@@ -77,7 +78,7 @@ def fold_height(vertices: np.ndarray, normal: np.ndarray, rings: tuple[np.ndarra
         rings: starts (V + 1,) and neighbours of the one-rings.
         edge: mean length of the edges, metres.
     """
-    passes = max(2, round((FOLD_WIDTH / edge) ** 2))
+    passes = min(max(2, round((FOLD_WIDTH / edge) ** 2)), MOST_PASSES)
     near, wide = _smoothed(vertices, rings, 1), _smoothed(vertices, rings, passes)
     height = np.einsum("va,va->v", near - wide, normal)[:, None]
     return float((height - _smoothed(height, rings, passes)).std())

@@ -336,7 +336,7 @@ def planes_of(moments, n, r2):
         r2: squared radius, m^2.
     """
     for i in range(n):
-        s = 1.0 / np.float64(moments[i])
+        s = 1.0 / max(np.float64(moments[i]), 1e-30)  # a point of a crowd may have no neighbour among those looked at
         x, y, z = moments[BLOCK + i] * s, moments[2 * BLOCK + i] * s, moments[3 * BLOCK + i] * s
         smallest, middle, ux, uy, uz = smallest_eigenvector(
             moments[4 * BLOCK + i] * s - x * x, moments[5 * BLOCK + i] * s - y * y, moments[6 * BLOCK + i] * s - z * z,

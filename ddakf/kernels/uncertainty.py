@@ -80,8 +80,9 @@ def sum_by_patch(position, last, prior, surface, patch, ring_strain, planes, sum
         information[c, 3] += k * x * y
         information[c, 4] += k * x * z
         information[c, 5] += k * y * z
-        cosine = surface[i, 0] * x + surface[i, 1] * y + surface[i, 2] * z
-        turned[c] += min(max(1.0 - cosine * cosine, 0.0), 1.0)
+        if not isotropic:  # points have no normals
+            cosine = surface[i, 0] * x + surface[i, 1] * y + surface[i, 2] * z
+            turned[c] += min(max(1.0 - cosine * cosine, 0.0), 1.0)
         for a in range(3):
             d = position[i, a] - prior[i, a]
             facing[c, a] += normal[i, a]

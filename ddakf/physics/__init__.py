@@ -26,7 +26,7 @@ class Linearization(NamedTuple):
     stencil: np.ndarray  # (C, S) int32, vertex indices
     residual: np.ndarray  # (C,) r, unit of the energy's residual
     jacobian: np.ndarray  # (C, S, 3) dr/dp, residual's unit per metre
-    weight: np.ndarray  # (C,) w, so that k w r^2 is an energy in joules
+    weight: np.ndarray  # (C,) w, so that k w r^2 / 2 is an energy, of stiffness k
 
 
 def allocate(stencil: np.ndarray, weight: np.ndarray) -> Linearization:

@@ -34,6 +34,8 @@ from ddakf.errors import InvalidConfig, shown
 class Fabric:
     """Multipliers of the tracker's stiffnesses, dimensionless, each at least 0.
 
+    Stretch and shear act by their mean, since a template does not tell the directions of its threads.
+
     Args:
         stretch: resistance to lengthening along warp and weft.
         shear: resistance to a change of the angle between them.

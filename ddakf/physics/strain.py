@@ -33,20 +33,12 @@ def of_shape(constants: StrainConstants, vertices: np.ndarray) -> StrainConstant
     return constants._replace(warp=frames.warp, weft=frames.weft, area=frames.area)
 
 
-def at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> StrainConstants:
-    """The constants of a garment that starts at (V, 3) ``position``, metres, where a share of its strain is at rest.
-
-    Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
-    shows it. See :func:`metric_at_start`.
-    """
-    return with_metric(constants, metric_at_start(constants, position, kept, strain_sd))
-
-
 def metric_at_start(constants: StrainConstants, position: np.ndarray, kept: float, strain_sd: float) -> np.ndarray:
     """(F, 2, 2) B^-1/2, with B the metric at rest of each face of a garment that starts at (V, 3) ``position``, metres.
 
-    With D = [w_u w_v] of a face at the start and C = D'D, B = I + s (C - I), for which the tangents are D B^-1/2. The share s is
-    ``kept``, and half of that for a face strained by ``strain_sd``.
+    Worn cloth is strained. If all of that strain drew, vertices would slide along the surface in the first frame, and no cloud
+    shows it. With D = [w_u w_v] of a face at the start and C = D'D, B = I + s (C - I), for which the tangents are D B^-1/2. The
+    share s is ``kept``, and half of that for a face strained by ``strain_sd``.
     """
     corner = position[constants.corner]
     sides = np.stack([corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]], axis=2)

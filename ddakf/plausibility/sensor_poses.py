@@ -33,8 +33,12 @@ def corrected(setup: Setup, last: Track, frame: FrameInput) -> tuple[FrameInput,
         frame: checked.
     """
     config, origin = setup.config.sensor_poses, frame.sensor_origin
-    if config.sd <= 0 or origin is None or origin.ndim == 1 or len(origin) == 0:
+    if config.sd <= 0:
+        return frame, None
+    if origin is None or len(frame.points) == 0 or (origin.ndim == 1 and last.sensors is None):
         return frame, last.sensors
+    if origin.ndim == 1:
+        origin = np.tile(origin, (len(frame.points), 1))
     distinct, sensor = np.empty((MAX_SENSORS, 3)), np.empty(len(origin), np.int32)
     distinct = distinct[: kernels.tell_apart(origin, distinct, sensor)]
     if len(distinct) == 1 and last.sensors is None:

@@ -18,6 +18,8 @@ from ddakf.search.nonrigid_registration import Target, register, rows
 from ddakf.stages import skin_removal
 from ddakf.types import Drift, FrameInput, Health, Model, Problem, Rival, State
 
+MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
+
 
 class Search(NamedTuple):
     """Constants of a search."""
@@ -354,7 +356,8 @@ def due(problem: Problem) -> bool:
 def search_due(health: Health, config: Relocalization) -> bool:
     """Whether the frame is searched: a search takes as long as several frames, and a stream of nonsense must not stall."""
     rounds, rest = divmod(health.frames_unplaced, config.search_interval)
-    return health.postponed or (health.unplaced and rest == 0 and rounds & (rounds - 1) == 0)
+    chosen = rounds & (rounds - 1) == 0 or rounds % MOST_ROUNDS == 0  # ever more rarely, and then regularly
+    return health.postponed or (health.unplaced and rest == 0 and chosen)
 
 
 def interrupted(health: Health, dt: float, config: Relocalization) -> bool:

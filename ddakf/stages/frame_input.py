@@ -118,6 +118,6 @@ def _time(timestamp, last: float | None) -> float:
         raise InvalidFrame("timestamp", "finite seconds", repr(timestamp))
     if abs(time) > MAX_TIME:
         raise InvalidFrame("timestamp", f"seconds within {MAX_TIME:g}", f"{time:g}")
-    if last is not None and time < last + LEAST_STEP:
+    if last is not None and time - last < LEAST_STEP:
         raise InvalidFrame("timestamp", f"later than the last frame's {last:.9f} s by {LEAST_STEP:g} s", f"{time:.9f} s")
     return time

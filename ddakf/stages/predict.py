@@ -6,6 +6,7 @@ prediction that lags behind a turn is not corrected where planes slide along the
 
 from __future__ import annotations
 
+from math import expm1
 from typing import NamedTuple
 
 import numpy as np
@@ -103,7 +104,7 @@ def _of_second_frame(state: State, dt: float, assumed: float) -> State:
 
 def _travel(damping: float, step: float) -> float:
     """Seconds for which a velocity would travel as far, undamped, as it does damped in ``step`` seconds."""
-    return step if damping == 0 else (1.0 - float(np.exp(-damping * step))) / damping
+    return step if damping == 0 else -expm1(-damping * step) / damping
 
 
 def _rigidly_moved(

@@ -145,7 +145,6 @@ class Verdict(NamedTuple):
     health: Health
     reliability: float
     paper_score: float
-    coverage: float
     vertex_reliability: np.ndarray  # (V,)
     widening: float = 1.0  # factor on the calibrated standard deviations, for a surface that misses the cloud
     warnings: tuple[InputWarning, ...] = ()  # of wrong input
@@ -175,11 +174,12 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     # no search and no stiffer cloth helps against a turn that nothing shows, and size and colours are learned all the same
     seen = math.sqrt(max(1.0 - posterior.turned2 / max(sigma**2, 1e-24), 0.0))
     but_turned = float(score(seen * error, config))
-    outcome = Outcome(s_k if isinstance(config, PaperReliability) else but_turned, coverage, len(points), estimate.rejected)
+    paper, enough = isinstance(config, PaperReliability), len(problem.frame.points) >= problem.config.start.least_points
+    outcome = Outcome(s_k if paper else but_turned, coverage, len(points), estimate.rejected, enough)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
     moved = moved._replace(spacing=spacing, reliability=but_turned)
-    return Verdict(moved, reliability, s_k, coverage, score(errors, config), wider)
+    return Verdict(moved, reliability, s_k, score(errors, config), wider)
 
 
 class Outcome(NamedTuple):
@@ -189,6 +189,7 @@ class Outcome(NamedTuple):
     coverage: float  # share of the vertices observed
     n_points: int  # in the cloud
     rejected: bool  # the fit was thrown away
+    searchable: bool = True  # the frame has enough points for a search, also of other things than the garment
 
 
 def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | PaperReliability) -> Health:
@@ -200,7 +201,7 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
         dt: seconds of sensor time since the last frame.
         config: thresholds.
     """
-    score, coverage, n_points, rejected = outcome
+    score, coverage, n_points, rejected, searchable = outcome
     calm = health._replace(
         state="tracking", physics_lambda=1.0, poor_for=0.0, empty_for=0.0, frames_unplaced=0, doubtful=False
     )
@@ -210,7 +211,8 @@ def advance(health: Health, outcome: Outcome, dt: float, config: Reliability | P
     dt = min(dt, config.longest_frame)
     if n_points == 0:
         # no points say nothing about the fit; only a long silence is a loss
-        health = health._replace(empty_for=health.empty_for + dt)
+        unplaced = health.frames_unplaced + (searchable and health.unplaced)
+        health = health._replace(empty_for=health.empty_for + dt, frames_unplaced=unplaced)
         if health.empty_for >= config.lost_after_empty:
             return health._replace(state="lost")
         faded = health.state == "tracking" and score < config.recovery_below

@@ -32,6 +32,7 @@ from ddakf.types import Drift, Estimate, Posterior, Problem, State, variances
 
 LEAST_TURNED = 16  # seen vertices that show a rigid motion
 MOST_TURNED = 2.0  # rad: beyond, the other side would be as likely
+SHORTEST = 1.0 / 120.0  # s: what is missed between frames that are closer is noise rather than motion
 
 
 def posterior(problem: Problem, estimate: Estimate) -> Posterior:
@@ -42,12 +43,12 @@ def posterior(problem: Problem, estimate: Estimate) -> Posterior:
     turned2 = 0.0
     if drift.unseen_turn > 0.0:
         turned2 = _add_turn(problem, state.position, drift.unseen_turn, covariance)
-        covariance = _capped(covariance, problem.config.uncertainty)
+        covariance = capped(covariance, problem.config.uncertainty)
     if problem.lacks_place(estimate.observed):
         blind = covariance + problem.config.sidedness.blind_error**2 * np.eye(3)
-        covariance = _capped(blind, problem.config.uncertainty)
+        covariance = capped(blind, problem.config.uncertainty)
     if problem.last.sensors is not None:
-        covariance = _capped(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
+        covariance = capped(covariance + problem.last.sensors.common2 * np.eye(3), problem.config.uncertainty)
     found = Posterior(state, covariance, drift, tangential2, turned2)
     return widened(problem, estimate, found, omission.widening(problem, estimate))
 
@@ -59,7 +60,7 @@ def widened(problem: Problem, estimate: Estimate, posterior: Posterior, factor: 
     """
     if factor == 1.0 or estimate.state is not None:
         return posterior
-    return posterior._replace(covariance=_capped(factor**2 * posterior.covariance, problem.config.uncertainty))
+    return posterior._replace(covariance=capped(factor**2 * posterior.covariance, problem.config.uncertainty))
 
 
 def _conditioned(problem: Problem, estimate: Estimate) -> State:
@@ -89,7 +90,7 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     """
     model, limits, planes = problem.model, problem.config.uncertainty, estimate.planes
     if estimate.state is not None:
-        return state.P_pp, problem.last.drift
+        return state.P_pp.copy(), problem.last.drift
     weight = np.zeros_like(planes.weight) if estimate.rejected else planes.weight
     normal = np.empty_like(state.position)
     vertex_normals(state.position, model.faces, normal)
@@ -105,7 +106,7 @@ def marginals(problem: Problem, estimate: Estimate, state: State) -> tuple[np.nd
     found = error_size.evidence(problem, estimate, state.position, evidence)
     covariance = error_size.resized(covariance, normal, error_size.sizes(problem, estimate, found))
     turned = _unseen_turn(problem, estimate, Surface(state.position, normal), found.slip)
-    return _capped(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
+    return capped(covariance, limits), drift._replace(hem2=found.hem, unseen_turn=turned)
 
 
 def _unseen_turn(problem: Problem, estimate: Estimate, surface: Surface, slip: float) -> float:
@@ -153,7 +154,7 @@ def _elastic(problem: Problem, estimate: Estimate) -> np.ndarray:
     return B
 
 
-def _capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
+def capped(covariance: np.ndarray, limits: Uncertainty) -> np.ndarray:
     """(V, 3, 3) covariance with a trace of at most 3 ceiling_sd^2; the array itself is scaled."""
     scale = _scale(covariance, limits.ceiling_sd)
     if scale is not None:
@@ -223,8 +224,9 @@ def _growth(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> tu
         return np.full(len(seen), lost2 + drift.speed2 * dt**2 / 3.0 + limits.growth_sd**2), drift.speed2, drift.missed
     common = _mean(innovation2, evidence.observed)
     old = limits.innovation_memory if drift.speed2 > 0.0 else 0.0
-    speed2 = old * drift.speed2 + (1.0 - old) * common / dt**2
-    missed = old * drift.missed + (1.0 - old) * evidence.missed / dt**2
+    apart2 = max(dt, SHORTEST) ** 2
+    speed2 = old * drift.speed2 + (1.0 - old) * common / apart2
+    missed = old * drift.missed + (1.0 - old) * evidence.missed / apart2
     per_patch = common + 0.5 * seen * (innovation2 - common)
     moved = 0.5 * (motion2 + _mean(motion2, evidence.size))
     moved *= max(1.0, 1.0 / (USUAL_RATE * dt))  # steps that follow each other within that time are alike, and add up

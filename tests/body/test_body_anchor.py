@@ -12,7 +12,7 @@ from ddakf.files.sequence import load_sequence
 from ddakf.garment import model
 from ddakf.kernels.normals import vertex_normals
 from ddakf.types import Health, Setup, Track
-from tests.physics.shapes import ball
+from tests.physics.shapes import ball, sheet
 from tests.stages.scenes import FPS, about, inner_body, posed, problem_of, rms, scan, tube
 from tests.tracker_runs import SAMPLE, SHIRT
 
@@ -118,11 +118,11 @@ def test_cloth_slips_on_the_body_the_more_the_farther_below_the_top_it_hangs():
 def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_or_a_cape_does_not():
     closed = ball(3)
     middle = closed.vertices[closed.faces].mean(axis=1)
-    cape = middle[:, 1] > -0.15
+    over, back = middle[:, 1] > -0.15, middle[:, 2] < 0.0
     config = Config(anchor=Anchor(slip_slope=0.0))
     slips = []
-    for faces in (closed.faces[cape], closed.faces[cape & (np.abs(middle[:, 0]) < 0.15)]):  # without, and with holes for arms
-        mesh, _ = Mesh.cleaned(closed.vertices, faces)
+    for part in (over & back, over & (np.abs(middle[:, 0]) < 0.15)):  # a cape, and a shirt: closed in front, with holes for arms
+        mesh, _ = Mesh.cleaned(closed.vertices, closed.faces[part])
         anchor = body_anchor.start(Setup(model.build(mesh), contact.build(BODY, 0.1), config), BODY.vertices, mesh.vertices)
         slips.append(np.sqrt(anchor.slip).tolist())
         assert not anchor.held.any()
@@ -130,6 +130,17 @@ def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_or_a_cape_does_n
     assert waist.held.any()
     assert set(slips[0]) == set(np.sqrt(waist.slip)) == {CONFIG.slip_sd}
     assert set(slips[1]) == {CONFIG.shoulder_slip_sd}
+
+
+def test_a_bag_and_a_skirt_with_a_loose_apron_hang_by_their_tops():
+    closed, n = ball(3), MESH.n_vertices
+    sock, _ = Mesh.cleaned(closed.vertices * [1.0, 2.0, 1.0], closed.faces[closed.vertices[closed.faces].mean(axis=1)[:, 1] < 0.02])
+    apron = sheet(4, 4, spacing=0.04)
+    below = apron.vertices - apron.vertices.max(axis=0) + [0.0, MESH.vertices[:, 1].max() - 0.1, 0.4]
+    loose = Mesh(np.concatenate([MESH.vertices, below]), np.concatenate([MESH.faces, apron.faces + n]))
+    for mesh in (sock, loose):
+        anchor = body_anchor.start(Setup(model.build(mesh), contact.build(BODY, 0.1), Config()), BODY.vertices, mesh.vertices)
+        assert anchor.held.any()
 
 
 @pytest.mark.parametrize("path", sorted(data.TRAINING.glob("*.npz")), ids=lambda path: path.stem)

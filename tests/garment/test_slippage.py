@@ -5,7 +5,7 @@ import pytest
 
 from ddakf import Mesh
 from ddakf.evaluation.datasets import collection
-from ddakf.garment import model
+from ddakf.garment import model, slippage
 from ddakf.garment.slippage import TINY, fold_height, least_normal_share, least_seen_turn
 from ddakf.kernels import slippage as kernels
 from ddakf.mesh import vertex_normals
@@ -120,6 +120,14 @@ def test_a_surface_that_is_folded_flat_has_a_turn(degenerate):
     found = least_seen_turn(vertices * degenerate, np.tile([0.0, 0.0, 1.0], (len(vertices), 1)), faces, built.boundary)
     assert 0.0 <= found.share <= 1.0
     assert np.isfinite(found.moved).all()
+
+
+def test_the_folds_of_a_tiny_garment_cost_no_more(monkeypatch):
+    vertices, faces = tube((0.01, 0.01), around=96, along=36)
+    built, passes, smoothed = model.build(Mesh(vertices, faces)), [], slippage._smoothed
+    monkeypatch.setattr(slippage, "_smoothed", lambda *a: passes.append(a[2]) or smoothed(*a))
+    fold_height(vertices, vertex_normals(vertices, faces), (built.start, built.neighbour), built.edge_length)
+    assert max(passes) <= slippage.MOST_PASSES
 
 
 @pytest.mark.parametrize("radii", [(0.2, 0.2), (0.24, 0.16)])

@@ -106,6 +106,23 @@ def test_a_sensor_without_points_keeps_its_shift():
     np.testing.assert_allclose(before[2], in_order(looked(SHIFTS, 18), EYES + SHIFTS)[2], atol=0.001)
 
 
+def test_one_known_sensor_alone_is_moved_by_its_shift_however_its_place_is_given():
+    one, each = looked(SHIFTS), looked(SHIFTS)
+    for k in range(12, 15):
+        points, origin = (array[:2000] for array in around(k, SHIFTS))
+        results = [
+            tracker.step(points, timestamp=k / FPS, sensor_origin=place) for tracker, place in ((one, origin[0]), (each, origin))
+        ]
+        assert_same(*results)
+
+
+def test_sensors_sit_where_they_say_once_their_errors_are_taken_for_none():
+    tracker = looked(SHIFTS).configured(GIVEN)
+    points, origin = around(12, SHIFTS)
+    assert "sensors_off" not in {warning.code for warning in tracker.step(points, timestamp=1.0, sensor_origin=origin).warnings}
+    assert tracker._track.sensors is None
+
+
 def test_sensors_that_are_carried_stay_the_same():
     tracker = Tracker(TUBE)
     for k in range(12):

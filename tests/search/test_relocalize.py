@@ -17,6 +17,7 @@ from ddakf.physics import rigidity
 from ddakf.search import relocalize
 from ddakf.search.nonrigid_registration import Target
 from ddakf.search.relocalize import (
+    MOST_ROUNDS,
     HeadingPrior,
     Search,
     Surface,
@@ -332,6 +333,8 @@ def test_a_fruitless_search_is_repeated_ever_more_rarely():
     assert due[0] == 0
     assert len(due) < 8
     assert (np.diff(due, 2) >= 0).all()
+    due = [k for k in range(100_000) if search_due(Health(state="lost", frames_unplaced=k), RULE)]
+    assert np.diff(due).max() == MOST_ROUNDS * RULE.search_interval, "who comes after an hour is found"
 
 
 def test_a_start_on_the_garment_is_tracked_from_the_first_frame():

@@ -110,6 +110,11 @@ def test_any_later_time_is_taken(time):
     assert checked(timestamp=time).timestamp == float(time)
 
 
+def test_a_time_that_stands_still_is_refused_also_where_microseconds_are_below_its_digits():
+    with pytest.raises(InvalidFrame, match="later than"):
+        checked(timestamp=2e10, last=2e10)
+
+
 @pytest.mark.parametrize("time", [-5.0, 0.0, 1.7e9])
 def test_the_first_frame_may_have_any_time(time):
     assert checked(timestamp=time, last=None).timestamp == time
