@@ -65,7 +65,9 @@ def _is_flap(model: Model, up: np.ndarray) -> bool:
     if np.count_nonzero(top) - np.count_nonzero(top[mesh.edges[:, 0]]) + len(corner) <= 0:
         return False
     area = 0.5 * np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=1).sum()
-    around = np.linalg.norm(mesh.vertices[boundary[:, 2]] - mesh.vertices[boundary[:, 0]], axis=1).sum()
+    smooth = mesh.vertices.copy()
+    smooth[boundary[:, 0]] = np.einsum("k,hka->ha", [0.5, 0.25, 0.25], mesh.vertices[boundary])  # without the teeth of triangles
+    around = np.linalg.norm(smooth[boundary[:, 2]] - smooth[boundary[:, 0]], axis=1).sum()
     return bool(around**2 >= ROUND * 4.0 * np.pi * area)
 
 

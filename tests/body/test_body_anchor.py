@@ -134,10 +134,11 @@ def test_what_lies_on_the_shoulders_slips_there_and_a_waistband_or_a_cape_does_n
 
 def test_a_bag_and_a_skirt_with_a_loose_apron_hang_by_their_tops():
     closed, n = ball(3), MESH.n_vertices
-    sock, _ = Mesh.cleaned(closed.vertices * [1.0, 2.0, 1.0], closed.faces[closed.vertices[closed.faces].mean(axis=1)[:, 1] < 0.02])
+    below = closed.vertices[closed.faces].mean(axis=1)[:, 1] < 0.02
+    sock, _ = Mesh.cleaned(closed.vertices * [1.0, 2.0, 1.0], closed.faces[below])
     apron = sheet(4, 4, spacing=0.04)
-    below = apron.vertices - apron.vertices.max(axis=0) + [0.0, MESH.vertices[:, 1].max() - 0.1, 0.4]
-    loose = Mesh(np.concatenate([MESH.vertices, below]), np.concatenate([MESH.faces, apron.faces + n]))
+    hanging = apron.vertices - apron.vertices.max(axis=0) + [0.0, MESH.vertices[:, 1].max() - 0.1, 0.4]
+    loose = Mesh(np.concatenate([MESH.vertices, hanging]), np.concatenate([MESH.faces, apron.faces + n]))
     for mesh in (sock, loose):
         anchor = body_anchor.start(Setup(model.build(mesh), contact.build(BODY, 0.1), Config()), BODY.vertices, mesh.vertices)
         assert anchor.held.any()
