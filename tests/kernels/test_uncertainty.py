@@ -31,7 +31,7 @@ def test_sums_and_means_of_patches_are_those_of_numpy(measured, isotropic):
     facing = (member * used) @ normal / per[:, None]
     np.testing.assert_allclose(means.bend, np.maximum(1.0 - np.square(facing).sum(axis=1), 0.02), atol=1e-12)
     np.testing.assert_allclose(means.strain2, member @ strain / member.sum(axis=1))
-    sine2 = (1.0 - np.einsum("va,va->v", surface, normal) ** 2) * used
+    sine2 = (1.0 - np.einsum("va,va->v", surface, normal) ** 2) * (used & (not isotropic))
     expected = np.where(seen > 0, member @ sine2 / per, sine2.sum() / max(seen.sum(), 1.0))
     np.testing.assert_allclose(means.turned, expected, atol=1e-12)
     for got, step, chosen in ((means.motion2, position - last, np.ones(n)), (means.innovation2, position - prior, used)):

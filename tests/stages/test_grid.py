@@ -34,9 +34,10 @@ def test_every_vertex_is_once_in_its_cell(shape, cell, most):
 
 def garment(astray: int) -> np.ndarray:
     """Vertices of a surface about 1 m large, the first ones kilometres away in all directions."""
-    position = RNG.normal(size=(6000, 3))
+    rng = np.random.default_rng(astray)
+    position = rng.normal(size=(6000, 3))
     position *= 0.5 / np.linalg.norm(position, axis=1, keepdims=True)
-    position[:astray] *= RNG.uniform(1e2, 1e4, (astray, 1))
+    position[:astray] *= rng.uniform(1e2, 1e4, (astray, 1))
     return position
 
 
