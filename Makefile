@@ -26,7 +26,7 @@ help:
 	@echo "make kill    how long a session stands still when its worker is killed (ARGS='--vertices 2500 ...')"
 	@echo "make cluster-test  two gateways on a Ray cluster and PostgreSQL: an actor, a node, a gateway killed, a node and a gateway drained (ARGS='--worker-kind local ...')"
 	@echo "make fuzz    100,000 damaged inputs to everything that reads bytes, schemathesis, adversarial frames (ARGS='--inputs 10000 ...')"
-	@echo "make evaluate  every system of the paper on every sequence, into results/ (hours; goes on where it was; ARGS='--runs 1')"
+	@echo "make evaluate  every system of the paper on every sequence, into results/ (days on two cores; resumes; ARGS='--runs 1')"
 	@echo "make headline  its study of untouched recordings with five seeds, resumed, and its tables and figures (ARGS='--again ddakf')"
 	@echo "make report    the paper's tables and figures from results/, into out/report"
 	@echo "make report-quick  both, small: 2 sequences, 3 conditions, 2 seeds, 30 frames, into out/quick"

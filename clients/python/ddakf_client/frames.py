@@ -25,7 +25,7 @@ class Frame:
         points: (N, 3) metres, world frame; N may be 0. None for a depth image.
         timestamp: seconds of the caller's clock, strictly increasing.
         sensor_origin: optical centre in metres: (3,) for one sensor, (N, 3) one per point for several sensors; None: unknown,
-            no visibility test.
+            estimated where the cloud shows one side.
         body_vertices: (B, 3) metres, the body in this frame; None: unknown.
         depth: (H, W) along the optical axis, 0 or NaN for none: floats in metres, or uint16 in units of `depth_scale`.
         intrinsics: fx, fy, cx, cy, pixels; pixel (0, 0) is the centre of the top left one.

@@ -24,7 +24,7 @@ interface Timed {
 export interface PointFrame extends Timed {
   /** (N, 3) metres, world frame; N may be 0. */
   points: Points;
-  /** Optical centre, metres: 3 numbers, or 3 N, one centre per point. Default: unknown, no visibility test. */
+  /** Optical centre, metres: 3 numbers, or 3 N, one centre per point. Default: unknown, estimated where the cloud shows one side. */
   sensorOrigin?: ArrayLike<number>;
   /** (N, 3) red, green, blue of the points. Default: unknown. */
   colors?: Uint8Array;

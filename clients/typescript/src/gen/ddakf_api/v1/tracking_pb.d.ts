@@ -611,7 +611,7 @@ export declare type CreateSessionRequest = Message<"ddakf_api.v1.CreateSessionRe
 
   /**
    * Repair the garment instead of refusing it: unreferenced vertices, duplicate or degenerate faces, edges of more than two
-   * faces, faces wound against their neighbours, triangles that share no vertices.
+   * faces, faces wound against their neighbours, triangles that share no vertices, open edges at the place of another.
    *
    * @generated from field: bool clean = 5;
    */
@@ -1458,8 +1458,8 @@ export declare type Frame = Message<"ddakf_api.v1.Frame"> & {
   captureTime: number;
 
   /**
-   * Sensors of the points. None: unknown, no visibility test. One: of all points. Several: the points form consecutive
-   * runs, one per sensor in this order, and the point counts sum to N.
+   * Sensors of the points. None: unknown, estimated where the cloud shows one side. One: of all points. Several: the points
+   * form consecutive runs, one per sensor in this order, and the point counts sum to N.
    *
    * @generated from field: repeated ddakf_api.v1.Sensor sensors = 3;
    */
@@ -2681,7 +2681,8 @@ export enum WarningCode {
   WRONG_UP = 12,
 
   /**
-   * Open edges of the garment lie at the place of another: the seams of a texture have split it.
+   * Open edges of the garment lie at the place of another, or a part lies beside the rest and is not joined to it: the seams of a
+   * texture have split it.
    *
    * @generated from enum value: WARNING_CODE_SPLIT_SEAMS = 13;
    */
