@@ -46,7 +46,7 @@ class Start(Checked):
 class Relocalization(Checked):
     """Search for a garment without a track: rigid candidate poses, of which a non-rigid registration selects one."""
 
-    search_interval: int = bounded(5, 1, 1000)  # frames between the first fruitless searches; then twice as many, and so on
+    search_interval: int = bounded(5, 1, 1000)  # frames between the first fruitless searches; then twice as many, up to 32 times
     shortest_gap: float = bounded(0.3, 0, 100)  # s: a longer pause, longer than the stream's usual one, starts a search
     gap_ratio: float = bounded(3.0, 1, 1000)  # such a pause over the last spacing of the frames, at least
     headings: int = bounded(8, 1, 32)  # initial headings, evenly spaced about the vertical
