@@ -37,6 +37,30 @@ def tell_apart(origin, distinct, sensor):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def first_rows(rows, first):
+    """Finds where each distinct row of (N, 3) ``rows`` comes first, and returns how many there are: at most one more than fit.
+
+    Args:
+        rows: (N, 3).
+        first: (C,) int64 out.
+    """
+    n = k = 0
+    for i in range(rows.shape[0]):
+        x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
+        if n and rows[first[k], 0] == x and rows[first[k], 1] == y and rows[first[k], 2] == z:
+            continue
+        k = 0
+        while k < n and (rows[first[k], 0] != x or rows[first[k], 1] != y or rows[first[k], 2] != z):
+            k += 1
+        if k == n:
+            if n == len(first):
+                return n + 1
+            first[n] = i
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def move(points, origin, sensor, shift, moved_points, moved_origin):
     """Points (N, 3) float32 and their origins (N, 3) without the (C, 3) shift of their ``sensor``, into arrays alike; metres."""
     for i in range(points.shape[0]):

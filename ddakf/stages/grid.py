@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.kernels import preprocess as kernels
-from ddakf.kernels import vertex_search
+from ddakf.kernels import sensor_poses, vertex_search
 from ddakf.kernels.preprocess import Grid
 
 # Of a search, cells within its reach at most, of the mean distance of the vertices, and along each axis of the grid at most: they
@@ -17,6 +17,7 @@ RINGS, CELL_SPACINGS, CELLS = 8, 0.8, 127
 CROWDED = 256  # vertices of a cell that are searched; a cell of ordinary garments holds a few, of the largest a hundred
 ASTRAY = 0.02  # share of the vertices at either end of an axis that a garment may have far from all others
 
+FEW = 64  # distinct rows, which are told apart without sorting
 GOLDEN = 0.6180339887  # its multiples fill [0, 1) evenly
 
 _KEY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)  # large odd numbers
@@ -90,16 +91,19 @@ def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> 
 
 
 def distinct(origins: np.ndarray) -> np.ndarray:
-    """The distinct rows of (N, 3), without sorting rows of floats where few are distinct."""
-    return np.unique(origins[first_rows(origins)], axis=0)
+    """The distinct rows of (N, 3) in ascending order."""
+    rows = origins[first_rows(origins)]
+    return rows[np.lexsort(rows.T[::-1])] if len(rows) <= FEW else np.unique(rows, axis=0)
 
 
 def first_rows(origins: np.ndarray) -> np.ndarray:
-    """Indices of the first row of each kind in (N, 3), one or few per kind. Kinds are told apart by keys of 64 bits."""
+    """Indices of the first row of each kind in (N, 3); of more than FEW kinds one or few each, told apart by keys of 64 bits."""
+    first = np.empty(FEW, np.int64)
+    count = sensor_poses.first_rows(origins, first)
+    if count <= FEW:
+        return first[:count]
     changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
     starts = np.concatenate([[0], changes])
-    if len(starts) == 1:
-        return starts
     rows = origins[starts] + 0.0  # a negative zero is a zero
     _, first = np.unique(rows.view(np.uint64) @ _KEY, return_index=True)
     return starts[first]
