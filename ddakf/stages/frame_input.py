@@ -39,7 +39,7 @@ def checked(given: FrameInput, last: float | None, body: Mesh | None) -> FrameIn
         origin = _array("sensor_origin", sensor_origin, f"(3,) or ({len(points)}, 3)")
         if origin.shape != (3,) and origin.shape != (len(points), 3):
             raise InvalidFrame("sensor_origin", f"shape (3,) or ({len(points)}, 3)", str(origin.shape))
-        sensor_origin = _finite("sensor_origin", np.atleast_2d(origin)).astype(np.float64).reshape(origin.shape)
+        sensor_origin = _finite("sensor_origin", np.atleast_2d(origin)).astype(np.float64, "C").reshape(origin.shape)
         if sensor_origin.shape == (0, 3):
             sensor_origin = None
         elif sensor_origin.ndim == 2 and (sensors := len(first_rows(sensor_origin))) > MAX_SENSORS:
@@ -118,6 +118,6 @@ def _time(timestamp, last: float | None) -> float:
         raise InvalidFrame("timestamp", "finite seconds", repr(timestamp))
     if abs(time) > MAX_TIME:
         raise InvalidFrame("timestamp", f"seconds within {MAX_TIME:g}", f"{time:g}")
-    if last is not None and time - last < LEAST_STEP:
+    if last is not None and (time <= last or time < last + LEAST_STEP):  # the sum may round to the last time
         raise InvalidFrame("timestamp", f"later than the last frame's {last:.9f} s by {LEAST_STEP:g} s", f"{time:.9f} s")
     return time

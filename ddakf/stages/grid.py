@@ -99,7 +99,7 @@ def distinct(origins: np.ndarray) -> np.ndarray:
 def first_rows(origins: np.ndarray) -> np.ndarray:
     """Indices of the first row of each kind in (N, 3); of more than FEW kinds one or few each, told apart by keys of 64 bits."""
     first = np.empty(FEW, np.int64)
-    count = sensor_poses.first_rows(origins, first)
+    count = sensor_poses.first_rows(np.ascontiguousarray(origins), first)
     if count <= FEW:
         return first[:count]
     changes = np.flatnonzero(np.any(origins[1:] != origins[:-1], axis=1)) + 1
