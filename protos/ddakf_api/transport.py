@@ -10,6 +10,9 @@ KEEPALIVE_TIMEOUT_SECONDS = 10.0
 IDLE_SECONDS = 300.0
 """Time after which a server closes a connection without calls, which nobody pings. The next call opens another."""
 
+CONNECT_SECONDS = 3.0
+"""Timeout of a client's connection: TCP, TLS and HTTP/2 need up to four round trips."""
+
 Options = list[tuple[str, int]]
 
 
@@ -21,7 +24,8 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
         ("grpc.keepalive_permit_without_calls", 0),
         # Finds a restarted server at once; the default backoff of gRPC grows to two minutes.
         ("grpc.initial_reconnect_backoff_ms", 200),
-        ("grpc.min_reconnect_backoff_ms", 200),
+        # gRPC takes this for the timeout of a connection as well, its TLS handshake included
+        ("grpc.min_reconnect_backoff_ms", int(1000 * CONNECT_SECONDS)),
         ("grpc.max_reconnect_backoff_ms", 400),
     ]
 

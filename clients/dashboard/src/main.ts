@@ -80,6 +80,7 @@ async function start(): Promise<void> {
 function signOut(): void {
   void app?.player?.stop();
   app?.fleet.close();
+  app?.client.close();
   app = undefined;
   forgetKey();
   void start();

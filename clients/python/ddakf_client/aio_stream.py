@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import threading
 import time
-from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterable
+from collections.abc import AsyncIterable, AsyncIterator, Callable, Coroutine, Iterable, Iterator
 from typing import Protocol
 
 import grpc
@@ -242,11 +244,28 @@ def _status_of(call: grpc.aio.Call) -> grpc.aio.AioRpcError:
 
 
 async def _as_async_iterator(frames: AsyncIterable[object] | Iterable[object]) -> AsyncIterator[object]:
-    """Yields frames of either kind of iterable. An ordinary iterator runs in a thread, because it may wait for a camera."""
+    """Yields frames of either kind of iterable. An ordinary iterator runs in threads, because it may wait for a camera.
+
+    Daemons: one that waits for ever does not keep the program from its end, as a thread of the loop's executor does.
+    """
     if isinstance(frames, AsyncIterable):
         async for frame in frames:
             yield frame
         return
-    iterator = iter(frames)
-    while (frame := await asyncio.to_thread(next, iterator, _END)) is not _END:
+    iterator, loop = iter(frames), asyncio.get_running_loop()
+    while True:
+        taken = loop.create_future()
+        threading.Thread(target=_take, args=(iterator, loop, taken), name="ddakf-frames", daemon=True).start()
+        if (frame := await taken) is _END:
+            return
         yield frame
+
+
+def _take(iterator: Iterator[object], loop: asyncio.AbstractEventLoop, taken: asyncio.Future) -> None:
+    """Sets the next frame, the end, or the iterator's error, unless nobody waits for it any more."""
+    try:
+        settle, outcome = taken.set_result, next(iterator, _END)
+    except BaseException as error:
+        settle, outcome = taken.set_exception, error
+    with contextlib.suppress(RuntimeError):  # the loop has ended
+        loop.call_soon_threadsafe(lambda: taken.done() or settle(outcome))

@@ -179,7 +179,7 @@ class Exchange:
         self._resend: deque[Offered] = deque()  # frames to send again, before the one in the slot
         self._to_repeat, self._repeated_through = 0, 0  # answers that the server still repeats, and the last of their frames
         self._attempts = 0  # to reconnect, since the last answered frame
-        self._lost_since = now
+        self._lost_since = self._open_since = now
         self._owed_since = now  # since when the server owes the start or the end of the stream
         self._reading_since: float | None = None
 
@@ -200,7 +200,7 @@ class Exchange:
         self._next_sequence += 1
 
     def can_take(self) -> bool:
-        waiting = sum(sequence > self._answered_through for sequence in self._unanswered)
+        waiting = len(self._waiting())
         return self.started and bool(self._slot or self._resend) and waiting < self._in_flight
 
     def take(self, now: float) -> Offered:
@@ -238,7 +238,7 @@ class Exchange:
     def _first_waiting(self) -> float:
         """Number of the first frame that was taken and has no answer; infinite: none."""
         resend = (offered.sequence for offered in self._resend)
-        return min((*(sequence for sequence in self._unanswered if sequence > self._answered_through), *resend), default=math.inf)
+        return min((*self._waiting(), *resend), default=math.inf)
 
     # Answers out ----------------------------------------------------------------------------------------------------
 
@@ -280,7 +280,7 @@ class Exchange:
         """
         if self.failure:
             raise self.failure
-        waiting = [sequence for sequence in self._unanswered if sequence > self._answered_through]
+        waiting = self._waiting()
         if waiting or not self.is_done():
             before = f"it had answered frame {min(waiting)}" if waiting else "all frames were sent"
             raise Unavailable(f"the server ended the stream before {before}")
@@ -306,7 +306,8 @@ class Exchange:
             return untried > 0
         if not self.lost:
             self.lost, self.started = True, False
-            self._lost_since = now if self._attempts == 0 else self._lost_since
+            if self._attempts == 0 or now - self._open_since > self.plan.resume:  # else the same outage goes on
+                self._lost_since, self._attempts = now, 0
         return now - self._lost_since < self.plan.resume
 
     def pause(self, now: float) -> float:
@@ -319,7 +320,7 @@ class Exchange:
     def _start(self, started: pb.Started, now: float) -> list[FrameError | Notice]:
         """Handles the start of the stream, the first one or one after a reconnect."""
         last, resumed = started.last_sequence_number, self.lost
-        self.started, self.lost = True, False
+        self.started, self.lost, self._open_since = True, False, now
         self._next_sequence = max(self._next_sequence, last + 1)
         self._in_flight = min(self._in_flight, started.max_frames_in_flight or self._in_flight)
         if not resumed:
@@ -353,19 +354,25 @@ class Exchange:
 
     def deadline(self, now: float) -> float:
         """Time by which the server has to send something; if it owes nothing, the timeout from now."""
-        if self._reading_since is None or not (self._unanswered or self._owes_more()):
+        waiting = self._waiting()
+        if self._reading_since is None or not (waiting or self._owes_more()):
             return now + self.plan.timeout
-        oldest = min((sent.at for sent in self._unanswered.values()), default=self._owed_since)
+        oldest = min((self._unanswered[sequence].at for sequence in waiting), default=self._owed_since)
         if not self.started:
             oldest = self._owed_since
         return max(oldest, self._reading_since) + self.plan.timeout
 
     def overdue(self) -> DeadlineExceeded:
         """The error of an exceeded deadline."""
-        owed = f"frame {min(self._unanswered)}" if self._unanswered else "the end of the stream"
+        waiting = self._waiting()
+        owed = f"frame {min(waiting)}" if waiting else "the end of the stream"
         return DeadlineExceeded(
             f"no answer to {owed if self.started else 'the start of the stream'} within {self.plan.timeout:g} s"
         )
+
+    def _waiting(self) -> list[int]:
+        """The frames that the server owes an answer to."""
+        return [sequence for sequence in self._unanswered if sequence > self._answered_through]
 
     def _owes_more(self) -> bool:
         return not self.started or self.is_done()

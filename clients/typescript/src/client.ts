@@ -190,7 +190,7 @@ export class Client implements Host {
     return new Session(this, message, false);
   }
 
-  /** Yields the sessions of the server, oldest first, filtered by state ("tracking", ...) and labels if given. */
+  /** Yields the sessions of the server, oldest first, ended ones newest first, filtered by state ("tracking", ...) and labels if given. */
   async *sessions({
     state,
     labels = {},

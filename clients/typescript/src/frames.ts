@@ -87,6 +87,7 @@ export function held(frame: Frame): Frame {
 
 function copied(value: unknown): unknown {
   const isArray = Array.isArray(value) || (ArrayBuffer.isView(value) && !(value instanceof DataView));
+  if (value instanceof Uint8Array) return Uint8Array.prototype.slice.call(value); // a Buffer of Node slices without a copy
   return isArray ? (value as Float32Array).slice() : value;
 }
 

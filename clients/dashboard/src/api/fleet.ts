@@ -73,6 +73,7 @@ export class Fleet {
   private before: { exposition: Exposition; time: number } | undefined;
   private timer: ReturnType<typeof setTimeout> | undefined;
   private turn = 0;
+  private asking = false;
   private readonly listeners = new Set<() => void>();
 
   constructor(readonly client: Client) {
@@ -100,13 +101,14 @@ export class Fleet {
   }
 
   private readonly onVisible = () => {
-    if (!document.hidden && this.turn >= 0 && this.timer === undefined) void this.ask();
+    if (!document.hidden && this.turn >= 0 && this.timer === undefined && !this.asking) void this.ask();
   };
 
   /** One round of calls; a hidden tab asks nothing. */
   private async ask(): Promise<void> {
     this.timer = undefined;
     if (document.hidden || this.turn < 0) return;
+    this.asking = true;
     let pause = SESSIONS_INTERVAL;
     const withHealth = this.turn++ % HEALTH_EVERY === 0;
     try {
@@ -117,6 +119,7 @@ export class Fleet {
       this.failure = error;
       if (error instanceof ResourceExhausted) pause = Math.max(pause, error.retryAfter || 5);
     }
+    this.asking = false;
     if (this.turn < 0) return; // closed meanwhile
     for (const listener of [...this.listeners]) listener();
     this.timer = setTimeout(() => void this.ask(), 1000 * pause);

@@ -48,7 +48,10 @@ export function pastSessions(app: App): HTMLElement {
 /** The newest ended sessions, newest first. */
 async function ended({ client }: App): Promise<messages.Session[]> {
   const found: messages.Session[] = [];
-  for (const state of ["expired", "closed"]) for await (const session of client.sessions({ state })) found.push(session);
+  for (const state of ["expired", "closed"]) {
+    const most = found.length + SHOWN; // the server begins with the newest
+    for await (const session of client.sessions({ state })) if (found.push(session) >= most) break;
+  }
   return found.sort((a, b) => seconds(b.createTime) - seconds(a.createTime)).slice(0, SHOWN);
 }
 

@@ -5,6 +5,8 @@ import type { Player } from "../play/player.js";
 
 export class PlayerPanel {
   readonly element: HTMLElement;
+  /** Ends the panel, which outlives its page otherwise: the player goes on. */
+  readonly close: () => void;
   private readonly state = h("span.muted");
 
   constructor(player: Player, stop: () => Promise<void>) {
@@ -50,7 +52,7 @@ export class PlayerPanel {
       for (const control of this.element.querySelectorAll<HTMLInputElement | HTMLButtonElement>("input, button"))
         control.disabled = player.ended && (control !== end || !player.isOver);
     };
-    player.onChange(draw);
+    this.close = player.onChange(draw);
     draw();
   }
 

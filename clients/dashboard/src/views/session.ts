@@ -23,6 +23,7 @@ class SessionView {
   readonly element: HTMLElement;
   private readonly bench: Workbench;
   private readonly recording: RecordButton;
+  private readonly panel: PlayerPanel | undefined;
   private watching: Watching | undefined;
   private readonly unlisten: () => void;
   private retryTimer: ReturnType<typeof setTimeout> | undefined;
@@ -33,13 +34,19 @@ class SessionView {
     private readonly id: string,
   ) {
     const player = app.player?.id === id ? app.player : undefined;
-    const panel = player && new PlayerPanel(player, app.stopPlaying).element;
+    this.panel = player && new PlayerPanel(player, app.stopPlaying);
     const compare = h("a.button", { href: `#/compare/${id}`, title: "Beside another session" }, "Compare");
     this.recording = new RecordButton(id, (words, severity) => {
       this.bench.say(words, severity, NOTICE_SECONDS);
     });
     const actions = [this.recording.element, compare];
-    this.bench = new Workbench({ title: id, memory: new Memory(), past: { client: app.client, id }, panel, actions });
+    this.bench = new Workbench({
+      title: id,
+      memory: new Memory(),
+      past: { client: app.client, id },
+      panel: this.panel?.element,
+      actions,
+    });
     this.element = this.bench.element;
     this.unlisten = app.fleet.onChange(() => {
       if (app.fleet.rows.some((row) => row.id === id && row.state === "idle")) this.bench.rest();
@@ -51,6 +58,7 @@ class SessionView {
     this.closed = true;
     clearTimeout(this.retryTimer);
     this.unlisten();
+    this.panel?.close();
     this.watching?.close();
     this.recording.stop();
     this.bench.close();

@@ -24,7 +24,15 @@ from pathlib import Path
 import grpc
 import numpy as np
 from ddakf_api import API_VERSION
-from ddakf_api.errors import Cancelled, DeadlineExceeded, InvalidArgument, PermissionDenied, first_line
+from ddakf_api.errors import (
+    Cancelled,
+    DeadlineExceeded,
+    InvalidArgument,
+    PermissionDenied,
+    SessionNotFound,
+    first_line,
+    from_rpc_error,
+)
 from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
@@ -143,8 +151,8 @@ def _write_frames(
                 break
     except KeyboardInterrupt:
         pass
-    except grpc.RpcError:
-        if not count and time.monotonic() < end:
+    except grpc.RpcError as error:
+        if time.monotonic() < end and not (count and isinstance(from_rpc_error(error), SessionNotFound)):
             raise  # otherwise the time is over, or the session has ended and the recording with it
     return count
 

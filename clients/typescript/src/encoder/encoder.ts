@@ -10,6 +10,7 @@ import { perform, type Encoded, type Reply, type Task } from "./tasks.js";
 /** Encodes the payloads of frames; its methods raise `CodecError`. */
 export class Encoder {
   private thread: EncoderThread | undefined;
+  private closed = false;
   private readonly pending = new Map<number, { resolve: (encoded: Encoded) => void; reject: (error: ServiceError) => void }>();
   private nextId = 1;
 
@@ -24,8 +25,9 @@ export class Encoder {
     return this.run({ kind: "depth", image, codec }) as Promise<EncodedDepth>;
   }
 
-  /** Ends the worker. */
+  /** Ends the worker, for good. */
   close(): void {
+    this.closed = true;
     this.thread?.close();
     this.thread = undefined;
     this.rejectAll(new Cancelled("the client was closed"));
@@ -33,6 +35,7 @@ export class Encoder {
 
   private run(task: Task): Promise<Encoded> {
     if (!this.inWorker) return perform(task);
+    if (this.closed) return Promise.reject(new Cancelled("the client was closed"));
     const thread = (this.thread ??= this.start());
     const id = this.nextId++;
     return new Promise((resolve, reject) => {

@@ -60,6 +60,7 @@ export class Exchange {
   private repeatedThrough = 0; // the last frame of those
   private attempts = 0; // to reconnect, since the last answered frame
   private lostSince: number;
+  private openSince: number;
   private owedSince: number; // since when the server owes the start or the end of the stream
   private heardAt = -Infinity; // the last response, without answers to pings, which say nothing about frames
 
@@ -68,7 +69,7 @@ export class Exchange {
     now: number,
   ) {
     this.lossless = plan.flow === "lossless";
-    this.lostSince = this.owedSince = now;
+    this.lostSince = this.openSince = this.owedSince = now;
   }
 
   /** The first request of a connection. `again`: of one after a lost connection. */
@@ -202,7 +203,10 @@ export class Exchange {
     if (!this.lost) {
       this.lost = true;
       this.started = false;
-      if (this.attempts === 0) this.lostSince = now;
+      if (this.attempts === 0 || now - this.openSince > this.plan.resume) {
+        this.lostSince = now; // otherwise the same outage goes on
+        this.attempts = 0;
+      }
     }
     return now - this.lostSince < this.plan.resume;
   }
@@ -217,14 +221,15 @@ export class Exchange {
   /** Time by which the server has to send something, the timeout after it last did; undefined: it owes nothing. */
   deadline(): number | undefined {
     const owesStartOrEnd = !this.started || this.isDone();
-    if (this.unanswered.size === 0 && !owesStartOrEnd) return undefined;
-    const oldest = this.started ? Math.min(...[...this.unanswered.values()].map((sent) => sent.at)) : Infinity;
+    const waiting = this.waiting();
+    if (waiting.length === 0 && !owesStartOrEnd) return undefined;
+    const oldest = this.started ? Math.min(...waiting.map((sequence) => this.unanswered.get(sequence)!.at)) : Infinity;
     return Math.max(Number.isFinite(oldest) ? oldest : this.owedSince, this.heardAt) + this.plan.timeout;
   }
 
   /** The error of an exceeded deadline. */
   overdue(): DeadlineExceeded {
-    const [first] = this.unanswered.keys();
+    const [first] = this.waiting();
     const owed = !this.started ? "the start of the stream" : first === undefined ? "the end of the stream" : `frame ${first}`;
     return new DeadlineExceeded(`no answer to ${owed} within ${this.plan.timeout} s`);
   }
@@ -235,6 +240,7 @@ export class Exchange {
     const resumed = this.lost;
     this.started = true;
     this.lost = false;
+    this.openSince = now;
     this.nextSequence = Math.max(this.nextSequence, last + 1);
     this.limit = Math.min(IN_FLIGHT, started.maxFramesInFlight || IN_FLIGHT);
     if (!resumed) return [];

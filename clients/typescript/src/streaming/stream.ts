@@ -94,7 +94,11 @@ export class Stream {
       onResponse: (response) => {
         this.receive(response);
       },
-      onEnd: (error, explained) => void this.lineEnded(error, explained),
+      onEnd: (error, explained) => {
+        this.lineEnded(error, explained).catch((reason: unknown) => {
+          this.fail(reason);
+        });
+      },
     });
     this.line = line;
   }
