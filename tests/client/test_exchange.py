@@ -98,6 +98,29 @@ def test_the_deadline_runs_while_an_answer_is_owed_and_awaited():
     assert "the end of the stream" in str(exchange.overdue())
 
 
+def test_a_frame_that_was_dropped_before_a_refused_one_is_owed_no_answer():
+    exchange = opened("realtime", timeout=2.0)
+    for _ in range(2):
+        exchange.offer("a", 0.0)
+        exchange.take(0.0)
+    exchange.reading(0.0)
+    exchange.receive(refusal(2), 1.0)
+    assert exchange.deadline(5.0) == 7.0
+    assert "frame" not in str(exchange.overdue())
+
+
+def test_a_second_outage_has_as_long_to_end_and_a_flapping_one_has_not():
+    exchange, lose = opened("lossless"), errors.Unavailable("lost")
+    for second in (1.0, 60.0):
+        assert exchange.may_resume(lose, second)
+        exchange.pause(second)
+        exchange.receive(pb.TrackResponse(started=pb.Started()), second + 0.5)
+    assert exchange.may_resume(lose, 61.0)
+    exchange.pause(61.0)
+    assert exchange.may_resume(lose, 89.0)
+    assert not exchange.may_resume(lose, 91.0)
+
+
 def test_an_end_with_frames_unanswered_or_unsent_is_an_error():
     exchange = opened("lossless")
     with pytest.raises(errors.Unavailable, match="before all frames were sent"):

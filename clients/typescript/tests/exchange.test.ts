@@ -193,6 +193,30 @@ test("a server that lost answered frames says how many", () => {
   expect(exchange.receive(started(1), 2)[0]).toMatchObject({ kind: "resumed", value: 2 });
 });
 
+test("a frame that was dropped before a refused one is owed no answer", () => {
+  const exchange = opened("realtime", { timeout: 2, onError: "yield" });
+  for (let i = 0; i < 2; i++) {
+    exchange.offer(frame("a"), 0);
+    exchange.take(0);
+  }
+  exchange.receive(refusal(2), 1);
+  expect(exchange.deadline()).toBeUndefined();
+});
+
+test("a second outage has as long to end, a flapping one has not", () => {
+  const exchange = opened("lossless");
+  const lost = new Unavailable("lost");
+  for (const second of [1, 60]) {
+    expect(exchange.mayResume(lost, second)).toBe(true);
+    exchange.pause(second);
+    exchange.receive(started(0), second + 0.5);
+  }
+  expect(exchange.mayResume(lost, 61)).toBe(true);
+  exchange.pause(61);
+  expect(exchange.mayResume(lost, 89)).toBe(true);
+  expect(exchange.mayResume(lost, 91)).toBe(false);
+});
+
 test("frames to send again survive a second lost connection", () => {
   const exchange = opened("lossless");
   for (let i = 0; i < 3; i++) {
