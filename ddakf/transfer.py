@@ -112,9 +112,8 @@ def _body(track: BodyTrack | None, source: Discretised, target: Discretised) -> 
 def _resting(shape: Resting | None, source: Discretised, target: Discretised, kept: Resting | None) -> Resting | None:
     if shape is None:
         return None
-    known = kept is not None and (kept.source is shape.edge or shape.source is kept.edge)
-    if known and np.array_equal(kept.size, shape.size):
-        return kept
+    if kept is not None and (kept.source is shape.edge or shape.source is kept.edge):
+        return rigidity.resized(kept, shape.size, target.setup)
     if not shape.given:
         return rigidity.of_template(shape.size, target.setup)._replace(source=shape.edge)
     position = _moved(shape.position, rigidity.rotations(shape.position, source.setup.model), source, target)
