@@ -101,7 +101,7 @@ test-all: lint warm
 test-without-recordings: warm
 	@DDAKF_DATA=/nonexistent $(PYTEST) -m recordings $(ARGS)
 
-# line coverage of all tests, which take half as long again with it: modules that are not covered in full, the sum of each package
+# line coverage of all tests, which it slows down: modules that are not covered in full, the sum of each package
 coverage: warm
 	@$(PYTEST) --cov --cov-report= $(ARGS)
 	@$(BIN)/coverage combine --append --quiet 2>/dev/null || true

@@ -77,7 +77,7 @@ def test_the_shape_at_rest_is_carried_over_once():
 
 
 def test_a_configuration_moves_what_it_decides_of_the_track_as_a_restore_does():
-    """The axis that points upward decides whether a shirt lies on the shoulders; texels are sampled anew."""
+    """The axis that points upward decides whether a shirt lies on the shoulders."""
     side = started(body=True).configured(Config(start=Start(up="-y")))
     assert side._track.anchor.across is None
     again = side.configured(Config())

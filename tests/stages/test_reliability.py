@@ -306,11 +306,11 @@ def run(health, seconds, dt=DT, score=GOOD, coverage=0.5, points=1000, rejected=
 
 def test_clouds_of_which_nothing_is_left_count_as_searched_and_empty_ones_do_not():
     """As where all points are skin: a search costs the time of several frames, and shall not be repeated in each."""
-    health = TRACKING
-    for searchable, count in ((True, 3), (False, 3), (True, 4)):
-        for _ in range(4 if count == 3 and searchable else 1):
-            health = advance(health, Outcome(GOOD, 0.0, 0, False, searchable), DT, CONFIG)
-        assert health.frames_unplaced == count
+    health, counts = TRACKING, []
+    for searchable in (True, True, True, False, True):
+        health = advance(health, Outcome(GOOD, 0.0, 0, False, searchable), DT, CONFIG)
+        counts.append(health.frames_unplaced)
+    assert counts == [0, 1, 2, 2, 3], "the first of them still has a garment in view"
 
 
 TRACKING = run(Health(), 0.1)
