@@ -5,7 +5,9 @@ import functools
 import os
 import signal
 import struct
+import time
 import zlib
+from concurrent.futures import ThreadPoolExecutor
 
 import DracoPy
 import numpy as np
@@ -13,7 +15,7 @@ import pytest
 import zstandard
 from ddakf_api import codec as codecs
 from ddakf_api.codec import CODECS, DracoDecoder, encode, morton, planes
-from ddakf_api.errors import CodecError, Unimplemented
+from ddakf_api.errors import CodecError, FrameTooCostly, Unimplemented
 from ddakf_api.v1 import tracking_pb2 as pb
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -313,7 +315,7 @@ def test_what_a_draco_header_declares_is_checked_before_it_is_decoded(spoil, sai
     message = pb.PointCloud(codec=pb.POINT_CODEC_DRACO, point_count=200, data=data)
     with pytest.raises(CodecError, match=said):
         codecs.decode(message, max_points=LIMIT, draco_decoder=unused)
-    assert unused.process_id() is None
+    assert unused.process_ids() == []
 
 
 @pytest.mark.parametrize("level", [1, 7, 10])
@@ -328,14 +330,32 @@ def test_draco_of_other_writers_is_read_with_or_without_a_tree(level, cloud):
 def test_a_draco_decoder_that_dies_costs_one_cloud(damaged_source):
     decoder, message = DracoDecoder(LIMIT), damaged_source["draco"]
     ask = functools.partial(codecs.decode, message, max_points=LIMIT, draco_decoder=decoder)
-    expected, first = ask(), decoder.process_id()
+    expected, (first,) = ask(), decoder.process_ids()
     os.kill(first, signal.SIGKILL)
     with contextlib.suppress(CodecError):  # either the damaged cloud or the death is detected first
         ask()
     assert np.array_equal(ask(), expected)
-    assert decoder.process_id() != first
+    assert decoder.process_ids() != [first]
     decoder.close()
-    assert decoder.process_id() is None
+    assert decoder.process_ids() == []
+
+
+def test_no_draco_cloud_waits_for_another(damaged_source):
+    """A decoder process that stands still holds up the thread that uses it alone."""
+    decoder, message = DracoDecoder(LIMIT), damaged_source["draco"]
+    ask = functools.partial(codecs.decode, message, max_points=LIMIT, draco_decoder=decoder)
+    expected, (stopped,) = ask(), decoder.process_ids()
+    os.kill(stopped, signal.SIGSTOP)
+    with ThreadPoolExecutor(1) as thread:
+        waits = thread.submit(ask)
+        while decoder.process_ids():  # until the thread has taken it
+            time.sleep(0.001)
+        assert np.array_equal(ask(), expected)
+        assert not waits.done()
+        os.kill(stopped, signal.SIGCONT)
+        assert np.array_equal(waits.result(), expected)
+    assert len(decoder.process_ids()) == 2
+    decoder.close()
 
 
 def test_answers_belong_to_their_draco_clouds_after_thousands_of_damaged_ones(cloud):
@@ -359,10 +379,12 @@ def test_a_draco_cloud_that_takes_too_long_ends_its_decoder_alone():
     points = np.random.default_rng(0).normal(size=(300_000, 3)).astype(np.float32)
     data = DracoPy.encode(points, quantization_bits=16, compression_level=1)
     decoder = DracoDecoder(300_000, seconds=0.005)
-    with pytest.raises(CodecError, match=f"signal {int(signal.SIGPROF)}"):
+    with pytest.raises(FrameTooCostly, match=r"0\.005 s"):
         decoder.decode(data, 300_000)
+    assert decoder.processor_seconds() == 0.005
     patient = DracoDecoder(300_000)
     assert patient.decode(data, 300_000).shape == points.shape
+    assert patient.processor_seconds() > 0.005
     for each in (decoder, patient):
         each.close()
 

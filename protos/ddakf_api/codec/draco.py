@@ -1,8 +1,8 @@
-"""Draco codec: positions only, encoded in Morton order, decoded in a separate process.
+"""Draco codec: positions only, encoded in Morton order, decoded in separate processes.
 
 The decoder of DracoPy trusts its input: damaged data can exhaust memory, run for minutes or end the process, and it holds the
-interpreter lock meanwhile. Therefore the header is checked first, and the decoder runs in a process with limited memory and CPU
-time. If this process dies, one cloud is refused, and the next cloud starts a new process.
+interpreter lock meanwhile. Therefore the header is checked first, and the decoder runs in processes with limited memory and CPU
+time. If a process dies, one cloud is refused, and another process takes its place.
 """
 
 from __future__ import annotations
@@ -11,18 +11,20 @@ import contextlib
 import functools
 import importlib.util
 import os
+import signal
 import struct
 import subprocess
 import sys
 import threading
 import weakref
 from pathlib import Path
+from time import monotonic
 
 import numpy as np
 
 from ddakf_api.codec import morton
 from ddakf_api.codec.quantise import quantise
-from ddakf_api.errors import CodecError, Unimplemented
+from ddakf_api.errors import CodecError, FrameTooCostly, Unimplemented
 
 FIELD = "point_cloud.data"
 SECONDS = 2.0  # CPU time limit per cloud; a million points take a tenth of it
@@ -30,7 +32,7 @@ MEMORY, MEMORY_PER_POINT = 64 << 20, 160  # limits in bytes of the decoder proce
 
 _EXIT_TIMEOUT = 1.0  # seconds from the end of the input to the exit of the process
 
-_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qq")
+_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qqd")
 
 # Magic, version 2.2 or 2.3, point cloud, sequential or k-d tree, no flags (no metadata), number of points.
 _HEADER = struct.Struct("<5sBBBBHi")
@@ -97,89 +99,127 @@ def require_header(data: bytes, count: int) -> None:
 
 
 class Decoder:
-    """Decodes Draco in a separate process, started by the first cloud and again after a crash.
+    """Decodes Draco in separate processes, started when they are needed and again after a crash.
 
-    Thread-safe; decodes one cloud at a time.
+    Thread-safe. Each thread that decodes has a process of its own meanwhile: none waits for the cloud of another.
 
     Args:
-        max_points: largest cloud, for which the memory limit of the process is made.
+        max_points: largest cloud, for which the memory limit of a process is made.
         seconds: CPU time limit per cloud.
     """
 
     def __init__(self, max_points: int, seconds: float = SECONDS):
-        self._memory, self._seconds = MEMORY + MEMORY_PER_POINT * max_points, seconds
-        self._process: subprocess.Popen | None = None
-        self._requests = 0
-        self._lock = threading.Lock()
+        self._arguments = str(MEMORY + MEMORY_PER_POINT * max_points), str(seconds)
+        self._seconds = seconds
+        self._idle: list[_Process] = []
+        self._of_thread = threading.local()
 
     def decode(self, data: bytes, count: int) -> np.ndarray:
         """Decodes a cloud of ``count`` points to (count, 3) float64 metres, finite.
 
         Raises:
-            CodecError: invalid data, or decoding exceeded the limits of memory or time.
+            CodecError: invalid data, or decoding exceeded the limit of memory.
+            FrameTooCostly: decoding exceeded the limit of CPU time.
             Unimplemented: DracoPy is not installed.
         """
         require_header(data, count)
         if not installed():
             raise Unimplemented("point_cloud.codec: Draco needs the package dracopy here", field="point_cloud.codec")
-        with self._lock:
-            points = self._request(data, count)
+        points = self._decoded(data, count)
         if points is None or len(points) != count or not np.isfinite(points).all():
             got = "data that cannot be decoded" if points is None else f"{len(points)}, or numbers that are not finite"
             raise CodecError(field=FIELD, expected=f"{count} finite positions", got=got)
         return points.astype(np.float64)
 
-    def process_id(self) -> int | None:
-        """Id of the decoder process, or None if none runs."""
-        return self._process.pid if self._process is not None and self._process.poll() is None else None
+    def processor_seconds(self) -> float:
+        """CPU time that the processes have used for the clouds of the calling thread, seconds."""
+        return getattr(self._of_thread, "seconds", 0.0)
+
+    def process_ids(self) -> list[int]:
+        """Ids of the processes that wait for a cloud."""
+        return [process.id for process in self._idle if process.is_alive]
 
     def close(self) -> None:
-        """Ends the decoder process."""
-        with self._lock:
-            self._end()
+        """Ends the processes that wait for a cloud."""
+        while self._idle:
+            self._idle.pop().end()
 
-    def _request(self, data: bytes, expected: int) -> np.ndarray | None:
-        if self.process_id() is None:
-            self._start()
+    def _decoded(self, data: bytes, count: int) -> np.ndarray | None:
+        process = self._process()
+        began, used = monotonic(), 0.0
         try:
-            self._requests += 1
-            self._process.stdin.write(_REQUEST.pack(self._requests, len(data)) + data)
-            self._process.stdin.flush()
-            number, count = _RESPONSE.unpack(self._read(_RESPONSE.size))
-            if number != self._requests or count > expected:
-                raise EOFError  # requests and responses are out of step: no later response can be trusted
-            return None if count < 0 else np.frombuffer(self._read(12 * count), "<f4").reshape(count, 3)
+            points, used = process.request(data, count)
         except (OSError, EOFError):
-            status = self._end()
+            status, used = process.end(), min(monotonic() - began, self._seconds)
+            if status == -signal.SIGPROF:
+                raise FrameTooCostly(f"the Draco decoder used its {self._seconds:g} s of processor time") from None
             got = "data that ended the decoder" + (f" by signal {-status}" if status < 0 else "")
             raise CodecError(field=FIELD, expected="a Draco point cloud", got=got) from None
+        finally:
+            self._of_thread.seconds = self.processor_seconds() + used
+        self._idle.append(process)
+        return points
+
+    def _process(self) -> _Process:
+        """A process that waits for a cloud, or a new one."""
+        while True:
+            try:
+                process = self._idle.pop()
+            except IndexError:
+                return _Process(*self._arguments)
+            if process.is_alive:
+                return process
+            process.end()
+
+
+class _Process:
+    """One decoder process, used by one thread at a time."""
+
+    def __init__(self, *arguments: str):
+        script = Path(__file__).with_name("draco_worker.py")
+        self._process = subprocess.Popen(
+            # -P: modules are not imported from the folder of the script
+            [sys.executable, "-P", str(script), *arguments],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+        self._requests = 0
+        self._finalizer = weakref.finalize(self, _end, self._process)  # at the end of this object, or of the interpreter
+
+    @property
+    def id(self) -> int:
+        return self._process.pid
+
+    @property
+    def is_alive(self) -> bool:
+        return self._process.poll() is None
+
+    def request(self, data: bytes, expected: int) -> tuple[np.ndarray | None, float]:
+        """The points, at most ``expected``, or None if the data cannot be decoded; and the CPU time of the process, seconds.
+
+        Raises:
+            OSError, EOFError: the process has ended, or its responses are out of step.
+        """
+        self._requests += 1
+        self._process.stdin.write(_REQUEST.pack(self._requests, len(data)) + data)
+        self._process.stdin.flush()
+        number, count, used = _RESPONSE.unpack(self._read(_RESPONSE.size))
+        if number != self._requests or count > expected:
+            raise EOFError  # requests and responses are out of step: no later response can be trusted
+        return None if count < 0 else np.frombuffer(self._read(12 * count), "<f4").reshape(count, 3), used
+
+    def end(self) -> int:
+        """Ends the process and returns its exit status."""
+        self._finalizer.detach()
+        return _end(self._process)
 
     def _read(self, size: int) -> bytes:
         data = self._process.stdout.read(size)
         if len(data) < size:
             raise EOFError
         return data
-
-    def _start(self) -> None:
-        self._end()
-        script = Path(__file__).with_name("draco_worker.py")
-        self._process = subprocess.Popen(
-            # -P: modules are not imported from the folder of the script
-            [sys.executable, "-P", str(script), str(self._memory), str(self._seconds)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
-        )
-        self._finalizer = weakref.finalize(self, _end, self._process)  # at the end of this object, or of the interpreter
-
-    def _end(self) -> int:
-        """Ends the decoder process and returns its exit status."""
-        process, self._process = self._process, None
-        if process is None:
-            return 0
-        self._finalizer.detach()
-        return _end(process)
 
 
 def _end(process: subprocess.Popen) -> int:

@@ -1,8 +1,8 @@
 """Draco decoder process: :class:`~ddakf_api.codec.draco.Decoder` runs this file as a script.
 
-Request on standard input: ``<number u64><size u32><data>``. Response on standard output: ``<number u64><count i64><count * 12
-bytes of float32>``, with the number of the request; the count is -1 if the data cannot be decoded. The process ends with its
-input. It imports nothing of this package, so that it starts fast.
+Request on standard input: ``<number u64><size u32><data>``. Response on standard output: ``<number u64><count i64><seconds
+f64><count * 12 bytes of float32>``, with the number of the request and the CPU time that it took; the count is -1 if the data
+cannot be decoded. The process ends with its input. It imports nothing of this package, so that it starts fast.
 """
 
 import os
@@ -11,11 +11,12 @@ import signal
 import struct
 import sys
 from pathlib import Path
+from time import process_time
 
 import DracoPy
 import numpy as np
 
-_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qq")
+_REQUEST, _RESPONSE = struct.Struct("<QI"), struct.Struct("<Qqd")
 
 
 def main(memory: int, seconds: float) -> None:
@@ -35,9 +36,10 @@ def main(memory: int, seconds: float) -> None:
         data = source.read(size)
         # The default action of the signal ends the process even while the decoder holds the interpreter lock.
         signal.setitimer(signal.ITIMER_PROF, seconds)
+        began = process_time()
         points = _decoded(data)
         signal.setitimer(signal.ITIMER_PROF, 0)
-        sink.write(_RESPONSE.pack(number, -1 if points is None else len(points)))
+        sink.write(_RESPONSE.pack(number, -1 if points is None else len(points), process_time() - began))
         if points is not None:
             sink.write(points.data)
         sink.flush()

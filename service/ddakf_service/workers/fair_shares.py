@@ -194,10 +194,16 @@ class FairShares:
         """The session has left the worker."""
         self._demands.pop(session_id, None)
 
+    def record_refused(self, session_id: str, spent: Spent) -> None:
+        """Records what a frame of the session took that was refused. It says nothing about what its tracker takes."""
+        self._record_use(spent)
+        demand = self._demands.get(session_id)
+        if demand is not None and math.isfinite(demand.seconds):
+            demand.seconds += _GAIN * (spent.processor - demand.seconds)
+
     def record(self, session_id: str, spent: Spent) -> None:
-        """Records what a frame of the session took."""
-        self._used += _GAIN * (spent.processor - self._used)
-        self._busy += _GAIN * (spent.busy - self._busy)
+        """Records what a tracked frame of the session took."""
+        self._record_use(spent)
         demand = self._demands.get(session_id)
         if demand is None:  # it took longer than an absence
             return
@@ -214,6 +220,10 @@ class FairShares:
             demand.whole = min(demand.whole or math.inf, usual)
         else:
             demand.whole += _GAIN * (usual - demand.whole)
+
+    def _record_use(self, spent: Spent) -> None:
+        self._used += _GAIN * (spent.processor - self._used)
+        self._busy += _GAIN * (spent.busy - self._busy)
 
     def _record_change(self, demand: _Demand, lighter: bool) -> None:
         """Another tracker has tracked the last frame: what the one before took says nothing about it."""

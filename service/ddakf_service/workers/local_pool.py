@@ -101,11 +101,20 @@ class LocalPool:
             grant = worker.shares.grant(session_id, rate, monotonic())
             head = wire.frame_request_head(options, max_points, grant)
             worker.frames += 1
+
+            def record_refused(spent: wire.Spent) -> None:
+                worker.shares.record_refused(session_id, spent)
+                turn.took(spent.processor)
+
             # The future has no name here: the traceback of its error refers to this Python frame.
             content = await self._in_time(
-                worker, session_id, worker.send(turn.kind, session_id, head, frame, turn_over=turn.over)
+                worker,
+                session_id,
+                worker.send(turn.kind, session_id, head, frame, turn_over=turn.over, record=record_refused),
             )
-            worker.shares.record(session_id, wire.unpack_spent(content))
+            spent = wire.unpack_spent(content)
+            worker.shares.record(session_id, spent)
+            turn.took(spent.processor)
             return wire.unpack_result(content)
 
     def affordable_rate(self, session_id: str) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 
+from .compute.lanes import SLICE
 from .messages import wire
 from .worker import Worker
 
@@ -48,10 +49,13 @@ class Turn:
         if not self._exceeded:
             self._placement.heavy_frames = max(self._placement.heavy_frames - 1, 0)
 
-    def over(self, used_slice: bool) -> None:
-        """The frame continues aside; if it has used its slice, the next frames of its session go to the heavy lane."""
-        if used_slice:
+    def took(self, processor_seconds: float) -> None:
+        """The frame has been answered; if it has used more than a slice, the next frames of its session go to the heavy lane."""
+        if processor_seconds > SLICE:
             self._exceeded, self._placement.heavy_frames = True, _HEAVY_FRAMES
+
+    def over(self) -> None:
+        """The frame continues aside."""
         if self.kind is wire.Kind.FRAME:
             self._release()
 

@@ -37,7 +37,8 @@ class _Call(NamedTuple):
     kind: wire.Kind
     session_id: str
     answer: asyncio.Future[bytes]
-    turn_over: Callable[[bool], None]
+    turn_over: Callable[[], None]
+    record: Callable[[wire.Spent], None]
 
 
 class Worker:
@@ -134,12 +135,14 @@ class Worker:
         kind: wire.Kind,
         session_id: str,
         *content: bytes | memoryview,
-        turn_over: Callable[[bool], None] = lambda used_slice: None,
+        turn_over: Callable[[], None] = lambda: None,
+        record: Callable[[wire.Spent], None] = lambda spent: None,
     ) -> asyncio.Future[bytes]:
         """Sends a request, its content in pieces, at once; returns a future of the answer.
 
         Args:
-            turn_over: called when the request continues beside others, with whether it has used its slice, see :mod:`.lanes`.
+            turn_over: called when the request continues beside others, see :mod:`.lanes`.
+            record: called with what a request has taken that ends with an error.
 
         Raises:
             WorkerLost: the worker is gone. The future may raise it too.
@@ -148,7 +151,7 @@ class Worker:
             raise worker_lost(session_id)
         number = next(self._numbers)
         answer: asyncio.Future[bytes] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = _Call(kind, session_id, answer, turn_over)
+        self._waiting[number] = _Call(kind, session_id, answer, turn_over, record)
         answer.add_done_callback(lambda _: self._waiting.pop(number, None))
         self._writer.writelines((wire.head(kind, number, session_id, sum(map(len, content))), *content))
         return answer
@@ -173,9 +176,11 @@ class Worker:
                 if call is None or call.answer.done():
                     continue  # the caller has left
                 if message.kind is wire.Kind.ASIDE:
-                    call.turn_over(bool(message.content))
+                    call.turn_over()
                 elif message.kind is wire.Kind.ERROR:
-                    call.answer.set_exception(from_detail(pb.ErrorDetail.FromString(message.content)))
+                    detail, spent = wire.unpack_error(message.content)
+                    call.record(spent)
+                    call.answer.set_exception(from_detail(pb.ErrorDetail.FromString(detail)))
                 else:
                     call.answer.set_result(message.content)
         except (asyncio.IncompleteReadError, OSError):

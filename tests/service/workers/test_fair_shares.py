@@ -107,6 +107,16 @@ def test_a_lossless_session_uses_its_share_and_has_no_budget():
     assert 0 < load.shares.affordable_rate("realtime") < 10
 
 
+def test_frames_that_are_refused_use_the_worker_too():
+    """The refused ones of one session leave the other a half of the worker."""
+    load = Load({"one": 0.05})
+    for _ in range(300):
+        load.budgets(frames=1)
+        load.shares.grant("refused", 30.0, load.now)
+        load.shares.record_refused("refused", Spent(0.05, busy=0.05))
+    assert load.shares.affordable_rate("one") * 0.05 == pytest.approx(0.85 / 2, abs=0.01)
+
+
 def test_a_need_that_ends_is_forgotten():
     load = Load({"one": 0.05, "two": 0.05})
     load.budgets()

@@ -338,6 +338,23 @@ async def single_pool(implementation):
         yield pool
 
 
+async def test_the_frames_after_a_costly_one_that_was_refused_leave_the_turns_to_others(single_pool, sheet, monkeypatch):
+    """A frame is refused after its decoding, which may take as long as tracking."""
+    pool = single_pool
+    monkeypatch.setattr("ddakf_service.workers.placement.SLICE", 0.0)
+    await pool.open("one", creation(sheet))
+    with pytest.raises(InvalidFrame):
+        await track(pool, "one", pb.Frame(sequence_number=1, point_cloud=pb.PointCloud(data=b"12", point_count=7)))
+    (worker,) = pool._roster.accepting
+    await worker.heavy_slots.acquire()
+    waits = asyncio.create_task(track(pool, "one", frame_of(sheet, 1)))
+    await asyncio.sleep(0.1)
+    assert not waits.done()
+    worker.heavy_slots.release()
+    await waits
+    await pool.close("one")
+
+
 @pytest.mark.slow
 async def test_a_costly_frame_does_not_hold_up_the_frames_of_others(single_pool, sheet):
     pool, large, order = single_pool, make_sheet(100, 0.01), []

@@ -21,7 +21,7 @@ from ..messages.wire import Kind, Message
 
 log = logging.getLogger(__name__)
 
-_SLICE = 0.05  # processor seconds of a turn: as many as a frame of 10,000 vertices takes
+SLICE = 0.05  # processor seconds of a turn: as many as a frame of 10,000 vertices takes
 _PATIENCE = 0.2  # seconds of a turn, also where the request waits: for the process of a decoder, or for a core
 _ASIDE = 1  # requests that may go on aside at a time
 FRAMES = 2 + _ASIDE  # requests that a worker answers at a time beside the building of a model; each takes the memory of a frame
@@ -35,7 +35,7 @@ class Lanes:
     Args:
         answer: the answer to a request; called by several threads, for one request of a session at a time.
         send: sends a message to the server; called by one thread at a time. It receives the answers, and ASIDE for each
-            request whose turn is over without an answer; with content if it has used its slice.
+            request whose turn is over without an answer.
     """
 
     def __init__(self, answer: Callable[[Message], Message], send: Callable[[Message], None]):
@@ -80,14 +80,13 @@ class Lanes:
                     return
                 self._threads.submit(self._answer_on_thread, turn)
             if not self._ends_in_time(turn):
-                used_slice = turn.processor_seconds() >= _SLICE
-                self._tell(Message(Kind.ASIDE, turn.request.number, content=b"slice" if used_slice else b""))
+                self._tell(Message(Kind.ASIDE, turn.request.number))
                 makes_room(turn)
 
     def _ends_in_time(self, turn: _Turn) -> bool:
         end = time.monotonic() + _PATIENCE
         with self._changed:
-            while (rest := min(_SLICE - turn.processor_seconds(), end - time.monotonic())) > 0:
+            while (rest := min(SLICE - turn.processor_seconds(), end - time.monotonic())) > 0:
                 if self._changed.wait_for(lambda: turn.ended, rest):
                     return True
         return False

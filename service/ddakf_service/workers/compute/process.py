@@ -21,6 +21,7 @@ from ddakf_api.errors import to_detail
 from ddakf.commands import warmup
 
 from ...observability.logs import configure_logging, current_session
+from ..messages import wire
 from ..messages.wire import BlockingChannel, Kind, Message
 from ..pool import Limits
 from .lanes import Lanes
@@ -72,6 +73,7 @@ def work(channel: BlockingChannel, host: TrackerHost) -> None:
 
 def _answer(host: TrackerHost, request: Message) -> Message:
     current_session.set(request.session_id)
+    used_before = host.processor_seconds()
     try:
         content = host.handle(request)
         return Message(Kind.RESULT, request.number, content=content)
@@ -79,7 +81,8 @@ def _answer(host: TrackerHost, request: Message) -> Message:
         detail = to_detail(error)
         if detail.name == "Internal":
             log.exception("a request failed")
-        return Message(Kind.ERROR, request.number, content=detail.SerializeToString())
+        used = host.processor_seconds() - used_before
+        return Message(Kind.ERROR, request.number, content=wire.pack_error(detail.SerializeToString(), used, host.busy.taken()))
 
 
 def _received_pipe(control: socket.socket) -> socket.socket | None:

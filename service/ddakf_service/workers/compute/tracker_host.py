@@ -26,12 +26,16 @@ _LEAST_BUDGET = 1e-4  # seconds, of a frame whose decoding has used all of it
 
 
 class TrackerHost:
-    """Trackers by session id. One call of a session at a time, from any thread."""
+    """Trackers by session id. One call of a session at a time, from any thread.
+
+    Attributes:
+        busy: time in which frames are tracked.
+    """
 
     def __init__(self, limits: Limits):
         self._limits = limits
         self._trackers: dict[str, SessionTracker] = {}
-        self._busy = BusyTime()
+        self.busy = BusyTime()
         self._builder = ThreadPoolExecutor(1, "lighter")
         self._draco = DracoDecoder(limits.max_points)
         self._handlers: dict[Kind, Callable[[str, bytes], bytes]] = {
@@ -49,6 +53,10 @@ class TrackerHost:
     def handle(self, request: Message) -> bytes:
         """Answers one request of the server."""
         return self._handlers[request.kind](request.session_id, request.content)
+
+    def processor_seconds(self) -> float:
+        """Processor time of the calling thread, and of the decoder processes for it."""
+        return thread_time() + self._draco.processor_seconds()
 
     def warm(self) -> None:
         """Tracks a first frame on the path of every later one."""
@@ -109,18 +117,18 @@ class TrackerHost:
         return b""
 
     def _track(self, session_id: str, sent: FrameRequest, limits: Limits) -> bytes:
-        with self._busy:
+        with self.busy:
             return self._tracked(session_id, sent, limits)
 
     def _tracked(self, session_id: str, sent: FrameRequest, limits: Limits) -> bytes:
-        started, used_before = perf_counter(), thread_time()
+        started, used_before = perf_counter(), self.processor_seconds()
         frame, options = pb.Frame.FromString(sent.frame), pb.ResultOptions.FromString(sent.options)
         session = self._tracker(session_id)
         tracker = session.of_frame(sent.grant.lighter)
         encode.require_known_encodings(options)
         prediction = decode.prediction_seconds(frame)
         arguments = decode.step_arguments(frame, limits, self._draco)
-        decoded, used = perf_counter(), thread_time() - used_before
+        decoded, used = perf_counter(), self.processor_seconds() - used_before
         limit = limits.processor_limit(tracker.garment.n_vertices, len(arguments["points"])) - used
         budget = max(sent.grant.budget - used, _LEAST_BUDGET) if sent.grant.budget else None
         with decode.with_frame_fields(frame):
@@ -130,11 +138,11 @@ class TrackerHost:
         tracked = perf_counter()
         numbers, arrays = encode.result_numbers(frame, result), encode.result_arrays(result, options, tracker.garment)
         numbers.timings["decode"] = decoded - started
-        ended, spent = perf_counter(), thread_time() - used_before
+        ended, spent = perf_counter(), self.processor_seconds() - used_before
         numbers.timings["encode"] = ended - tracked
         numbers.usage.processor_seconds, numbers.usage.budget_seconds = spent, sent.grant.budget
         numbers.usage.lighter = session.is_lighter
-        spent = Spent(spent, result.usage.prediction, self._busy.taken(), result.usage.widening, session.is_lighter)
+        spent = Spent(spent, result.usage.prediction, self.busy.taken(), result.usage.widening, session.is_lighter)
         return pack_result(numbers.SerializeToString(), arrays.SerializeToString(), spent)
 
     def _tracker_of(self, garment: ddakf.Mesh, *, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker:

@@ -11,6 +11,7 @@ from typing import NamedTuple
 _HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the content
 _FRAME = struct.Struct("<Id?I")  # points that the frame may have, its grant, bytes of the options
 _RESULT = struct.Struct("<Idddd?")  # bytes of the numbers, what the frame took
+_ERROR = struct.Struct("<dd")  # processor and busy seconds, as in Spent
 
 
 class Kind(enum.IntEnum):
@@ -29,7 +30,7 @@ class Kind(enum.IntEnum):
     RESULT = 16
     ERROR = 17
     READY = 19
-    ASIDE = 20  # a request goes on beside the next one; its answer comes later. With content if it has used its slice
+    ASIDE = 20  # a request goes on beside the next one; its answer comes later
 
 
 class Message(NamedTuple):
@@ -84,7 +85,7 @@ class Spent(NamedTuple):
     """What a frame took in its worker.
 
     Attributes:
-        processor: seconds of its thread.
+        processor: seconds of its thread, and of the decoder process for it.
         prediction: seconds of these, for the prediction and a search.
         busy: seconds since the worker's last answer in which it tracked this frame or others.
         widening: factor for what the budget left out; 1: nothing.
@@ -125,6 +126,17 @@ def unpack_result(content: bytes) -> tuple[bytes, memoryview]:
 def unpack_spent(content: bytes) -> Spent:
     """What the frame of a result took."""
     return Spent(*_RESULT.unpack_from(content)[1:])
+
+
+def pack_error(detail: bytes, processor: float, busy: float) -> bytes:
+    """Content of an ERROR: a serialised ErrorDetail, after what the request took; see :class:`Spent`."""
+    return _ERROR.pack(processor, busy) + detail
+
+
+def unpack_error(content: bytes) -> tuple[bytes, Spent]:
+    """The serialised ErrorDetail, and what the request took."""
+    processor, busy = _ERROR.unpack_from(content)
+    return content[_ERROR.size :], Spent(processor, busy=busy)
 
 
 async def read(reader: asyncio.StreamReader) -> Message:

@@ -6,7 +6,7 @@ import socket
 from collections.abc import Iterator
 
 import pytest
-from ddakf_service.workers.messages.wire import BlockingChannel, Kind, Message
+from ddakf_service.workers.messages.wire import BlockingChannel, Kind, Message, Spent, pack_error, unpack_error
 
 
 @pytest.fixture
@@ -37,3 +37,7 @@ def test_a_message_that_was_cut_off_is_not_received(ends):
     server.sendall(Message(Kind.RESET, 1, "s-1", b"content").head() + b"cont")
     server.close()
     assert channel.receive() is None
+
+
+def test_an_error_tells_what_its_request_took():
+    assert unpack_error(pack_error(b"detail", 0.25, 0.5)) == (b"detail", Spent(processor=0.25, busy=0.5))
