@@ -35,6 +35,7 @@ class Streams:
         self._durability, self._tracker_access = components.durability, components.tracker_access
         self._penalties, self._ownership = components.penalties, components.ownership
         self._recorder = recorder
+        self._watchers: set[Watcher] = set()  # also those of sessions that have ended, until they have read why
         self._key_buckets: dict[str, TokenBucket] = {}  # of frames, by key
 
     async def require_session(self, name: str) -> None:
@@ -91,19 +92,25 @@ class Streams:
         stream.session_free.set()
 
     async def watch(self, request: pb.WatchSessionRequest) -> Watcher:
-        """Adds a reader of the session's responses, with or without a stream; the caller ends it with ``leave``."""
+        """Adds a reader of the session's responses, with or without a stream; the caller ends it with :meth:`unwatch`."""
         require_compatible(request.api_version, peer="client")
         session = await self._ownership.readable(request.name)
         self._require_room()
         key_id, most = current_principal.get().id, self._settings.max_watchers
-        return session.watchers.add(session.name, request, session.statistics, most, key_id)
+        watcher = session.watchers.add(session.name, request, session.statistics, most, key_id)
+        self._watchers.add(watcher)
+        return watcher
+
+    def unwatch(self, watcher: Watcher) -> None:
+        """Removes a reader."""
+        self._watchers.discard(watcher)
+        watcher.leave()
 
     def _require_room(self, *, replaced: Stream | None = None) -> None:
         """Checks that the caller's key may have one more stream, in place of the ``replaced`` one."""
         streams = (session.stream for session in self._catalog)
         key_ids = [stream.key_id for stream in streams if stream not in (None, replaced)]
-        for session in self._catalog:
-            key_ids += session.watchers.key_ids()
+        key_ids += [watcher.key_id for watcher in self._watchers]
         self._admission.require_stream_room(current_principal.get(), key_ids)
 
     async def _wait_until_free(self, session: Session, takeover: bool) -> None:

@@ -1,9 +1,12 @@
-"""HTTP protocol: uvicorn's on h11, with bounds on a request's time and chunks, and errors of the parser as JSON."""
+"""HTTP protocol: uvicorn's on h11, with bounds on the time of a request, its chunks and unread responses; errors are JSON."""
 
 from __future__ import annotations
 
 import asyncio
+import fcntl
+import math
 import sys
+import termios
 from http import HTTPStatus
 from typing import Any
 
@@ -20,16 +23,19 @@ MAX_SMALL_CHUNKS = 1 << 10  # chunks of a body beside one per CHUNK_BYTES
 CHUNK_BYTES = 128  # a smaller chunk costs more time than its bytes
 
 
-def http_protocol(patience: float) -> type[H11Protocol]:
+def http_protocol(patience: float, reader_timeout: float) -> type[H11Protocol]:
     """The protocol's class; h11 bounds the headers.
 
     Args:
         patience: seconds from the connection, or from the first byte of a request, to the end of the request's body; then
             the connection is closed.
+        reader_timeout: seconds in which a client has to read something of a response that waits for it, else the connection is
+            aborted.
     """
 
     class Protocol(H11Protocol):
         _cutting: asyncio.TimerHandle | None = None
+        _waiting: asyncio.TimerHandle | None = None
 
         def __init__(self, *arguments: Any, **options: Any):
             super().__init__(*arguments, **options)
@@ -48,7 +54,16 @@ def http_protocol(patience: float) -> type[H11Protocol]:
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._stop_cutting()
+            self._stop_waiting()
             super().connection_lost(exc)
+
+        def pause_writing(self) -> None:
+            super().pause_writing()
+            self._wait_for_reader()
+
+        def resume_writing(self) -> None:
+            self._stop_waiting()
+            super().resume_writing()
 
         def send_400_response(self, msg: str) -> None:
             """Answers bytes that are no request, unless a response has begun, and closes the connection."""
@@ -71,6 +86,19 @@ def http_protocol(patience: float) -> type[H11Protocol]:
                 self._stop_cutting()
             elif self._cutting is None:
                 self._cutting = self.loop.call_later(patience, self.transport.close)
+
+        def _wait_for_reader(self, unread: float = math.inf) -> None:
+            """Aborts the connection if the client has read nothing since the last look, at which so many bytes were unread."""
+            left = _unread_bytes(self.transport)
+            if left >= unread:
+                self.transport.abort()  # an orderly end would wait for the client
+            else:
+                self._waiting = self.loop.call_later(reader_timeout, self._wait_for_reader, left)
+
+        def _stop_waiting(self) -> None:
+            if self._waiting is not None:
+                self._waiting.cancel()
+                self._waiting = None
 
         def _stop_cutting(self) -> None:
             if self._cutting is not None:
@@ -95,6 +123,13 @@ class _Connection(h11.Connection):
             if self._chunks > MAX_SMALL_CHUNKS + self._bytes // CHUNK_BYTES:
                 raise h11.RemoteProtocolError(f"more than {MAX_SMALL_CHUNKS} chunks of fewer than {CHUNK_BYTES} bytes")
         return event
+
+
+def _unread_bytes(transport: asyncio.Transport) -> int:
+    """Bytes that wait here, and in the system's buffer: that one takes more only when a third of it is free."""
+    sent = bytearray(4)
+    fcntl.ioctl(transport.get_extra_info("socket").fileno(), termios.TIOCOUTQ, sent)
+    return transport.get_write_buffer_size() + int.from_bytes(sent, sys.byteorder)
 
 
 def _refusal(error: BaseException | None, scheme: str) -> list[h11.Event]:

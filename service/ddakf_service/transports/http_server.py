@@ -35,7 +35,7 @@ class HttpServer:
         self._settings, self._tls = settings, tls
         config = uvicorn.Config(
             SecurityHeaders(HttpMethods(app)),
-            http=http_protocol(settings.request_timeout + _RESPONSE_GRACE),
+            http=http_protocol(settings.request_timeout + _RESPONSE_GRACE, settings.reader_timeout),
             ws=WebSocketProtocol,
             ws_max_size=settings.max_message_bytes,
             ws_ping_interval=settings.keepalive,

@@ -6,7 +6,10 @@ import contextlib
 import json
 import os
 import signal
+import socket
+import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 
 import httpx
 import pytest
@@ -25,6 +28,7 @@ ORIGIN = "https://example.org"
 def strict(tmp_path_factory):
     """A service with small messages, short pings, one foreign origin and a short drain."""
     settings = ["--workers", "1", "--max-message-bytes", "100000", "--keepalive", "1", "--cors-origins", ORIGIN]
+    settings += ["--reader-timeout", "1000"]  # what cuts a silent client off here is the keepalive
     settings += ["--drain-grace", "0.5", "--spare-workers", "0"]  # a spare that starts later would be one more descriptor
     with running(settings, tmp_path_factory.mktemp("strict")) as service:
         yield service
@@ -73,18 +77,33 @@ def test_a_dead_client_is_noticed_by_its_silence(strict, strict_session, sheet):
         assert websocket.receive().started.name == name
 
 
-def test_a_watcher_that_never_reads_is_cut_off(strict, sheet):
-    """It gets more data than any buffer holds, which an orderly close would wait for."""
+def ping(connection: socket.socket, over: threading.Event) -> None:
+    with contextlib.suppress(ConnectionError):
+        while not over.wait(0.02):
+            connection.sendall(b"\x89\x80\0\0\0\0" * 5)
+
+
+@pytest.mark.parametrize("pings", [False, True])
+def test_a_watcher_that_never_reads_is_cut_off(strict, sheet, pings):
+    """It gets more data than any buffer holds, which an orderly close would wait for. Its pings say
+    that it lives, not that it reads."""
     api, large = Api(strict.grpc), make_sheet(40, 0.01)
     with api.channel:
         name = api.create(large).name
         before = descriptors(strict)
         options = pb.ResultOptions(include_covariance=True, vertex_encoding=pb.ARRAY_ENCODING_FLOAT64)
-        with handshake(strict, f"{name}/watch?api_version=1.0") as deaf:
-            requests = [request_of(frame_of(large, i)) for i in range(1, 151)]
-            responses = list(api.track(name, requests, result_options=options))
-            assert len(responses) == 151
-            eventually(lambda: descriptors(strict) <= before)
+        with handshake(strict, f"{name}/watch?api_version=1.0") as deaf, ThreadPoolExecutor(1) as thread:
+            over = threading.Event()
+            pinging = thread.submit(ping, deaf, over) if pings else None
+            try:
+                requests = [request_of(frame_of(large, i)) for i in range(1, 151)]
+                responses = list(api.track(name, requests, result_options=options))
+                assert len(responses) == 151
+                eventually(lambda: descriptors(strict) <= before)
+            finally:
+                over.set()
+            if pinging:
+                pinging.result()
             assert deaf.fileno() >= 0, "this side keeps the connection"
         api.delete(name)
 

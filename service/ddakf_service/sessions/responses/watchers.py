@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from collections.abc import AsyncIterator, Set
+from collections.abc import AsyncIterator, Awaitable, Callable, Set
 
-from ddakf_api.errors import ResourceExhausted
+from ddakf_api.errors import DeadlineExceeded, ResourceExhausted
 from ddakf_api.v1 import tracking_pb2 as pb
 
 from .response import Response
@@ -22,7 +22,7 @@ _RETRY_WHEN_FULL = 5.0  # seconds
 
 
 class Watcher:
-    """One reader. A transport sends the responses that :meth:`responses` yields, and calls :meth:`leave` at the end.
+    """One reader. A transport calls :meth:`deliver`, and leaves the watcher to :meth:`.streams.Streams.unwatch` at the end.
 
     Args:
         hub: of the session.
@@ -30,9 +30,6 @@ class Watcher:
         request: how it reads. ``every_nth``: arrays only in results whose count of applied frames is a multiple of it;
             ``include_frames``: with their frames.
         key_id: of the key that it reads with; empty: none.
-
-    Attributes:
-        skipped: results that it was too slow for.
     """
 
     def __init__(self, hub: Watchers, started: pb.Started, request: pb.WatchSessionRequest, key_id: str):
@@ -42,7 +39,6 @@ class Watcher:
         self._changed = asyncio.Event()
         self._closed = False
         self._error: Exception | None = None
-        self.skipped = 0
 
     def put(self, response: Response, frame: bytes | memoryview = b"") -> None:
         """Queues a response, with arrays and frame if it is an n-th result. A full queue drops its oldest result."""
@@ -52,7 +48,6 @@ class Watcher:
         if len(self._waiting) > _CAPACITY:
             oldest = next((i for i, (waiting, _) in enumerate(self._waiting) if waiting.has("result")), 0)
             del self._waiting[oldest]
-            self.skipped += 1
         self._changed.set()
 
     def close(self, error: Exception | None) -> None:
@@ -65,6 +60,19 @@ class Watcher:
         """Removes the watcher and drops its error, whose traceback refers to the watcher."""
         self._error = None
         self._hub.discard(self)
+
+    async def deliver(self, send: Callable[[Response], Awaitable[None]], timeout: float) -> None:
+        """Sends all responses, Started first.
+
+        Raises:
+            DeadlineExceeded: the reader did not read one for ``timeout`` seconds. Else the reason of the session's end.
+        """
+        async for response in self.responses():
+            try:
+                async with asyncio.timeout(timeout):
+                    await send(response)
+            except TimeoutError:
+                raise DeadlineExceeded(f"the watcher has not read its responses for {timeout:g} s") from None
 
     async def responses(self) -> AsyncIterator[Response]:
         """All responses, Started first. Raises the reason of the session's end."""
@@ -94,10 +102,6 @@ class Watchers:
 
     def __len__(self) -> int:
         return len(self._watchers)
-
-    def key_ids(self) -> list[str]:
-        """The key id of each watcher; empty: no key."""
-        return [watcher.key_id for watcher in self._watchers]
 
     def add(
         self, name: str, request: pb.WatchSessionRequest, statistics: pb.SessionStatistics, max_watchers: int, key_id: str

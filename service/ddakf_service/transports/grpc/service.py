@@ -49,6 +49,9 @@ def _answering_errors(call):
             failure = without_traceback(error)
         except grpc.aio.AbortError:
             raise
+        except grpc.aio.InternalError as error:
+            log.debug("the client left during %s: %s", call.__name__, error)
+            return None
         except Exception as error:
             log.exception("%s failed", call.__name__)
             failure = without_traceback(error)
@@ -152,10 +155,9 @@ class TrackingService(rpc.TrackingServiceServicer):
     async def WatchSession(self, request, context):
         watcher = await self._streams.watch(request)
         try:
-            async for response in watcher.responses():
-                await context.write(response)
+            await watcher.deliver(context.write, self._settings.reader_timeout)
         finally:
-            watcher.leave()
+            self._streams.unwatch(watcher)
 
 
 async def _read(context: grpc.aio.ServicerContext, stream: Stream) -> None:

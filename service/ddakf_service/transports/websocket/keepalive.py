@@ -1,4 +1,4 @@
-"""WebSocket protocol: bounds on silence and on small frames; a refused handshake is answered as JSON."""
+"""WebSocket protocol: bounds on silence, on small frames and on unread pongs; a refused handshake is answered as JSON."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ _PARTS_PER_TURN = 8  # parts until other connections have their turn
 MAX_SMALL_FRAMES = 500  # per second: pings, pongs and small fragments; no client needs a tenth of them
 _BURST = 2.0  # seconds of small frames that may come at once
 _SMALL_FRAGMENT = 128  # bytes below which a fragment costs more than its bytes
+_MAX_UNREAD_PONGS = 100  # while the client does not read; they have no flow control
 _MESSAGES = (Opcode.TEXT, Opcode.BINARY)
 
 
@@ -36,6 +37,7 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
         self._last_received = 0.0  # seconds, the event loop's clock
         self._unparsed = bytearray()
         self._small_frames = TokenBucket(_BURST)
+        self._unread_pongs = 0
 
     def data_received(self, data: bytes) -> None:
         self._last_received = self.loop.time()
@@ -81,6 +83,18 @@ class WebSocketProtocol(WebSocketsSansIOProtocol):
             return
         super().keepalive_timeout()
         self.loop.call_later(_CLOSE_GRACE, self.transport.abort)
+
+    def handle_ping(self) -> None:
+        if not self.writable.is_set():
+            self._unread_pongs += 1
+            if self._unread_pongs > _MAX_UNREAD_PONGS:
+                self.transport.abort()  # an orderly close would wait for the client
+                return
+        super().handle_ping()
+
+    def resume_writing(self) -> None:
+        self._unread_pongs = 0
+        super().resume_writing()
 
     def _parse(self) -> None:
         """Parses some parts of what has come; reading goes on when all of it is parsed."""

@@ -38,7 +38,7 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
     """The routes ``/v1/sessions/{id}/stream`` and ``/v1/sessions/{id}/watch``; ``?mode=json`` for text frames.
 
     Args:
-        patience: seconds for the client of a stream to send Start.
+        patience: seconds for the client of a stream to send Start, and for a watcher to read a response.
     """
 
     @app.websocket("/v1/sessions/{session_id}/stream")
@@ -48,7 +48,8 @@ def add_websockets(app: FastAPI, streams: Streams, patience: float) -> None:
 
     @app.websocket("/v1/sessions/{session_id}/watch")
     async def watch(websocket: WebSocket, session_id: str) -> None:
-        await _answering_errors(websocket, _watch, streams, f"sessions/{session_id}")
+        converse = functools.partial(_watch, patience=patience)
+        await _answering_errors(websocket, converse, streams, f"sessions/{session_id}")
 
 
 async def _answering_errors(websocket: WebSocket, converse, streams: Streams, name: str) -> None:
@@ -110,7 +111,7 @@ async def _start(websocket: WebSocket, mode: Mode, name: str) -> pb.Start:
     return request.start
 
 
-async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
+async def _watch(websocket: WebSocket, streams: Streams, name: str, *, patience: float) -> None:
     mode, query = _mode(websocket, "mode", "api_version", "every_nth", "include_frames"), websocket.query_params
     every_nth = query.get("every_nth", "1")
     if not re.fullmatch("[0-9]{1,9}", every_nth):
@@ -135,11 +136,10 @@ async def _watch(websocket: WebSocket, streams: Streams, name: str) -> None:
 
     reader = asyncio.create_task(refuse_messages())
     try:
-        async for response in watcher.responses():
-            await _send(websocket, mode, response)
+        await watcher.deliver(lambda response: _send(websocket, mode, response), patience)
     finally:
         reader.cancel()
-        watcher.leave()
+        streams.unwatch(watcher)
 
 
 async def _read(websocket: WebSocket, mode: Mode, stream: Stream) -> None:
