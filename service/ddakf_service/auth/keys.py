@@ -206,10 +206,16 @@ class KeyRing:
             keys = await asyncio.to_thread(lambda: list(self._store.all()))
         except Exception as error:  # of any driver
             self._failures.fails(error)
+            if self.loaded:
+                self._enforce()
             return
         self._failures.works()
-        first, self.loaded = not self.loaded, True
         self._keys = {key.id: key for key in keys if key.revoked is None}
+        self._enforce()
+
+    def _enforce(self) -> None:
+        """Acts on the keys that were read, some of which may have expired since."""
+        first, self.loaded = not self.loaded, True
         before, self._in_force = self._in_force, {key.id: key for key in self._keys.values() if not key.has_expired()}
         self._known_ids |= self._in_force.keys()
         if not first:

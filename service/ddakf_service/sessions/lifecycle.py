@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import functools
 import logging
-from collections import OrderedDict
 from collections.abc import AsyncIterator, Awaitable, Callable
 from time import monotonic
 from typing import NamedTuple
@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 OpenSession = Callable[[str, bytes, Memory], Awaitable[bytes]]
 Resolve = Callable[[pb.Session], Awaitable[None]]
 
-_MAX_REQUESTS = 1024  # remembered request ids
+_MAX_REQUESTS = 1024  # remembered request ids of a key
 _CREATION_PATIENCE = 8.0  # seconds that a repeated creation waits for the first one; less than the timeout of clients
 _CREATION_LOOK_INTERVAL = 0.1  # seconds between looks at it
 
@@ -63,7 +63,7 @@ class Lifecycle:
         self._failures = FailureLog(log, "earlier sessions cannot be loaded yet", "earlier sessions are loaded now")
         self._opening: dict[str, str | None] = {}  # id to owner
         self._closing: dict[str, asyncio.Task[None]] = {}  # ended sessions that are still in a worker
-        self._requests: OrderedDict[tuple[str | None, str], asyncio.Future[str]] = OrderedDict()  # by owner and request id
+        self._requests: dict[str | None, dict[str, asyncio.Future[str]]] = {}  # by owner and request id, the oldest first
 
     async def create(self, request, open_session: OpenSession, resolve: Resolve | None = None) -> pb.Session:
         """Creates a session, or waits for an earlier call with the same request id. The caller's key owns the session.
@@ -75,7 +75,7 @@ class Lifecycle:
         owner, request_id = principal.id or None, request.request_id
         admission.require_request_id(request_id)
         request_key = owner, request_id
-        if request_key in self._requests:
+        if request_id in self._requests.get(owner, {}):
             return await self._created_earlier(request_key)
         creation: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if request_id:
@@ -86,7 +86,7 @@ class Lifecycle:
                 return earlier.session
             session = await self._create(request, principal, open_session, resolve)
         except BaseException as error:
-            self._requests.pop(request_key, None)
+            self._requests.get(owner, {}).pop(request_id, None)
             # A copy: the traceback of the error refers to this Python frame, and so to the request.
             is_service_error = isinstance(error, ServiceError)
             copy = from_detail(to_detail(error)) if is_service_error else Unavailable("the first call was cut off")
@@ -99,7 +99,8 @@ class Lifecycle:
 
     async def _created_earlier(self, request_key: tuple[str | None, str]) -> pb.Session:
         """The session of an earlier call to this server. It may have gone to another one."""
-        session_id = await asyncio.shield(self._requests[request_key])
+        owner, request_id = request_key
+        session_id = await asyncio.shield(self._requests[owner][request_id])
         if session_id not in self._catalog and (moved := await self._created_elsewhere(request_key)):
             return moved.session
         return self._catalog.changeable("sessions/" + session_id).message()
@@ -146,11 +147,9 @@ class Lifecycle:
         if self._leases is None:
             yield _Identity(uid, 0)
             return
-        if owner is not None:
-            self._admission.require_key_room(principal, await self._leases.count(owner))
-        epoch = await self._claim(session_id, uid, owner, request_id)
+        epoch = await self._claim(session_id, uid, principal, request_id)
         if epoch is None and await self._ends_here(session_id):
-            epoch = await self._claim(session_id, uid, owner, request_id)
+            epoch = await self._claim(session_id, uid, principal, request_id)
         if epoch is None:
             is_created = request_id and await self._leases.of_request(owner, request_id)
             raise _being_created() if is_created else _exists(session_id)
@@ -160,9 +159,12 @@ class Lifecycle:
             self._durability.background(self._disclaim(uid))
             raise
 
-    async def _claim(self, session_id: str, uid: int, owner: str | None, request_id: str) -> int | None:
+    async def _claim(self, session_id: str, uid: int, principal: Principal, request_id: str) -> int | None:
         """See :meth:`.Leases.claim`. A caller that leaves meanwhile leaves no lease, although the database goes on."""
-        claim = self._durability.background(self._leases.claim(session_id, uid, owner, request_id))
+        has_room = functools.partial(self._admission.require_key_room, principal)
+        claim = self._durability.background(
+            self._leases.claim(session_id, uid, principal.id or None, request_id, require_room=has_room)
+        )
         try:
             return await asyncio.shield(claim)
         except asyncio.CancelledError:
@@ -226,9 +228,11 @@ class Lifecycle:
         return session_id
 
     def _remember(self, request_key: tuple[str | None, str], creation: asyncio.Future[str]) -> None:
-        self._requests[request_key] = creation
-        while len(self._requests) > _MAX_REQUESTS:
-            self._requests.popitem(last=False)
+        owner, request_id = request_key
+        of_owner = self._requests.setdefault(owner, {})
+        of_owner[request_id] = creation
+        if len(of_owner) > _MAX_REQUESTS:
+            del of_owner[next(iter(of_owner))]
 
     async def load(self) -> None:
         """Reloads the sessions from before the start of the process. Retries in the background until the database works."""

@@ -25,6 +25,7 @@ class Meshes:
     def __init__(self, store: MeshStore, settings: Settings):
         self._store, self._settings = store, settings
         self._storing = asyncio.Lock()  # the quota counts what another call is about to store
+        self._tasks: set[asyncio.Task[MeshRecord]] = set()
 
     async def create(self, request: pb.CreateMeshRequest) -> pb.StoredMesh:
         """Stores a mesh for the caller's key, or returns the one of the same content.
@@ -35,14 +36,25 @@ class Meshes:
         """
         require_compatible(request.api_version, peer="client")
         content, owner = await asyncio.to_thread(self._content, request), current_principal.get().id
+        storing = asyncio.create_task(self._stored(content, owner))
+        self._tasks.add(storing)
+        storing.add_done_callback(self._tasks.discard)
+        try:
+            return _message(await asyncio.shield(storing))  # of a caller who leaves no content stays without its row
+        finally:
+            del storing  # the traceback of its error refers to this Python frame: a reference cycle
+
+    async def _stored(self, content: MeshContent, owner: str) -> MeshRecord:
         async with self._storing:
             owned = await self._store.find(owner)
             record = next((mesh for mesh in owned if mesh.id == content.id), None)
-            if record is None:
-                self._require_room(owned, len(content.data))
-                record = MeshRecord(content.id, owner, *content.counts, len(content.data), time.time())
-            await self._store.add(record, content.data)  # also a known one, whose content may be damaged
-        return _message(record)
+            if record is not None:
+                await self._store.replace(record, content.data)  # which may be damaged
+                return record
+            self._require_room(owned, len(content.data))
+            record = MeshRecord(content.id, owner, *content.counts, len(content.data), time.time())
+            await self._store.add(record, content.data)
+            return record
 
     def _content(self, request: pb.CreateMeshRequest) -> MeshContent:
         s = self._settings

@@ -22,11 +22,12 @@ class Ownership(Protocol):
     async def require(self, name: str) -> None:
         """Checks that the caller may change a session, on whichever server it is."""
 
-    async def obtain(self, name: str, *, takeover: bool = False) -> Session:
+    async def obtain(self, name: str, *, takeover: bool = False, to_end: bool = False) -> Session:
         """A session that the caller may change, on this server from now on.
 
         Args:
             takeover: also one with a stream on another server, which ends.
+            to_end: the caller ends it, which a full or stopping server does too.
 
         Raises:
             SessionBusy: it has a stream on another server. Unavailable: the other server does not answer.
@@ -67,7 +68,7 @@ class SoleOwnership:
     async def require(self, name: str) -> None:
         await self.obtain(name)
 
-    async def obtain(self, name: str, *, takeover: bool = False) -> Session:
+    async def obtain(self, name: str, *, takeover: bool = False, to_end: bool = False) -> Session:
         await self._catalog.lookup(name)
         return self._catalog.changeable(name)
 

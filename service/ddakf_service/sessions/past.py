@@ -12,7 +12,7 @@ from ..store.tables.session_record import SessionRecord
 from .page_token import Position, matches, page_size, page_token, position_after
 
 STATES = frozenset({pb.SESSION_STATE_EXPIRED, pb.SESSION_STATE_CLOSED})
-_BATCH = 1000  # rows that are read at a time
+_BATCH = 200  # rows that are read at a time where labels are asked for
 
 EndedRecords = Callable[[list[int], str | None, Position | None, int], Awaitable[list[SessionRecord]]]
 """States, owner (None: any), last row of the page before, most rows: ended sessions, newest first."""
@@ -44,10 +44,11 @@ async def past_page(ended: EndedRecords, request: pb.ListSessionsRequest) -> pb.
     owner = None if caller.allows(Scope.READ) else caller.id
     before = position_after(request) if request.page_token else None
     page: list[SessionRecord] = []
+    count = _BATCH if request.labels else size + 1
     while True:
-        batch = await ended(sorted(set(request.states)), owner, before, _BATCH)
+        batch = await ended(sorted(set(request.states)), owner, before, count)
         page += (record for record in batch if matches(record.session, request))
-        if len(page) > size or len(batch) < _BATCH:
+        if len(page) > size or len(batch) < count:
             break
         before = position_of(batch[-1])
     more = page_token(request, position_of(page[size - 1])) if len(page) > size else ""

@@ -218,7 +218,9 @@ class Sessions:
         Returns:
             None; or its etag, where ``accepts`` refuses that and the session goes on.
         """
-        session = await self._ownership.obtain(name, takeover=True)
+        if accepts is not None and (etag := await self._refused_etag(name, accepts)):
+            return etag  # its stream on another server goes on too
+        session = await self._ownership.obtain(name, takeover=True, to_end=True)
         if accepts is not None and not accepts(etag := str(session.revision)):
             return etag
         log.info("the session was deleted", extra={"session": session.id, "key": current_principal.get().id or "-"})
@@ -227,6 +229,13 @@ class Sessions:
         if session.epoch:  # other servers read its end in the database
             await self._persistence.written(session.uid)
         return None
+
+    async def _refused_etag(self, name: str, accepts: Callable[[str], bool]) -> str:
+        """The etag of a session, wherever it is, if ``accepts`` refuses that; else nothing."""
+        await self._ownership.require(name)
+        session = await self._ownership.described(name)
+        etag = session.session.etag if isinstance(session, SessionRecord) else str(session.revision)
+        return "" if accepts(etag) else etag
 
     async def history(self, request: pb.GetSessionHistoryRequest) -> pb.SessionHistory:
         """History of a live session, else of the newest past session of the name.

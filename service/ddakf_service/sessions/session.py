@@ -109,8 +109,12 @@ class Session:
     epoch: int = 0
     leased_at: float = field(default_factory=monotonic)
     departure_time: float | None = None
+    _created: float = field(init=False)  # monotonic clock, seconds: the other one may be set
     _state: pb.SessionState = pb.SESSION_STATE_INITIALIZING
     _applied: deque[float] = field(default_factory=deque)
+
+    def __post_init__(self):
+        self._created = monotonic() + self.created - clock.now()
 
     @property
     def name(self) -> str:
@@ -144,7 +148,7 @@ class Session:
             departure_expiry = max(self.departure_time, self.last_active) + departure
             expiries = [(departure_expiry, f"was left by its client, which did not return within {departure:g} s")]
         if lifetime > 0:
-            expiries.append((monotonic() + self.created + lifetime - clock.now(), f"reached its lifetime of {lifetime:g} s"))
+            expiries.append((self._created + lifetime, f"reached its lifetime of {lifetime:g} s"))
         moment, explanation = min(expiries)
         return moment, SessionExpired(f"{self.name} {explanation} and has expired")
 

@@ -110,10 +110,19 @@ class MeshStore:
         return await self._database.read(lambda c: [_record(row) for row in c.execute(query)])
 
     async def add(self, record: MeshRecord, data: bytes) -> None:
-        """Stores a mesh: first its content, so that no row lacks one. Raises ``Unavailable``."""
-        await self._in_thread(self._write, self._path(record.owner, record.id), data)
+        """Stores a new mesh: first its content, so that no row lacks one. Raises ``Unavailable``."""
+        await self.replace(record, data)
         values = {column.name: getattr(record, column.name) for column in meshes.columns}
-        await self._database.read(lambda c: c.execute(self._database.upsert(meshes).values(values)))
+        try:
+            await self._database.read(lambda c: c.execute(self._database.upsert(meshes).values(values)))
+        except BaseException:
+            with contextlib.suppress(Unavailable):
+                await self._remove_content(record)
+            raise
+
+    async def replace(self, record: MeshRecord, data: bytes) -> None:
+        """Writes the content of a mesh once more. Raises ``Unavailable``."""
+        await self._in_thread(self._write, self._path(record.owner, record.id), data)
 
     async def content(self, record: MeshRecord) -> bytes | None:
         """The stored content; None: it was deleted meanwhile, or is damaged. Raises ``Unavailable``."""
@@ -128,6 +137,9 @@ class MeshStore:
         """Removes the row, then the content. Raises ``Unavailable``."""
         change = sa.delete(meshes).where(meshes.c.id == record.id, meshes.c.owner == record.owner)
         await self._database.read(lambda c: c.execute(change))
+        await self._remove_content(record)
+
+    async def _remove_content(self, record: MeshRecord) -> None:
         with contextlib.suppress(FileNotFoundError):
             await self._in_thread(self._files.rm_file, self._path(record.owner, record.id))
 

@@ -59,8 +59,7 @@ class Store:
         self._name: ServerName | None = None
         self._locks: list[DataFolder | Lock] = []
         if settings.data_dir != NO_DATA_DIR:
-            self._locks.append(DataFolder(data_dir := Path(settings.data_dir).expanduser()))
-            metrics.store_free.set_function(lambda: _free_bytes(data_dir))
+            self._locks.append(DataFolder(Path(settings.data_dir).expanduser()))
         try:
             self.database = Database(database_url(settings), metrics)
             retention = _IN_MEMORY_RETENTION if self.database.in_memory else settings.history_days * _DAY
@@ -81,6 +80,11 @@ class Store:
             raise
         if self.checkpoints is not None:
             self.checkpoints.open()
+
+    def measure(self, metrics: Metrics) -> None:
+        """Measures the room on the disk of the ``data_dir``. Blocks."""
+        if self._settings.data_dir != NO_DATA_DIR:
+            metrics.store_free.set(_free_bytes(Path(self._settings.data_dir).expanduser()))
 
     def problems(self) -> dict[str, str]:
         """One sentence for each failing part, by its name."""

@@ -16,7 +16,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ..auth.principal import current_principal
 from ..observability.logs import current_session
 from ..sessions.limits.penalties import Penalties
-from ..sessions.recovery.durability import WAITING_NOTICE_INTERVAL, Durability, Irrecoverable
+from ..sessions.recovery.durability import Durability, Irrecoverable
 from ..sessions.responses.response import Response
 from ..sessions.session import Session
 from ..workers.pool import WorkerPool, worker_lost
@@ -30,6 +30,7 @@ from .rate_limit import ArrivalRate, Overload, RateLimit
 log = logging.getLogger(__name__)
 
 _SEQUENCE_NUMBERS = 1 << 63
+_WAITING_NOTICE_INTERVAL = 2.0  # seconds between two waiting notices: less than any client's timeout
 _LOOK_INTERVAL = 0.5  # seconds between looks at the frame rate, which may change while a frame waits for it
 
 
@@ -60,13 +61,14 @@ class Stream:
         rate_limit: RateLimit,
         reader_timeout: float,
         max_image_pixels: int,
+        max_body_vertices: int,
     ):
         self.session, self.key_id = session, current_principal.get().id
         self._pool, self._durability, self._penalties, self._recorder = pool, durability, penalties, recorder
         self._options = start.result_options.SerializeToString()
         self._every_nth = max(start.result_options.every_nth, 1)
         self._mode, self._reader_timeout = mode, reader_timeout
-        self._max_image_pixels = max_image_pixels
+        self._max_image_pixels, self._max_body_vertices = max_image_pixels, max_body_vertices
         self._mailbox = mailbox_for(mode, session.limits.max_frames_in_flight)
         self._outbox = Outbox(session.watchers.publish)
         self._repeated = self._answers_to_repeat(start)
@@ -120,7 +122,8 @@ class Stream:
         """Rejects a frame that is invalid at a glance."""
         if frame.sequence_number >= _SEQUENCE_NUMBERS:  # such a number would leave none to the frames that follow
             raise InvalidFrame(field="sequence_number", expected="less than 2^63", got=str(frame.sequence_number))
-        require_frame_within_bounds(frame, self.session.limits.max_points, self._max_image_pixels)
+        max_points = self.session.limits.max_points
+        require_frame_within_bounds(frame, max_points, self._max_image_pixels, self._max_body_vertices)
         if not 0 <= frame.deadline < math.inf:
             raise InvalidFrame(field="deadline", expected="seconds from its arrival, or 0", got=f"{frame.deadline:g}")
 
@@ -262,7 +265,9 @@ class Stream:
                 if self.ending.is_set():
                     self._recorder.dropped(self.session, 1)
                     break
-                if (response := await self._track(queued)) is not None:
+                with self._waiting_notices():
+                    response = await self._track(queued)
+                if response is not None:
                     await self._outbox.put(response, queued.frame.data)
             self._outbox.close()
         except Irrecoverable as error:
@@ -326,11 +331,10 @@ class Stream:
             start_by = queued.arrived + frame.deadline if frame.deadline else math.inf
             max_points = session.limits.max_points
             try:
-                with self._waiting_notices():
-                    answer = await self._pool.submit(
-                        session.id, frame.data, self._options, max_points=max_points, start_by=start_by, rate=self._due_rate
-                    )
-                    await self._durability.may_answer(session)
+                answer = await self._pool.submit(
+                    session.id, frame.data, self._options, max_points=max_points, start_by=start_by, rate=self._due_rate
+                )
+                await self._durability.may_answer(session)
             except WorkerLost as error:
                 self._durability.record_worker_loss(session, error)
                 raise
@@ -346,7 +350,7 @@ class Stream:
 
     @contextmanager
     def _waiting_notices(self) -> Iterator[None]:
-        """Sends a waiting notice at intervals while a frame is in the worker: the client's timeout counts silence."""
+        """Sends a waiting notice at intervals while a frame has no answer: the client's timeout counts silence."""
         self._schedule_waiting_notice(monotonic())
         try:
             yield
@@ -354,11 +358,13 @@ class Stream:
             self._waiting_timer.cancel()
 
     def _schedule_waiting_notice(self, began: float) -> None:
-        self._waiting_timer = asyncio.get_running_loop().call_later(WAITING_NOTICE_INTERVAL, self._notify_waiting, began)
+        self._waiting_timer = asyncio.get_running_loop().call_later(_WAITING_NOTICE_INTERVAL, self._notify_waiting, began)
 
     def _notify_waiting(self, began: float) -> None:
         self._schedule_waiting_notice(began)
-        self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message="the frame is still being tracked", value=monotonic() - began))
+        lost = "the session's worker was lost and it is not in another one yet: its frames wait"
+        message = "the frame is still being tracked" if self.session.has_worker else lost
+        self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message=message, value=monotonic() - began))
 
     async def _wait_for_worker(self) -> None:
         """Returns when the session has a worker.

@@ -51,6 +51,7 @@ class Streams:
         session = await self._ownership.obtain(start.name, takeover=start.takeover)
         self._require_room(replaced=session.stream)
         stream = None
+        await self._tracker_access.wait_for_lease(session)  # a stream before may wait for it with a frame
         while stream is None:  # takeovers at a time come one after the other, so that the last one stays
             await self._wait_until_free(session, start.takeover)
             session = self._catalog.changeable(start.name)  # another key may own the name by now
@@ -69,7 +70,7 @@ class Streams:
         self._require_room()
         session.departure_time = None
         collaborators = self._pool, self._durability, self._penalties, self._recorder, self._rate_limit()
-        bounds = self._settings.reader_timeout, self._settings.max_image_pixels
+        bounds = self._settings.reader_timeout, self._settings.max_image_pixels, self._settings.max_body_vertices
         return Stream(session, start, mode, *collaborators, *bounds)
 
     def _rate_limit(self) -> RateLimit:

@@ -9,11 +9,12 @@ import time
 import httpx
 import pytest
 from ddakf_service.auth import keys
+from ddakf_service.auth.principal import Scope
 from ddakf_service.sessions import lifecycle
 from grpc import aio
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 
-from ..conftest import eventually, serving
+from ..conftest import TIMEOUT, eventually, serving
 from ..transports.http_alone import http_alone
 
 SERVING, NOT_SERVING = health_pb2.HealthCheckResponse.SERVING, health_pb2.HealthCheckResponse.NOT_SERVING
@@ -57,6 +58,22 @@ def test_the_log_of_an_outage_has_its_beginning_and_its_end_with_the_reason(data
         begin, end = (line for line in lines if part in line)
         assert "Is a directory" in begin
         assert "again" in end or "now" in end
+
+
+async def test_a_key_that_expires_while_the_keys_cannot_be_read_loses_its_streams(monkeypatch):
+    monkeypatch.setattr(keys, "_REFRESH", 0.05)
+    key, _ = keys.generate("short", [Scope.STREAM], time.time(), keys.KeyLimits(expires=time.time() + 0.3))
+    stored, ended = [key], asyncio.Event()
+
+    class Stored:
+        def all(self):
+            return [stored.pop()]  # the second time there is none
+
+    ring = keys.KeyRing(Stored(), lambda ids: ended.set() if key.id in ids else None)
+    await ring.start()
+    assert not ended.is_set()
+    await asyncio.wait_for(ended.wait(), TIMEOUT)
+    await ring.stop()
 
 
 @pytest.mark.slow

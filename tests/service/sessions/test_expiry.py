@@ -11,11 +11,13 @@ import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.errors import SessionExpired, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
+from ddakf_service.auth.principal import Principal, Scope, current_principal
 from ddakf_service.observability.metrics import Metrics
-from ddakf_service.sessions import service
+from ddakf_service.sessions import lifecycle, service
 from ddakf_service.sessions.recovery import tracker_access
 from ddakf_service.sessions.session import Session
 from ddakf_service.settings import Settings
+from ddakf_service.store.clock import clock
 from ddakf_service.store.store import Store
 
 from ..conftest import TIMEOUT, Talk, eventually, frame_of, request_of
@@ -122,6 +124,29 @@ def sessions_of(request):
         return service.Sessions(pool, settings, metrics, store)
 
     return make
+
+
+@pytest.mark.parametrize("hours", [-10, 10])
+def test_a_clock_that_is_set_changes_no_lifetime(monkeypatch, hours):
+    session = Session("one", pb.Session(), pb.Session(), pb.SessionLimits(max_lifetime=100.0, idle_timeout=1e6))
+    before, _ = session.expiry()
+    monkeypatch.setattr(clock, "_ahead", 3600.0 * hours)
+    assert session.expiry()[0] == before
+
+
+async def test_the_requests_of_a_key_forget_none_of_another(monkeypatch, sessions_of):
+    monkeypatch.setattr(lifecycle, "_MAX_REQUESTS", 2)
+    server = sessions_of(Pool())
+
+    async def create(key: str, request_id: str) -> str:
+        current_principal.set(Principal(key, frozenset({Scope.STREAM})))
+        return (await server.create(pb.CreateSessionRequest(api_version=API_VERSION, request_id=request_id))).name
+
+    first = [await create("one", "a"), await create("two", "a")]
+    for request_id in "bcd":
+        await create("two", request_id)
+    assert await create("one", "a") == first[0]
+    assert await create("two", "a") != first[1], "the oldest of its own"
 
 
 async def created(server: service.Sessions, name: str) -> Session:

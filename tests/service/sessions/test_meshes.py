@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ddakf_api import API_VERSION
 from ddakf_api.arrays import pack, pack_mesh, unpack_mesh
-from ddakf_api.errors import InvalidArgument, InvalidMesh, NotFound, ResourceExhausted, VersionMismatch
+from ddakf_api.errors import InvalidArgument, InvalidMesh, NotFound, ResourceExhausted, Unavailable, VersionMismatch
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import Frame, aconnect, connect
 from ddakf_service.observability.metrics import Metrics
@@ -201,6 +201,44 @@ async def test_a_mesh_that_is_uploaded_while_it_is_deleted_has_its_content(sheet
     await asyncio.gather(meshes.delete(name), meshes.create(request))
     assert (await meshes.get(pb.GetMeshRequest(name=name, include_mesh=True))).mesh == request.mesh
     await asyncio.to_thread(store.close)
+
+
+@pytest.fixture
+async def small_store(tmp_path):
+    """The meshes of a server, and the folder of their contents."""
+    store = Store(Settings(data_dir=str(tmp_path)), Metrics())
+    yield Meshes(store.meshes, Settings()), tmp_path
+    await asyncio.to_thread(store.close)
+
+
+@pytest.mark.parametrize("pause", [0.0, 0.001, 0.003, 0.01, 0.03])
+async def test_an_upload_whose_caller_leaves_has_a_row_if_it_has_a_content(small_store, pause):
+    """A content without a row would be outside the quota for ever."""
+    meshes, folder = small_store
+    upload = asyncio.create_task(meshes.create(create_mesh(pack_mesh(*make_sheet(60, 0.01)))))
+    await asyncio.sleep(pause)
+    upload.cancel()
+    await asyncio.wait({upload, *meshes._tasks})
+    await asyncio.gather(*meshes._tasks)
+    listed = (await meshes.list(pb.ListMeshesRequest())).meshes
+    assert len(listed) == len(list(folder.rglob("*.mesh")))
+
+
+async def test_an_upload_that_finds_no_database_leaves_no_content(small_store, sheet, monkeypatch):
+    meshes, folder = small_store
+    read, calls = meshes._store._database.read, []
+
+    async def only_once(query):
+        calls.append(query)
+        if len(calls) > 1:
+            raise Unavailable("no database")
+        return await read(query)
+
+    monkeypatch.setattr(meshes._store._database, "read", only_once)
+    with pytest.raises(Unavailable):
+        await meshes.create(create_mesh(pack_mesh(*sheet)))
+    assert len(calls) == 2
+    assert list(folder.rglob("*.mesh")) == []
 
 
 def test_meshes_outlive_the_server(tmp_path, sheet):

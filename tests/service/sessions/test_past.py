@@ -8,6 +8,8 @@ import pytest
 from ddakf_api.errors import SessionNotFound
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import connect
+from ddakf_service.sessions.past import past_page, position_of
+from ddakf_service.store.tables.session_record import SessionRecord
 
 from ..conftest import Talk, eventually, frame_of, held, request_of, workers
 
@@ -87,3 +89,29 @@ def test_the_list_over_http_and_from_the_client_is_the_same(service, api, http, 
     assert (listed["name"], listed["state"]) == (name, "SESSION_STATE_CLOSED")
     with connect(service.grpc) as client:
         assert [session.name for session in client.sessions(state="closed", labels={"test": "past-http"})] == [name]
+
+
+@pytest.mark.parametrize(("labels", "batches"), [({}, [11, 11]), ({"kind": "rare"}, [200, 200, 200])])
+async def test_a_page_reads_little_more_than_its_rows(labels, batches):
+    """However many sessions have ended; of labels it reads on until it has enough."""
+    rows = [
+        SessionRecord("server", pb.Session(name=f"sessions/s-{k:04}", labels={"kind": "rare" if k % 100 == 0 else "usual"}))
+        for k in range(500)
+    ]
+    for k, row in enumerate(rows):
+        row.session.create_time.FromSeconds(10_000 - k)
+    asked = []
+
+    async def ended(states, owner, before, count):
+        asked.append(count)
+        begin = 0 if before is None else next(k for k, row in enumerate(rows) if position_of(row) == before) + 1
+        return rows[begin : begin + count]
+
+    request, listed = pb.ListSessionsRequest(page_size=10, labels=labels), []
+    for _ in range(2 if not labels else 1):
+        page = await past_page(ended, request)
+        listed += page.sessions
+        request.page_token = page.next_page_token
+    assert asked == batches
+    wanted = [row.session for row in rows if all(row.session.labels[key] == value for key, value in labels.items())]
+    assert listed == (wanted[:20] if not labels else wanted)

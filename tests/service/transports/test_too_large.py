@@ -139,13 +139,20 @@ def test_messages_of_countless_parts_are_refused_over_websocket(service, session
         assert websocket.ending() == (4413, "message: expected at most 16384 elements, got more")
 
 
+def test_a_frame_with_a_body_beyond_all_limits_waits_for_no_worker():
+    frame = pb.Frame(point_cloud=pb.PointCloud(), body_vertices=bytes(12 * 1000 + (1 << 16)))
+    require_frame_within_bounds(FrameMessage.of(frame), 10, 10, 1000 + 1)
+    with pytest.raises(InvalidFrame, match="frame: expected at most 65548 bytes beside the measurement, of 1 body_vertices"):
+        require_frame_within_bounds(FrameMessage.of(frame), 10, 10, 1)
+
+
 def test_a_frame_of_countless_sensors_is_refused_at_the_door():
     frame = pb.Frame(sensors=[pb.Sensor()] * 65)
     with pytest.raises(InvalidFrame, match="sensors: expected at most 64, got 65"):
-        require_frame_within_bounds(FrameMessage.of(frame), 10, 10)
+        require_frame_within_bounds(FrameMessage.of(frame), 10, 10, 10)
     del frame.sensors[64:]
     frame.point_cloud.SetInParent()
-    require_frame_within_bounds(FrameMessage.of(frame), 10, 10)
+    require_frame_within_bounds(FrameMessage.of(frame), 10, 10, 10)
 
 
 @pytest.mark.parametrize("row", [[], [0.0, 0.0], [0.0, 0.0, 0.0, 0.0], ["a", "b", "c"], "row"])

@@ -20,7 +20,7 @@ from .tenure import Tenure
 
 log = logging.getLogger(__name__)
 
-WAITING_NOTICE_INTERVAL = 2.0  # seconds between two waiting notices: less than any client's timeout
+_LOG_INTERVAL = 2.0  # seconds between two lines about a session that waits for a worker
 _RETRY_INTERVAL = 0.1  # seconds between attempts
 _MAX_RESTORES = 8  # concurrent restores, each of which copies a checkpoint of megabytes for its worker
 _MAX_WORKER_LOSSES, _WORKER_LOSS_SPAN = 3, 60.0  # a session ends when its frames lose more workers within so many seconds
@@ -178,7 +178,7 @@ class Durability:
         return restore
 
     async def _revive(self, session: Session) -> ServiceError | None:
-        began = notified = monotonic()
+        logged = monotonic()
         while not (session.has_worker or session.closed):
             try:
                 async with session.lock:  # between two attempts another server may get the session
@@ -189,9 +189,9 @@ class Durability:
             except (WorkerLost, Unavailable, ResourceExhausted) as error:
                 if session.stored_only and isinstance(error, ResourceExhausted):  # its client may try again
                     return error
-                if (now := monotonic()) - notified > WAITING_NOTICE_INTERVAL:
-                    notified = now
-                    self._notify_waiting(session, now - began, error)
+                if (now := monotonic()) - logged > _LOG_INTERVAL:
+                    logged = now
+                    log.warning("the session waits for a worker: %s", error, extra={"session": session.id})
                 await asyncio.sleep(_RETRY_INTERVAL)
             except ServiceError as error:
                 log.error("the session could not be restored: %s", error, extra={"session": session.id})
@@ -199,11 +199,6 @@ class Durability:
                 self._give_up(session, reason)
                 return reason
         return None if session.has_worker else worker_lost(session.id)
-
-    def _notify_waiting(self, session: Session, seconds: float, error: ServiceError) -> None:
-        log.warning("the session waits for a worker: %s", error, extra={"session": session.id})
-        message = "the session's worker was lost and no other is ready yet: its frames wait"
-        session.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message=message, value=seconds))
 
     def _end(self, session: Session, reason: ServiceError) -> None:
         self._give_up(session, reason)

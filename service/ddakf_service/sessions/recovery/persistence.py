@@ -102,6 +102,7 @@ class Persistence:
         state = pb.SESSION_STATE_EXPIRED if isinstance(reason, SessionExpired) else pb.SESSION_STATE_CLOSED
         record = self._record(session)
         record.session.state = state
+        record.session.ClearField("vertex_map")  # of no use without its results, and long
         self._registry.end(record, to_detail(reason))
         self._history.close(session.uid, state)
         if self._checkpoints is not None and self._tenure.held:

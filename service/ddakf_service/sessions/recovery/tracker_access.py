@@ -41,6 +41,7 @@ class TrackerAccess:
         """
         session.touch()  # a client that gets Unavailable has returned too
         while True:
+            await self.wait_for_lease(session)  # without one an earlier call or frame may keep the lock
             if not session.has_worker:
                 await self._wait_for_worker(session)
             async with session.lock:
@@ -50,6 +51,11 @@ class TrackerAccess:
                     session.touch()
                     yield
                     return
+
+    async def wait_for_lease(self, session: Session) -> None:
+        """Returns when this server may answer for a live session. Raises as :meth:`.Tenure.wait`, after a timeout."""
+        self._require_live(session)
+        await self._tenure.wait(session, _LEASE_TIMEOUT)
 
     async def _wait_for_worker(self, session: Session) -> None:
         """Waits for the session's restore, which continues after a timeout.

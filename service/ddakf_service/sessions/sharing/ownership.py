@@ -86,8 +86,8 @@ class SharedOwnership:
         else:
             await self._require_access(await self._registered(name), change=True)
 
-    async def obtain(self, name: str, *, takeover: bool = False) -> Session:
-        await self._bring(name, change=True, wait=lambda lease: self._wait_for(lease, takeover))
+    async def obtain(self, name: str, *, takeover: bool = False, to_end: bool = False) -> Session:
+        await self._bring(name, change=True, to_end=to_end, wait=lambda lease: self._wait_for(lease, takeover))
         return self._catalog.changeable(name)
 
     async def readable(self, name: str) -> Session:
@@ -128,11 +128,12 @@ class SharedOwnership:
             log.info("a session that no server has is ended", extra={"session": session.id})
             self._lifecycle.end(session, SessionExpired(f"{session.name} was left by its client and has expired"))
 
-    async def _bring(self, name: str, *, change: bool, wait: Callable) -> None:
+    async def _bring(self, name: str, *, change: bool, wait: Callable, to_end: bool = False) -> None:
         """Brings a session to this gateway, unless it is here.
 
         Args:
             change: the caller wants to change it.
+            to_end: it needs no room here.
             wait: returns the epoch of the lease, now this gateway's.
         """
         session_id = name.removeprefix("sessions/")
@@ -143,8 +144,9 @@ class SharedOwnership:
             if session_id in self._catalog:
                 return
             await self._require_access(await self._registered(name), change)
-            self._admission.require_running("sessions")
-            self._admission.require_server_room(len(self._catalog))
+            if not to_end:
+                self._admission.require_running("sessions")
+                self._admission.require_server_room(len(self._catalog))
             if (lease := await self._leases.find(session_id)) is None:
                 raise not_found(name)
             epoch = await wait(lease)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
 import threading
-from collections.abc import Iterable
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -168,16 +168,15 @@ class History:
         """
         now = self._clock()
         start = _seconds(request, "start_time", create_time)
-        end = _seconds(request, "end_time", max(min(now, end_time or now), start) + 1)
+        rows, changes = self._in_memory(uid)
+        newest = rows[-1].second if rows else start  # later than now if the clock was set back
+        end = _seconds(request, "end_time", max(min(now, end_time or now), newest, start) + 1)
         if end < start:
             raise InvalidArgument(field="end_time", expected="a time after start_time", got=f"{start - end:g} s before it")
         step = _resolution(request, start, end)
-        rows, changes = self._in_memory(uid)
-        samples = await self._samples(uid, int(start), end, step, rows)
-        answer = pb.SessionHistory(name=request.name, resolution=step, samples=samples)
-        for change in await self._state_changes(uid, start, end, changes):
-            answer.state_changes.add(state=change.state).time.FromNanoseconds(int(change.time * 1e9))
-        return answer
+        sums = await self._sums(uid, int(start), end, step, rows)
+        changes = await self._state_changes(uid, start, end, changes)
+        return await asyncio.to_thread(_message, request.name, step, sums, changes)
 
     def _second(self, uid: int) -> Aggregate | None:
         """The row of the present second; queues the previous one. None: the session has no history here."""
@@ -204,8 +203,8 @@ class History:
             changes = [change for (owner, _), change in self._changes.pending().items() if owner == uid]
         return sorted(rows.values(), key=lambda row: row.second), changes
 
-    async def _samples(self, uid: int, start: int, end: float, step: int, rows: list[Aggregate]) -> list[pb.HistorySample]:
-        """Samples of the stored seconds, summed in the database, and of the later seconds in memory."""
+    async def _sums(self, uid: int, start: int, end: float, step: int, rows: list[Aggregate]) -> list[Aggregate]:
+        """The stored seconds, summed in the database, and the later seconds in memory, by steps."""
         stored_until = min(end, rows[0].second) if rows else end
         bucket = (history.c.second // step * step).label("second")
         sums = [sa.func.sum(history.c[name]).label(name) for name in _SUMMED]
@@ -224,9 +223,9 @@ class History:
             if start <= row.second < end:
                 begin = row.second // step * step
                 buckets.setdefault(begin, Aggregate(uid, begin)).add(row)
-        return [buckets[second].sample() for second in sorted(buckets)]
+        return [buckets[second] for second in sorted(buckets)]
 
-    async def _state_changes(self, uid: int, start: float, end: float, waiting: list[Change]) -> Iterable[Change]:
+    async def _state_changes(self, uid: int, start: float, end: float, waiting: list[Change]) -> list[Change]:
         """The newest changes in the span, preceded by the state at ``start``."""
         columns = state_changes.c
         query = sa.select(state_changes).where(columns.uid == uid, columns.time < end)
@@ -247,6 +246,14 @@ class History:
         before = self._clock() - self._retention
         connection.execute(sa.delete(history).where(history.c.second < before))
         connection.execute(sa.delete(state_changes).where(state_changes.c.time < before))
+
+
+def _message(name: str, step: int, sums: list[Aggregate], changes: list[Change]) -> pb.SessionHistory:
+    """The answer; tens of milliseconds for the most samples and changes."""
+    answer = pb.SessionHistory(name=name, resolution=step, samples=[row.sample() for row in sums])
+    for change in changes:
+        answer.state_changes.add(state=change.state).time.FromNanoseconds(int(change.time * 1e9))
+    return answer
 
 
 def _time(change: Change) -> float:

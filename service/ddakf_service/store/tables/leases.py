@@ -6,6 +6,7 @@ increases the lease's epoch, which fences what an earlier gateway still writes. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from .schema import gateways, leases, sessions
 from .session_record import SessionRecord
 
 CHANNEL = "ddakf_leases"  # of notifications, each with the id of a gateway whose leases have changed
+_QUOTA_LOCK = 20_733  # any number that no other lock of two keys has
 _NOW = sa.extract("epoch", sa.func.clock_timestamp())
 _SERVING = sa.and_(leases.c.gateway == gateways.c.id, gateways.c.expire_time > _NOW)
 
@@ -58,12 +60,32 @@ class Leases:
     def __init__(self, database: Database, gateway: str):
         self._database, self.gateway = database, gateway
 
-    async def claim(self, session_id: str, uid: int, owner: str | None, request_id: str = "") -> int | None:
-        """Takes the lease of a new session; returns its epoch. None: a session of this id, or of this request, exists."""
+    async def claim(
+        self,
+        session_id: str,
+        uid: int,
+        owner: str | None,
+        request_id: str = "",
+        require_room: Callable[[int], None] = lambda count: None,
+    ) -> int | None:
+        """Takes the lease of a new session; returns its epoch. None: a session of this id, or of this request, exists.
+
+        Args:
+            require_room: called with the number of live sessions of the key, which no other claim changes meanwhile; what it
+                raises ends the claim.
+        """
         request = _request(owner, request_id) if request_id else None
         values = {"id": session_id, "uid": uid, "owner": owner, "gateway": self.gateway, "epoch": 1, "request": request}
         claim = insert(leases).values(values).on_conflict_do_nothing().returning(leases.c.epoch)
-        return await self._database.read(lambda c: c.execute(claim).scalar_one_or_none())
+
+        def change(connection: sa.Connection) -> int | None:
+            if owner is not None:
+                connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_QUOTA_LOCK, sa.func.hashtext(owner))))
+                count = sa.select(sa.func.count()).select_from(leases).where(leases.c.owner == owner)
+                require_room(connection.execute(count).scalar_one())
+            return connection.execute(claim).scalar_one_or_none()
+
+        return await self._database.read(change)
 
     async def find(self, session_id: str) -> Lease | None:
         """The lease of a session; None: there is no live session of this id."""
@@ -74,11 +96,6 @@ class Leases:
         """The lease of the session that a request of a key has created, or creates now."""
         found = await self._database.read(lambda c: _read(c, leases.c.request == _request(owner, request_id)))
         return found[0] if found else None
-
-    async def count(self, owner: str | None) -> int:
-        """Number of live sessions of a key."""
-        query = sa.select(sa.func.count()).select_from(leases).where(leases.c.owner.is_not_distinct_from(owner))
-        return await self._database.read(lambda c: c.execute(query).scalar_one())
 
     async def take(self, lease: Lease) -> int | None:
         """Takes a lease that nobody serves; returns the new epoch. None: it has changed, or is served."""

@@ -41,7 +41,7 @@ class Registry:
         self._sessions.put(record.uid, record)
 
     async def written(self, uid: int, timeout: float) -> bool:
-        """Waits until the saved session is in the database; False after ``timeout`` seconds."""
+        """Waits until the saved session is in the database; False after ``timeout`` seconds, and while the database fails."""
         deadline = monotonic() + timeout
         with self._database.immediate_writes():
             while uid in self._sessions:

@@ -32,6 +32,7 @@ from ..listener import listen
 from .bounded_requests import BoundedRequests
 from .errors import abort, without_traceback
 from .guard import GrpcGuard
+from .health import BoundedHealth
 
 log = logging.getLogger(__name__)
 
@@ -185,7 +186,7 @@ class GrpcServer:
         interceptors = [GrpcGuard(guard), BoundedRequests(settings.request_timeout)]
         self._server = grpc.aio.server(options=options, interceptors=interceptors)
         rpc.add_TrackingServiceServicer_to_server(TrackingService(sessions, streams, settings), self._server)
-        self._health = health.aio.HealthServicer()
+        self._health = BoundedHealth()
         health_pb2_grpc.add_HealthServicer_to_server(self._health, self._server)
         names = (SERVICE_NAME, health.SERVICE_NAME, reflection.SERVICE_NAME)
         reflection.enable_server_reflection(names, self._server)

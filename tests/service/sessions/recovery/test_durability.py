@@ -160,6 +160,27 @@ def test_without_a_spare_frames_wait_and_who_asks_is_told(restartable, sheet):
     api.channel.close()
 
 
+def test_a_restore_that_takes_long_is_told(durable, sheet):
+    """The spare worker stands still when it gets the session."""
+    api = Api(durable.grpc)
+    eventually(lambda: has_spare(durable), WARM)
+    name = api.create(sheet).name
+    talk = Talk(api, name)
+    talk.ask(frame_of(sheet, 1))
+    worker, spare = workers(durable.pid)
+    os.kill(spare, signal.SIGSTOP)
+    os.kill(worker, signal.SIGKILL)
+    talk.send(frame_of(sheet, 2))
+    notice = next(talk.answers).notice
+    os.kill(spare, signal.SIGCONT)
+    assert notice.kind == pb.NOTICE_KIND_WAITING
+    assert "worker was lost" in notice.message
+    assert next(answer for answer in talk.answers if answer.HasField("result")).result.sequence_number == 2
+    talk.end()
+    api.delete(name)
+    api.channel.close()
+
+
 def test_a_frame_is_forgotten_once_however_often_its_session_goes_back_to_a_checkpoint():
     session = Session("unlucky", pb.Session(), pb.Session(), pb.SessionLimits(idle_timeout=10))
     forgotten = []

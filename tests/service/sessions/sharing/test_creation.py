@@ -7,7 +7,7 @@ import uuid
 
 import pytest
 from ddakf_api import API_VERSION
-from ddakf_api.errors import InvalidMesh, SessionExists, Unavailable
+from ddakf_api.errors import Draining, InvalidMesh, ResourceExhausted, SessionExists, Unavailable
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_service.observability.metrics import Metrics
 from ddakf_service.sessions import lifecycle, service
@@ -114,8 +114,8 @@ async def test_a_creation_whose_caller_leaves_during_its_claim_leaves_no_lease(g
     one, two = gateways
     claim, claimed, told = Leases.claim, asyncio.Event(), asyncio.Event()
 
-    async def slow(leases, *of):
-        epoch = await claim(leases, *of)
+    async def slow(leases, *of, **room):
+        epoch = await claim(leases, *of, **room)
         claimed.set()
         await told.wait()
         return epoch
@@ -138,6 +138,33 @@ async def test_a_creation_that_was_cut_off_with_its_server_is_made_anew(gateways
     assert await Leases(two.store.database, server).claim("mine", 7, None, "the same") == 1
     assert (await two.create(session_id="mine")).name == "sessions/mine"
     assert "mine" in two.sessions._catalog
+
+
+async def test_a_key_has_no_more_sessions_than_its_quota_however_many_servers_it_asks_at_once(gateways):
+    def require_room(count: int) -> None:
+        if count >= 3:
+            raise ResourceExhausted("full")
+
+    leases = [Leases(gateway.store.database, gateway.store.server_id) for gateway in gateways]
+    claims = [leases[uid % 2].claim(f"s-{uid}", uid, "key", require_room=require_room) for uid in range(12)]
+    outcomes = await asyncio.gather(*claims, return_exceptions=True)
+    assert outcomes.count(1) == 3
+    assert sum(isinstance(outcome, ResourceExhausted) for outcome in outcomes) == 9
+
+
+@pytest.mark.parametrize("state", ["full", "stopping"])
+async def test_a_server_without_room_ends_the_sessions_of_others(gateways, state):
+    one, two = gateways
+    name = (await one.create(session_id="mine")).name
+    admission = two.sessions._admission
+    if state == "full":
+        admission._settings = admission._settings.model_copy(update={"max_sessions": 0})
+    else:
+        admission.draining = True
+    with pytest.raises((Draining, ResourceExhausted)):
+        await two.sessions.reset(pb.ResetSessionRequest(name=name))
+    await two.sessions.delete(name)
+    assert await Leases(one.store.database, "one").find("mine") is None
 
 
 async def test_a_request_is_that_of_a_key(gateways):

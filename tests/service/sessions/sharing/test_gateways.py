@@ -213,6 +213,9 @@ def test_a_deletion_elsewhere_ends_the_stream(gateways, name):
     one, two = gateways
     talk = Talk(one.api, name, flow=LOSSLESS)
     talk.ask(shifted(1))
+    refused = httpx.delete(f"{two.http}/v1/{name}", headers={"If-Match": '"another"'})
+    assert refused.status_code == 412
+    assert talk.ask(shifted(2))[-1].result.frames_applied == 2, "a deletion that is refused ends nothing"
     two.api.delete(name)
     with pytest.raises((StreamTakenOver, SessionNotFound)):
         next(talk.answers)

@@ -165,6 +165,14 @@ async def test_a_clock_that_is_set_back_overwrites_nothing(parts):
     assert sum(s.frames_applied for s in (await parts.query()).samples) == 6
 
 
+async def test_a_clock_that_is_set_back_hides_nothing(parts):
+    _, history, clock, uid, _ = parts
+    clock.now += 50
+    track(history, uid, 2)
+    clock.now -= 100
+    assert sum(s.frames_applied for s in (await parts.query()).samples) == 2
+
+
 async def test_what_makes_no_sense_is_refused(parts):
     for bad, field in (
         ({"start": parts.created + 10, "end": parts.created}, "end_time"),
