@@ -332,7 +332,7 @@ class NoLeases:
     def __init__(self):
         self.released = []
 
-    async def claim(self, session_id, uid, owner, request_id):
+    async def claim(self, session_id, uid, owner, request_id, require_room):
         return 1
 
     async def of_request(self, owner, request_id):
