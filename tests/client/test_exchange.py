@@ -77,7 +77,7 @@ def test_realtime_replaces_the_waiting_frame_and_lossless_offers_none():
 def test_nothing_is_offered_before_the_stream_is_open():
     exchange = Exchange(Plan("sessions/a", 10.0), now=0.0)
     assert not exchange.can_offer()
-    assert "the start of the stream" in str(exchange.overdue())
+    assert "the start of the stream" in str(exchange.overdue(0.0))
 
 
 def test_the_deadline_runs_while_an_answer_is_owed_and_awaited():
@@ -95,7 +95,7 @@ def test_the_deadline_runs_while_an_answer_is_owed_and_awaited():
     exchange.exhausted = True
     exchange.finish(8.0)
     assert exchange.deadline(8.5) == 10.0  # the end is owed
-    assert "the end of the stream" in str(exchange.overdue())
+    assert "the end of the stream" in str(exchange.overdue(0.0))
 
 
 def test_a_frame_that_was_dropped_before_a_refused_one_is_owed_no_answer():
@@ -106,7 +106,7 @@ def test_a_frame_that_was_dropped_before_a_refused_one_is_owed_no_answer():
     exchange.reading(0.0)
     exchange.receive(refusal(2), 1.0)
     assert exchange.deadline(5.0) == 7.0
-    assert "frame" not in str(exchange.overdue())
+    assert "frame" not in str(exchange.overdue(0.0))
 
 
 def test_a_second_outage_has_as_long_to_end_and_a_flapping_one_has_not():
@@ -119,6 +119,27 @@ def test_a_second_outage_has_as_long_to_end_and_a_flapping_one_has_not():
     exchange.pause(61.0)
     assert exchange.may_resume(lose, 89.0)
     assert not exchange.may_resume(lose, 91.0)
+
+
+def test_an_attempt_to_reconnect_has_the_timeout_and_no_longer_than_the_attempts_have():
+    exchange, lose = opened("lossless", timeout=20.0), errors.Unavailable("lost")
+    assert exchange.may_resume(lose, 1.0)
+    begun = 1.0 + exchange.pause(1.0)
+    exchange.reading(begun)
+    assert exchange.deadline(begun) == begun + 20.0
+    assert "the start of the stream" in str(exchange.overdue(begun + 20.0))
+    assert exchange.may_resume(lose, 22.0)
+    begun = 22.0 + exchange.pause(22.0)
+    exchange.reading(begun)
+    assert exchange.deadline(begun) == 31.0
+    assert "within 30 s" in str(exchange.overdue(31.0))
+    assert not exchange.may_resume(lose, 31.0)
+
+
+def test_the_last_attempt_to_reconnect_begins_before_their_end():
+    exchange, lose = opened("lossless"), errors.Unavailable("lost")
+    assert exchange.may_resume(lose, 1.0)
+    assert 30.5 + exchange.pause(30.5) <= 31.0
 
 
 def test_an_end_with_frames_unanswered_or_unsent_is_an_error():

@@ -6,9 +6,10 @@ import time
 import grpc
 import pytest
 from ddakf_api.v1 import tracking_pb2 as pb
-from ddakf_client import connect, errors
+from ddakf_client import aconnect, connect, errors
 
 from .conftest import in_one_buffer
+from .line import Line
 
 
 @pytest.mark.parametrize("forget", [0, 3])
@@ -64,6 +65,80 @@ def test_a_connection_lost_for_too_long_is_an_error(outage, mesh, frames):
         outage.server.stop(0).wait()
         with pytest.raises(errors.Unavailable):
             list(stream)
+
+
+@pytest.fixture(params=["the network", "the server"])
+def hanging(request, outage):
+    """A line to a server, and a function after which connections are lost and attempts to reconnect hang for some seconds."""
+    timers = []
+    with Line(outage.target) as line:
+
+        def hang(seconds):
+            if request.param == "the network":
+                line.mute = True
+            else:
+                outage.service.starts = False
+            line.cut()
+            timer = threading.Timer(seconds, end)
+            timer.daemon = True
+            timer.start()
+            timers.append(timer)
+
+        def end():
+            line.mute, outage.service.starts = False, True
+            line.cut()
+
+        yield line, hang
+        for timer in timers:
+            timer.cancel()
+        end()
+
+
+def test_an_attempt_to_reconnect_that_hangs_gives_way_to_the_next_one(hanging, mesh, frames):
+    line, hang = hanging
+    sequences = []
+    with connect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        for result in session.track(frames(6), timeout=1, on_notice=lambda _: None):
+            sequences.append(result.sequence)
+            if result.sequence == 2:
+                hang(4)
+    assert sequences == [1, 2, 3, 4, 5, 6]
+
+
+async def test_so_it_does_in_the_asynchronous_client(hanging, mesh, frames):
+    line, hang = hanging
+    sequences = []
+    async with aconnect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        async for result in session.track(frames(6), timeout=1, on_notice=lambda _: None):
+            sequences.append(result.sequence)
+            if result.sequence == 2:
+                hang(4)
+    assert sequences == [1, 2, 3, 4, 5, 6]
+
+
+def test_attempts_to_reconnect_that_hang_end_with_the_time_for_them(hanging, mesh, frames):
+    line, hang = hanging
+    with connect(line.target) as client:
+        stream = client.create_session(*mesh, flow="lossless").track(frames(1000), resume=1, on_notice=lambda _: None)
+        next(stream)
+        hang(8)
+        begun = time.monotonic()
+        with pytest.raises(errors.Unavailable):
+            list(stream)
+        assert time.monotonic() - begun < 3
+
+
+async def test_so_they_do_in_the_asynchronous_client(hanging, mesh, frames):
+    line, hang = hanging
+    async with aconnect(line.target) as client:
+        session = await client.create_session(*mesh, flow="lossless")
+        stream = session.track(frames(1000), resume=1, on_notice=lambda _: None)
+        await anext(stream)
+        hang(8)
+        begun = time.monotonic()
+        with pytest.raises(errors.Unavailable):
+            [_ async for _ in stream]
+        assert time.monotonic() - begun < 4
 
 
 def test_a_session_lost_in_the_outage_is_an_error(outage, mesh, frames):

@@ -125,8 +125,10 @@ class _Stream:
         self._call.add_done_callback(lambda call: statuses.append(_status_of(call)))
         self._changed.set()
         if self._tasks:
-            return
-        self._tasks = [asyncio.create_task(self._pull()), asyncio.create_task(self._watch())]
+            self._tasks.pop().cancel()  # it sleeps until the deadline of the last call
+        else:
+            self._tasks = [asyncio.create_task(self._pull())]
+        self._tasks.append(asyncio.create_task(self._watch()))
 
     async def server_status(self) -> grpc.aio.AioRpcError | None:
         """The status that the server sent, or None if it did not arrive.
@@ -206,15 +208,16 @@ class _Stream:
         self._changed.set()
 
     async def _watch(self) -> None:
-        """Ends the stream, or the call where there is another server, when the server exceeds the timeout."""
+        """Ends the stream when the server exceeds the timeout; only the call where there is another server or attempt."""
         while True:
             while (left := self._exchange.deadline(now := time.monotonic()) - now) > 0:
                 await asyncio.sleep(left)
-            if not self._may_move():
-                self._fail(self._exchange.overdue())
+            error = self._exchange.overdue(now)
+            if not (self._exchange.lost or self._may_move()):
+                self._fail(error)
                 return
             if self.silence is None:
-                self.silence = Unavailable(self._exchange.overdue().message)
+                self.silence = Unavailable(error.message)
                 self._call.cancel()
             await asyncio.sleep(_LEAST_PAUSE)
 

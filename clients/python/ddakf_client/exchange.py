@@ -308,14 +308,24 @@ class Exchange:
             self.lost, self.started = True, False
             if self._attempts == 0 or now - self._open_since > self.plan.resume:  # else the same outage goes on
                 self._lost_since, self._attempts = now, 0
-        return now - self._lost_since < self.plan.resume
+        return now < self._window_end()
 
     def pause(self, now: float) -> float:
-        """Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time."""
+        """Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time.
+
+        The last attempt begins before the time for attempts is over.
+        """
         self._attempts += 1
-        self._owed_since = now
         growing = _PAUSE_SHARE * (now - self._lost_since)
-        return random.uniform(0.5, 1.0) * min(max(growing, _FIRST_PAUSE), _LONGEST_PAUSE)
+        seconds = random.uniform(0.5, 1.0) * min(max(growing, _FIRST_PAUSE), _LONGEST_PAUSE)
+        if self.lost:
+            seconds = max(min(seconds, self._window_end() - now - _FIRST_PAUSE), 0.5 * _FIRST_PAUSE)
+        self._owed_since = now + seconds
+        return seconds
+
+    def _window_end(self) -> float:
+        """Time by which a lost connection has to be replaced."""
+        return self._lost_since + self.plan.resume
 
     def _start(self, started: pb.Started, now: float) -> list[FrameError | Notice]:
         """Handles the start of the stream, the first one or one after a reconnect."""
@@ -353,18 +363,23 @@ class Exchange:
         return answered
 
     def deadline(self, now: float) -> float:
-        """Time by which the server has to send something; if it owes nothing, the timeout from now."""
+        """Time by which the server has to send something; if it owes nothing, the timeout from now.
+
+        An attempt to reconnect has the timeout too, and ends with the time for attempts.
+        """
         waiting = self._waiting()
         if self._reading_since is None or not (waiting or self._owes_more()):
-            return now + self.plan.timeout
-        oldest = min((self._unanswered[sequence].at for sequence in waiting), default=self._owed_since)
-        if not self.started:
-            oldest = self._owed_since
-        return max(oldest, self._reading_since) + self.plan.timeout
+            due = now + self.plan.timeout
+        else:
+            oldest = min((self._unanswered[sequence].at for sequence in waiting), default=self._owed_since)
+            due = max(oldest if self.started else self._owed_since, self._reading_since) + self.plan.timeout
+        return min(due, self._window_end()) if self.lost else due
 
-    def overdue(self) -> DeadlineExceeded:
+    def overdue(self, now: float) -> DeadlineExceeded:
         """The error of an exceeded deadline."""
         waiting = self._waiting()
+        if self.lost and now >= self._window_end():
+            return DeadlineExceeded(f"the connection did not come back within {self.plan.resume:g} s")
         owed = f"frame {min(waiting)}" if waiting else "the end of the stream"
         return DeadlineExceeded(
             f"no answer to {owed if self.started else 'the start of the stream'} within {self.plan.timeout:g} s"

@@ -83,6 +83,7 @@ class _Stream:
         self.silence: ServiceError | None = None
         self._changed = threading.Condition()
         self._closed = threading.Event()
+        self._opened = threading.Event()  # a call, whose deadline may be nearer than that of the last one; or closed
         self._call: grpc.Call | None = None
         self._calls = 0
         self._threads: list[threading.Thread] = []
@@ -97,6 +98,7 @@ class _Stream:
             self._calls += 1
         self.silence = None
         self._call = open_call(self.requests(self._calls))
+        self._opened.set()
         if self._threads:
             return
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._pull, self._watch)]
@@ -106,6 +108,7 @@ class _Stream:
     def close(self) -> None:
         with self._change():
             self._closed.set()
+        self._opened.set()
         if self._call:  # else the client was closed before
             self._call.cancel()
         # The caller may then reuse the iterator; an iterator that waits for a camera cannot be interrupted.
@@ -193,13 +196,17 @@ class _Stream:
         return not self._closed.is_set()
 
     def _watch(self) -> None:
-        """Ends the stream, or the call where there is another server, when the server exceeds the timeout."""
-        while not self._closed.wait(max(_LEAST_PAUSE if self.silence else 0.0, self._seconds_left())):
+        """Ends the stream when the server exceeds the timeout; only the call where there is another server or attempt."""
+        while True:
+            self._opened.wait(max(_LEAST_PAUSE if self.silence else 0.0, self._seconds_left()))
+            self._opened.clear()
+            if self._closed.is_set():
+                return
             if self._seconds_left() > 0:
                 continue
             with self._changed:
-                error = self._exchange.overdue()
-            if not self._may_move():
+                error, again = self._exchange.overdue(time.monotonic()), self._exchange.lost
+            if not (again or self._may_move()):
                 self._fail(error)
                 return
             if self.silence is None:
