@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
+CLIENT_KEEPALIVE_SECONDS = 3.0
+"""Time without data after which a client pings while a call is open."""
+CLIENT_KEEPALIVE_TIMEOUT_SECONDS = 4.0
+"""Timeout of the answer to a client's ping. With the time before it, it is below the default timeout of a frame."""
 KEEPALIVE_SECONDS = 30.0
-"""Interval of a client's pings while a call is open."""
+"""Interval of a server's pings while a call is open."""
 KEEPALIVE_TIMEOUT_SECONDS = 10.0
-"""Timeout of the answer to a ping."""
+"""Timeout of the answer to a server's ping."""
 IDLE_SECONDS = 300.0
 """Time after which a server closes a connection without calls, which nobody pings. The next call opens another."""
 
@@ -20,7 +24,7 @@ def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
     """Options of a client's channel."""
     return [
         *_message_limits(max_message_bytes),
-        *_pings(),
+        *_pings(CLIENT_KEEPALIVE_SECONDS, CLIENT_KEEPALIVE_TIMEOUT_SECONDS),
         ("grpc.keepalive_permit_without_calls", 0),
         # Finds a restarted server at once; the default backoff of gRPC grows to two minutes.
         ("grpc.initial_reconnect_backoff_ms", 200),
@@ -35,16 +39,16 @@ def server_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
     return [
         *_message_limits(max_message_bytes),
         # Half of the interval of the clients: a late ping followed by a punctual one is permitted.
-        ("grpc.http2.min_ping_interval_without_data_ms", int(500 * KEEPALIVE_SECONDS)),
+        ("grpc.http2.min_ping_interval_without_data_ms", int(500 * CLIENT_KEEPALIVE_SECONDS)),
         ("grpc.max_connection_idle_ms", int(1000 * IDLE_SECONDS)),
-        *_pings(),
+        *_pings(KEEPALIVE_SECONDS, KEEPALIVE_TIMEOUT_SECONDS),
     ]
 
 
-def _pings() -> Options:
-    timeout_ms = int(1000 * KEEPALIVE_TIMEOUT_SECONDS)
+def _pings(interval: float, timeout: float) -> Options:
+    timeout_ms = int(1000 * timeout)
     return [
-        ("grpc.keepalive_time_ms", int(1000 * KEEPALIVE_SECONDS)),
+        ("grpc.keepalive_time_ms", int(1000 * interval)),
         # The first bounds the time until sent bytes are acknowledged, the second the time until a ping is answered: a proxy, or a
         # stopped process on a running system, acknowledges bytes without an answer.
         ("grpc.keepalive_timeout_ms", timeout_ms),

@@ -5,6 +5,7 @@ import time
 
 import grpc
 import pytest
+from ddakf_api import transport
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_client import aconnect, connect, errors
 
@@ -139,6 +140,37 @@ async def test_so_they_do_in_the_asynchronous_client(hanging, mesh, frames):
         with pytest.raises(errors.Unavailable):
             [_ async for _ in stream]
         assert time.monotonic() - begun < 4
+
+
+DETECTION = transport.CLIENT_KEEPALIVE_SECONDS + transport.CLIENT_KEEPALIVE_TIMEOUT_SECONDS
+
+
+def test_a_connection_that_falls_silent_without_an_end_is_resumed(outage, mesh, frames):
+    """The network vanishes from under the open connection, and is there for a new one."""
+    notices, sequences = [], []
+    with Line(outage.target) as line, connect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
+        for result in session.track(frames(20), on_notice=notices.append):
+            sequences.append(result.sequence)
+            if result.sequence == 5:
+                line.freeze()
+                begun = time.monotonic()
+            elif len(notices) == 1:
+                assert time.monotonic() - begun < DETECTION + 2
+                notices.append(None)
+    assert sequences == list(range(1, 21))
+    assert notices[0].kind == "resumed"
+
+
+async def test_so_it_is_in_the_asynchronous_client(outage, mesh, frames):
+    notices, sequences = [], []
+    with Line(outage.target) as line:
+        async with aconnect(line.target) as client, client.create_session(*mesh, flow="lossless") as session:
+            async for result in session.track(frames(20), on_notice=notices.append):
+                sequences.append(result.sequence)
+                if result.sequence == 5:
+                    line.freeze()
+    assert sequences == list(range(1, 21))
+    assert [notice.kind for notice in notices] == ["resumed"]
 
 
 def test_a_session_lost_in_the_outage_is_an_error(outage, mesh, frames):

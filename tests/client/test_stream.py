@@ -172,7 +172,7 @@ def test_pings_on_a_silent_stream_are_permitted_by_the_server(mesh, frames, monk
         yield frames(1)[0]
         time.sleep(4.5)  # gRPC pings at most once a second, and a server tolerates two pings
 
-    monkeypatch.setattr(transport, "KEEPALIVE_SECONDS", 0.05)
+    monkeypatch.setattr(transport, "CLIENT_KEEPALIVE_SECONDS", 0.05)
     if not permitted:
         monkeypatch.setattr(fake_server, "server_options", list)
     server, target = fake_server.start(fake_server.FakeService())
