@@ -113,7 +113,7 @@ test("answers that the caller has not taken hold frames back", () => {
 test("nothing is offered before the stream is open", () => {
   const exchange = new Exchange(plan("sessions/a", 10, {}), 0);
   expect(exchange.canOffer()).toBe(false);
-  expect(exchange.overdue().message).toContain("the start of the stream");
+  expect(exchange.overdue(0).message).toContain("the start of the stream");
 });
 
 test("the deadline runs while an answer is owed", () => {
@@ -122,12 +122,12 @@ test("the deadline runs while an answer is owed", () => {
   exchange.offer(frame("a"), 5);
   exchange.take(6);
   expect(exchange.deadline()).toBe(8);
-  expect(exchange.overdue().message).toBe("no answer to frame 1 within 2 s");
+  expect(exchange.overdue(0).message).toBe("no answer to frame 1 within 2 s");
   exchange.receive(result(1), 7.5);
   exchange.exhausted = true;
   exchange.finish(8);
   expect(exchange.deadline()).toBe(10);
-  expect(exchange.overdue().message).toContain("the end of the stream");
+  expect(exchange.overdue(0).message).toContain("the end of the stream");
 });
 
 test("the deadline counts silence: a response renews it, an answer to a ping does not", () => {
@@ -215,6 +215,21 @@ test("a second outage has as long to end, a flapping one has not", () => {
   exchange.pause(61);
   expect(exchange.mayResume(lost, 89)).toBe(true);
   expect(exchange.mayResume(lost, 91)).toBe(false);
+});
+
+test("an attempt to reconnect has the timeout, and no longer than all attempts have", () => {
+  const exchange = opened("lossless", { timeout: 20 });
+  const lost = new Unavailable("lost");
+  expect(exchange.mayResume(lost, 1)).toBe(true);
+  const begun = 1 + exchange.pause(1);
+  expect(exchange.deadline()).toBeCloseTo(begun + 20);
+  expect(exchange.overdue(begun + 20).message).toContain("the start of the stream");
+  expect(exchange.mayResume(lost, 22)).toBe(true);
+  exchange.pause(22);
+  expect(exchange.deadline()).toBe(31);
+  expect(exchange.overdue(31).message).toContain("within 30 s");
+  expect(30.5 + exchange.pause(30.5)).toBeLessThanOrEqual(31);
+  expect(exchange.mayResume(lost, 31)).toBe(false);
 });
 
 test("frames to send again survive a second lost connection", () => {

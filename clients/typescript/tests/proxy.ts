@@ -4,6 +4,7 @@ import { createServer, connect, type AddressInfo, type Server, type Socket } fro
 export class Proxy {
   private readonly sockets = new Set<Socket>();
   private mute = false;
+  private refusing = false;
 
   private constructor(
     private readonly server: Server,
@@ -19,7 +20,10 @@ export class Proxy {
         [onward, socket],
       ] as const) {
         proxy.sockets.add(from);
-        from.on("data", (data) => proxy.mute || to.write(data));
+        from.on("data", (data: Buffer) => {
+          if (proxy.refusing && from === socket && /^upgrade:/im.test(data.toString("latin1"))) proxy.drop(from, to);
+          else if (!proxy.mute && !proxy.refusing) to.write(data);
+        });
         from.on("close", () => to.destroy());
         from.on("error", () => to.destroy());
       }
@@ -42,6 +46,21 @@ export class Proxy {
   /** Nothing passes any more; connections open and stay, as those of a vanished machine may. */
   silence(): void {
     this.mute = true;
+  }
+
+  /** Cuts the handshakes of WebSockets; nothing passes on other connections. */
+  refuseUpgrades(): void {
+    this.refusing = true;
+  }
+
+  /** Ends the silence: the connections of the time before are cut, new ones work. */
+  speak(): void {
+    this.mute = false;
+    this.cut();
+  }
+
+  private drop(...ends: Socket[]): void {
+    for (const end of ends) end.destroy();
   }
 
   close(): void {

@@ -465,6 +465,34 @@ describe("a lost connection", () => {
     expect(answers).toBeGreaterThan(30);
   });
 
+  test("is replaced after attempts that hang, each of which ends after the timeout", async () => {
+    const opened = await through.openSession(session.sessionId);
+    const sequences: number[] = [];
+    const options = { flow: "lossless", timeout: 1, onNotice: () => undefined } as const;
+    for await (const { sequence } of opened.track(camera(sheetFrames(sheet, 20), 0.01), options)) {
+      sequences.push(sequence);
+      if (sequence !== 5) continue;
+      proxy.silence();
+      proxy.cut();
+      setTimeout(() => {
+        proxy.speak();
+      }, 4000);
+    }
+    expect(sequences).toEqual(Array.from({ length: 20 }, (_, i) => i + 1));
+  });
+
+  test.each(["hang", "fail, and the reason hangs"])("whose attempts %s is an error when their time is over", async (how) => {
+    const opened = await through.openSession(session.sessionId);
+    const stream = opened.track(camera(sheetFrames(sheet, 4000), 0.005), { resume: 1, timeout: 20 });
+    await stream.next();
+    if (how === "hang") proxy.silence();
+    else proxy.refuseUpgrades();
+    proxy.cut();
+    const begun = performance.now();
+    await expect(collected(stream)).rejects.toThrow(errors.Unavailable);
+    expect(performance.now() - begun).toBeLessThan(2200);
+  });
+
   test("is an error when nobody answers for too long", async () => {
     const opened = await through.openSession(session.sessionId);
     const stream = opened.track(camera(sheetFrames(sheet, 4000), 0.005), { resume: 0.5 });

@@ -208,27 +208,44 @@ export class Exchange {
         this.attempts = 0;
       }
     }
-    return now - this.lostSince < this.plan.resume;
+    return now < this.windowEnd;
   }
 
-  /** Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time. */
+  /**
+   * Seconds before the next attempt: growing, and random so that clients do not reconnect at the same time. The last attempt begins
+   * before the time for attempts is over.
+   */
   pause(now: number): number {
     this.attempts++;
-    this.owedSince = now;
-    return (0.5 + 0.5 * Math.random()) * Math.min(FIRST_PAUSE * 2 ** this.attempts, LONGEST_PAUSE);
+    const growing = (0.5 + 0.5 * Math.random()) * Math.min(FIRST_PAUSE * 2 ** this.attempts, LONGEST_PAUSE);
+    const most = this.lost ? Math.max(this.windowEnd - now - FIRST_PAUSE, FIRST_PAUSE / 2) : Infinity;
+    const seconds = Math.min(growing, most);
+    this.owedSince = now + seconds;
+    return seconds;
   }
 
-  /** Time by which the server has to send something, the timeout after it last did; undefined: it owes nothing. */
+  /** Time by which a lost connection has to be replaced. */
+  get windowEnd(): number {
+    return this.lostSince + this.plan.resume;
+  }
+
+  /**
+   * Time by which the server has to send something, the timeout after it last did; undefined: it owes nothing. An attempt to
+   * reconnect has the timeout too, and ends with the time for attempts.
+   */
   deadline(): number | undefined {
     const owesStartOrEnd = !this.started || this.isDone();
     const waiting = this.waiting();
     if (waiting.length === 0 && !owesStartOrEnd) return undefined;
     const oldest = this.started ? Math.min(...waiting.map((sequence) => this.unanswered.get(sequence)!.at)) : Infinity;
-    return Math.max(Number.isFinite(oldest) ? oldest : this.owedSince, this.heardAt) + this.plan.timeout;
+    const due = Math.max(Number.isFinite(oldest) ? oldest : this.owedSince, this.heardAt) + this.plan.timeout;
+    return this.lost ? Math.min(due, this.windowEnd) : due;
   }
 
   /** The error of an exceeded deadline. */
-  overdue(): DeadlineExceeded {
+  overdue(now: number): DeadlineExceeded {
+    if (this.lost && now >= this.windowEnd)
+      return new DeadlineExceeded(`the connection did not come back within ${this.plan.resume} s`);
     const [first] = this.waiting();
     const owed = !this.started ? "the start of the stream" : first === undefined ? "the end of the stream" : `frame ${first}`;
     return new DeadlineExceeded(`no answer to ${owed} within ${this.plan.timeout} s`);

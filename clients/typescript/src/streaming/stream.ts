@@ -17,6 +17,7 @@ const PING_SECONDS = 1;
 const SILENT_SHARE = 0.5; // of the timeout: a lost connection is replaced before an answer on it is overdue
 const POLL_SECONDS = 0.005; // of a socket's buffer, which has no event
 const LARGEST_BUFFER = 1 << 16; // bytes in the socket's buffer beyond which a frame waits in the slot, where a newer one replaces it
+const LEAST_PAUSE = 0.1; // seconds between two looks at a deadline that is over
 const SUSPENDED_SECONDS = 1; // a timer that is later than this was suspended with the page, and the server is not to blame
 
 /** The part of a client that a stream uses. */
@@ -120,9 +121,13 @@ export class Stream {
     if (await this.waiting.sleep(this.exchange.pause(now()))) this.open();
   }
 
+  /** The reason why a line could not open; an attempt to reconnect does not wait for it beyond its own time. */
   private async refusal(error: ServiceError): Promise<ServiceError> {
+    const { lost, windowEnd } = this.exchange;
+    const left = Math.max(Math.min(this.plan.timeout, windowEnd - now()), 0);
+    const probe = this.connection.probe(this.plan.name);
     try {
-      await this.connection.probe(this.plan.name);
+      await (lost ? Promise.race([probe, this.waiting.sleep(left)]) : probe);
       return error;
     } catch (reason) {
       return reason instanceof DeadlineExceeded ? error : (reason as ServiceError);
@@ -208,9 +213,9 @@ export class Stream {
     }
   }
 
-  /** Ends the stream, or the line where there is another server, when the server exceeds the timeout. */
+  /** Ends the stream when the server exceeds the timeout; only the line where there is another server or attempt. */
   private async watch(): Promise<void> {
-    let awakeSince = now();
+    let awakeSince = -Infinity;
     for (;;) {
       if (!(await this.waiting.until(() => this.exchange.deadline() !== undefined))) return;
       const due = Math.max(this.exchange.deadline()!, awakeSince + this.plan.timeout);
@@ -220,13 +225,13 @@ export class Stream {
       if (now() - asleep > seconds + SUSPENDED_SECONDS) awakeSince = now();
       const deadline = this.exchange.deadline();
       if (deadline !== undefined && now() >= Math.max(deadline, awakeSince + this.plan.timeout)) {
-        const overdue = this.exchange.overdue();
-        if (this.connection.others === 0) {
+        const overdue = this.exchange.overdue(now());
+        if (this.connection.others === 0 && !this.exchange.lost) {
           this.fail(overdue);
           return;
         }
-        awakeSince = now();
         this.line!.abandon(new Unavailable(overdue.message));
+        await this.waiting.sleep(LEAST_PAUSE);
       }
     }
   }
