@@ -374,11 +374,33 @@ test("a refused frame is thrown or yielded, as the caller asked", () => {
   const throwing = opened("lossless", { onError: "throw" });
   throwing.offer(frame("a"), 0);
   throwing.take(0);
-  expect(() => throwing.receive(refusal(1), 0)).toThrow(InvalidFrame);
+  expect(throwing.receive(refusal(1), 0)).toEqual([]);
+  expect(throwing.isDone()).toBe(true);
+  expect(() => throwing.ended()).toThrow(InvalidFrame);
   const yielding = opened("lossless");
   yielding.offer(frame("a"), 0);
   yielding.take(0);
   expect(yielding.receive(refusal(1), 0)[0]).toBeInstanceOf(FrameError);
+});
+
+test("frames that cannot be sent are refused in their places, also beside those that the server refuses or gets again", () => {
+  const exchange = opened("lossless");
+  const numbers = (response: TrackResponse) =>
+    exchange.receive(response, 0).flatMap((answer) => ("sequence" in answer ? [answer.sequence] : []));
+  for (let i = 0; i < 4; i++) {
+    exchange.offer(frame(""), 0);
+    const taken = exchange.take(0);
+    if (i === 1) exchange.refuse(taken, new InvalidFrame("bad"));
+  }
+  expect(exchange.takeRefused()).toEqual([]);
+  expect(numbers(refusal(3))).toEqual([2, 3]);
+  exchange.offer(frame(""), 0);
+  exchange.refuse(exchange.take(0), new InvalidFrame("bad"));
+  exchange.mayResume(new Unavailable("lost"), 1);
+  expect(numbers(started(0))).toEqual([]); // frames 1 and 4 are sent again
+  expect([exchange.take(1).sequence, exchange.take(1).sequence]).toEqual([1, 4]);
+  expect(numbers(result(1))).toEqual([1]);
+  expect(numbers(result(4))).toEqual([4, 5]);
 });
 
 test("a held frame stays when the camera writes the next one, and has what is given alone", () => {

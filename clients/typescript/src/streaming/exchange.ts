@@ -140,11 +140,7 @@ export class Exchange {
 
   // Answers out --------------------------------------------------------------------------------------------------------
 
-  /**
-   * Converts a response to answers for the caller, with those of frames that could not be sent in their places.
-   *
-   * @throws ServiceError: a frame was refused and the plan asks for an error.
-   */
+  /** Converts a response to answers for the caller, with those of frames that could not be sent in their places. */
   receive({ message }: TrackResponse, now: number): (Answer | Notice)[] {
     if (message.case !== "pong") this.heardAt = now;
     switch (message.case) {
@@ -161,7 +157,7 @@ export class Exchange {
       }
       case "frameError":
         if (this.hasAnswer(Number(message.value.sequenceNumber))) return [];
-        return [this.rejected(frameErrorFrom(message.value)), ...this.takeRefused()];
+        return [...this.rejected(frameErrorFrom(message.value)), ...this.takeRefused()];
       default:
         return [];
     }
@@ -182,8 +178,8 @@ export class Exchange {
     return this.takeRefused();
   }
 
-  /** Frames that could not be sent and come before the first unanswered one, or before this one; each once. */
-  takeRefused(before = this.waiting()[0] ?? Infinity): FrameError[] {
+  /** Frames that could not be sent and come before the first that waits for an answer, or before this one; each once. */
+  takeRefused(before = this.firstWaiting()): FrameError[] {
     const taken = this.refused.filter(({ sequence }) => sequence < before);
     this.refused = this.refused.filter(({ sequence }) => sequence >= before);
     return taken;
@@ -252,7 +248,7 @@ export class Exchange {
   }
 
   /** Handles the start of the stream, the first one or one after a reconnect. */
-  private start(started: Started, now: number): Notice[] {
+  private start(started: Started, now: number): (Notice | FrameError)[] {
     const last = Number(started.lastSequenceNumber);
     const resumed = this.lost;
     this.started = true;
@@ -274,7 +270,7 @@ export class Exchange {
     const again = `${resent.length} of ${unanswered.length}`;
     const repeated = this.toRepeat ? `, ${this.toRepeat} answers are repeated` : "";
     const message = `connected again: the session continues after frame ${last}; ${again} frames are sent again${repeated}`;
-    return [{ kind: "resumed", message, value: Math.max(this.lastAnswered - last, 0), target: "" }];
+    return [{ kind: "resumed", message, value: Math.max(this.lastAnswered - last, 0), target: "" }, ...this.takeRefused()];
   }
 
   /** Whether the caller has the answer to this frame already: the server repeats it among others that were lost. */
@@ -286,6 +282,11 @@ export class Exchange {
       for (const other of this.unanswered.keys())
         if (other <= this.repeatedThrough && other !== sequence) this.unanswered.delete(other);
     return answered;
+  }
+
+  /** The first frame that was taken and has no answer. */
+  private firstWaiting(): number {
+    return Math.min(this.waiting()[0] ?? Infinity, ...this.resend.map(({ sequence }) => sequence));
   }
 
   private waiting(): number[] {
@@ -301,16 +302,22 @@ export class Exchange {
     return sent ? now - sent.offered.submitted : 0;
   }
 
-  /** Removes a refused frame. A refusal may precede results of earlier frames; in realtime flow these may be dropped. */
-  private rejected(refused: FrameError): FrameError {
-    if (this.plan.onError === "throw") throw refused.error;
+  /**
+   * Removes a refused frame. A refusal may precede results of earlier frames; in realtime flow these may be dropped. Where the plan
+   * asks for an error, nothing more is sent, and it is thrown once the frames before it have their answers.
+   */
+  private rejected(refused: FrameError): FrameError[] {
     this.unanswered.delete(refused.sequence);
     this.attempts = 0;
     if (!this.lossless) {
       this.answeredThrough = Math.max(this.answeredThrough, refused.sequence);
       this.forget(refused.sequence - 2 * IN_FLIGHT);
     }
-    return refused;
+    if (this.plan.onError === "throw") {
+      this.failure ??= refused.error;
+      return [];
+    }
+    return [...this.takeRefused(refused.sequence), refused];
   }
 
   private forget(through: number): void {

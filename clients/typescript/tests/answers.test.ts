@@ -1,0 +1,55 @@
+/** What a caller gets of answers that come in another order, or in part: with a server that answers as the test says. */
+import { afterEach, describe, expect, test } from "vitest";
+import { connect } from "../dist/index.js";
+import * as errors from "../dist/errors.js";
+import { StandIn, withSession, type Answer } from "./stand-in.js";
+
+let server: StandIn | undefined;
+
+afterEach(() => {
+  server?.stop();
+  server = undefined;
+});
+
+const result = (sequence: bigint): Answer => ({ case: "result", value: { sequenceNumber: sequence } });
+const refusal = (sequence: bigint): Answer => ({
+  case: "frameError",
+  value: { sequenceNumber: sequence, error: { name: "InvalidFrame", message: "not so" } },
+});
+
+/** Refuses frame 4 before it answers those before it, as a server does that looks at a frame when it arrives. */
+function refusing(): Promise<StandIn> {
+  return StandIn.start(withSession, (request) => {
+    if (!request) return [result(2n), result(3n)];
+    if (request.case === "start") return [{ case: "started", value: { maxFramesInFlight: 8 } }];
+    if (request.case === "ping") return [{ case: "pong", value: { token: request.value.token } }];
+    return request.case === "frame" && request.value.sequenceNumber === 4n ? [refusal(4n), result(1n)] : [];
+  });
+}
+
+const frames = (count: number) => Array.from({ length: count }, (_, i) => ({ points: new Float32Array(3), timestamp: i + 1 }));
+
+describe("a refusal that comes before earlier results", () => {
+  test("is thrown after them", async () => {
+    server = await refusing();
+    const client = await connect(server.url, { worker: false });
+    const session = await client.openSession("stand-in");
+    const seen: number[] = [];
+    const tracking = async () => {
+      for await (const { sequence } of session.track(frames(4), { flow: "lossless" })) seen.push(sequence);
+    };
+    await expect(tracking()).rejects.toThrow(errors.InvalidFrame);
+    expect(seen).toEqual([1, 2, 3]);
+  });
+
+  test("is yielded beside frames that cannot be sent, in the order of both", async () => {
+    server = await refusing();
+    const client = await connect(server.url, { worker: false });
+    const session = await client.openSession("stand-in");
+    const sent = frames(4).map((frame, i) => (i === 2 ? { ...frame, points: new Float32Array(4) } : frame));
+    const refused: number[] = [];
+    for await (const answer of session.track(sent, { flow: "lossless", onError: "yield" }))
+      if ("error" in answer) refused.push(answer.sequence);
+    expect(refused).toEqual([3, 4]);
+  });
+});
