@@ -1,6 +1,6 @@
 /** REST: calls of the HTTP interface, which speaks the JSON mapping of the contract's messages. */
 import { fromJson, toJsonString, type DescMessage, type JsonObject, type JsonValue, type MessageShape } from "@bufbuild/protobuf";
-import { DeadlineExceeded, Draining, Unavailable, fromDetail, fromStatus, type ServiceError } from "./errors.js";
+import { DeadlineExceeded, Draining, Internal, Unavailable, fromDetail, fromStatus, type ServiceError } from "./errors.js";
 import { ErrorDetailSchema } from "./gen/ddakf_api/v1/tracking_pb.js";
 
 /** Body and query of a call. */
@@ -57,12 +57,16 @@ export class Rest {
     path: string,
     options: CallOptions = {},
   ): Promise<MessageShape<T>> {
-    const response = await this.call(method, path, options);
-    return fromJson(schema, (await response.json()) as JsonValue, { ignoreUnknownFields: true });
+    const text = await (await this.call(method, path, options)).text();
+    try {
+      return fromJson(schema, JSON.parse(text) as JsonValue, { ignoreUnknownFields: true });
+    } catch {
+      throw new Internal(`${this.base} gave an answer that is no ${schema.name}: ${text.slice(0, 120)}`);
+    }
   }
 
   /**
-   * The answer of a call that succeeded. One that no server has answered, or whose server is about to stop, is made at the next
+   * The answer of a call that succeeded, with its whole body. One that no server has answered, or whose server is about to stop, is made at the next
    * address. Raises the classes of `errors`.
    */
   async call(method: string, path: string, options: CallOptions = {}): Promise<Response> {
@@ -87,13 +91,18 @@ export class Rest {
   ): Promise<Response | ServiceError> {
     const headers: Record<string, string> = this.apiKey ? { authorization: `Bearer ${this.apiKey}` } : {};
     if (body !== undefined) headers["content-type"] = typeof body === "string" ? "application/json" : "application/octet-stream";
-    const init: RequestInit = { method, headers, signal: AbortSignal.timeout(1000 * this.timeout), body: body ?? null };
-    return fetch(`${base}${path}${queryText(query)}`, init).catch((cause: unknown) => this.failure(base, cause));
+    const signal = AbortSignal.timeout(1000 * this.timeout);
+    try {
+      const response = await fetch(`${base}${path}${queryText(query)}`, { method, headers, signal, body: body ?? null });
+      const content = await response.arrayBuffer();
+      return new Response(content.byteLength > 0 ? content : null, response);
+    } catch (cause) {
+      return this.failure(base, cause, signal.aborted);
+    }
   }
 
-  private failure(base: string, cause: unknown): ServiceError {
-    if (cause instanceof DOMException && cause.name === "TimeoutError")
-      return new DeadlineExceeded(`${base} gave no answer within ${this.timeout} s`);
+  private failure(base: string, cause: unknown, isLate: boolean): ServiceError {
+    if (isLate) return new DeadlineExceeded(`${base} gave no answer within ${this.timeout} s`);
     const reason = cause instanceof Error ? (cause.cause instanceof Error ? cause.cause.message : cause.message) : String(cause);
     return new Unavailable(`${base} does not answer: ${reason}`);
   }

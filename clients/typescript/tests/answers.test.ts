@@ -1,4 +1,5 @@
 /** What a caller gets of answers that come in another order, or in part: with a server that answers as the test says. */
+import type { ServerResponse } from "node:http";
 import { afterEach, describe, expect, test } from "vitest";
 import { connect } from "../dist/index.js";
 import * as errors from "../dist/errors.js";
@@ -51,5 +52,52 @@ describe("a refusal that comes before earlier results", () => {
     for await (const answer of session.track(sent, { flow: "lossless", onError: "yield" }))
       if ("error" in answer) refused.push(answer.sequence);
     expect(refused).toEqual([3, 4]);
+  });
+});
+
+describe("an answer of REST", () => {
+  const cases: [string, (response: ServerResponse) => void, typeof errors.ServiceError, string][] = [
+    [
+      "that is cut",
+      (response) => response.writeHead(200, { "content-length": 100 }).write("{", () => response.destroy()),
+      errors.Unavailable,
+      "does not answer",
+    ],
+    [
+      "that never ends",
+      (response) => response.writeHead(200, { "content-length": 100 }).write("{"),
+      errors.DeadlineExceeded,
+      "gave no answer within 0.5 s",
+    ],
+    ["of a page", (response) => response.end("<html>Please sign in</html>"), errors.Internal, "no Session: <html>Please sign in"],
+    ["of other JSON", (response) => response.end('{"name": 7}'), errors.Internal, 'no Session: {"name": 7}'],
+    [
+      "that refuses and is cut",
+      (response) => response.writeHead(404, { "content-length": 100 }).write("{", () => response.destroy()),
+      errors.Unavailable,
+      "does not answer",
+    ],
+  ];
+
+  test.each(cases)("%s is an error of the client", async (_, answer, error, sentence) => {
+    server = await StandIn.start((request, response) => {
+      if (request.url === "/v1/info") withSession(request, response);
+      else answer(response);
+    });
+    const client = await connect(server.url, { worker: false, timeout: 0.5 });
+    const refusal = await client.openSession("stand-in").catch((reason: unknown) => reason);
+    expect(refusal).toBeInstanceOf(error);
+    expect((refusal as Error).message).toContain(sentence);
+    expect((refusal as Error).message).toContain(server.url);
+  });
+
+  test("with a snapshot that is cut is an error of the client too", async () => {
+    server = await StandIn.start((request, response) => {
+      if (request.url!.endsWith("/snapshot"))
+        response.writeHead(200, { "content-length": 100 }).write("x", () => response.destroy());
+      else withSession(request, response);
+    });
+    const session = await (await connect(server.url, { worker: false })).openSession("stand-in");
+    await expect(session.snapshot()).rejects.toThrow(errors.Unavailable);
   });
 });
