@@ -2,6 +2,9 @@
 import type { ServerResponse } from "node:http";
 import { afterEach, describe, expect, test } from "vitest";
 import { connect } from "../dist/index.js";
+import { PointCodec } from "../dist/gen/ddakf_api/v1/tracking_pb.js";
+import { Recording, record, type Progress } from "../dist/recordings/index.js";
+import { collected, pause } from "./scenes.js";
 import * as errors from "../dist/errors.js";
 import { StandIn, withSession, type Answer } from "./stand-in.js";
 
@@ -100,4 +103,44 @@ describe("an answer of REST", () => {
     const session = await (await connect(server.url, { worker: false })).openSession("stand-in");
     await expect(session.snapshot()).rejects.toThrow(errors.Unavailable);
   });
+});
+
+test("a recording that is too slow for its session keeps few frames in memory, and says how many it missed", async () => {
+  const count = 1000;
+  const watched = Array.from({ length: count }, (_, i): Answer[] => {
+    const sequenceNumber = BigInt(i + 1);
+    const cloud = { codec: PointCodec.RAW_FLOAT32, pointCount: 0, data: new Uint8Array() };
+    const payload = { case: "pointCloud", value: cloud } as const;
+    return [
+      { case: "frame", value: { sequenceNumber, captureTime: i / 30, payload } },
+      { case: "result", value: { sequenceNumber, captureTime: i / 30, framesApplied: sequenceNumber } },
+    ];
+  });
+  let slow = 0;
+  server = await StandIn.start(
+    (request, response) => {
+      const isSnapshot = request.url!.endsWith("/snapshot");
+      setTimeout(
+        () => {
+          if (isSnapshot) response.setHeader("ddakf-last-sequence-number", "0").end("a state");
+          else withSession(request, response);
+        },
+        isSnapshot ? (slow = 1000) : 0,
+      );
+    },
+    undefined,
+    [{ case: "started", value: {} }, ...watched.flat()],
+  );
+  const session = await (await connect(server.url, { worker: false })).openSession("stand-in");
+  const stopping = new AbortController();
+  let last: Progress = { frames: 0, missed: 0, bytes: 0 };
+  const recording = record(session, { signal: stopping.signal, onFrame: (progress) => (last = progress) });
+  await pause(2);
+  stopping.abort();
+  const frames = await collected((await Recording.open(await recording)).frames());
+  expect(slow).toBe(1000);
+  expect(frames.length).toBe(last.frames);
+  expect(frames.length).toBeGreaterThan(100);
+  expect(frames.length).toBeLessThan(200);
+  expect(last.frames + last.missed).toBe(count);
 });

@@ -16,14 +16,18 @@ export class StandIn {
 
   /**
    * @param onCall answers a call of REST.
+   * @param watched what every watcher gets, and no end.
    * @param onRequest the answers to a request of a stream; to its end (undefined) too, after which the stream is closed.
    */
   static async start(
     onCall: (request: IncomingMessage, response: ServerResponse) => void,
     onRequest: (request: TrackRequest["message"] | undefined) => Answer[] = () => [],
+    watched: Answer[] = [],
   ): Promise<StandIn> {
     const server = createServer(onCall).listen(0, "127.0.0.1");
-    new WebSocketServer({ server }).on("connection", (socket) => {
+    new WebSocketServer({ server }).on("connection", (socket, { url }) => {
+      if (url!.includes("/watch"))
+        for (const message of watched) socket.send(toBinary(TrackResponseSchema, create(TrackResponseSchema, { message })));
       socket.on("message", (data: Buffer) => {
         const request = data.length > 0 ? fromBinary(TrackRequestSchema, new Uint8Array(data)).message : undefined;
         for (const message of onRequest(request))

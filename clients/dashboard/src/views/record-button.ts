@@ -41,9 +41,10 @@ export class RecordButton {
     this.worker = new Worker(new URL("../record/worker.ts", import.meta.url), { type: "module", name: "ddakf-recorder" });
     this.worker.onmessage = ({ data }: MessageEvent<Report>) => {
       if ("progress" in data) {
-        const { frames, bytes } = data.progress;
-        text(this.label, `Save ${frames} frames${bytes > MEGABYTE ? `, ${Math.round(bytes / MEGABYTE)} MB` : ""}`);
-        this.missed = data.progress.missed;
+        const { frames, missed, bytes } = data.progress;
+        const size = bytes > MEGABYTE ? `, ${Math.round(bytes / MEGABYTE)} MB` : "";
+        text(this.label, `Save ${frames} frames${missed > 0 ? `, ${missed} missed` : ""}${size}`);
+        this.missed = missed;
         this.frames = frames;
       } else this.finish(data);
     };

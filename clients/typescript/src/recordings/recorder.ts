@@ -7,6 +7,7 @@ import { PermissionDenied, SessionExpired, SessionNotFound } from "../errors.js"
 import { FrameSchema, ResultSchema, SessionSchema, type Frame } from "../gen/ddakf_api/v1/tracking_pb.js";
 import { Result } from "../results.js";
 import type { Session } from "../session.js";
+import { MOST_KEPT } from "../streaming/watch.js";
 import { NUMBERS, POINT_CLOUD, SCENE_UPDATE, garment, indicesOf, numbers, pointCloud } from "./foxglove.js";
 import { McapWriter, type Channel } from "./writer.js";
 
@@ -17,6 +18,7 @@ const DOCUMENTS = {
   "/numbers": ["ddakf.Numbers", NUMBERS],
 } as const;
 const NANOSECONDS = 1e9;
+const MOST_FRAMES = MOST_KEPT + 2; // frames of the results that wait, of the one being written and of the next one
 
 /** How far a recording is. */
 export interface Progress {
@@ -57,6 +59,7 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
   if (signal?.aborted) leave();
   const sent = new Map<bigint, Frame>();
   let begun: Promise<Recorder> | undefined;
+  let leftOut: Result | undefined; // the last one
   const begin = () => {
     begun = Recorder.begin(session, zstd);
     begun.then(onStart, leave); // the reason is thrown below
@@ -66,7 +69,10 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
     signal: leaving.signal,
     onNotice: () => undefined,
     onStart: begin,
-    onFrame: (frame) => sent.set(frame.sequenceNumber, frame),
+    onFrame: (frame) => {
+      if (sent.size < MOST_FRAMES) sent.set(frame.sequenceNumber, frame);
+    },
+    onLeftOut: (result) => (leftOut = result),
   });
   try {
     for await (const answer of answers) {
@@ -84,7 +90,9 @@ export async function record(session: Session, options: RecordOptions = {}): Pro
   } finally {
     signal?.removeEventListener("abort", leave);
   }
-  return (await (begun ?? Recorder.begin(session, zstd))).finish();
+  const recorder = await (begun ?? Recorder.begin(session, zstd));
+  if (leftOut && recorder.progress.frames < most && recorder.miss(leftOut)) onFrame?.({ ...recorder.progress });
+  return recorder.finish();
 }
 
 /** The file of a recording. */
@@ -117,7 +125,8 @@ class Recorder {
 
   /** A frame, its result, and both for Foxglove; undefined: the frame of this result did not come. */
   async write(frame: Frame | undefined, result: Result): Promise<Progress> {
-    this.progress.missed += Math.max(0, result.applied - (this.applied ?? result.applied - 1) - 1);
+    this.applied ??= result.applied - 1;
+    this.progress.missed += Math.max(0, result.applied - this.applied - 1);
     this.applied = result.applied;
     if (frame) {
       await this.writePair(frame, result);
@@ -125,6 +134,13 @@ class Recorder {
     } else this.progress.missed++;
     this.progress.bytes = this.writer.bytes;
     return this.progress;
+  }
+
+  /** Counts the frames up to this result as missed; returns whether there are any. */
+  miss({ applied }: Result): boolean {
+    const count = Math.max(0, applied - (this.applied ?? applied));
+    this.progress.missed += count;
+    return count > 0;
   }
 
   finish(): Blob {

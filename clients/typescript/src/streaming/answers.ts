@@ -14,23 +14,29 @@ export class Answers {
   /**
    * @param newestWins a result that was not taken gives way to the next one; refused frames always stay.
    * @param onTake called after each answer that the caller takes.
+   * @param most number of answers that wait; those that come while so many wait are left out.
    */
   constructor(
     private readonly newestWins: boolean,
     private readonly onTake: () => void = () => undefined,
+    private readonly most = Infinity,
   ) {}
 
   get length(): number {
     return this.waiting.length;
   }
 
-  push(answer: Answer): void {
+  /** Adds an answer, unless the end has come; returns whether there was room for it. */
+  push(answer: Answer): boolean {
+    if (this.end) return true;
+    if (this.waiting.length >= this.most) return false;
     if (this.newestWins && answer instanceof Result && this.waiting.at(-1) instanceof Result) {
       this.waiting.pop();
       this.skipped++;
     }
     this.waiting.push(answer);
     this.wake();
+    return true;
   }
 
   /** No further answer comes; the iterator then returns. */
