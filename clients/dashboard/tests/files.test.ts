@@ -11,8 +11,10 @@ import { gltfOf, MAX_POSES } from "../src/files/gltf.js";
 import { readObj, readSurface } from "../src/files/mesh.js";
 import { readNpz } from "../src/files/npz.js";
 import { readGreyPng } from "../src/files/png.js";
-import { recognise } from "../src/files/recognise.js";
+import { givenOf, recognise } from "../src/files/recognise.js";
 import { readMotion } from "../src/play/motion.js";
+import type { Captured } from "../src/play/source.js";
+import { openSource } from "../src/play/sources.js";
 import { Agreement, distanceOf, newestPair } from "../src/session/pairing.js";
 import type { Moment } from "../src/session/memory.js";
 
@@ -180,6 +182,47 @@ describe("what files are", () => {
     expect(await counts([...colors, ...images, camera])).toEqual(["a", 2, 2, 2]);
     expect(await counts([file("a/color/1.jpg"), ...images, camera])).toEqual(["a", 2, 2, 1]);
     expect(await counts([file("a/1.png"), file("a/2.png"), camera])).toEqual(["a", 2, 0, 0]);
+  });
+
+  test("depth images have the times of timestamps.txt and the masks of their numbers, as for Python", async () => {
+    const told = python(`
+from pathlib import Path
+from PIL import Image
+from ddakf.evaluation.datasets.captures.rgbd import load_rgbd
+folder = Path(sys.argv[1]) / "timed"
+for name in ("depth", "mask"):
+    (folder / name).mkdir(parents=True)
+for k in (2, 9, 10):
+    Image.fromarray(np.full((16, 16), 1000, np.uint16)).save(folder / "depth" / f"{k}.png")
+for k in (2, 5, 9, 10):  # one without an image; by name 10 comes before 2
+    mask = np.zeros((16, 16), np.uint8)
+    mask[:k] = 255
+    Image.fromarray(mask).save(folder / "mask" / f"garment_{k}.png")
+(folder / "camera.json").write_text(json.dumps({"fx": 20, "fy": 20, "cx": 8, "cy": 8, "fps": 15}))
+(folder / "timestamps.txt").write_text("100.0\\n100.5\\n\\n101.5\\n")
+read = load_rgbd(folder)
+print(json.dumps([read.fps, [read.timestamp(k) for k in range(3)], [int((read.depth[k] > 0).sum()) for k in range(3)]]))
+`) as [number, number[], number[]];
+    const names = [2, 9, 10].map((k) => `timed/depth/${k}.png`);
+    const masks = [2, 5, 9, 10].map((k) => `timed/mask/garment_${k}.png`);
+    const placed = [...names, ...masks, "timed/camera.json", "timed/timestamps.txt"].map((name) => file(name, bytes(name)));
+    const opened = async (files: typeof placed) => {
+      const { source } = await recognise(files);
+      return openSource(givenOf(source!, "m", 30)!);
+    };
+    const source = await opened(placed);
+    const still = { noise: 0, hidden: 0 };
+    const frames = (await Promise.all([0, 1, 2].map((k) => source.frame(k, still)))) as Captured[];
+    const [fps, times, counts] = told;
+    expect(source.begun.fps).toBeCloseTo(fps, 9);
+    expect(frames.map(({ timestamp }) => timestamp - frames[0]!.timestamp)).toEqual(times);
+    expect(frames.map(({ points }) => points.length / 3)).toEqual(counts);
+    expect(counts).toEqual([32, 144, 160]);
+    await expect(opened(placed.filter(({ path }) => !path.includes("garment_9")))).rejects.toThrow("no mask for 9.png");
+    const timed = (content: string) => [...placed.slice(0, -1), file("timed/timestamps.txt", content)];
+    await expect(opened(timed("1 2"))).rejects.toThrow("2 numbers for 3 images");
+    await expect(opened(timed("1 3 2"))).rejects.toThrow("2 after 3");
+    await expect(opened(timed("1 2 now"))).rejects.toThrow("now is no number");
   });
 
   test("what is neither is said", async () => {

@@ -20,7 +20,7 @@ export interface MeshFile {
 export type SourceFiles =
   | { kind: "motion" | "mcap" | "run"; name: string; file: File }
   | { kind: "clouds"; name: string; files: File[] }
-  | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[]; colors: File[] };
+  | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[]; colors: File[]; times: File | undefined };
 
 export interface Recognised {
   mesh?: MeshFile;
@@ -104,12 +104,13 @@ async function npzFile(file: File): Promise<Partial<Recognised>> {
 }
 
 /**
- * Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png` and with `color/*.png` or `color/*.jpg`; without such a folder,
- * all images beside masks and colours.
+ * Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`, with `color/*.png` or `color/*.jpg`, and with
+ * `timestamps.txt`; without such a folder, all images beside masks and colours.
  */
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
   const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
   if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
+  const times = placed.find(({ file }) => /^timestamps\.txt$/i.test(file.name))?.file;
   const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
   const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));
   const colors = placed.filter(({ path }) => /(^|\/)color\/[^/]*\.(png|jpe?g)$/i.test(path)).map(({ file }) => file);
@@ -117,7 +118,7 @@ function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recog
   if (frames.length === 0) throw new Error("no depth images beside masks and colours");
   const files = (chosen: Placed[]) => byNumber(chosen.map(({ file }) => file));
   const name = folderOf(frames).replace(/\/?depth$/, "") || `${frames.length} depth images`;
-  return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks), colors } };
+  return { source: { kind: "depth", name, files: files(frames), camera, masks: files(masks), colors, times } };
 }
 
 /** The files of a drop, folders included. */

@@ -12,7 +12,7 @@ export type Given =
   | { kind: "sample"; npz: ArrayBuffer }
   | { kind: "motion"; file: File; unit: Unit }
   | { kind: "clouds"; files: File[]; unit: Unit; fps: number }
-  | { kind: "depth"; files: File[]; camera: File; masks: File[]; colors: File[]; fps: number }
+  | { kind: "depth"; files: File[]; camera: File; masks: File[]; colors: File[]; times: File | undefined; fps: number }
   | { kind: "mcap"; file: File };
 
 /** What a session of this source needs. */

@@ -94,6 +94,7 @@ interface CameraFile {
   T_world_sensor?: number[][];
 }
 
+const SHORTEST = 1e-6; // seconds between two frames, as for Python
 const SENSOR_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0]; // y up, looking along -z, as `ddakf track` reads such folders
 
 /** A depth image per frame, as points of the pixels in the mask. */
@@ -104,16 +105,21 @@ class DepthSource implements Source {
     private readonly masks: File[],
     private readonly colors: File[],
     private readonly camera: CameraFile,
+    /** Of each frame, seconds; undefined: as far apart as the rate says. */
+    private readonly times: number[] | undefined,
   ) {}
 
-  static async open({ files, masks, colors, camera: file, fps }: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
+  static async open(given: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
+    const { colors, camera: file, fps } = given;
+    const files = byNumber(given.files);
     const camera = JSON.parse(await file.text()) as CameraFile;
     for (const name of ["fx", "fy", "cx", "cy"] as const)
       if (typeof camera[name] !== "number") throw new Error(`${file.name} without a number ${name}`);
-    if (masks.length > 0 && masks.length !== files.length) throw new Error(`${masks.length} masks for ${files.length} images`);
-    const rate = camera.fps ?? fps;
+    const masks = masksOf(files, given.masks);
+    const times = given.times && timesOf(given.times.name, await given.times.text(), files.length);
+    const rate = times && times.length > 1 ? (times.length - 1) / (times.at(-1)! - times[0]!) : (camera.fps ?? fps);
     const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps: rate, isVirtual: false };
-    return new DepthSource(begun, byNumber(files), byNumber(masks), await fitting(colors, files), camera);
+    return new DepthSource(begun, files, masks, await fitting(colors, files), camera, times);
   }
 
   async frame(k: number): Promise<Captured | undefined> {
@@ -134,9 +140,37 @@ class DepthSource implements Source {
       if (seen) colors.push(seen[4 * i]!, seen[4 * i + 1]!, seen[4 * i + 2]!);
     }
     const origin = [m[3]!, m[7]!, m[11]!];
-    const timestamp = (k + 1) / this.begun.fps;
+    const since = this.times ? this.times[k]! - this.times[0]! : k / this.begun.fps;
+    const timestamp = since + 1 / this.begun.fps;
     return { points: Float32Array.from(points), origin, timestamp, ...(seen && { colors: Uint8Array.from(colors) }) };
   }
+}
+
+/** The mask of every depth image, by the first numbers in their names, as Python pairs them. Throws an Error where one is missing. */
+export function masksOf(files: File[], masks: File[]): File[] {
+  if (masks.length === 0) return [];
+  const beside = besideOf(files, masks);
+  const lacking = files.find((_, i) => !beside[i]);
+  if (lacking) throw new Error(`no mask for ${lacking.name}`);
+  return beside as File[];
+}
+
+/** The times of `timestamps.txt`, seconds, a number per image. Throws an Error that says what is wrong with them. */
+export function timesOf(name: string, content: string, count: number): number[] {
+  const words = content.split(/[\s,]+/).filter((word) => word !== "");
+  const times = words.map(Number);
+  const bad = times.findIndex((time) => !Number.isFinite(time));
+  if (bad >= 0) throw new Error(`${name}: ${words[bad]!.slice(0, 40)} is no number of seconds`);
+  if (times.length !== count) throw new Error(`${name}: ${times.length} numbers for ${count} images`);
+  const early = times.findIndex((time, i) => i > 0 && time - times[i - 1]! < SHORTEST);
+  if (early >= 0) throw new Error(`${name}: ${times[early]} after ${times[early - 1]}, but seconds have to rise`);
+  return times;
+}
+
+/** For every image the other one that has the same first number in its name. */
+function besideOf(files: File[], others: File[]): (File | undefined)[] {
+  const numbered = new Map(byNumber(others).map((file) => [firstNumber(file), file]));
+  return files.map((file) => numbered.get(firstNumber(file)));
 }
 
 /**
@@ -144,11 +178,10 @@ class DepthSource implements Source {
  * the first one is grey, of another size or no image.
  */
 async function fitting(colors: File[], files: File[]): Promise<File[]> {
-  const numbered = new Map(colors.map((file) => [firstNumber(file), file]));
-  const beside = byNumber(files).map((file) => numbered.get(firstNumber(file)));
+  const beside = besideOf(files, colors);
   const found = beside.filter((file) => file !== undefined);
   if (found.length === 0 || found.length < beside.length) return [];
-  const { width, height } = await readGreyPng(await bytesOf(byNumber(files)[0]!));
+  const { width, height } = await readGreyPng(await bytesOf(files[0]!));
   try {
     const first = await colorsOf(found[0]!, width, height);
     const isGrey = first.every((value, i) => i % 4 === 3 || value === first[i - (i % 4)]);
@@ -159,7 +192,7 @@ async function fitting(colors: File[], files: File[]): Promise<File[]> {
 }
 
 function firstNumber(file: File): number {
-  return Number(/\d+/.exec(file.name)?.[0] ?? NaN);
+  return Number(/\d+/.exec(file.name)?.[0] ?? 0);
 }
 
 /** Red, green, blue and opacity of the pixels of a PNG or JPEG image, as they are in the file. */

@@ -176,13 +176,14 @@ class StartView {
     };
     const hasUnit = source.kind === "clouds" || source.kind === "motion";
     const isFolder = "files" in source;
+    const isTimed = source.kind === "depth" && source.times !== undefined;
     return card(
       "Recording",
       source.name,
       h("p.muted", {}, KINDS[source.kind] + count),
       remove,
       hasUnit && labelled("Unit", this.units.source),
-      isFolder && labelled("Frames/s", this.rate),
+      isFolder && !isTimed && labelled("Frames/s", this.rate),
       isFolder && labelled("First frame", this.search),
     );
   }
