@@ -121,23 +121,32 @@ function followHealth(): void {
 
 async function trySample(onStep: (step: string) => void): Promise<void> {
   if (!app) return;
+  const from = view;
   onStep("Loading the recording");
   const npz = await (await app.client.rest.call("GET", "/v1/sample")).arrayBuffer();
+  if (view !== from) return;
   onStep("Creating a session");
-  await play({ kind: "sample", npz }, { labels: { source: "sample" } });
-  location.hash = `#/sessions/${app.player!.id}`;
+  const player = await play({ kind: "sample", npz }, { labels: { source: "sample" } });
+  if (player) location.hash = `#/sessions/${player.id}`;
 }
 
-async function play(source: Given | Prepared, options: PlayOptions): Promise<void> {
-  if (!app) return;
+async function play(source: Given | Prepared, options: PlayOptions): Promise<Player | undefined> {
+  const [own, from] = [app, view];
+  if (!own) return undefined;
   await stopPlaying();
   const prepared = "worker" in source ? source : await prepare(source);
   try {
-    app.player = await Player.start(app.client, prepared, options);
+    if (view === from) {
+      const player = await Player.start(own.client, prepared, options);
+      if (view === from) return (own.player = player);
+      await player.stop();
+    }
   } catch (error) {
     if (prepared !== source) prepared.worker.terminate();
     throw error;
   }
+  prepared.worker.terminate();
+  return undefined;
 }
 
 async function stopPlaying(): Promise<void> {

@@ -2,7 +2,7 @@
 import { execFileSync } from "node:child_process";
 import { copyFileSync, readFileSync, rmSync } from "node:fs";
 import { join } from "node:path";
-import { afterAll, afterEach, beforeAll, expect, test } from "vitest";
+import { afterAll, afterEach, beforeAll, expect, test, vi } from "vitest";
 import type { Page } from "playwright-core";
 import { validateBytes } from "gltf-validator";
 import { PYTHON, Service, temporaryFolder } from "../../typescript/tests/server.js";
@@ -27,6 +27,8 @@ vertices = 100 * np.concatenate([[[0, 0, 0], [0.1, 0, 0]], sequence.template])  
 faces = np.concatenate([sequence.garment_faces, sequence.garment_faces[:1]]) + 2  # one face twice
 lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
 (folder / "shirt.obj").write_text("\\n".join(lines))
+lines = [f"v {x:.5f} {y:.5f} {z:.5f}" for x, y, z in sequence.template] + [f"f {a} {b} {c}" for a, b, c in sequence.garment_faces + 1]
+(folder / "whole.obj").write_text("\\n".join(lines))
 (folder / "clouds").mkdir()
 for k in range(12):
     write_points(folder / "clouds" / f"{k}.ply", sample_surface(sequence.garment_vertices[k], sequence.garment_faces, 6000, rng))
@@ -105,6 +107,39 @@ test("a folder of depth images is tracked with a mesh", async () => {
   complaints();
   await page.locator(".session .pill:not([data-state=unknown]):not([data-state=initializing])").waitFor();
   await page.getByText("all frames were sent").waitFor();
+});
+
+test.each(["a recording", "the sample"])("a page that is left while it creates a session for %s leaves none", async (what) => {
+  const sessions = async () => {
+    const answer = (await (await fetch(`${setting.service.http}/v1/sessions?states=SESSION_STATE_IDLE`)).json()) as object;
+    return JSON.stringify(answer);
+  };
+  const before = await sessions();
+  await page.getByRole("link", { name: "Start", exact: true }).click();
+  let [wasAsked, mayAnswer] = [false, false];
+  await page.route("**/v1/sessions", async (route) => {
+    if (route.request().method() !== "POST") return route.continue();
+    const response = await route.fetch(); // the session exists, and the page does not know yet
+    wasAsked = true;
+    await vi.waitUntil(() => mayAnswer, { timeout: 60_000 });
+    return route.fulfill({ response });
+  });
+  if (what === "the sample") await page.getByRole("button", { name: "Try the sample" }).click();
+  else {
+    await choose("Files", path("whole.obj"));
+    await choose("Folder", path("clouds"));
+    await page.getByRole("button", { name: "Start", exact: true }).click();
+  }
+  await vi.waitUntil(() => wasAsked, { timeout: 60_000 });
+  expect(await sessions()).not.toBe(before);
+  await page.getByRole("link", { name: "Server" }).click();
+  const deleted = page.waitForRequest((request) => request.method() === "DELETE");
+  mayAnswer = true;
+  await deleted;
+  await expect.poll(sessions).toBe(before);
+  await page.unroute("**/v1/sessions");
+  expect(page.url()).toMatch(/#\/server$/);
+  complaints(); // of a stream whose session has ended
 });
 
 test("the colours of a whole person tell the garment from its wearer", async () => {

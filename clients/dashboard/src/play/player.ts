@@ -89,8 +89,13 @@ export class Player {
     const body = begun.body ? { body: begun.body } : {};
     const session = await client.createSession(options.garment ?? begun.garment!, { ...named, ...body, clean, fabric, limits });
     const first = options.garment ? undefined : begun.first;
-    if (first) await session.reset(session.vertexMap ? picked(first, session.vertexMap) : first);
-    else if (atRest) await session.reset();
+    try {
+      if (first) await session.reset(session.vertexMap ? picked(first, session.vertexMap) : first);
+      else if (atRest) await session.reset();
+    } catch (error) {
+      await session.delete().catch(() => undefined); // nobody would use it
+      throw error;
+    }
     return new Player(prepared, session);
   }
 

@@ -58,8 +58,8 @@ function benchOf(app: App, recorded: Recorded): Workbench {
   const replay = async () => {
     again.disabled = true;
     try {
-      await app.play({ kind: "mcap", file: recorded.file }, { labels: { source: "replay" } });
-      location.hash = `#/compare/${app.player!.id}/recorded`;
+      const player = await app.play({ kind: "mcap", file: recorded.file }, { labels: { source: "replay" } });
+      if (player) location.hash = `#/compare/${player.id}/recorded`;
     } catch (error) {
       bench.say(reasonOf(error), "bad", 0);
       again.disabled = false;

@@ -37,6 +37,7 @@ class StartView {
   private mesh: MeshFile | undefined;
   private source: SourceFiles | undefined;
   private prepared: Prepared | undefined;
+  private closed = false;
   private readonly zone: HTMLElement;
   private readonly cards = h("div.start-cards");
   private readonly problems = h("div.start-problems", { role: "alert" });
@@ -65,6 +66,7 @@ class StartView {
   }
 
   readonly close = () => {
+    this.closed = true;
     removeEventListener("dragover", this.onDrag);
     removeEventListener("drop", this.onDrop);
     this.forget();
@@ -197,16 +199,22 @@ class StartView {
     text(this.status, "Opening the recording …");
     try {
       this.forget();
-      this.prepared = await prepare(given);
+      const prepared = await prepare(given);
+      this.prepared = prepared;
+      if (this.closed) {
+        this.forget();
+        return;
+      }
       text(this.status, "Creating a session …");
-      await this.app.play(this.prepared, {
+      const player = await this.app.play(prepared, {
         ...this.garment(),
         clean,
         atRest: this.search.value === "rest",
         labels: { source: "files" },
       });
       this.prepared = undefined; // it belongs to the player now
-      const { id, kind } = this.app.player!;
+      if (!player) return;
+      const { id, kind } = player;
       location.hash = kind === "mcap" && !this.mesh ? `#/compare/${id}/recorded` : `#/sessions/${id}`;
     } catch (error) {
       this.forget();

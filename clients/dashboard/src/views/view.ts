@@ -15,10 +15,10 @@ export interface App {
   player: Player | undefined;
   /** The recording that is open; undefined: none. */
   recorded: Recorded | undefined;
-  /** Plays the sample and shows its session. */
+  /** Plays the sample and shows its session, unless the view is left meanwhile. */
   trySample: (onStep: (step: string) => void) => Promise<void>;
-  /** Plays files, opened already or not, in a new session. */
-  play: (source: Given | Prepared, options: PlayOptions) => Promise<void>;
+  /** Plays files, opened already or not, in a new session. Undefined: the view was left meanwhile, and there is no session. */
+  play: (source: Given | Prepared, options: PlayOptions) => Promise<Player | undefined>;
   stopPlaying: () => Promise<void>;
 }
 
