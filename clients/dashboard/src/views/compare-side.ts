@@ -2,6 +2,7 @@
 import { button, h, icon, set, text } from "../dom.js";
 import { stateName, type StateName } from "../format.js";
 import type { Mode } from "../scene/colours.js";
+import { TURNING, turnByKeys } from "../scene/keys.js";
 import { Scene } from "../scene/scene.js";
 import { Memory, momentOf, type Moment } from "../session/memory.js";
 import type { Distance } from "../session/pairing.js";
@@ -30,7 +31,7 @@ export class CompareSide {
   constructor(
     private readonly app: App,
     private readonly id: string,
-    label: string,
+    private readonly label: string,
     private readonly onMoment: () => void,
     onChoice: (id: string) => void,
   ) {
@@ -166,7 +167,8 @@ export class CompareSide {
     }
     this.scene.mode = this.mode;
     this.scene.setMeshes(garment.faces, garment.vertices, body);
-    set(this.scene.canvas, { role: "img", "aria-label": "Garment in 3D" });
+    set(this.scene.canvas, { role: "img", "aria-label": `Garment in 3D, ${this.label}. Both turn together. ${TURNING}` });
+    turnByKeys(this.scene);
     this.scene.onView = () => {
       if (this.other?.scene && this.scene) this.other.scene.lookAs(this.scene);
     };

@@ -1,6 +1,7 @@
 /** Stage: the place of the 3D view with its controls and legend. */
 import { button, h, icon, set, text } from "../dom.js";
 import { MODES, SCALES, legendStops, type Mode } from "../scene/colours.js";
+import { TURNING, turnByKeys } from "../scene/keys.js";
 import type { Layers, Scene } from "../scene/scene.js";
 import type { Moment } from "../session/memory.js";
 import { fixed, percent } from "../format.js";
@@ -13,9 +14,7 @@ const LABELS: Record<(typeof MODES)[number], string> = {
   plain: "Plain",
 };
 const LAYERS: Record<keyof Layers, string> = { body: "Body", cloud: "Points", wires: "Edges" };
-const TURN = 0.12; // radians per key
-const ZOOM = 1.12;
-const KEYS = "Arrow keys turn it, plus and minus zoom. Enter picks a vertex, shift and an arrow the next one, escape none.";
+const KEYS = `${TURNING} Enter picks a vertex, shift and an arrow the next one, escape none.`;
 
 export class Stage {
   readonly element: HTMLElement;
@@ -69,8 +68,8 @@ export class Stage {
 
   attach(scene: Scene): void {
     this.scene = scene;
-    set(scene.canvas, { tabindex: 0, role: "img", "aria-label": `Garment in 3D. ${KEYS}`, "aria-describedby": "readout" });
-    scene.canvas.addEventListener("keydown", this.onKey);
+    set(scene.canvas, { role: "img", "aria-label": `Garment in 3D. ${KEYS}`, "aria-describedby": "readout" });
+    turnByKeys(scene);
     this.setMode(scene.mode);
     this.showUp();
   }
@@ -118,22 +117,6 @@ export class Stage {
   private showUp(): void {
     text(this.up, this.scene?.up === "z" ? "Z up" : "Y up");
   }
-
-  private readonly onKey = (event: KeyboardEvent) => {
-    const turns: Record<string, [number, number, number]> = {
-      ArrowLeft: [-TURN, 0, 1],
-      ArrowRight: [TURN, 0, 1],
-      ArrowUp: [0, -TURN, 1],
-      ArrowDown: [0, TURN, 1],
-      "+": [0, 0, 1 / ZOOM],
-      "=": [0, 0, 1 / ZOOM],
-      "-": [0, 0, ZOOM],
-    };
-    const turn = turns[event.key];
-    if (!turn || (event.shiftKey && event.key.startsWith("Arrow"))) return; // with shift the picked vertex moves
-    event.preventDefault();
-    this.scene?.orbit(...turn);
-  };
 }
 
 /** Fills a legend with the scale of a mode; hides it where the mode has none. */
