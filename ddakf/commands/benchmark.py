@@ -38,6 +38,7 @@ def _add_run(parts: argparse._SubParsersAction) -> None:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
     run.add_argument("--procs", type=int, default=cores, metavar="N", help=f"processes (default {cores}; 1 for exact times)")
     run.add_argument("--json", type=Path, required=True, metavar="OUT.json", help="the result")
+    run.add_argument("--again", default="", metavar="A,B", help="run these systems again where they ran with other code, or all")
     run.add_argument("--allow-dirty", action="store_true", help="write into results/ although the code has uncommitted changes")
     run.set_defaults(run=_run)
 
@@ -57,7 +58,7 @@ def _run(arguments: argparse.Namespace) -> int:
 
     from ddakf.evaluation import benchmark
     from ddakf.evaluation.datasets import collection
-    from ddakf.evaluation.studies.execution import run_study
+    from ddakf.evaluation.studies.execution import run_study, systems_again
 
     for name in ("procs", "runs"):
         if (number := getattr(arguments, name)) is not None and number < 1:
@@ -70,7 +71,8 @@ def _run(arguments: argparse.Namespace) -> int:
     if others := [line for line in benchmark.differing(version, folder) if line.partition(":")[0] in wanted]:
         raise InvalidArgument("folder", f"the recordings of {version.title}", f"{len(others)} others, as {others[0]}")
     plan.check()
-    run_study(plan, arguments.json, arguments.procs, console, allow_dirty=arguments.allow_dirty)
+    again = systems_again(arguments.again, plan.systems)
+    run_study(plan, arguments.json, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
     whole = len(plan.sequences) == len(version.recordings) and plan.runs == version.runs
     console.print(f"{version.title}{'' if whole else ', a part'}: {arguments.json}; ddakf benchmark table {arguments.json}")
     return 0

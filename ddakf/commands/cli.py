@@ -8,6 +8,7 @@ function.
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -46,10 +47,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     except DdakfError as error:
         print(f"ddakf: {error}", file=sys.stderr)
         return FAILURE
+    except BrokenPipeError:  # who reads the output has enough of it
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the interpreter flushes it at its end
+        return FAILURE
     except OSError as error:  # a full disk, a folder without permission
-        if error.filename is None:
+        if error.strerror is None:
             raise
-        print(f"ddakf: {error.filename}: {error.strerror}", file=sys.stderr)
+        print(f"ddakf: {f'{error.filename}: ' if error.filename else ''}{error.strerror}", file=sys.stderr)
         return FAILURE
     except ModuleNotFoundError as error:
         print(f"ddakf: {_what_to_install(arguments.command, error)}", file=sys.stderr)

@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
     from ddakf.evaluation.paper_scope import RUNS, SYSTEMS
-    from ddakf.evaluation.studies.execution import run_study
+    from ddakf.evaluation.studies.execution import run_study, systems_again
     from ddakf.evaluation.studies.study_plan import StudyPlan
     from ddakf.evaluation.trials.trial import Trial
 
@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan = StudyPlan(sequences, methods, views, arguments.runs or RUNS, arguments.frames, settings)
     plan.check()
     plan.require_all_frames()
-    console, again = Console(stderr=True), _again(arguments, plan.systems)
+    console, again = Console(stderr=True), systems_again(arguments.again, plan.systems)
     result = run_study(plan, arguments.json, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
     shown = Console()
     shown.width = max(shown.width, WIDE)
@@ -109,7 +109,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     """Runs all studies of the report."""
     from ddakf.evaluation.paper_scope import ERROR_MAPS
     from ddakf.evaluation.studies import paper_studies
-    from ddakf.evaluation.studies.execution import run_study
+    from ddakf.evaluation.studies.execution import run_study, systems_again
 
     size = paper_studies.QUICK if arguments.quick else paper_studies.FULL
     if arguments.runs:
@@ -136,7 +136,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
         plans = {name: replace(plan, settings=replace(plan.settings, surfaces=False)) for name, plan in plans.items()}
     for plan in plans.values():
         plan.check()
-    again = _again(arguments, {system for plan in plans.values() for system in plan.systems})
+    again = systems_again(arguments.again, {system for plan in plans.values() for system in plan.systems})
     arguments.results.mkdir(parents=True, exist_ok=True)
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
@@ -146,16 +146,6 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     paper_studies.save_error_maps(figures, size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")
     return 0
-
-
-def _again(arguments: argparse.Namespace, systems) -> list[str]:
-    """The systems to be run again."""
-    from ddakf.evaluation.studies.execution import ALL
-
-    names = _names(arguments.again)
-    if unknown := [name for name in names if name not in {ALL, *systems}]:
-        raise InvalidArgument("again", f"{ALL}, or some of {', '.join(sorted(systems))}", unknown[0])
-    return names
 
 
 def table(result: dict):

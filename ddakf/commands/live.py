@@ -69,7 +69,7 @@ class LiveView:
         figures.add_row(f"{1e3 * seconds:.1f} ms", f"coverage {result.coverage:.0%}", f"sigma {sigma:.1f} mm")
         curve = Text.assemble("reliability  ", (self._curve(), style), f"  {result.reliability:.2f}")
         warnings = [Text(f"{warning.field}: {warning.message}", style="yellow") for warning in result.warnings]
-        return Panel(Group(figures, curve, "", self._stage_table(), *warnings), title=self._title, title_align="left")
+        return Panel(Group(figures, curve, "", self._stage_table(), *warnings), title=Text(self._title), title_align="left")
 
     def _curve(self) -> str:
         values = (min(max(result.reliability, 0.0), 1.0) for result, _ in self._results)

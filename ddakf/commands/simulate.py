@@ -48,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
     from ddakf.evaluation.simulation import simulated_recording, solver
 
     target = _target(arguments.out or Path(f"{arguments.garment}_{arguments.motion}.npz"))
+    if arguments.out is None and target.exists():
+        raise InvalidArgument("out", f"a name, as {target} exists; --out {target} replaces it", "none")
     order = simulated_recording.Order(
         arguments.garment, arguments.motion, arguments.frames, arguments.vertices, arguments.fps, arguments.seed,
         arguments.fit, arguments.fabric, arguments.body,

@@ -11,11 +11,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
+from rich.text import Text
 
 from ddakf.commands import sensor_options
 from ddakf.commands.live import LiveView
 from ddakf.commands.remote import server_options
-from ddakf.errors import InvalidArgument, shown
+from ddakf.errors import DdakfError, InvalidArgument, shown
 
 EPILOG = """
 A sequence (.npz, a clip of FAUST, a garment of CLOTH3D) has the true garment: it is seen by a virtual sensor, and errors are
@@ -90,26 +91,37 @@ def run(arguments: argparse.Namespace) -> int:
     scores = Scoreboard(source.garment)
     album = _Album(len(source)) if arguments.picture or arguments.animation else None
     replayed = _replay(arguments, source, config, console)
-    with LiveView(source.title, len(source), console) if arguments.live else _Bar(source.title, len(source), console) as view:
-        for frame, result, seconds in replayed:
-            scores.add(frame, result, seconds)
-            if album:
-                album.add(frame, result)
-            view.add(result, seconds)
+    try:
+        with LiveView(source.title, len(source), console) if arguments.live else _Bar(source.title, len(source), console) as view:
+            for frame, result, seconds in replayed:
+                scores.add(frame, result, seconds)
+                if album:
+                    album.add(frame, result)
+                view.add(result, seconds)
+    except (DdakfError, KeyboardInterrupt):
+        if done := scores.summary()["frames"]:
+            console.print(f"The run ends early: the results are of {done} of {len(source)} frames", soft_wrap=True)
+            _report(arguments, source, scores, album)
+        raise
+    _report(arguments, source, scores, album)
+    return 0
+
+
+def _report(arguments: argparse.Namespace, source, scores, album: _Album | None) -> None:
+    """Prints the summary, and writes what was asked for."""
+    summary = scores.summary()
+    print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
     if arguments.out:
         scores.save(arguments.out, source.vertex_map)
     if arguments.meshes:
         scores.save_meshes(arguments.meshes)
     if album:
         album.save(source, arguments.picture, arguments.animation)
-    summary = scores.summary()
-    print(json.dumps(summary)) if arguments.json else Console().print(table(source.title, summary))
-    return 0
 
 
 def table(title: str, summary: dict) -> Table:
     """The summary of a :class:`~ddakf.evaluation.tracking.scoreboard.Scoreboard` for people."""
-    rows = Table(title=title, show_header=False, title_justify="left")
+    rows = Table(title=Text(title), show_header=False, title_justify="left")
     rows.add_row("frames", str(summary["frames"]))
     rows.add_row("states", ", ".join(f"{state} {share:.1%}" for state, share in summary["states"].items()))
     rows.add_row("time per frame, p50 / p99", f"{summary['ms_p50']:.1f} / {summary['ms_p99']:.1f} ms")
@@ -169,12 +181,17 @@ def _check_outputs(arguments: argparse.Namespace) -> None:
     """Refuses before the run what could not be written after it."""
     if arguments.animation and not arguments.animation.lower().endswith((".gif", ".webp")):
         raise InvalidArgument("animation", "a name that ends in .gif or .webp", arguments.animation)
+    inputs = {Path(given).resolve() for given in (arguments.path.partition("#")[0], arguments.path, arguments.template) if given}
     for name in ("out", "picture", "animation"):
         path = getattr(arguments, name)
         if path and (Path(path).is_dir() or not Path(path).parent.is_dir()):
             raise InvalidArgument(name, "a file in a folder that exists", path)
+        if path and Path(path).resolve() in inputs:
+            raise InvalidArgument(name, "another file than those that are tracked", path)
     if arguments.meshes and not Path(arguments.meshes).is_dir():
         raise InvalidArgument("meshes", "a folder that exists", arguments.meshes)
+    if arguments.meshes and Path(arguments.meshes).resolve() in inputs:
+        raise InvalidArgument("meshes", "another folder than that of the frames", arguments.meshes)
     if arguments.picture:
         _require_picture_format(arguments.picture)
     if not arguments.server:
@@ -268,7 +285,7 @@ class _Bar:
     """A progress bar with the rate and the reliability of the last frame, as a context."""
 
     def __init__(self, title: str, frames: int, console: Console):
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
+        columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(),
                    TextColumn("{task.fields[note]}"))  # fmt: skip
         self._progress = Progress(*columns, console=console)
         self._task = self._progress.add_task(title, total=frames, note="")

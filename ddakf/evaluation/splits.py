@@ -102,8 +102,9 @@ def _words(text: str) -> list[str]:
 
 def unit_of(sequence: str) -> str:
     """The unit of a test: the sequence, or of a clip of FAUST (``faust_s3_p7``, ``MPI-FAUST#s3_p7``) its subject."""
-    found = FAUST_NAME.search(sequence)
-    return f"FAUST, subject {found[1]}" if found else sequence
+    recording = sequence.partition("@")[0]  # at whichever rate
+    found = FAUST_NAME.search(recording)
+    return f"FAUST, subject {found[1]}" if found else recording
 
 
 def turns_unseen(sequence: str) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from ddakf.errors import InvalidFile
 from ddakf.files.ply import read_ply, write_ply
 from ddakf.files.sequence import Sequence, load_sequence
+from ddakf.files.text import quoted, text_of
 
 __all__ = [
     "Sequence",
@@ -49,8 +50,11 @@ def read_points(path) -> np.ndarray:
     return read_coloured_points(path)[0]
 
 
-def read_coloured_points(path) -> tuple[np.ndarray, np.ndarray | None]:
-    """:func:`read_points`, and (N, 3) uint8 red, green and blue of the points; None where no .ply has these as bytes."""
+def read_coloured_points(path, *, finite: bool = True) -> tuple[np.ndarray, np.ndarray | None]:
+    """:func:`read_points`, and (N, 3) uint8 red, green and blue of the points; None where no .ply has these as bytes.
+
+    Without ``finite``, points that are not finite are left out, which sensors write for pixels that saw nothing.
+    """
     path, colors = _existing(path), None
     suffix = path.suffix.lower()
     if suffix == ".ply":
@@ -63,7 +67,10 @@ def read_coloured_points(path) -> tuple[np.ndarray, np.ndarray | None]:
         from ddakf.files import open3d_bridge
 
         points = open3d_bridge.read_points(path)
-    return _finite(path, points), colors
+    if finite:
+        return _finite(path, points), colors
+    kept = np.isfinite(points).all(axis=1)
+    return points[kept], None if colors is None else colors[kept]
 
 
 def read_sensor_origin(path) -> np.ndarray | None:
@@ -82,8 +89,8 @@ def read_sensor_origin(path) -> np.ndarray | None:
     if (keyword := ORIGIN_KEYWORDS.get(path.suffix.lower())) is None:
         return None
     with path.open("rb") as file:
-        header = re.split(rb"(?m)^(?:end_header|DATA)\b", file.read(HEADER_BYTES))[0].decode("latin-1")
-    for line in header.splitlines():
+        header = re.split(r"(?m)^(?:end_header|DATA)\b", text_of(file.read(HEADER_BYTES)))[0]
+    for line in header.split("\n"):
         if line.lower().startswith(keyword):
             values = _numbers(path, line, line[len(keyword) :].split())
             return None if values == UNKNOWN_VIEWPOINT else np.array(values[:3])
@@ -97,7 +104,7 @@ def _numbers(path: Path, line: str, words: list[str]) -> list[float]:
     except ValueError:
         values = []
     if len(values) < 3 or not np.isfinite(values).all():
-        raise InvalidFile(f"{path.name}: sensor origin", "three finite numbers", line.strip()[:60])
+        raise InvalidFile(f"{path.name}: sensor origin", "three finite numbers", quoted(line))
     return values
 
 
@@ -189,7 +196,7 @@ def _fans(polygons: list[np.ndarray]) -> np.ndarray:
 def _read_obj(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
     """Vertices and polygons of a Wavefront file: `v`, and `f` with slashes and negative (relative) indices."""
     vertices, polygons = [], {}
-    for number, line in enumerate(path.read_text("latin-1").replace("\\\n", " ").splitlines(), start=1):
+    for number, line in enumerate(text_of(path.read_bytes()).replace("\\\n", " ").split("\n"), start=1):
         key, *words = line.split("#", 1)[0].split() or [""]
         try:
             if key == "v":
@@ -200,7 +207,7 @@ def _read_obj(path: Path) -> tuple[np.ndarray, list[np.ndarray]]:
                 polygons.setdefault(len(polygon), []).append(polygon)
         except ValueError:
             expected = "v x y z" if key == "v" else "f with whole, non-zero vertex indices"
-            raise InvalidFile(f"{path.name}: line {number}", expected, line.strip()[:60]) from None
+            raise InvalidFile(f"{path.name}: line {number}", expected, quoted(line)) from None
     groups = [np.array(group, np.int64) for corners, group in sorted(polygons.items()) if corners >= 3]
     return np.array(vertices, np.float64).reshape(-1, 3), groups
 
@@ -213,17 +220,26 @@ def _obj_index(word: str, vertices_so_far: int) -> int:
 
 
 def _read_columns(path: Path) -> np.ndarray:
-    """First three columns of a text file, separated by blanks, commas or semicolons; `#` begins a comment."""
-    rows = []
-    for number, line in enumerate(path.read_text("latin-1").splitlines(), start=1):
-        words = re.split(r"[\s,;]+", line.split("#", 1)[0].strip(" \t,;"))
+    """First three columns of a text file, separated by blanks and by commas or semicolons; `#` begins a comment.
+
+    The first line may have the number of points or the names of the columns instead.
+    """
+    rows, has_title = [], False
+    for number, line in enumerate(text_of(path.read_bytes()).split("\n"), start=1):
+        separators = r"[\s;]+" if ";" in line else r"[\s,]+"  # beside semicolons a comma is that of a decimal
+        words = re.split(separators, line.split("#", 1)[0].strip(" \t,;"))
         if words == [""]:
             continue
         try:
             x, y, z = map(float, words[:3])
         except ValueError:
-            if not rows and len(words) == 1 and words[0].isdigit():
-                continue  # some writers begin with the number of points
-            raise InvalidFile(f"{path.name}: line {number}", "three numbers", line.strip()[:60]) from None
+            if not rows and not has_title and (words[0].isdigit() if len(words) == 1 else not any(map(_is_number, words))):
+                has_title = True
+                continue
+            raise InvalidFile(f"{path.name}: line {number}", "three numbers with decimal points", quoted(line)) from None
         rows.append((x, y, z))
     return np.array(rows, np.float64).reshape(-1, 3)
+
+
+def _is_number(word: str) -> bool:
+    return re.fullmatch(r"[-+]?[0-9.,]+([eE][-+]?[0-9]+)?", word) is not None

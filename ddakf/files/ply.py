@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ddakf.errors import InvalidFile
+from ddakf.files.text import quoted, text_of
 
 SCALARS = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4",
@@ -95,10 +96,12 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray | None, commen
 
 
 def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], bytes]:
-    end = data.find(b"end_header")
-    if not data.startswith(b"ply") or end < 0:
+    begin = re.match(rb"ply[ \t]*(\r\n|\n|\r)", data)  # all lines of a header end as the first one does
+    line_end = begin[1] if begin else b"\n"
+    end = data.find(line_end + b"end_header")
+    if not begin or end < 0:
         raise InvalidFile(path.name, "a PLY header from 'ply' to 'end_header'", repr(data[:16]))
-    lines = [line.split() for line in data[:end].decode("latin-1").splitlines()[1:]]
+    lines = [line.split() for line in text_of(data[:end]).split("\n")[1:]]
     order, declared = "missing", []
     for number, words in enumerate(lines, start=2):
         match words:
@@ -113,11 +116,12 @@ def _parse_header(path: Path, data: bytes) -> tuple[str | None, list[_Element], 
             case ["property", kind, name] if declared and kind in SCALARS:
                 declared[-1][2].append(_Property(name, SCALARS[kind]))
             case _:
-                raise InvalidFile(f"{path.name}: header line {number}", "a PLY statement", " ".join(words)[:60])
+                raise InvalidFile(f"{path.name}: header line {number}", "a PLY statement", quoted(" ".join(words)))
     if order == "missing":
         raise InvalidFile(f"{path.name}: header", "a format line", "none")
     elements = [_Element(name, count, tuple(properties)) for name, count, properties in declared]
-    return order, elements, data[data.index(b"\n", end) + 1 :] if b"\n" in data[end:] else b""
+    _, _, body = data[end + len(line_end) :].partition(line_end)
+    return order, elements, body
 
 
 class _Ascii:
@@ -125,7 +129,7 @@ class _Ascii:
 
     def __init__(self, path: Path, body: bytes):
         self.path = path
-        self.lines = [line for line in body.decode("latin-1").splitlines() if line.strip()]
+        self.lines = [line for line in text_of(body).split("\n") if line.strip()]
         self.at = 0
 
     def read(self, element: _Element):
@@ -138,7 +142,7 @@ class _Ascii:
             try:
                 self._read_row(element, row.split(), values)
             except (ValueError, IndexError, OverflowError):
-                raise InvalidFile(f"{self.path.name}: {element.name} {number}", _described(element), row[:60]) from None
+                raise InvalidFile(f"{self.path.name}: {element.name} {number}", _described(element), quoted(row)) from None
         columns = {p.name: np.array(values[p.name], np.float64) for p in element.properties if not p.length_type}
         return columns, {p.name: _by_length(values[p.name]) for p in element.properties if p.length_type}
 

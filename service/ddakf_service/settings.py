@@ -106,7 +106,7 @@ class Settings(BaseSettings):
         60.0, gt=0, description="seconds that a session waits for its client after its stream ends; at most idle_timeout"
     )
     max_lifetime: float = Field(0.0, ge=0, description="seconds from the creation to the end of a session; 0: not limited")
-    reader_timeout: float = Field(30.0, gt=0, description="seconds without reading after which a stream, a watcher or an answer over HTTP ends")
+    reader_timeout: float = Field(30.0, gt=0, description="seconds unread that end a stream, a watcher or an answer of HTTP")
     frame_timeout: float = Field(30.0, gt=0, description="seconds per frame before its worker counts as hung and is replaced")
     frame_limit: float = Field(
         0.5, gt=0, description="processor seconds per frame, and as many for every 20,000 vertices and 100,000 points of it"

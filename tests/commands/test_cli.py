@@ -3,6 +3,9 @@
 import argparse
 import builtins
 import json
+import os
+import subprocess
+import sys
 from importlib import metadata
 
 import pytest
@@ -42,6 +45,24 @@ def test_commands_of_other_packages_run(command, capsys):
 def test_errors_are_one_sentence_and_status_2(command, capsys):
     assert command(_raises(InvalidArgument("points", "finite numbers", "nan"))) == 2
     assert capsys.readouterr().err == "ddakf: points: expected finite numbers, got nan\n"
+
+
+def test_a_full_disk_is_one_sentence(command, capsys):
+    def work(arguments):
+        with open("/dev/full", "w") as file:
+            file.write("x")
+
+    assert command(work) == 2
+    assert capsys.readouterr().err == "ddakf: No space left on device\n"
+
+
+def test_a_reader_that_has_enough_ends_a_command_quietly():
+    code = "import sys; from ddakf.commands import cli; sys.exit(cli.main(['evaluate', '--help']))"
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([sys.executable, "-c", code], stdout=write, stderr=subprocess.PIPE, check=False)
+    os.close(write)
+    assert done.stderr == b""
 
 
 def test_interrupts_are_status_130(command, capsys):

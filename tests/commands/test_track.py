@@ -37,6 +37,43 @@ def _summary(capsys, *arguments):
     return json.loads(capsys.readouterr().out)
 
 
+def test_a_run_that_ends_early_keeps_what_it_has(capsys, tmp_path):
+    folder = tmp_path / "scan[1]"
+    folder.mkdir()
+    for number in range(4):
+        io.write_mesh(folder / f"{number}.ply", sample().garment_vertices[number], sample().garment_faces)
+    (folder / "3.ply").write_bytes(b"")
+    assert _track(folder, "--out", tmp_path / "r.npz", "--json") == 2
+    printed = capsys.readouterr()
+    assert "the results are of 2 of 3 frames" in printed.err
+    assert json.loads(printed.out)["frames"] == 2
+    assert len(np.load(tmp_path / "r.npz")["vertices"]) == 2
+
+
+def test_no_output_replaces_what_is_tracked(capsys, tmp_path):
+    recording, folder = tmp_path / "a.npz", tmp_path / "clouds"
+    folder.mkdir()
+    recording.write_bytes(SAMPLE.read_bytes())
+    for number in range(2):
+        io.write_mesh(folder / f"{number:04d}.obj", sample().garment_vertices[number], sample().garment_faces)
+    for arguments, names in (
+        ((recording, "--out", tmp_path / "clouds" / ".." / "a.npz"), "out: expected another file"),
+        ((folder, "--meshes", folder), "meshes: expected another folder"),
+        ((folder, "--template", folder / "0000.obj", "--picture", folder / "0000.obj"), "picture: expected another file"),
+    ):
+        assert _track(*arguments) == 2
+        assert names in capsys.readouterr().err
+    assert recording.read_bytes() == SAMPLE.read_bytes()
+
+
+def test_a_frame_that_is_refused_is_named(capsys, tmp_path):
+    io.write_mesh(tmp_path / "template.obj", sample().garment_vertices[0], sample().garment_faces)
+    for number in range(3):
+        io.write_points(tmp_path / f"{number}.xyz", 1000 * sample().garment_vertices[number])
+    assert _track(tmp_path) == 2
+    assert "ddakf: frame 1: points" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("view", ["full", "front", "ring4"])
 def test_a_sequence_is_tracked_and_judged(capsys, view):
     summary = _summary(capsys, SAMPLE, *SHORT, "--view", view)

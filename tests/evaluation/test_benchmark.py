@@ -1,6 +1,9 @@
 """The benchmark is the held-out recordings, and a tracker from elsewhere runs on it."""
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,7 +16,7 @@ from ddakf.evaluation.simulation.collection_plan import SEEDS
 from ddakf.evaluation.splits import is_untouched
 
 OURS = benchmark.load()
-LIGHTEST = "tank_swing_close_10"
+LIGHTEST, OTHER = "tank_swing_close_10", "tank_run_close_32"
 
 
 def test_the_benchmark_is_the_held_out_part_of_the_collection():
@@ -75,6 +78,46 @@ def test_a_submitted_tracker_is_run_in_every_condition_and_stands_in_the_table(t
     capsys.readouterr()
     assert cli.main(["benchmark", "table", str(out)]) == 0
     assert f"| mine:Still | **{errors['still'][0]:.1f}** |" in capsys.readouterr().out, "the best, as the other is a reference"
+
+
+CENTRING = """
+class Tracker:
+    def start(self, garment, vertices, body): self.vertices = vertices
+    def step(self, frame):
+        frame.points[:] -= frame.points.mean(axis=0)
+        if frame.body_vertices is not None:
+            frame.body_vertices[:] += 1
+        return self.vertices + SHIFT
+"""
+
+
+@pytest.mark.slow
+def test_a_tracker_or_recording_that_has_changed_is_run_again(tmp_path, capsys, monkeypatch):
+    """By a new process, as a module that was imported stays."""
+    monkeypatch.chdir(tmp_path)
+    shutil.copy(collection.folder() / f"{LIGHTEST}.npz", "a.npz")
+
+    def errors(shift: float) -> dict[str, float]:
+        Path("changing.py").write_text(CENTRING.replace("SHIFT", str(shift)))
+        options = "--methods still --submit changing:Tracker --runs 1 --frames 0:5 --no-surfaces --procs 1 --json out.json"
+        code = f"import sys; from ddakf.commands import cli; sys.exit(cli.main('evaluate a.npz {options}'.split()))"
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        said.append(done.stderr)
+        return {cell["method"]: cell["mean"]["rmse_mm"] for cell in json.loads(Path("out.json").read_text())["results"]}
+
+    said: list[str] = []
+    first = errors(0.0)
+    assert first["changing:Tracker"] == first["still"], "what a tracker does to its input is its own affair"
+    second = errors(1.0)
+    assert second["changing:Tracker"] > 1000 > second["still"] == first["still"]
+    assert "1 runs are made again, as the recording or the tracker is another: a.npz with changing:Tracker" in said[1]
+    assert errors(1.0) == second
+    assert "2 of 2 runs are in" in said[2]
+    shutil.copy(collection.folder() / f"{OTHER}.npz", "a.npz")
+    assert errors(1.0)["still"] != first["still"]
+    capsys.readouterr()
+    assert cli.main(["benchmark", "run", "--again", "other", "--json", "b.json"]) == 2
+    assert "again: expected all, or some of ddakf, got other" in capsys.readouterr().err
 
 
 def _short(plan, systems):

@@ -6,7 +6,7 @@ import pytest
 from ddakf import data
 from ddakf.data import sample
 from ddakf.errors import InvalidFile
-from ddakf.evaluation.splits import faust_split, labels_of, labels_of_file
+from ddakf.evaluation.splits import faust_split, labels_of, labels_of_file, unit_of
 from ddakf.files.sequence import Sequence
 
 NAMES = ("sample", "pergamo_005", "samba_dress", "samba_whole", "sim_skirt_dance", "sim_tank_move", "sim_tshirt_jump")
@@ -64,6 +64,11 @@ def test_a_file_whose_garment_is_no_word_is_refused(tmp_path):
     np.savez(tmp_path / "a.npz", garment=np.arange(3))
     with pytest.raises(InvalidFile, match=r"a\.npz: garment: expected one word, got int64 of shape \(3,\)"):
         labels_of_file(tmp_path / "a.npz")
+
+
+def test_a_recording_at_another_rate_is_the_same_unit():
+    assert unit_of("sample@60") == unit_of("sample") == "sample"
+    assert unit_of("faust_s3_p7@60") == unit_of("faust_s3_p1") == "FAUST, subject 3"
 
 
 def test_faust_is_parted_as_in_the_paper():

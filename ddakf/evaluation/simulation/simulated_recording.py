@@ -57,6 +57,9 @@ class Order:
         for field, known in KNOWN.items():
             if (value := getattr(self, field)) not in known:
                 raise InvalidArgument(field, f"one of {', '.join(known)}", value)
+        for field in ("seed", "body"):
+            if (value := getattr(self, field)) < 0:
+                raise InvalidArgument(field, "a number from 0", str(value))
         if not FEWEST_FRAMES <= self.n_frames <= MOST_FRAMES:
             raise InvalidArgument("frames", f"a number in [{FEWEST_FRAMES}, {MOST_FRAMES}]", str(self.n_frames))
         if not 10 <= self.fps <= 240:
@@ -125,7 +128,9 @@ def write(target: Path, order: Order, sequence: Sequence, pose: Pose, solver_ver
     """
     found = quality.figures(sequence)
     quality.check(found)
-    np.savez_compressed(target, **arrays(order, sequence, pose))
+    part = target.with_name(target.stem + ".part.npz")
+    np.savez_compressed(part, **arrays(order, sequence, pose))
+    part.replace(target)
     note = asdict(order) | {
         "solver": f"Newton {solver_version}, vertex block descent",
         "material": asdict(fabrics.FABRICS[order.fabric]),

@@ -16,12 +16,14 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, Task, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from ddakf.errors import InvalidArgument
 from ddakf.evaluation import machine
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
 from ddakf.evaluation.studies import study_summary, worker_processes
 from ddakf.evaluation.studies.kept_rows import kept_rows
 from ddakf.evaluation.studies.row_log import RowLog
 from ddakf.evaluation.studies.study_plan import StudyPlan
+from ddakf.evaluation.trials.inputs import digest_of
 from ddakf.evaluation.trials.trial import Trial
 
 SPEED_OVER = 3600.0  # s: window of the runs from which the remaining time is estimated, an hour
@@ -39,15 +41,32 @@ def execute(wanted: list[Trial], row_log: RowLog, procs: int, console: Console, 
         again: systems, or :data:`ALL`, whose trials run again if they are of another commit or did not apply.
     """
     code = machine.code_version()
-    def finished(trial: Trial) -> bool:
-        return row_log.done(trial) and (row_log.current(trial, code) or not _chosen(trial, again))
 
+    def finished(trial: Trial) -> bool:
+        return row_log.done(trial) and not row_log.outdated(trial) and (row_log.current(trial, code) or not _chosen(trial, again))
+
+    if changed := [trial for trial in wanted if row_log.done(trial) and row_log.outdated(trial)]:
+        what = ", ".join(dict.fromkeys(f"{trial.sequence} with {trial.variant}" for trial in changed))
+        sentence = f"{len(changed)} runs are made again, as the recording or the tracker is another: {what}"
+        console.print(sentence, markup=False, soft_wrap=True)
     done_trials = [trial for trial in wanted if finished(trial)]
     if done_trials:
         console.print(f"{len(done_trials)} of {len(wanted)} runs are in {row_log.path}")
         _report_other_commits(row_log.rows(done_trials), code, console)
     if missing := [trial for trial in wanted if trial not in set(done_trials)]:
         _run(missing, row_log, procs, console, {"commit": code, "processes": procs})
+
+
+def systems_again(text: str, systems: Collection[str]) -> list[str]:
+    """The systems of ``--again A,B``.
+
+    Raises:
+        InvalidArgument: one that is none of these systems, nor :data:`ALL`.
+    """
+    names = [name for name in text.split(",") if name]
+    if unknown := [name for name in names if name not in {ALL, *systems}]:
+        raise InvalidArgument("again", f"{ALL}, or some of {', '.join(sorted(systems))}", unknown[0])
+    return names
 
 
 def _chosen(trial: Trial, systems: Collection[str]) -> bool:
@@ -66,7 +85,7 @@ def _report_other_commits(rows: list[dict], code: str, console: Console) -> None
 
 
 def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, origin: dict) -> None:
-    columns = (TextColumn("{task.fields[what]:36.36s}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+    columns = (TextColumn("{task.fields[what]:36.36s}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left:"), TimeRemainingColumn())  # fmt: skip
     with (
         Progress(*columns, console=console, speed_estimate_period=SPEED_OVER) as bar,
@@ -74,12 +93,14 @@ def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, or
     ):
         task = bar.add_task("", total=len(missing), what="starting")
         for row in rows:
-            row_log.add(origin | {"load_average": round(os.getloadavg()[0], 2)} | row)
+            digest = digest_of(Trial.from_row(row))
+            inputs = {} if digest is None else {"inputs": digest}
+            row_log.add(origin | inputs | {"load_average": round(os.getloadavg()[0], 2)} | row)
             bar.update(task, advance=1, what=title(row))
             if not console.is_terminal:  # no bar in a log
-                console.print(_line(bar.tasks[0], title(row)))
+                console.print(_line(bar.tasks[0], title(row)), markup=False)
             if "failed" in row:
-                bar.console.print(f"{title(row)}: {row['failed']}")
+                bar.console.print(f"{title(row)}: {row['failed']}", markup=False)
 
 
 def _line(task: Task, what: str) -> str:
@@ -119,7 +140,7 @@ def run_study(
     machine.require_committed(out, allow_dirty)
     wanted, row_log = plan.trials(), _log_of(out)
     for other in others:
-        if taken := row_log.take_over(wanted, _log_of(other)):
+        if taken := row_log.take_over(wanted, _log_of(other, append=False)):
             console.print(f"{taken} of {len(wanted)} runs are taken over from {other.stem}")
     try:
         execute(wanted, row_log, procs, console, again)
@@ -140,13 +161,15 @@ def run_study(
         "conditions": {f.name: getattr(plan.settings, f.name) for f in fields(Sensor) if f.name != "view"} | plan.unheeded(),
     }
     result = study_summary.summarise(rows, meta)
-    out.write_text(result_json(result))
+    part = out.with_name(out.name + ".part")
+    part.write_text(result_json(result))
+    part.replace(out)  # as a whole: a result that was cut off would not be read again
     return result
 
 
-def _log_of(out: Path) -> RowLog:
+def _log_of(out: Path, append: bool = True) -> RowLog:
     """The row log beside a result file, with the runs of the result."""
-    return RowLog(out.with_suffix(".rows.jsonl"), kept_rows(out))
+    return RowLog(out.with_suffix(".rows.jsonl"), kept_rows(out), append=append)
 
 
 def result_json(result: dict) -> str:

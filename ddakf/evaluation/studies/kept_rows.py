@@ -36,7 +36,8 @@ def _rows(result: dict) -> Iterator[dict]:
         view, _, body = cell["view"].partition("+")
         own = common | {"sequence": cell["sequence"], "view": view, "body": bool(body), "variant": cell["method"]}
         for run in cell["runs"]:
-            yield own | {name: run.get(name) for name in ("seed", "commit", "processes", "seconds")} | {KEPT: run}
+            inputs = {"inputs": run["inputs"]} if "inputs" in run else {}
+            yield own | inputs | {name: run.get(name) for name in ("seed", "commit", "processes", "seconds")} | {KEPT: run}
         if "not_applicable" in cell and not cell["runs"]:
             reason = {"commit": meta["commits"][-1], "not_applicable": cell["not_applicable"]}
             yield from (own | {"seed": seed} | reason for seed in meta["seeds"])

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ddakf.errors import InvalidFile
+from ddakf.evaluation.trials.inputs import digest_of
 from ddakf.evaluation.trials.trial import Trial
 
 
@@ -16,17 +17,19 @@ class RowLog:
 
     Args:
         path: of the file, which the first row creates.
-        earlier: rows of trials that were run elsewhere; those that the file lacks are appended to it.
+        earlier: rows of trials that were run elsewhere, for those that the file lacks.
+        append: they are appended to the file.
 
     Raises:
         InvalidFile: a line that is no row.
     """
 
-    def __init__(self, path: Path, earlier: Iterable[dict] = ()):
+    def __init__(self, path: Path, earlier: Iterable[dict] = (), *, append: bool = True):
         self.path = path
         self._rows: dict[Trial, dict] = {}
-        *lines, rest = path.read_bytes().split(b"\n") if path.is_file() else [b""]
-        self._cut_off = len(rest)  # bytes of an incomplete last line, which the next row overwrites
+        data = path.read_bytes() if path.is_file() else b""
+        *lines, rest = data.split(b"\n")
+        self._size, self._cut_off = len(data), len(rest)  # bytes; those of an incomplete last line, which the next row overwrites
         for number, line in enumerate(lines, 1):
             try:
                 row = json.loads(line)
@@ -34,12 +37,21 @@ class RowLog:
             except (ValueError, TypeError, KeyError, AttributeError) as error:
                 raise InvalidFile(f"{path}, line {number}", "a row of a study", f"{line[:40]!r}") from error
         for row in earlier:
-            if not self.done(Trial.from_row(row)):
+            if self.done(Trial.from_row(row)):
+                continue
+            if append:
                 self.add(row)
+            else:
+                self._rows[Trial.from_row(row)] = row
 
     def done(self, trial: Trial) -> bool:
         """True if the trial was run and did not fail."""
         return trial in self._rows and "failed" not in self._rows[trial]
+
+    def outdated(self, trial: Trial) -> bool:
+        """True if the trial was run with another content of its inputs, see :func:`.trials.inputs.digest_of`."""
+        row = self._rows.get(trial, {})
+        return "inputs" in row and row["inputs"] != digest_of(trial)
 
     def current(self, trial: Trial, code: str) -> bool:
         """True if the trial applied and was run by this version, see :func:`ddakf.evaluation.machine.code_version`. Never true
@@ -60,12 +72,18 @@ class RowLog:
         return len(taken)
 
     def add(self, row: dict) -> None:
-        """Appends a row. It replaces an older one of the same trial, which stays in the file."""
+        """Appends a row. It replaces an older one of the same trial, which stays in the file.
+
+        Raises:
+            InvalidFile: another process has written to the file.
+        """
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("ab") as file:
-            file.truncate(file.tell() - self._cut_off)
+            if file.tell() != self._size:
+                raise InvalidFile(str(self.path), "one run at a time that writes to it", "another one; wait for its end")
+            file.truncate(self._size - self._cut_off)
             file.write(json.dumps(row).encode() + b"\n")
-        self._cut_off = 0
+            self._size, self._cut_off = file.tell(), 0
         self._rows[Trial.from_row(row)] = row
 
 

@@ -115,6 +115,7 @@ def _run(row: dict) -> dict:
     if KEPT in row:
         return row[KEPT]
     run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes"), "seconds": row.get("seconds")}
+    run |= {"inputs": row["inputs"]} if "inputs" in row else {}
     run |= {name: row.get(key) for name, key in VALUES.items()}
     frames = row["per_frame"]
     for score in ("reliability", "paper_score"):

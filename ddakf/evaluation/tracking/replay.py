@@ -27,13 +27,16 @@ def local(source: Source, config: ddakf.Config | None = None) -> Iterator[tuple[
         tracker.reset(vertices=source.start)
     for frame in source:
         started = time.perf_counter()
-        result = tracker.step(
-            frame.points,
-            timestamp=frame.timestamp,
-            sensor_origin=frame.sensor_origin,
-            body_vertices=frame.body_vertices,
-            colors=frame.colors,
-        )
+        try:
+            result = tracker.step(
+                frame.points,
+                timestamp=frame.timestamp,
+                sensor_origin=frame.sensor_origin,
+                body_vertices=frame.body_vertices,
+                colors=frame.colors,
+            )
+        except DdakfError as error:
+            raise DdakfError(f"frame {frame.number}: {error}") from error
         yield frame, result, time.perf_counter() - started
 
 

@@ -12,9 +12,9 @@ import numpy as np
 from ddakf.data.rotation import rotation_matrices
 from ddakf.errors import InvalidArgument
 from ddakf.evaluation.datasets import Pair, Recording
+from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording, repaired_mesh
 from ddakf.evaluation.sensors.captured_frame import CapturedFrame
 from ddakf.evaluation.sensors.virtual_sensor import Sensor
-from ddakf.files.io import read_mesh
 from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh
 
@@ -222,16 +222,12 @@ def source_of(
         return SequenceSource(recording, sensor or Sensor(), chosen, start, give_body, seed)
     if give_body:
         raise InvalidArgument("body", "a sequence with body_V and body_F", "a recording")
-    mesh, vertex_map = (None, None) if template is None else _repaired(template, unit)
+    if template is not None:
+        mesh, vertex_map = repaired_mesh(template, unit)
+    else:
+        mesh, vertex_map = None, recording.repaired(chosen[0])[1] if isinstance(recording, FolderRecording) else None
     plain = sensor or replace(Sensor(), points=10**9, noise=0.0)
     return RecordingSource(recording, plain, chosen, mesh, seed, vertex_map)
-
-
-def _repaired(template, unit: float) -> tuple[Mesh, np.ndarray | None]:
-    """The mesh of a file, in metres, and the vertex map where a repair has changed its vertices."""
-    vertices, faces = read_mesh(template)
-    mesh, vertex_map = Mesh.cleaned(unit * vertices, faces)
-    return mesh, None if np.array_equal(vertex_map, np.arange(len(vertices))) else vertex_map
 
 
 def _displaced(vertices: np.ndarray, rng: np.random.Generator) -> np.ndarray:

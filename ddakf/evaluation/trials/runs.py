@@ -144,8 +144,9 @@ def _frames(trial: Trial) -> Iterator[CapturedFrame]:
     def undisturbed() -> Iterator[CapturedFrame]:
         for number in tracked_frames(trial):
             points, origin = _cloud(trial.sequence, number, trial.seed, sensor)
-            body = sequence.body_vertices[number] if trial.body else None
-            yield CapturedFrame(number, sequence.timestamp(number), points, origin, body)
+            given = points, origin, sequence.body_vertices[number] if trial.body else None
+            copies = (None if array is None else array.copy() for array in given)  # a method may change what it gets
+            yield CapturedFrame(number, sequence.timestamp(number), *copies)
 
     return (frame for frame, _ in _script(trial).apply(undisturbed(), trial.seed))
 

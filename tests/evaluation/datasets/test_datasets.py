@@ -13,6 +13,7 @@ from ddakf.evaluation import datasets, metrics
 from ddakf.evaluation.datasets import KINECT
 from ddakf.evaluation.datasets.captures.depth_template import template_from_depth
 from ddakf.evaluation.sensors.camera import Camera
+from ddakf.evaluation.tracking.sources import source_of
 from ddakf.files import io
 from ddakf.files.sequence import Sequence
 from ddakf.mesh import Mesh, vertex_normals
@@ -147,10 +148,52 @@ def test_a_template_beside_clouds_is_no_frame_and_lies_where_the_first_one_is(tm
 
 def test_files_without_a_number_are_frames_only_where_no_file_has_one(tmp_path):
     io.write_mesh(tmp_path / "garment.obj", np.eye(3), np.array([[0, 1, 2]]))
-    (tmp_path / "notes.txt").write_text("taken in the garden")
+    io.write_mesh(tmp_path / "other.obj", np.eye(3), np.array([[0, 1, 2]]))
     assert len(datasets.load_folder(tmp_path)) == 2
+    (tmp_path / "notes.txt").write_text("taken in the garden")
     io.write_points(tmp_path / "frame_7.ply", np.eye(3))
     assert [path.name for path in datasets.load_folder(tmp_path).paths] == ["frame_7.ply"]
+
+
+def test_poses_beside_clouds_are_no_frames_and_files_of_macos_are_none(tmp_path):
+    for number in range(3):
+        io.write_points(tmp_path / f"{number}.xyz", np.eye(3))
+        (tmp_path / f"._{number}.xyz").write_bytes(b"\0\5\x16\7")
+    assert len(datasets.load_folder(tmp_path)) == 3
+    (tmp_path / "0.txt").write_text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    with pytest.raises(InvalidFile, match=r"expected frames of one format, got 1 \.txt and 3 \.xyz"):
+        datasets.load_folder(tmp_path)
+
+
+def test_a_folder_of_clouds_has_the_times_of_its_file(tmp_path):
+    for number in range(3):
+        io.write_points(tmp_path / f"{number}.xyz", np.eye(3))
+    assert datasets.load_folder(tmp_path, fps=10.0).timestamp(2) == 0.2
+    (tmp_path / "timestamps.txt").write_text("5.0\r\n5.1\r\n5.4\r\n")
+    folder = datasets.load_folder(tmp_path, fps=10.0)
+    assert [folder.timestamp(frame) for frame in range(3)] == pytest.approx([0.0, 0.1, 0.4])
+    assert folder.fps == pytest.approx(5.0)
+    (tmp_path / "timestamps.txt").write_text("5.0\n5.1\n")
+    with pytest.raises(InvalidFile, match=r"timestamps\.txt: expected 3 numbers, one per frame, got 2"):
+        datasets.load_folder(tmp_path)
+
+
+@pytest.mark.parametrize("suffix", [".xyz", ".ply"])
+def test_pixels_that_saw_nothing_are_no_points(tmp_path, suffix):
+    points = np.eye(3)
+    points[1] = np.nan
+    io.write_points(tmp_path / f"0{suffix}", points)
+    assert np.array_equal(datasets.load_folder(tmp_path).cloud(0).points, np.eye(3)[[0, 2]])
+
+
+def test_a_folders_own_template_that_is_repaired_has_its_vertex_map(tmp_path):
+    triangle = np.array([[9.0, 9, 9], [0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    io.write_mesh(tmp_path / "template.obj", triangle, np.array([[1, 2, 3]]))
+    for number in range(2):
+        io.write_points(tmp_path / f"{number}.xyz", np.eye(3))
+    assert source_of(datasets.load_folder(tmp_path)).vertex_map.tolist() == [1, 2, 3]
+    io.write_mesh(tmp_path / "template.obj", triangle[1:], np.array([[0, 1, 2]]))
+    assert source_of(datasets.load_folder(tmp_path)).vertex_map is None
 
 
 def test_folders_without_frames_and_rates_without_sense(tmp_path):

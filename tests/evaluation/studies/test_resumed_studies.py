@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import asdict, replace
 from io import StringIO
 
 import pytest
@@ -209,6 +209,35 @@ def test_a_killed_study_leaves_no_process(tmp_path):
     started.process.kill()
     started.process.communicate(timeout=250)
     assert started.all_ended()
+
+
+def test_words_in_brackets_are_no_markup(systems, tmp_path, monkeypatch):
+    class Lost(Frozen):
+        def step(self, frame):
+            raise ValueError("cannot read [/home/me/x]")
+
+    monkeypatch.setitem(methods.BASELINES, "broken", lambda scored: Lost())
+    said = Console(file=StringIO(), width=200)
+    result = run_study(plan("broken", "frozen"), tmp_path / "out.json", 1, said)
+    assert "failed" in result["results"][0]
+    assert "failed" not in result["results"][1]
+    assert "ValueError: cannot read [/home/me/x]" in said.file.getvalue()
+
+
+def test_a_log_is_written_by_one_run_at_a_time(tmp_path):
+    first, second = (RowLog(tmp_path / "j") for _ in range(2))
+    rows = [asdict(trial) | {"commit": "x"} for trial in plan("nicp", runs=3).trials()]
+    first.add(rows[0])
+    with pytest.raises(InvalidFile, match="one run at a time"):
+        second.add(rows[1])
+    first.add(rows[2])
+    assert RowLog(tmp_path / "j").rows() == first.rows()
+
+
+def test_the_log_of_another_study_is_only_read(tmp_path):
+    row = asdict(plan("nicp").trials()[0]) | {"commit": "x"}
+    assert RowLog(tmp_path / "j", [row], append=False).done(plan("nicp").trials()[0])
+    assert not (tmp_path / "j").exists()
 
 
 def test_a_process_that_dies_costs_its_trial_alone(tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,14 +11,17 @@ from typing import Protocol
 
 import numpy as np
 
-from ddakf.errors import InvalidArgument
+from ddakf.errors import InvalidArgument, InvalidFile
 from ddakf.evaluation.datasets.captures.depth_template import JUMP, smoothed, template_from_depth
+from ddakf.evaluation.datasets.formats.depth_files import read_numbers
 from ddakf.evaluation.sensors.camera import Camera
 from ddakf.evaluation.sensors.captured_frame import Cloud, ColouredCloud
 from ddakf.files.depth import seen, without_fliers
 from ddakf.mesh import Mesh
 
 MM = 1e-3  # metres
+SHORTEST = 1e-6  # s between two frames
+TIMES = "timestamps.txt"  # file of the frames' times
 
 
 class Recording(Protocol):
@@ -104,6 +108,34 @@ def positive_rate(fps: float) -> float:
     if not 1e-6 < fps < 1e6:
         raise InvalidArgument("fps", "a positive number of frames per second", str(fps))
     return float(fps)
+
+
+def frame_times(path: Path, count: int) -> np.ndarray | None:
+    """(count,) seconds of ``timestamps.txt``; None without the file.
+
+    Raises:
+        InvalidFile: another number of times, or times that do not rise.
+    """
+    if not path.is_file():
+        return None
+    times = read_numbers(path).ravel()
+    if len(times) != count:
+        raise InvalidFile(path.name, f"{count} numbers, one per frame", f"{len(times)}")
+    early = np.flatnonzero(np.diff(times) < SHORTEST) + 1
+    if len(early):
+        got = f"{times[early[0]]:.9g} after {times[early[0] - 1]:.9g}"
+        raise InvalidFile(path.name, f"seconds, each at least {SHORTEST:g} after the one before", got)
+    return times
+
+
+def rate_of(times: np.ndarray | None, otherwise: float) -> float:
+    """Mean frames per second of these times, or the other rate where there are not two."""
+    return otherwise if times is None or len(times) < 2 else (len(times) - 1) / (times[-1] - times[0])
+
+
+def visible(paths: Iterable[Path]) -> list[Path]:
+    """Files without a dot before their names: those are the copies of attributes that macOS writes beside files."""
+    return [path for path in paths if not path.name.startswith(".")]
 
 
 def by_number(path: Path) -> list[int]:

@@ -10,6 +10,7 @@ down, z forward. Without ``T_world_sensor`` the points are in the axes of the se
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from collections.abc import Sequence as Ordered
 from dataclasses import dataclass
@@ -18,12 +19,21 @@ from pathlib import Path
 import numpy as np
 
 from ddakf.errors import InvalidFile
-from ddakf.evaluation.datasets.captures.recording import DepthRecording, by_number, positive_rate
-from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_grey, read_numbers
+from ddakf.evaluation.datasets.captures.recording import (
+    TIMES,
+    DepthRecording,
+    by_number,
+    frame_times,
+    positive_rate,
+    rate_of,
+    visible,
+)
+from ddakf.evaluation.datasets.formats.depth_files import LARGEST, is_number, load_camera, read_colors, read_grey
+
+log = logging.getLogger(__name__)
 
 MILLIMETRES = 1000.0  # per metre
 LEAST_SCALE = 1e-3  # units per metre
-SHORTEST = 1e-6  # s between two frames
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
@@ -83,7 +93,7 @@ def _as_first(image: np.ndarray, path: Path, shape: tuple[int, int]) -> np.ndarr
 
 def is_rgbd(path: Path) -> bool:
     """True if a folder holds depth images."""
-    return any((path / "depth").glob("*.png"))
+    return bool(_images(path / "depth", (".png",)))
 
 
 def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
@@ -98,7 +108,7 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
         MissingDependency: Pillow is not installed.
     """
     path = Path(path)
-    paths = tuple(sorted((path / "depth").glob("*.png"), key=by_number))
+    paths = tuple(sorted(_images(path / "depth", (".png",)), key=by_number))
     if not paths:
         raise InvalidFile(str(path), "depth images depth/*.png", "none")
     shape = read_grey(paths[0]).shape
@@ -107,11 +117,8 @@ def load_rgbd(path, fps: float = 30.0) -> DepthRecording:
     if not is_number(scale) or scale < LEAST_SCALE:
         raise InvalidFile("camera.json: depth_scale", f"units per metre in [{LEAST_SCALE:g}, {LARGEST:g}]", str(scale)[:40])
     images = DepthImages(paths, _masks(path, paths), float(scale), shape)
-    times = _timestamps(path / "timestamps.txt", len(paths))
-    if times is not None and len(times) > 1:
-        fps = (len(times) - 1) / (times[-1] - times[0])
-    else:
-        fps = fields.get("fps", fps)
+    times = frame_times(path / TIMES, len(paths))
+    fps = rate_of(times, fields.get("fps", fps))
     if not is_number(fps):
         raise InvalidFile("camera.json: fps", "a number", str(fps)[:40])
     colors = _colors(path / "color", paths, shape)
@@ -122,7 +129,7 @@ def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
     """The mask of every image; empty without a folder ``mask``."""
     if not (path / "mask").is_dir():
         return ()
-    found = _beside(paths, (path / "mask").glob("*.png"))
+    found = _beside(paths, _images(path / "mask", (".png",)))
     if None in found:
         raise InvalidFile(f"{path.name}/mask", "a mask for every depth image", f"none for {paths[found.index(None)].name}")
     return tuple(found)
@@ -130,31 +137,27 @@ def _masks(path: Path, paths: tuple[Path, ...]) -> tuple[Path, ...]:
 
 def _colors(folder: Path, paths: tuple[Path, ...], shape: tuple[int, int]) -> ColorImages | None:
     """The colours of every image; None where some are missing, or the first ones are of another kind or size."""
-    found = _beside(paths, (image for image in folder.glob("*") if image.suffix.lower() in COLOR_SUFFIXES))
+    found = _beside(paths, _images(folder, COLOR_SUFFIXES))
     if None in found:
+        if any(found):
+            log.warning("%s is left aside: it has no image for %s", folder.name, paths[found.index(None)].name)
         return None
     try:
-        return ColorImages(tuple(found), shape) if read_colors(found[0]).shape[:2] == shape else None
-    except InvalidFile:
+        first = read_colors(found[0]).shape[:2]
+    except InvalidFile as error:
+        log.warning("%s is left aside: %s", folder.name, error)
         return None
+    if first != shape:
+        log.warning("%s is left aside: %s is %d x %d, not %d x %d as the depth", folder.name, found[0].name, *first, *shape)
+        return None
+    return ColorImages(tuple(found), shape)
+
+
+def _images(folder: Path, suffixes: tuple[str, ...]) -> list[Path]:
+    return [path for path in visible(folder.glob("*")) if path.suffix.lower() in suffixes]
 
 
 def _beside(paths: tuple[Path, ...], others: Iterable[Path]) -> list[Path | None]:
     """For every image the other one that has the same first number in its name; None without one."""
     by_first = {tuple(by_number(other)[:1]): other for other in sorted(others)}
     return [by_first.get(tuple(by_number(image)[:1])) for image in paths]
-
-
-def _timestamps(path: Path, count: int) -> np.ndarray | None:
-    if not path.is_file():
-        return None
-    times = read_numbers(path).ravel()
-    if len(times) != count:
-        raise InvalidFile(path.name, f"{count} numbers, one per image", f"{len(times)}")
-    early = np.flatnonzero(np.diff(times) < SHORTEST) + 1
-    if len(early):
-        got = f"{times[early[0]]:.9g} after {times[early[0] - 1]:.9g}"
-        raise InvalidFile(path.name, f"seconds, each at least {SHORTEST:g} after the one before", got)
-    return times
-
-

@@ -11,6 +11,7 @@ import numpy as np
 
 from ddakf.errors import InvalidFile, MissingDependency
 from ddakf.evaluation.sensors.camera import Camera, Intrinsics
+from ddakf.files.text import text_of
 
 MOST_PIXELS = 1 << 24  # of an image: 4096 x 4096
 LARGEST_TEXT = 1 << 20  # bytes of intrinsics, and of 50,000 timestamps
@@ -90,12 +91,12 @@ def _decoded(path: Path, modes: tuple[str, ...], *formats: str) -> np.ndarray:
 def _text(path: Path) -> str:
     if path.stat().st_size > LARGEST_TEXT:
         raise InvalidFile(path.name, f"at most {LARGEST_TEXT} bytes", str(path.stat().st_size))
-    return path.read_text(encoding="latin-1")
+    return text_of(path.read_bytes())
 
 
 def read_numbers(path: Path) -> np.ndarray:
     """(rows, columns) finite numbers of a text file."""
-    rows = [line.replace(",", " ").split() for line in _text(path).splitlines() if line.strip()]
+    rows = [line.replace(",", " ").split() for line in _text(path).split("\n") if line.strip()]
     try:
         values = np.array(rows, np.float64)
     except ValueError:
