@@ -157,6 +157,8 @@ class Sessions:
                     field="etag",
                 )
             await self._durability.complete(self._change(session, change, paths, labels, limits))
+        if session.epoch:  # other servers read its etag in the database
+            await self._persistence.written(session.uid)
         return session.message()
 
     async def _change(

@@ -215,6 +215,9 @@ def test_a_deletion_elsewhere_ends_the_stream(gateways, name):
     talk.ask(shifted(1))
     refused = httpx.delete(f"{two.http}/v1/{name}", headers={"If-Match": '"another"'})
     assert refused.status_code == 412
+    etag = one.api.call("UpdateSession", pb.UpdateSessionRequest(session=pb.Session(name=name, labels={"a": "b"}))).etag
+    still = httpx.delete(f"{two.http}/v1/{name}", headers={"If-Match": f'"{int(etag) - 1}"'})
+    assert still.status_code == 412, "it sees the change at once"
     assert talk.ask(shifted(2))[-1].result.frames_applied == 2, "a deletion that is refused ends nothing"
     two.api.delete(name)
     with pytest.raises((StreamTakenOver, SessionNotFound)):
