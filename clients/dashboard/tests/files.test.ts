@@ -8,13 +8,13 @@ import { GLTFLoader, type GLTF } from "three/addons/loaders/GLTFLoader.js";
 import { validateBytes } from "gltf-validator";
 import { PYTHON, temporaryFolder } from "../../typescript/tests/server.js";
 import { gltfOf, MAX_POSES } from "../src/files/gltf.js";
-import { readObj, readSurface } from "../src/files/mesh.js";
+import { readCloud, readObj, readSurface } from "../src/files/mesh.js";
 import { readNpz } from "../src/files/npz.js";
 import { readGreyPng } from "../src/files/png.js";
 import { givenOf, recognise } from "../src/files/recognise.js";
 import { readMotion } from "../src/play/motion.js";
 import type { Captured } from "../src/play/source.js";
-import { openSource } from "../src/play/sources.js";
+import { byNumber, openSource } from "../src/play/sources.js";
 import { Agreement, distanceOf, newestPair } from "../src/session/pairing.js";
 import type { Moment } from "../src/session/memory.js";
 
@@ -133,9 +133,91 @@ print(json.dumps(read_coloured_points(sys.argv[1] + "/uchar.ply")[1].ravel().tol
   test("damaged files are refused with a sentence", () => {
     const encode = (text: string) => new TextEncoder().encode(text);
     const head = "ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n";
-    expect(() => readSurface("a.ply", encode(`${head}0 0 0\n1 1`))).toThrow("ends early");
-    expect(() => readSurface("a.ply", encode("solid"))).toThrow("no PLY file");
-    expect(() => readSurface("a.obj", encode("v 0 0 nan\nf 1 1 1"))).toThrow("not finite");
+    expect(() => readSurface("a.ply", encode(`${head}0 0 0\n1 1`))).toThrow(
+      "a.ply: vertex 1: expected numbers for x, y, z, got 1 1",
+    );
+    expect(() => readSurface("a.ply", encode(`${head}0 0 0\n`))).toThrow("a.ply: vertex: expected 2 records, got 1");
+    expect(() => readSurface("a.ply", encode("solid"))).toThrow("a.ply: expected a PLY header");
+    expect(() => readSurface("a.obj", encode("v 0 0 nan\nf 1 1 1"))).toThrow("a.obj: vertices: expected finite numbers, got 1");
+  });
+
+  test("texts of every encoding and line end, and what is refused, are those of Python", () => {
+    const told = python(`
+from pathlib import Path
+from ddakf.errors import InvalidFile
+from ddakf.files.io import read_points
+comment = "made by Åsa, х, \\u2028 and end_header"
+xyz = f"# {comment}\\n0.25 0.5 0.75\\n1 2 3\\n"
+obj = f"# {comment}\\nv 0.25 0.5 0.75\\nv 1 2 3\\n"
+bare = "v 0.25 0.5 0.75\\nv 1 2 \\\\\\n 3\\n"
+head = f"ply\\nformat ascii 1.0\\ncomment {comment}\\nelement vertex 2\\n" + "".join(f"property float {a}\\n" for a in "xyz")
+ply = head + "end_header\\n0.25 0.5 0.75\\n1 2 3\\n"
+files = {}
+for kind, text in (("a.xyz", xyz), ("a.csv", xyz), ("a.obj", obj), ("bare.obj", bare), ("a.ply", ply)):
+    for end in ("\\n", "\\r\\n", "\\r"):
+        for encoding in ("utf-8", "utf-8-sig", "utf-16", "utf-16-be", "cp1251"):
+            data = text.replace("\\n", end).encode(encoding, "replace")
+            files[f"{len(files)}_{kind}"] = b"\\xfe\\xff" + data if encoding == "utf-16-be" else data
+values = b"\\n\\r\\x00\\x3f" + np.array([0.5, 0.75], "<f4").tobytes()
+for end in (b"\\n", b"\\r\\n", b"\\r"):
+    lines = [b"ply", b"format binary_little_endian 1.0", b"element vertex 1", *(b"property float " + a for a in (b"x", b"y", b"z"))]
+    files[f"{len(files)}_packed.ply"] = end.join([*lines, b"end_header", values])
+texts = ["x,y,z\\n0.25,0.5,0.75\\n1,2,3\\n", "2\\n0.25 0.5 0.75\\n1 2 3\\n", "X;Y;Z;red\\n0.25; 0.5; 0.75; 9\\n1;2;3;9\\n"]
+texts += ["0,25;0,5;0,75\\n", "x y z\\nx y z\\n1 2 3\\n", "1 2 3\\nx y z\\n", "1 2\\n", "a\\x00\\x07b 1 2\\n", "0x1 2 3\\n", "x\\n1 2 3\\n"]
+texts += ["inf 1 2\\n", "1e2 -.5 +3.\\n", "", "2,5 1 3\\n", "4\\n4\\n1 2 3\\n", "1 2 3 # four\\n;\\n,4,5,6,\\n"]
+files |= {f"{len(files) + k}.csv": text.encode() for k, text in enumerate(texts)}
+objs = ["v 1 2\\n", "v a b c\\n", "v 1 2 3\\nf 1 0 1\\n", "v 1 2 3\\nf 1.5 1 1\\n", "v 1 2 3 # f 0\\n", "v nan 1 2\\n", "o x\\nv 1 2 3 1 0 0\\n"]
+files |= {f"{len(files) + k}.obj": text.encode() for k, text in enumerate(objs)}
+plys = ["solid\\n", ply.replace("float x", "flaot x"), ply.replace("format ascii 1.0\\n", ""), ply.replace("float x", "float q")]
+plys += [ply.replace("1 2 3\\n", "1 2\\n"), ply.replace("1 2 3\\n", "1 two 3\\n"), ply.replace("1 2 3\\n", ""), ply.replace("3\\n", "3 9\\n")]
+plys += [ply.replace("vertex 2", "vertex -2"), ply.replace("element vertex", "element point"), ply.replace("vertex 2", "vertex 3")]
+files |= {f"{len(files) + k}.ply": text.encode() for k, text in enumerate(plys)}
+told = {}
+for name, data in files.items():
+    (path := Path(sys.argv[1]) / name).write_bytes(data)
+    try:
+        told[name] = read_points(path).ravel().tolist()
+    except InvalidFile as error:
+        told[name] = str(error)
+print(json.dumps(told))
+`) as Record<string, number[] | string>;
+    const read = (name: string) => {
+      try {
+        return Array.from(readSurface(name, bytes(name)).vertices);
+      } catch (error) {
+        return (error as Error).message;
+      }
+    };
+    const bytesQuoted = (words: number[] | string) => (typeof words === "string" ? words.replace(/got b['"].*/, "got") : words);
+    for (const [name, values] of Object.entries(told)) {
+      const found = read(name);
+      const shown = typeof found === "string" && bytesQuoted(values) !== values ? found.replace(/got .*/, "got") : found;
+      expect(shown, name).toEqual(bytesQuoted(values));
+    }
+    const counted = Object.values(told).filter((values) => JSON.stringify(values) === "[0.25,0.5,0.75,1,2,3]");
+    expect(counted.length).toBe(4 * 15 + 6 + 4); // a PLY begins with "ply", without a mark
+    expect(Object.values(told)).toContain("81.csv: line 1: expected three numbers with decimal points, got 0,25;0,5;0,75");
+  });
+
+  test("points of a frame that are not finite are left out with their colours; sensors are somewhere", () => {
+    const head = "ply\nformat ascii 1.0\ncomment sensor_origin 1 2 3\nelement vertex 3\n";
+    const properties = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"].map(
+      (each) => `property ${each}\n`,
+    );
+    const ply = `${head}${properties.join("")}end_header\n1 2 3 4 5 6\nnan inf 0 1 1 1\n7 8 9 10 11 12\n`;
+    const encode = (text: string) => new TextEncoder().encode(text);
+    const { vertices, colors, origin } = readCloud("a.ply", encode(ply));
+    expect([[...vertices], [...colors!], origin]).toEqual([
+      [1, 2, 3, 7, 8, 9],
+      [4, 5, 6, 10, 11, 12],
+      [1, 2, 3],
+    ]);
+    expect([...readCloud("a.xyz", encode("1 2 3\nNaN nan nan\n"))["vertices"]]).toEqual([1, 2, 3]);
+    const nowhere = encode(ply.replace("1 2 3\n", "1 nan 3\n"));
+    const sentence = "a.ply: sensor origin: expected three finite numbers, got comment sensor_origin 1 nan 3";
+    expect(() => readCloud("a.ply", nowhere)).toThrow(sentence);
+    const colourful = encode(ply.replace("10 11", "300 11"));
+    expect(() => readCloud("a.ply", colourful)).toThrow("vertex 2: expected red, green and blue of 0 to 255, got 300");
   });
 });
 
@@ -220,9 +302,150 @@ print(json.dumps([read.fps, [read.timestamp(k) for k in range(3)], [int((read.de
     expect(counts).toEqual([32, 144, 160]);
     await expect(opened(placed.filter(({ path }) => !path.includes("garment_9")))).rejects.toThrow("no mask for 9.png");
     const timed = (content: string) => [...placed.slice(0, -1), file("timed/timestamps.txt", content)];
-    await expect(opened(timed("1 2"))).rejects.toThrow("2 numbers for 3 images");
-    await expect(opened(timed("1 3 2"))).rejects.toThrow("2 after 3");
-    await expect(opened(timed("1 2 now"))).rejects.toThrow("now is no number");
+    await expect(opened(timed("1 2"))).rejects.toThrow("timestamps.txt: expected 3 numbers, one per frame, got 2");
+    await expect(opened(timed("1 3 2"))).rejects.toThrow(
+      "timestamps.txt: expected seconds, each at least 0.000001 after the one before, got 2 after 3",
+    );
+    await expect(opened(timed("1 2 now"))).rejects.toThrow("timestamps.txt: expected seconds, a number per frame, got now");
+  });
+
+  test("depth images have suffixes in any case, a marked camera.json, and sentences with the names of files", async () => {
+    python(`
+from pathlib import Path
+from PIL import Image
+for k in (1, 2):
+    Image.fromarray(np.full((16, 16), 1000, np.uint16)).save(Path(sys.argv[1]) / f"{k}.png")
+Image.fromarray(np.full((8, 16), 255, np.uint8)).save(Path(sys.argv[1]) / "small.png")
+print(0)
+`);
+    const fields = { fx: 20, fy: 20, cx: 8, cy: 8, fps: null };
+    const camera = JSON.stringify(fields);
+    const wide = Uint8Array.from(Buffer.from(`\uFEFF${camera}`, "utf16le"));
+    const images = [1, 2].map((k) => file(`d/depth/${k}.PNG`, bytes(`${k}.png`)));
+    const opened = async (description: BlobPart, ...others: typeof images) => {
+      const placed = [...images, file("d/Camera.json", description), file("d/depth/._1.PNG", "no image"), ...others];
+      const { source } = await recognise(placed);
+      return openSource(givenOf(source!, "m", 30)!);
+    };
+    const still = { noise: 0, hidden: 0 };
+    for (const description of [camera, `\uFEFF${camera}`, wide]) {
+      const { begun } = await opened(description);
+      expect([begun.count, begun.fps]).toEqual([2, 30]);
+    }
+    const timed = await opened(camera, file("d/timestamps.txt", "\uFEFF1.0\r2.0\r"));
+    expect(timed.begun.fps).toBe(1);
+    await expect(opened("not JSON\n")).rejects.toThrow("Camera.json: expected JSON, got not JSON");
+    await expect(opened("null")).rejects.toThrow("Camera.json: expected a JSON object, got null");
+    for (const [more, sentence] of [
+      [{ fx: "20" }, 'fx: expected a positive number, got "20"'],
+      [{ cy: undefined }, "cy: expected a number, got none"],
+      [{ depth_scale: 0 }, "depth_scale: expected a number from 0.001, got 0"],
+      [{ T_world_sensor: [[1, 0], 2] }, "T_world_sensor: expected 4 rows of 4 finite numbers, got [[1,0],2]"],
+    ] as const)
+      await expect(opened(JSON.stringify({ ...fields, ...more }))).rejects.toThrow(`Camera.json: ${sentence}`);
+    const small = file("d/mask/1.png", bytes("small.png"));
+    const masked = await opened(camera, small, file("d/mask/2.png", bytes("1.png").slice(0, 60)));
+    await expect(masked.frame(0, still)).rejects.toThrow("1.png: expected 16 x 16 pixels, as the depth image, got 16 x 8");
+    await expect(masked.frame(1, still)).rejects.toThrow("2.png: the file is damaged");
+  });
+
+  test("folders of clouds are those of Python: frames, formats, times and points", async () => {
+    const told = python(`
+from pathlib import Path
+from ddakf.errors import InvalidFile
+from ddakf.evaluation.datasets import load_folder
+place = lambda k: f"{k} 0 0\\nnan nan nan\\n1 1 1\\n"
+many = {f"{k}.txt": place(k) for k in (9, 10, 11, 100)}
+folders = {
+    "plain": many,
+    "poses": many | {f"{k}.xyz": place(k) for k in range(4)},
+    "timed": many | {"timestamps.txt": "\\ufeff5\\r\\n5.1\\r\\n5.4\\r\\n6\\r\\n", "._9.txt": "no cloud", "readme.txt": "a walk"},
+    "short": many | {"timestamps.txt": "5\\n5.1\\n"},
+    "names": {"left.csv": place(1), "right.csv": place(2)},
+    "mixed": {"b_1.xyz": place(1), "a_3.xyz": place(3), "c_2.XYZ": place(2)},
+    "broken": {"1.csv": "0,1;0,2;0,3\\n", "2.csv": place(2)},
+}
+told = {}
+for name, files in folders.items():
+    (folder := Path(sys.argv[1]) / "clouds" / name).mkdir(parents=True)
+    for each, text in files.items():
+        (folder / each).write_bytes(text.encode())
+    try:
+        read = load_folder(folder)
+        found = [{"name": path.name, "time": read.timestamp(k), "points": read.cloud(k).points.tolist()} for k, path in enumerate(read.paths)]
+        told[name] = [list(files), found, read.fps]
+    except InvalidFile as error:
+        told[name] = [list(files), str(error).replace(f"{sys.argv[1]}/clouds/", ""), 0]
+print(json.dumps(told))
+`) as Record<string, [string[], { name: string; time: number; points: number[][] }[] | string, number]>;
+    const attributes = [file("__MACOSX/plain/._9.txt", "no cloud"), file(".DS_Store", "no cloud")];
+    const opened = async (name: string, files: string[]) => {
+      const placed = files.map((each) => file(`${name}/${each}`, bytes(`clouds/${name}/${each}`)));
+      const { source, problems } = await recognise([...attributes, ...placed]);
+      if (source?.kind !== "clouds") throw new Error(problems.join());
+      const playing = await openSource(givenOf(source, "m", 30)!);
+      const frames: Captured[] = [];
+      for (let k = 0; k < source.files.length; k++) frames.push((await playing.frame(k, { noise: 0, hidden: 0 })) as Captured);
+      return { names: byNumber(source.files).map((each) => each.name), frames, fps: playing.begun.fps };
+    };
+    for (const [name, [files, expected, fps]] of Object.entries(told)) {
+      if (typeof expected === "string") {
+        await expect(opened(name, files), name).rejects.toThrow(expected);
+        continue;
+      }
+      const read = await opened(name, files);
+      expect(read.names, name).toEqual(expected.map((frame) => frame.name));
+      expect(read.fps, name).toBeCloseTo(fps, 9);
+      for (const [k, { points, timestamp }] of read.frames.entries()) {
+        expect([...points], name).toEqual(expected[k]!.points.flat());
+        expect(timestamp - read.frames[0]!.timestamp, name).toBeCloseTo(expected[k]!.time, 9);
+      }
+    }
+    const refusals = Object.values(told).map(([, expected]) => expected);
+    expect(refusals).toContain("poses: expected frames of one format, got 4 .txt and 4 .xyz");
+    expect(refusals).toContain("timestamps.txt: expected 4 numbers, one per frame, got 2");
+    expect(refusals.filter((words) => typeof words === "string").length).toBe(3); // the decimal commas as well
+  });
+
+  test("a mesh beside numbered frames is no frame, and notes beside another recording are left alone", async () => {
+    const frames = [file("1.txt", "0 0 0\n"), file("2.txt", "0 0 0\n"), file("notes.txt", "taken in the garden")];
+    const both = await recognise([...frames, file("shirt.obj", mesh)]);
+    expect([both.mesh?.name, both.source?.kind === "clouds" && both.source.files.length, both.problems]).toEqual([
+      "shirt.obj",
+      2,
+      [],
+    ]);
+    const depth = [
+      file("d/depth/1.png"),
+      file("d/camera.json", "{}"),
+      file("d/poses_1.txt", "1 0 0 0"),
+      file("d/notes.csv", "x"),
+    ];
+    const images = await recognise([...depth, file("d/poses_2.txt", "1 0 0 0")]);
+    expect([images.source?.kind, images.problems]).toEqual(["depth", []]);
+    const noted = await recognise([file("shirt.obj", mesh), file("notes.txt", "cotton")]);
+    expect([noted.mesh?.name, noted.source, noted.problems]).toEqual(["shirt.obj", undefined, []]);
+    const stamps = [1700000000123456789n, 1700000000123456788n].map((time) => file(`${time}.ply`).file);
+    expect(byNumber(stamps).map(({ name }) => name)).toEqual(["1700000000123456788.ply", "1700000000123456789.ply"]);
+  });
+
+  test("damaged archives and recordings are sentences with the name of the file", async () => {
+    python('np.savez_compressed(sys.argv[1] + "/whole.npz", vertices=np.eye(3), faces=np.arange(3))\nprint(0)');
+    const whole = bytes("whole.npz");
+    for (const [from, to] of [
+      [70, 80],
+      [whole.length - 8, whole.length - 4],
+      [whole.length - 200, whole.length - 100],
+    ] as const) {
+      const { problems } = await recognise([file("torn.npz", whole.slice().fill(255, from, to))]);
+      expect(problems, String(from)).toEqual([
+        expect.stringMatching(/^torn\.npz: (the file is damaged|an NPZ|no NPZ|no garment_V)/),
+      ]);
+    }
+    await expect(openSource({ kind: "mcap", file: file("walk.mcap", "no recording").file })).rejects.toThrow(/^walk\.mcap: /);
+    await expect(openSource({ kind: "motion", file: file("walk.npz", "none").file, unit: "m" })).rejects.toThrow(
+      "walk.npz: no NPZ",
+    );
   });
 
   test("what is neither is said", async () => {

@@ -54,7 +54,11 @@ export async function readNpz(
 /** The bytes of a deflated block. */
 export async function inflated(data: Uint8Array<ArrayBuffer>, format: CompressionFormat): Promise<Uint8Array<ArrayBuffer>> {
   const stream = new Blob([data]).stream().pipeThrough(new DecompressionStream(format));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
+  try {
+    return new Uint8Array(await new Response(stream).arrayBuffer());
+  } catch (error) {
+    throw new Error("the file is damaged", { cause: error });
+  }
 }
 
 function npy(name: string, file: Uint8Array<ArrayBuffer>): NpyArray {

@@ -1,8 +1,9 @@
 /** Files of the user by what they are: a mesh, a recording, or neither. */
 import type { Given } from "../play/source.js";
-import { byNumber, bytesOf } from "../play/sources.js";
+import { byNumber } from "../play/sources.js";
 import { readSurface } from "./mesh.js";
 import { readNpz, type NpyNumbers } from "./npz.js";
+import { named, reading, refusal } from "./text.js";
 
 /** A file with its place below a dropped folder, e.g. "walk/depth/0001.png". */
 export interface Placed {
@@ -19,7 +20,7 @@ export interface MeshFile {
 /** A recording before its unit and frame rate are chosen. */
 export type SourceFiles =
   | { kind: "motion" | "mcap" | "run"; name: string; file: File }
-  | { kind: "clouds"; name: string; files: File[] }
+  | { kind: "clouds"; name: string; files: File[]; times: File | undefined }
   | { kind: "depth"; name: string; files: File[]; camera: File; masks: File[]; colors: File[]; times: File | undefined };
 
 export interface Recognised {
@@ -29,17 +30,22 @@ export interface Recognised {
   problems: string[];
 }
 
-const SURFACE = /\.(ply|obj|xyz)$/i;
+const SURFACE = /\.(ply|obj|xyz|txt|csv)$/i;
+const TEXT = /\.(txt|csv)$/i; // of points, or of anything else
+const TIMES = /(^|\/)timestamps\.txt$/i;
+/** Files that no program shows, such as the copies that macOS writes beside files; not a hidden folder that is given. */
+const HIDDEN = /(^|\/)__MACOSX\/|\/\.|^\.[^/]*$/;
 const TEMPLATE = /(^|\/)template\.(ply|obj)$/i;
 
 /** Says what the files are. A single OBJ or PLY with faces is a mesh, several of them are the frames of a recording. */
-export async function recognise(placed: readonly Placed[]): Promise<Recognised> {
+export async function recognise(given: readonly Placed[]): Promise<Recognised> {
+  const placed = given.filter(({ path }) => !HIDDEN.test(path));
   const found: Recognised = { problems: [] };
   const take = async (name: string, read: () => Promise<Partial<Recognised>>) => {
     try {
       Object.assign(found, await read());
     } catch (error) {
-      found.problems.push(`${name}: ${error instanceof Error ? error.message : String(error)}`);
+      found.problems.push(named(name, error).message);
     }
   };
   for (const { file } of placed)
@@ -47,28 +53,56 @@ export async function recognise(placed: readonly Placed[]): Promise<Recognised> 
     else if (/\.mcap$/i.test(file.name)) found.source = { kind: "mcap", name: file.name, file };
   const images = placed.filter(({ file }) => /\.png$/i.test(file.name));
   if (images.length > 0) await take("Depth images", () => Promise.resolve(depthImages(images, placed)));
-  const surfaces = placed.filter(({ file }) => SURFACE.test(file.name));
+  const surfaces = surfacesOf(placed, found.source !== undefined);
   const [meshes, clouds] = surfaces.length === 1 ? [surfaces, []] : apart(surfaces);
   for (const { file } of meshes) await take(file.name, async () => ({ mesh: await meshFile(file) }));
-  if (clouds.length > 0) {
-    const files = byNumber(clouds.map(({ file }) => file));
-    found.source = { kind: "clouds", name: folderOf(clouds) || `${files.length} clouds`, files };
-  }
+  if (clouds.length > 0) await take(folderOf(clouds) || "Clouds", () => Promise.resolve({ source: cloudFiles(clouds, placed) }));
   if (!found.mesh && !found.source && found.problems.length === 0)
     found.problems.push("Neither a mesh (OBJ, PLY, NPZ) nor a recording (NPZ, MCAP, clouds, depth images).");
   return found;
+}
+
+/** Meshes and clouds; a text may be of anything beside another recording, and without a number beside any other file. */
+function surfacesOf(placed: readonly Placed[], hasSource: boolean): Placed[] {
+  const found = placed.filter(({ path }) => SURFACE.test(path) && !TIMES.test(path));
+  const isAlone = placed.every(({ path }) => TEXT.test(path));
+  return found.filter(({ file }) => !TEXT.test(file.name) || (!hasSource && (isAlone || isNumbered(file))));
+}
+
+function isNumbered({ name }: File): boolean {
+  return /\d.*\.[^.]*$/.test(name);
+}
+
+/** The frames of a folder, of one format, with the times of its `timestamps.txt`. */
+function cloudFiles(clouds: Placed[], placed: readonly Placed[]): SourceFiles {
+  const formats = new Map<string, number>();
+  for (const { file } of clouds) {
+    const suffix = file.name.slice(file.name.lastIndexOf(".")).toLowerCase();
+    formats.set(suffix, (formats.get(suffix) ?? 0) + 1);
+  }
+  const folder = folderOf(clouds);
+  if (formats.size > 1) {
+    const got = [...formats].sort().map(([suffix, count]) => `${count} ${suffix}`);
+    throw refusal(folder || "Clouds", "frames of one format", got.join(" and "));
+  }
+  const times = placed.find((each) => TIMES.test(each.path) && folderOf([each]) === folder)?.file;
+  const files = byNumber(clouds.map(({ file }) => file));
+  return { kind: "clouds", name: folder || `${files.length} clouds`, files, times };
 }
 
 /** What the player opens, of a recording whose unit and frame rate are chosen. */
 export function givenOf(source: SourceFiles, unit: "m" | "cm" | "mm", fps: number): Given | undefined {
   if (source.kind === "motion") return { kind: "motion", file: source.file, unit };
   if (source.kind === "mcap") return { kind: "mcap", file: source.file };
-  if (source.kind === "clouds") return { kind: "clouds", files: source.files, unit, fps };
+  if (source.kind === "clouds") return { ...source, unit, fps };
   if (source.kind === "depth") return { ...source, fps };
   return undefined; // the result of a run has no frames
 }
 
-/** Meshes and frames of several files: the template, or a file with a place of its own, is the mesh. */
+/**
+ * Meshes and frames of several files: the template, or a file with a place of its own, is the mesh; without these a single OBJ or
+ * PLY without a number beside frames with one. Files without a number are frames only where no file has one.
+ */
 function apart(surfaces: Placed[]): [Placed[], Placed[]] {
   const template = surfaces.filter(({ path }) => TEMPLATE.test(path));
   const folders = new Map<string, Placed[]>();
@@ -76,7 +110,12 @@ function apart(surfaces: Placed[]): [Placed[], Placed[]] {
     folders.set(folderOf([each]), [...(folders.get(folderOf([each])) ?? []), each]);
   const groups = [...folders.values()].sort((a, b) => b.length - a.length);
   const lone = template.length === 0 && groups.length === 2 && groups[1]!.length === 1 ? groups[1]! : [];
-  return [[...template, ...lone], groups[0] ?? []];
+  const [largest = []] = groups;
+  const numbered = largest.filter(({ file }) => isNumbered(file));
+  if (numbered.length === 0) return [[...template, ...lone], largest];
+  const others = largest.filter(({ file }) => !isNumbered(file) && /\.(ply|obj)$/i.test(file.name));
+  const beside = template.length === 0 && lone.length === 0 && others.length === 1 ? others : [];
+  return [[...template, ...lone, ...beside], numbered];
 }
 
 function folderOf(placed: Placed[]): string {
@@ -84,14 +123,17 @@ function folderOf(placed: Placed[]): string {
 }
 
 async function meshFile(file: File): Promise<MeshFile> {
-  const { vertices, faces } = readSurface(file.name, await bytesOf(file));
+  const { vertices, faces } = await reading(file, (bytes) => readSurface(file.name, bytes));
   if (faces.length === 0) throw new Error("points without faces: choose all files of the recording, or their folder");
   return { name: file.name, vertices, faces };
 }
 
-async function npzFile(file: File): Promise<Partial<Recognised>> {
+function npzFile(file: File): Promise<Partial<Recognised>> {
+  return reading(file, (bytes) => npzArrays(file, bytes));
+}
+
+async function npzArrays(file: File, bytes: Uint8Array<ArrayBuffer>): Promise<Partial<Recognised>> {
   const names: string[] = [];
-  const bytes = await bytesOf(file);
   await readNpz(bytes, (name) => names.push(name) === 0);
   const { name } = file;
   if (names.includes("states") && names.includes("vertices")) return { source: { kind: "run", name, file } };
@@ -110,7 +152,7 @@ async function npzFile(file: File): Promise<Partial<Recognised>> {
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
   const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
   if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
-  const times = placed.find(({ file }) => /^timestamps\.txt$/i.test(file.name))?.file;
+  const times = placed.find(({ path }) => TIMES.test(path))?.file;
   const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
   const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));
   const colors = placed.filter(({ path }) => /(^|\/)color\/[^/]*\.(png|jpe?g)$/i.test(path)).map(({ file }) => file);

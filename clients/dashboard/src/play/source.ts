@@ -11,7 +11,7 @@ export type Unit = keyof typeof UNITS;
 export type Given =
   | { kind: "sample"; npz: ArrayBuffer }
   | { kind: "motion"; file: File; unit: Unit }
-  | { kind: "clouds"; files: File[]; unit: Unit; fps: number }
+  | { kind: "clouds"; files: File[]; times: File | undefined; unit: Unit; fps: number }
   | { kind: "depth"; files: File[]; camera: File; masks: File[]; colors: File[]; times: File | undefined; fps: number }
   | { kind: "mcap"; file: File };
 

@@ -1,8 +1,10 @@
 /** Sources: moving meshes before a virtual camera, folders of clouds or depth images, and recordings of sessions. */
-import { Recording, type RecordedFrame } from "ddakf-client/recordings";
-import { decompress } from "fzstd";
-import { readSurface } from "../files/mesh.js";
+import type { RecordedFrame, Recording } from "ddakf-client/recordings";
+import { openRecording } from "../files/mcap.js";
+import { cameraOf, timesOf, type CameraFile } from "../files/beside.js";
+import { readCloud } from "../files/mesh.js";
 import { readGreyPng } from "../files/png.js";
+import { reading, refusal } from "../files/text.js";
 import { Camera, eyeBefore, type Disturbance } from "./camera.js";
 import { readMotion, type Motion } from "./motion.js";
 import { UNITS, type Begun, type Captured, type Given, type Replayed, type Source } from "./source.js";
@@ -15,7 +17,7 @@ export async function openSource(given: Given): Promise<Source> {
     case "sample":
       return new MotionSource(await readMotion(new Uint8Array(given.npz)), 1, SAMPLE_EYE);
     case "motion":
-      return new MotionSource(await readMotion(await bytesOf(given.file)), UNITS[given.unit]);
+      return new MotionSource(await reading(given.file, readMotion), UNITS[given.unit]);
     case "clouds":
       return CloudSource.open(given);
     case "depth":
@@ -64,37 +66,42 @@ class CloudSource implements Source {
     readonly begun: Begun,
     private readonly files: File[],
     private readonly scale: number,
+    private readonly times: number[] | undefined,
   ) {}
 
-  static async open({ files, unit, fps }: Extract<Given, { kind: "clouds" }>): Promise<CloudSource> {
+  static async open({ files, times: file, unit, fps }: Extract<Given, { kind: "clouds" }>): Promise<CloudSource> {
     const ordered = byNumber(files);
-    readSurface(ordered[0]!.name, await bytesOf(ordered[0]!)); // a file that cannot be read is named before the session begins
-    const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps, isVirtual: false };
-    return new CloudSource(begun, ordered, UNITS[unit]);
+    await cloudOf(ordered[0]!); // a file that cannot be read is named before the session begins
+    const times = file && (await timesOf(file, files.length));
+    const rate = rateOfTimes(times, fps);
+    const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps: rate, isVirtual: false };
+    return new CloudSource(begun, ordered, UNITS[unit], times);
   }
 
   async frame(k: number): Promise<Captured | undefined> {
     const file = this.files[k];
     if (!file) return undefined;
-    const { vertices, origin, colors } = readSurface(file.name, await bytesOf(file));
+    const { vertices, origin, colors } = await cloudOf(file);
     const placed = origin?.map((value) => value * this.scale);
     const more = { ...(placed && { origin: placed }), ...(colors && { colors }) };
-    return { points: scaled(vertices, this.scale), timestamp: (k + 1) / this.begun.fps, ...more };
+    return { points: scaled(vertices, this.scale), timestamp: timeOf(k, this.times, this.begun.fps), ...more };
   }
 }
 
-/** Intrinsics in pixels, units per metre, and where the camera is: the fields of `camera.json`. */
-interface CameraFile {
-  fx: number;
-  fy: number;
-  cx: number;
-  cy: number;
-  depth_scale?: number;
-  fps?: number;
-  T_world_sensor?: number[][];
+function cloudOf(file: File) {
+  return reading(file, (bytes) => readCloud(file.name, bytes));
 }
 
-const SHORTEST = 1e-6; // seconds between two frames, as for Python
+/** Seconds of a frame, the first of them above zero. */
+function timeOf(k: number, times: number[] | undefined, fps: number): number {
+  return times ? times[k]! - times[0]! + 1 / fps : (k + 1) / fps;
+}
+
+/** Mean frames per second of these times, or the other rate where there are not two. */
+function rateOfTimes(times: number[] | undefined, otherwise: number): number {
+  return times && times.length > 1 ? (times.length - 1) / (times.at(-1)! - times[0]!) : otherwise;
+}
+
 const SENSOR_AXES = [1, 0, 0, 0, 0, -1, 0, 0, 0, 0, -1, 0]; // y up, looking along -z, as `ddakf track` reads such folders
 
 /** A depth image per frame, as points of the pixels in the mask. */
@@ -112,12 +119,10 @@ class DepthSource implements Source {
   static async open(given: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
     const { colors, camera: file, fps } = given;
     const files = byNumber(given.files);
-    const camera = JSON.parse(await file.text()) as CameraFile;
-    for (const name of ["fx", "fy", "cx", "cy"] as const)
-      if (typeof camera[name] !== "number") throw new Error(`${file.name} without a number ${name}`);
+    const camera = await reading(file, cameraOf);
     const masks = masksOf(files, given.masks);
-    const times = given.times && timesOf(given.times.name, await given.times.text(), files.length);
-    const rate = times && times.length > 1 ? (times.length - 1) / (times.at(-1)! - times[0]!) : (camera.fps ?? fps);
+    const times = given.times && (await timesOf(given.times, files.length));
+    const rate = rateOfTimes(times, camera.fps ?? fps);
     const begun = { garment: undefined, body: undefined, first: undefined, count: files.length, fps: rate, isVirtual: false };
     return new DepthSource(begun, files, masks, await fitting(colors, files), camera, times);
   }
@@ -125,8 +130,11 @@ class DepthSource implements Source {
   async frame(k: number): Promise<Captured | undefined> {
     const [file, mask, coloured] = [this.images[k], this.masks[k], this.colors[k]];
     if (!file) return undefined;
-    const { width, height, pixels } = await readGreyPng(await bytesOf(file));
-    const chosen = mask && (await readGreyPng(await bytesOf(mask))).pixels;
+    const { width, height, pixels } = await reading(file, readGreyPng);
+    const masked = mask && (await reading(mask, readGreyPng));
+    if (masked && (masked.width !== width || masked.height !== height))
+      throw refusal(mask.name, `${width} x ${height} pixels, as the depth image`, `${masked.width} x ${masked.height}`);
+    const chosen = masked?.pixels;
     const { fx, fy, cx, cy, depth_scale: perMetre = 1000, T_world_sensor: placed } = this.camera;
     const m = placed ? placed.slice(0, 3).flat() : SENSOR_AXES;
     const seen = coloured && (await colorsOf(coloured, width, height));
@@ -140,8 +148,7 @@ class DepthSource implements Source {
       if (seen) colors.push(seen[4 * i]!, seen[4 * i + 1]!, seen[4 * i + 2]!);
     }
     const origin = [m[3]!, m[7]!, m[11]!];
-    const since = this.times ? this.times[k]! - this.times[0]! : k / this.begun.fps;
-    const timestamp = since + 1 / this.begun.fps;
+    const timestamp = timeOf(k, this.times, this.begun.fps);
     return { points: Float32Array.from(points), origin, timestamp, ...(seen && { colors: Uint8Array.from(colors) }) };
   }
 }
@@ -153,18 +160,6 @@ export function masksOf(files: File[], masks: File[]): File[] {
   const lacking = files.find((_, i) => !beside[i]);
   if (lacking) throw new Error(`no mask for ${lacking.name}`);
   return beside as File[];
-}
-
-/** The times of `timestamps.txt`, seconds, a number per image. Throws an Error that says what is wrong with them. */
-export function timesOf(name: string, content: string, count: number): number[] {
-  const words = content.split(/[\s,]+/).filter((word) => word !== "");
-  const times = words.map(Number);
-  const bad = times.findIndex((time) => !Number.isFinite(time));
-  if (bad >= 0) throw new Error(`${name}: ${words[bad]!.slice(0, 40)} is no number of seconds`);
-  if (times.length !== count) throw new Error(`${name}: ${times.length} numbers for ${count} images`);
-  const early = times.findIndex((time, i) => i > 0 && time - times[i - 1]! < SHORTEST);
-  if (early >= 0) throw new Error(`${name}: ${times[early]} after ${times[early - 1]}, but seconds have to rise`);
-  return times;
 }
 
 /** For every image the other one that has the same first number in its name. */
@@ -181,7 +176,7 @@ async function fitting(colors: File[], files: File[]): Promise<File[]> {
   const beside = besideOf(files, colors);
   const found = beside.filter((file) => file !== undefined);
   if (found.length === 0 || found.length < beside.length) return [];
-  const { width, height } = await readGreyPng(await bytesOf(files[0]!));
+  const { width, height } = await reading(files[0]!, readGreyPng);
   try {
     const first = await colorsOf(found[0]!, width, height);
     const isGrey = first.every((value, i) => i % 4 === 3 || value === first[i - (i % 4)]);
@@ -191,8 +186,14 @@ async function fitting(colors: File[], files: File[]): Promise<File[]> {
   }
 }
 
-function firstNumber(file: File): number {
-  return Number(/\d+/.exec(file.name)?.[0] ?? 0);
+/** The numbers in the name of a file; those of nanoseconds have more digits than a float. */
+function numbersOf({ name }: File): bigint[] {
+  const found = [...name.matchAll(/\d+/g)].map(([digits]) => BigInt(digits));
+  return found.length > 0 ? found : [0n];
+}
+
+function firstNumber(file: File): bigint {
+  return numbersOf(file)[0]!;
 }
 
 /** Red, green, blue and opacity of the pixels of a PNG or JPEG image, as they are in the file. */
@@ -221,7 +222,7 @@ class ReplaySource implements Source {
   ) {}
 
   static async open(file: File): Promise<ReplaySource> {
-    const recording = await Recording.open(file, decompress);
+    const recording = await openRecording(file);
     const { garment, body } = recording;
     const begun = { garment: narrowed(garment), body: body && narrowed(body), first: undefined };
     return new ReplaySource({ ...begun, count: NaN, fps: await rateOf(recording), isVirtual: false }, recording);
@@ -252,13 +253,19 @@ function narrowed({ vertices, faces }: { vertices: Float32Array | Float64Array; 
   return { vertices: Float32Array.from(vertices), faces: Uint32Array.from(faces) };
 }
 
-/** Files by the first number in their names, then by name. */
+/** Files by the numbers in their names, as Python orders them, then by name. */
 export function byNumber(files: File[]): File[] {
-  return [...files].sort((a, b) => a.name.localeCompare(b.name, "en", { numeric: true }));
+  const numbered = files.map((file) => ({ file, numbers: numbersOf(file) }));
+  return numbered
+    .sort((a, b) => order(a.numbers, b.numbers) || a.file.name.localeCompare(b.file.name, "en"))
+    .map(({ file }) => file);
 }
 
-export async function bytesOf(file: Blob): Promise<Uint8Array<ArrayBuffer>> {
-  return new Uint8Array(await file.arrayBuffer());
+/** Below zero where the first list of numbers comes before the second one. */
+function order(a: bigint[], b: bigint[]): number {
+  const at = a.findIndex((value, i) => value !== b[i]);
+  if (at < 0 || at >= b.length) return a.length - b.length;
+  return a[at]! < b[at]! ? -1 : 1;
 }
 
 function scaled<T extends Float32Array>(values: T, scale: number): T {

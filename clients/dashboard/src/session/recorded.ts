@@ -1,8 +1,9 @@
 /** Recorded: the answers of a recording (MCAP) or of a run of `ddakf track --out` (NPZ), to look at without a session. */
 import { Result, type State } from "ddakf-client";
-import { Recording } from "ddakf-client/recordings";
-import { decompress } from "fzstd";
+import type { Recording } from "ddakf-client/recordings";
+import { openRecording } from "../files/mcap.js";
 import { readNpz, type NpyNumbers } from "../files/npz.js";
+import { reading } from "../files/text.js";
 import { cloudOf } from "./cloud.js";
 import { Memory, momentOf, type Moment } from "./memory.js";
 
@@ -31,7 +32,7 @@ export class Recorded {
   /** Opens a file. Throws an Error that says what is wrong with it. */
   static async open(file: File): Promise<Recorded> {
     if (/\.npz$/i.test(file.name)) return Recorded.openRun(file);
-    const recording = await Recording.open(file, decompress);
+    const recording = await openRecording(file);
     const { garment, body } = recording;
     return new Recorded(file.name, file, narrowed(garment), body && narrowed(body), recordedMoments(recording));
   }
@@ -56,7 +57,7 @@ export class Recorded {
   }
 
   private static async openRun(file: File): Promise<Recorded> {
-    const arrays = await readNpz(new Uint8Array(await file.arrayBuffer()));
+    const arrays = await reading(file, (bytes) => readNpz(bytes));
     const missing = ["vertices", "faces", "sigma", "reliability", "states", "timestamps"].filter((name) => !arrays.has(name));
     if (missing.length > 0) throw new Error(`${file.name} has no ${missing.join(", no ")}: it is no result of ddakf track --out`);
     const numbers = (name: string) => arrays.get(name)!.data as NpyNumbers;

@@ -98,7 +98,7 @@ class StartView {
       h(
         "p.muted",
         {},
-        "Mesh: OBJ, PLY, NPZ. Recording: NPZ or MCAP of ddakf, a folder of PLY or XYZ clouds, a folder of depth images.",
+        "Mesh: OBJ, PLY, NPZ. Recording: NPZ or MCAP of ddakf, a folder of clouds (PLY, OBJ, XYZ, TXT, CSV) or of depth images.",
       ),
       h("div.chips", {}, choose("Choose files", files), choose("Choose a folder", folder), files, folder),
     );
@@ -178,7 +178,7 @@ class StartView {
     };
     const hasUnit = source.kind === "clouds" || source.kind === "motion";
     const isFolder = "files" in source;
-    const isTimed = source.kind === "depth" && source.times !== undefined;
+    const isTimed = "times" in source && source.times !== undefined;
     return card(
       "Recording",
       source.name,
