@@ -61,6 +61,8 @@ def main(folder: Path, template: Path) -> None:
 if __name__ == "__main__":
     if len(sys.argv) > 2:
         main(Path(sys.argv[1]), Path(sys.argv[2]))
+    elif len(sys.argv) > 1:
+        sys.exit(__doc__)
     else:
         with tempfile.TemporaryDirectory() as name:
             write_recording(Path(name))

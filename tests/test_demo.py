@@ -38,7 +38,7 @@ def test_a_demo_ends_with_a_table_and_pictures(tmp_path):
     assert ended.returncode == 0, ended.stderr
     figures = json.loads(ended.stdout)
     assert figures["frames"] == 24
-    assert figures["RMSE against the truth (mm)"] < 60, "far from losing it, even where the machine is too slow for every frame"
+    assert figures["RMSE against the truth (mm)"] < 40, "closer than the start, even where frames are dropped"
     assert 0 <= figures["truth inside the 90 % ellipsoids (%)"] <= 100
     assert (tmp_path / "frame.png").read_bytes().startswith(b"\x89PNG")
     assert (tmp_path / "animation.gif").read_bytes().startswith(b"GIF8")

@@ -179,15 +179,22 @@ def test_lines_are_broken_at_100_characters(document):
 
 def test_the_commands_of_the_documents_exist():
     text = "\n".join(document.read_text() for document in DOCUMENTS)
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.M))
-    assert set(re.findall(r"\bmake ([a-z-]+)(?=`|  )", text)) <= targets
+    targets = set(re.findall(r"^([a-z\d-]+):", (ROOT / "Makefile").read_text(), re.M))
+    inline = re.findall(r"`make ([a-z\d -]+)`", CODE.sub("", text))
+    lines = [line.partition("#")[0] for language, body in CODE.findall(text) if not language for line in body.splitlines()]
+    blocks = re.findall(r"(?:^|&& )make ([a-z\d -]+)", "\n".join(lines), re.M)
+    called = {target for words in (*inline, *blocks) for target in words.partition("  ")[0].split() if not target.startswith("-")}
+    assert len(called) > 10
+    assert called <= targets
     commands = next(a for a in _parser()._actions if a.dest == "command").choices
     for block in (body for language, body in CODE.findall(text) if not language):
-        for name, rest in re.findall(r"^ddakf ([a-z]+)(.*)$", block, re.M):
+        for name, rest in re.findall(r"^(?:.*(?: -- | exec \S+ |&& ))?ddakf ([a-z]+)(.*)$", block, re.M):
             flags = re.findall(r"--[a-z-]+", rest.partition("  ")[0])
             parser = commands[name]
             actions = next((a.choices for a in parser._actions if isinstance(a, argparse._SubParsersAction)), {})
-            parser = actions.get(rest.split(maxsplit=1)[0] if rest else "", parser)
+            first = rest.split(maxsplit=1)[0] if rest.strip() else ""
+            assert not actions or first in actions or not first.islower(), f"ddakf {name} {first}"
+            parser = actions.get(first, parser)
             assert set(flags) <= set(parser._option_string_actions), f"ddakf {name} {rest}"
     for script in re.findall(r"python ((?:docs|benchmarks|examples|protos)/\w+\.py)", text):
         assert (ROOT / script).is_file()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -25,6 +26,14 @@ SAYS = {
     "11_submit_a_tracker": "error of the centroid's garment over DD-AKF's",
 }
 
+# What an example measures, and what holds of it.
+NUMBERS = {
+    "01_track_a_cloud": (r"error +([\d.]+) mm", lambda errors: len(errors) > 10 and max(errors) < 8),
+    "02_single_camera_with_body": (r"hidden vertices +([\d.]+) mm", lambda hidden: hidden[1] < 0.95 * hidden[0]),
+    "04_async_client": (r"(\d+) frames", lambda frames: frames == [7, 7]),
+    "11_submit_a_tracker": (r"over DD-AKF's: ([\d.]+)", lambda ratio: ratio[0] > 3),
+}
+
 
 def test_there_is_an_expectation_for_every_example():
     assert [example.stem for example in EXAMPLES] == list(SAYS)
@@ -35,6 +44,10 @@ def test_an_example_runs_as_it_stands(example, tmp_path):
     ended = subprocess.run([sys.executable, example], cwd=tmp_path, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 0, ended.stderr
     assert SAYS[example.stem] in ended.stdout
+    if number := NUMBERS.get(example.stem):
+        pattern, holds = number
+        found = [float(text) for text in re.findall(pattern, ended.stdout)]
+        assert holds(found), f"{found} in {ended.stdout}"
     assert list(tmp_path.iterdir()) == [], "an example writes only where it is told to"
 
 

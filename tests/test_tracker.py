@@ -48,11 +48,11 @@ def test_follows_the_sample_closer_than_doing_nothing(view, bound, body):
     assert_finite(result)
 
 
-@pytest.mark.parametrize("view", ["full", "front"])
-def test_the_body_helps(view):
+@pytest.mark.parametrize(("view", "ratio"), [("full", 0.98), ("front", 0.85)])
+def test_the_body_helps(view, ratio):
     """Through a fast part of the recording."""
     alone, worn = (follow(view, body, first=20)[0].mean() for body in (False, True))
-    assert worn < 1.05 * alone
+    assert worn < ratio * alone
 
 
 @pytest.mark.parametrize("view", ["full", "front"])

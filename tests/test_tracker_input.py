@@ -267,4 +267,4 @@ def test_a_body_in_the_wrong_place_for_one_frame_does_not_cost_the_track():
     assert_finite(result)
     assert result.state in ("tracking", "recovering")
     # a tube looks alike from every side: only its place can be found again
-    assert np.linalg.norm(result.vertices.mean(axis=0) - swaying(29).mean(axis=0)) < 0.05
+    assert np.linalg.norm(result.vertices.mean(axis=0) - swaying(29).mean(axis=0)) < 0.005

@@ -130,6 +130,7 @@ def test_a_withheld_origin_costs_little():
     withheld, results = run(20, given=False)
     _, unsure = run(20, BLIND, given=False)
     assert withheld.mean() < 1.3 * given.mean()
+    assert min(result.reliability for result in results) > 0.8, "the side is known, though nobody told it"
     assert max(result.reliability for result in unsure) < 0.5, "what is not known is not trusted"
     assert min(result.sigma.mean() for result in unsure) > CONFIG.blind_error
     for result in (*results, *unsure):
