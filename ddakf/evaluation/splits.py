@@ -102,7 +102,8 @@ def _words(text: str) -> list[str]:
 
 def unit_of(sequence: str) -> str:
     """The unit of a test: the sequence, or of a clip of FAUST (``faust_s3_p7``, ``MPI-FAUST#s3_p7``) its subject."""
-    recording = sequence.partition("@")[0]  # at whichever rate
+    base, _, rate = sequence.rpartition("@")
+    recording = base if rate.isdecimal() and base else sequence  # at whichever rate
     found = FAUST_NAME.search(recording)
     return f"FAUST, subject {found[1]}" if found else recording
 

@@ -68,6 +68,7 @@ def test_a_file_whose_garment_is_no_word_is_refused(tmp_path):
 
 def test_a_recording_at_another_rate_is_the_same_unit():
     assert unit_of("sample@60") == unit_of("sample") == "sample"
+    assert unit_of("scan@home.npz") == "scan@home.npz"
     assert unit_of("faust_s3_p7@60") == unit_of("faust_s3_p1") == "FAUST, subject 3"
 
 

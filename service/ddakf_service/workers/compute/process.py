@@ -81,8 +81,9 @@ def _answer(host: TrackerHost, request: Message) -> Message:
         detail = to_detail(error)
         if detail.name == "Internal":
             log.exception("a request failed")
-        used = host.processor_seconds() - used_before
-        return Message(Kind.ERROR, request.number, content=wire.pack_error(detail.SerializeToString(), used, host.busy.taken()))
+        used, is_frame = host.processor_seconds() - used_before, request.kind in (Kind.FRAME, Kind.HEAVY_FRAME)
+        busy = host.busy.taken() if is_frame else 0.0  # which the next frame tells
+        return Message(Kind.ERROR, request.number, content=wire.pack_error(detail.SerializeToString(), used, busy))
 
 
 def _received_pipe(control: socket.socket) -> socket.socket | None:
