@@ -154,12 +154,16 @@ def _depth_images() -> list[pb.DepthImage]:
 def _depth_image() -> Target:
     def run(data: bytes) -> None:
         frame = pb.Frame(depth_image=pb.DepthImage.FromString(data))
-        require_frame_within_bounds(FrameMessage.of(frame), LIMITS.max_points, LIMITS.max_image_pixels)
+        _require_within_bounds(FrameMessage.of(frame))
         arguments = decode.step_arguments(frame, LIMITS, None)
         assert len(arguments["points"]) <= LIMITS.max_image_pixels
         assert arguments["colors"] is None or arguments["colors"].shape == arguments["points"].shape
 
     return Target(run, [image.SerializeToString() for image in _depth_images()])
+
+
+def _require_within_bounds(frame: FrameMessage) -> None:
+    require_frame_within_bounds(frame, LIMITS.max_points, LIMITS.max_image_pixels, LIMITS.max_body_vertices)
 
 
 def _computing() -> TrackerHost:
@@ -177,7 +181,7 @@ def _frame() -> Target:
         request = read_track_request(data)
         is_frame = isinstance(request, FrameMessage)
         frame = request if is_frame else FrameMessage.of(pb.Frame())
-        require_frame_within_bounds(frame, LIMITS.max_points, LIMITS.max_image_pixels)
+        _require_within_bounds(frame)
         compute.reset("fuzz", b"")  # or one frame far in the future would have all that follow refused
         given = options if is_frame or not request.HasField("start") else request.start.result_options
         content = b"".join((frame_request_head(given.SerializeToString(), LIMITS.max_points), frame.data))
