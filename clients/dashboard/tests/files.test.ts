@@ -332,8 +332,26 @@ print(0)
       const { begun } = await opened(description);
       expect([begun.count, begun.fps]).toEqual([2, 30]);
     }
+    const points = async (source: ReturnType<typeof opened>) => ((await (await source).frame(0, still)) as Captured).points;
+    const expected = await points(opened(camera));
+    expect(expected.length).toBeGreaterThan(0);
+    expect(await points(opened('{"intrinsic_matrix": [20, 0, 0, 0, 20, 0, 8, 8, 1]}'))).toEqual(expected);
+    const alone = async (text: string) => {
+      const { source } = await recognise([...images, file("d/intrinsics.txt", text)]);
+      return openSource(givenOf(source!, "m", 30)!);
+    };
+    for (const text of ["20 0 8\n0 20 8\n0 0 1\n", "20,0,8,0\r\n0,20,8,0\r\n\r\n0,0,1,0\r\n0,0,0,1"])
+      expect(await points(alone(text))).toEqual(expected);
+    await expect(alone("20 0 8\n0 20 8\n")).rejects.toThrow("intrinsics.txt: expected a matrix of 3 x 3 or 4 x 4 numbers");
+    await expect(alone("0 0 8\n0 20 8\n0 0 1")).rejects.toThrow("intrinsics.txt: fx: expected a positive number, got 0");
     const timed = await opened(camera, file("d/timestamps.txt", "\uFEFF1.0\r2.0\r"));
     expect(timed.begun.fps).toBe(1);
+    const mirrored = [
+      [-1, 0, 0, 0],
+      [0, 1, 0, 0],
+      [0, 0, 1, 0],
+      [0, 0, 0, 1],
+    ];
     await expect(opened("not JSON\n")).rejects.toThrow("Camera.json: expected JSON, got not JSON");
     await expect(opened("null")).rejects.toThrow("Camera.json: expected a JSON object, got null");
     for (const [more, sentence] of [
@@ -341,6 +359,8 @@ print(0)
       [{ cy: undefined }, "cy: expected a number, got none"],
       [{ depth_scale: 0 }, "depth_scale: expected a number from 0.001, got 0"],
       [{ T_world_sensor: [[1, 0], 2] }, "T_world_sensor: expected 4 rows of 4 finite numbers, got [[1,0],2]"],
+      [{ T_world_sensor: mirrored }, "T_world_sensor: expected a rotation, a shift and the row 0, 0, 0, 1"],
+      [{ fx: 1e13 }, "fx: expected a positive number, got 10000000000000"],
     ] as const)
       await expect(opened(JSON.stringify({ ...fields, ...more }))).rejects.toThrow(`Camera.json: ${sentence}`);
     const small = file("d/mask/1.png", bytes("small.png"));

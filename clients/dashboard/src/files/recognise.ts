@@ -35,6 +35,7 @@ const TEXT = /\.(txt|csv)$/i; // of points, or of anything else
 const TIMES = /(^|\/)timestamps\.txt$/i;
 /** Files that no program shows, such as the copies that macOS writes beside files; not a hidden folder that is given. */
 const HIDDEN = /(^|\/)__MACOSX\/|\/\.|^\.[^/]*$/;
+const CAMERAS = [/^(camera|intrinsics)\.json$/i, /^intrinsics\.txt$/i];
 const TEMPLATE = /(^|\/)template\.(ply|obj)$/i;
 
 /** Says what the files are. A single OBJ or PLY with faces is a mesh, several of them are the frames of a recording. */
@@ -146,12 +147,12 @@ async function npzArrays(file: File, bytes: Uint8Array<ArrayBuffer>): Promise<Pa
 }
 
 /**
- * Images `depth/*.png` with `camera.json`, perhaps with `mask/*.png`, with `color/*.png` or `color/*.jpg`, and with
+ * Images `depth/*.png` with `camera.json` or `intrinsics.txt`, perhaps with `mask/*.png`, with `color/*.png` or `color/*.jpg`, and with
  * `timestamps.txt`; without such a folder, all images beside masks and colours.
  */
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
-  const camera = placed.find(({ file }) => /^(camera|intrinsics)\.json$/i.test(file.name))?.file;
-  if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them");
+  const [camera] = CAMERAS.flatMap((name) => placed.filter(({ file }) => name.test(file.name))).map(({ file }) => file);
+  if (!camera) throw new Error("no camera.json with fx, fy, cx, cy beside them, and no intrinsics.txt");
   const times = placed.find(({ path }) => TIMES.test(path))?.file;
   const masks = images.filter(({ path }) => /(^|\/)mask\//.test(path));
   const inDepth = images.filter(({ path }) => /(^|\/)depth\/[^/]*$/.test(path));

@@ -119,7 +119,7 @@ class DepthSource implements Source {
   static async open(given: Extract<Given, { kind: "depth" }>): Promise<DepthSource> {
     const { colors, camera: file, fps } = given;
     const files = byNumber(given.files);
-    const camera = await reading(file, cameraOf);
+    const camera = await reading(file, (bytes) => cameraOf(file.name, bytes));
     const masks = masksOf(files, given.masks);
     const times = given.times && (await timesOf(given.times, files.length));
     const rate = rateOfTimes(times, camera.fps ?? fps);
