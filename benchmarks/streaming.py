@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from pathlib import Path
 
 import inputs
 import numpy as np
 from ddakf_api.codec import CODECS, DEPTH_CODECS, DracoDecoder, decode, decode_depth, encode, encode_depth
 from ddakf_client import Frame, Result, connect
-from ddakf_service.commands.service_process import ServiceProcess
+from ddakf_service.commands.service_process import running_service
 from library import WARM, percentiles
 
 import ddakf
@@ -28,22 +25,10 @@ VIEWPOINT = (0.0, 1.2, 2.0), (0.0, 1.1, 0.0)  # eye and target, m
 WALL = 3.0  # m behind the garment
 
 
-@contextmanager
-def service(workers: int) -> Iterator[str]:
-    """The address of a service of our own."""
-    with tempfile.TemporaryDirectory() as folder:
-        process = ServiceProcess(["--workers", str(workers)], log=Path(folder) / "service.log")
-        try:
-            process.wait_until_ready()
-            yield process.grpc
-        finally:
-            process.stop()
-
-
 def through_a_service(settings) -> dict:
     """Overhead of the service, and several concurrent clients."""
-    with service(settings.workers) as address:
-        return {"overhead": _overhead(settings, address), "clients": _clients(settings, address)}
+    with running_service(["--workers", str(settings.workers)]) as service:
+        return {"overhead": _overhead(settings, service.grpc), "clients": _clients(settings, service.grpc)}
 
 
 def _overhead(settings, address: str) -> list[dict]:

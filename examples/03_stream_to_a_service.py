@@ -4,35 +4,17 @@ python examples/03_stream_to_a_service.py                    starts its own serv
 python examples/03_stream_to_a_service.py 127.0.0.1:7701     uses a running service (ddakf serve)
 """
 
-import contextlib
 import sys
-import tempfile
 import time
-from pathlib import Path
 
 import numpy as np
 from ddakf_client import Frame, connect
-from ddakf_service.commands.service_process import ServiceProcess
+from ddakf_service.commands.service_process import running_service
 
 from ddakf import data
 from ddakf.evaluation.sensors import Sensor
 
 FRAMES = 12
-
-
-@contextlib.contextmanager
-def service(address: str | None):
-    """The address of a service."""
-    if address:
-        yield address
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
-        try:
-            process.wait_until_ready(lambda activity, done, total, name: print(f"{activity} kernels: {done} of {total}"))
-            yield process.grpc
-        finally:
-            process.stop()
 
 
 def frames(sequence):
@@ -44,9 +26,9 @@ def frames(sequence):
         time.sleep(1 / sequence.fps)
 
 
-def main() -> None:
+def main(address: str) -> None:
     sequence = data.sample()
-    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address, connect(address) as client:
+    with connect(address) as client:
         print(f"{address}: ddakf {client.server.server_version}, codecs {', '.join(client.server.codecs)}")
         with client.create_session(
             sequence.template,
@@ -65,5 +47,13 @@ def main() -> None:
         print(f"{info.applied} frames tracked, {info.dropped} dropped, {info.rejected} refused")
 
 
-if __name__ == "__main__":  # the service's workers are spawned: they import this file
-    main()
+def progress(activity: str, done: int, total: int, name: str) -> None:
+    print(f"{activity} kernels: {done} of {total}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(sys.argv[1])
+    else:
+        with running_service(["--workers", "1"], progress=progress) as service:
+            main(service.grpc)

@@ -4,34 +4,16 @@ python examples/04_async_client.py [HOST:PORT]
 """
 
 import asyncio
-import contextlib
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 from ddakf_client import Frame, aconnect
-from ddakf_service.commands.service_process import ServiceProcess
+from ddakf_service.commands.service_process import running_service
 
 from ddakf import data
 from ddakf.evaluation.sensors import Sensor
 
 FRAMES = 8
-
-
-@contextlib.contextmanager
-def service(address: str | None):
-    """The address of a service."""
-    if address:
-        yield address
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        process = ServiceProcess(["--workers", "2"], log=Path(folder) / "service.log")
-        try:
-            process.wait_until_ready()
-            yield process.grpc
-        finally:
-            process.stop()
 
 
 async def camera(sequence, view: str):
@@ -66,5 +48,8 @@ async def track_both(address: str) -> None:
 
 
 if __name__ == "__main__":
-    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address:
-        asyncio.run(track_both(address))
+    if len(sys.argv) > 1:
+        asyncio.run(track_both(sys.argv[1]))
+    else:
+        with running_service(["--workers", "2"]) as service:
+            asyncio.run(track_both(service.grpc))

@@ -4,14 +4,11 @@ python examples/06_depth_camera.py                    starts its own service
 python examples/06_depth_camera.py 127.0.0.1:7701     uses a running service (ddakf serve)
 """
 
-import contextlib
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 from ddakf_client import Frame, connect
-from ddakf_service.commands.service_process import ServiceProcess
+from ddakf_service.commands.service_process import running_service
 
 from ddakf import data
 from ddakf.evaluation.sensors import Camera, Intrinsics
@@ -19,21 +16,6 @@ from ddakf.evaluation.sensors import Camera, Intrinsics
 FRAMES = 14
 DELAY = 2  # frames from the capture of an image to its display
 PHONE = Intrinsics(width=256, height=192, fx=200.0, fy=200.0, cx=127.5, cy=95.5)
-
-
-@contextlib.contextmanager
-def service(address: str | None):
-    """The address of a service."""
-    if address:
-        yield address
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
-        try:
-            process.wait_until_ready(lambda activity, done, total, name: print(f"{activity} kernels: {done} of {total}"))
-            yield process.grpc
-        finally:
-            process.stop()
 
 
 def images(sequence, camera: Camera):
@@ -58,10 +40,10 @@ def images(sequence, camera: Camera):
         )
 
 
-def main() -> None:
+def main(address: str) -> None:
     sequence = data.sample()
     camera = Camera.looking_at(PHONE, eye=(0.0, 1.2, 2.0), target=(0.0, 1.1, 0.0))
-    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address, connect(address) as client:
+    with connect(address) as client:
         body = (sequence.body_vertices[0], sequence.body_faces)
         with client.create_session(sequence.template, sequence.garment_faces, body=body, flow="lossless") as session:
             session.reset(sequence.garment_vertices[0])
@@ -77,5 +59,13 @@ def main() -> None:
     print("the prediction is nearer than the truth of the image" if better else "the garment moved too fast to be predicted")
 
 
-if __name__ == "__main__":  # the service's workers are spawned: they import this file
-    main()
+def progress(activity: str, done: int, total: int, name: str) -> None:
+    print(f"{activity} kernels: {done} of {total}")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(sys.argv[1])
+    else:
+        with running_service(["--workers", "1"], progress=progress) as service:
+            main(service.grpc)

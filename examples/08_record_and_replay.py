@@ -6,7 +6,6 @@ python examples/08_record_and_replay.py 127.0.0.1:7701     uses a running servic
 It needs pip install -e 'clients/python[recording]'. Foxglove and `ddakf view` show the file.
 """
 
-import contextlib
 import sys
 import tempfile
 import threading
@@ -14,27 +13,12 @@ from pathlib import Path
 
 import numpy as np
 from ddakf_client import Frame, connect, recordings
-from ddakf_service.commands.service_process import ServiceProcess
+from ddakf_service.commands.service_process import running_service
 
 from ddakf import data
 from ddakf.evaluation.sensors import Sensor
 
 FRAMES = 8
-
-
-@contextlib.contextmanager
-def service(address: str | None):
-    """The address of a service."""
-    if address:
-        yield address
-        return
-    with tempfile.TemporaryDirectory() as folder:
-        process = ServiceProcess(["--workers", "1"], log=Path(folder) / "service.log")
-        try:
-            process.wait_until_ready()
-            yield process.grpc
-        finally:
-            process.stop()
 
 
 def track(session, sequence, begin: threading.Event) -> None:
@@ -51,9 +35,9 @@ def track(session, sequence, begin: threading.Event) -> None:
         pass
 
 
-def main(path: Path) -> None:
+def main(address: str, path: Path) -> None:
     sequence = data.sample()
-    with service(sys.argv[1] if len(sys.argv) > 1 else None) as address, connect(address) as client:
+    with connect(address) as client:
         with client.create_session(sequence.template, sequence.garment_faces, flow="lossless") as session:
             session.reset(sequence.garment_vertices[0])
             begin = threading.Event()
@@ -70,6 +54,11 @@ def main(path: Path) -> None:
         print(f"replayed {len(differences)} frames, largest difference of a coordinate: {max(differences):g} m")
 
 
-if __name__ == "__main__":  # the service's workers are spawned: they import this file
+if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        main(Path(folder) / "walk.mcap")
+        file = Path(folder) / "walk.mcap"
+        if len(sys.argv) > 1:
+            main(sys.argv[1], file)
+        else:
+            with running_service(["--workers", "1"]) as service:
+                main(service.grpc, file)

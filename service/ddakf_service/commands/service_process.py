@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..workers.pool import Progress
@@ -18,6 +19,28 @@ _STOP_PATIENCE = 20.0  # seconds for an orderly shutdown, drain included
 
 class ServiceFailed(RuntimeError):
     """The service ended before it was ready; the message is the last line of its log."""
+
+
+@contextmanager
+def running_service(
+    arguments: Sequence[str] = (), *, progress: Progress = lambda activity, done, total, name: None
+) -> Iterator[ServiceProcess]:
+    """A service that is ready and ends with the block, with a temporary log.
+
+    Args:
+        arguments: of ``ddakf serve``, as for :class:`ServiceProcess`.
+        progress: told of kernels that are loaded or compiled.
+
+    Raises:
+        ServiceFailed: the service ended before it was ready.
+    """
+    with tempfile.TemporaryDirectory(prefix="ddakf-log-") as folder:
+        process = ServiceProcess(arguments, log=Path(folder) / "service.log")
+        try:
+            process.wait_until_ready(progress)
+            yield process
+        finally:
+            process.stop()
 
 
 class ServiceProcess:
