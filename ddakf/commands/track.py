@@ -211,8 +211,10 @@ def _source(arguments: argparse.Namespace):
     if arguments.seed < 0:
         raise InvalidArgument("seed", "a number from 0", str(arguments.seed))
     from ddakf.evaluation.datasets import open_dataset
+    from ddakf.evaluation.datasets.captures.cloud_folder import FolderRecording
     from ddakf.evaluation.tracking.sources import source_of
     from ddakf.files.sequence import Sequence
+    from ddakf.plausibility.units import LARGEST
 
     recording = open_dataset(arguments.path, fps=FPS if arguments.fps is None else arguments.fps)
     if isinstance(recording, Sequence) and arguments.fps is not None:
@@ -232,6 +234,9 @@ def _source(arguments: argparse.Namespace):
         unit=unit,
         seed=arguments.seed,
     )
+    if unit == UNITS["m"] and isinstance(recording, FolderRecording) and (size := source.garment.size) > LARGEST:
+        known, got = ", ".join(UNITS), f"metres, in which the garment is {size:.3g} in size"
+        raise InvalidArgument("unit", f"that of the files, one of {known}", got)
     if not len(source):
         raise InvalidArgument("every", "frames to track after the first one", f"--every {arguments.every}, which leaves none")
     return source

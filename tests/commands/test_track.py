@@ -178,7 +178,7 @@ def test_fabric_and_configuration_are_those_of_the_command_line(capsys):
     assert len({_summary(capsys, SAMPLE, *SHORT, *way)["rmse_mm"] for way in ways}) == 3
 
 
-def test_a_folder_may_be_in_another_unit(tmp_path):
+def test_a_folder_may_be_in_another_unit(capsys, tmp_path):
     vertices = []
     for unit, factor in (("m", 1.0), ("mm", 1000.0)):
         origin = [str(factor * x) for x in (0.0, 1.0, 3.0)]
@@ -188,6 +188,9 @@ def test_a_folder_may_be_in_another_unit(tmp_path):
         vertices.append(np.load(out)["vertices"])
     assert vertices[0] == pytest.approx(vertices[1], abs=1e-3)
     _require_tracked(vertices[1])
+    capsys.readouterr()
+    assert _track(*arguments) == 2
+    assert "unit: expected that of the files, one of m, cm, mm, in, got metres" in capsys.readouterr().err
 
 
 def test_a_folder_has_the_origin_of_its_files_or_of_the_command_line(capsys, tmp_path):
