@@ -49,6 +49,7 @@ RESULT = Path(__file__).parent / "results" / "chaos.json"
 QUIET = 10.0  # seconds without faults at the end, over whose last half errors are compared
 EVERY = (4.0, 8.0)  # seconds between faults
 RATIO, SLACK_MM = 1.2, 1.0
+ANSWERED = 0.5  # share of the frames in that time that are answered, at least
 LONGEST_GAP_MS, BUSY_RATIO = 250.0, 2.0  # between two answers beside a hostile session; over that without it, if larger
 UNDISTURBED = 10.0  # seconds of the clients before the hostile session begins
 DISK = "24m"  # of the file system that the checkpoints are on
@@ -216,7 +217,7 @@ async def _chaos(a: argparse.Namespace, run: inputs.Run, fleet: Fleet) -> dict:
     address = await proxy.start()
     log: list[str] = []
     streams = [asyncio.create_task(_stream(a, run, address, a.seconds, f"chaos-{k}")) for k in range(a.clients)]
-    failed = beside["failed"] if beside else []
+    failed = [*beside["failed"]] if beside else []
     try:
         await _faults(a, fleet, proxy, log)
         seen = await asyncio.gather(*streams)
@@ -372,6 +373,8 @@ def _judged(a: argparse.Namespace, number: int, period: int, calm: ClientLog, se
     row = {"session": number, "frames": len(seen.error), "state": seen.state, "notices": _counted(seen.notices)}
     if seen.gave_up or not pairs:
         return row | {"verdict": seen.gave_up or "no results at the end"}
+    if len(pairs) < ANSWERED * QUIET / 2 * a.rate:
+        return row | {"verdict": f"{len(pairs)} answers in the last {QUIET / 2:g} s"}
     disturbed, undisturbed = np.mean(pairs, axis=0)
     row |= {"rmse_mm": round(float(disturbed), 2), "undisturbed_mm": round(float(undisturbed), 2)}
     good = seen.state == "tracking" and disturbed <= max(RATIO * undisturbed, undisturbed + SLACK_MM)

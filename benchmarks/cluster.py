@@ -1,4 +1,4 @@
-"""Failures of a cluster: ``python benchmarks/cluster.py [--worker-kind local] [--events actor_killed ...] [--rounds 2] ...``.
+"""Failures of a cluster: ``python benchmarks/cluster.py [--worker-kind local] [--events "actor killed" ...] [--rounds 2] ...``.
 
 Two gateways share their sessions through a PostgreSQL and a folder of checkpoints; their workers are actors on a Ray cluster of
 three nodes, all on this machine. Lossless streams of the sample go through them, from clients that know both addresses. Then an
@@ -21,7 +21,6 @@ import sys
 import tempfile
 import threading
 import time
-import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -34,6 +33,7 @@ from ddakf_service.commands.service_process import ServiceProcess
 from ports import lasting_port
 from postgres import Postgres
 from rich.console import Console
+from service_metrics import metrics_of
 
 from ddakf import data
 from ddakf.evaluation import machine
@@ -132,23 +132,29 @@ class Gateway:
         self.process.stop(number)
 
     def metric(self, name: str) -> float:
-        with urllib.request.urlopen(f"{self.process.http}/metrics", timeout=30) as answer:
-            lines = answer.read().decode().splitlines()
-        return next(float(line.rpartition(" ")[2]) for line in lines if line.startswith(name + " "))
+        return metrics_of(self.process)[name]
 
 
 class Fleet:
     """Two gateways, their database, and with Ray the cluster of their workers."""
 
     def __init__(self, folder: Path, ray: bool):
-        self.cluster = _ray_cluster() if ray else None
+        self.cluster, self.gateways = _ray_cluster() if ray else None, []
         self.postgres = Postgres()
+        try:
+            self._start(folder)
+        except BaseException:
+            self.close()
+            raise
+
+    def _start(self, folder: Path) -> None:
         self.postgres.start()
         arguments = ["--workers", "1", "--spare-workers", "1", "--drain-grace", "0.5", "--departure-timeout", "120"]
         arguments += ["--database-url", self.postgres.new_database("cluster"), "--checkpoint-url", f"file://{folder}/checkpoints"]
-        if ray:
+        if self.cluster is not None:
             arguments += ["--worker-kind", "ray", "--ray-address", self.cluster.address]
-        self.gateways = [Gateway(name, folder, arguments) for name in ("one", "two")]
+        for name in ("one", "two"):
+            self.gateways.append(Gateway(name, folder, arguments))
 
     def heal(self) -> None:
         """Returns when all gateways and nodes are there, each gateway with a warm spare."""

@@ -147,12 +147,12 @@ class Session:
         from ddakf.planning import clock
 
         run, seconds, refused, rng = self.run, {}, "", np.random.default_rng(1)
-        tracker = run.tracker(ddakf.Config() if preset == "default" else ddakf.Config.paper())
+        tracker = run.unplaced(ddakf.Config() if preset == "default" else ddakf.Config.paper())
         if scene.garment is not None:
             start = run.sequence.garment_vertices[0].astype(float)
             try:
                 tracker.reset(vertices=scene.garment(start, start, rng))
-            except ddakf.errors.InvalidFrame as refusal:  # the garment is then searched
+            except ddakf.errors.InvalidFrame as refusal:
                 refused = str(refusal)
         base = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         with mock.patch.object(clock, "time", SimpleNamespace(perf_counter=time.thread_time, thread_time=time.thread_time)):

@@ -68,8 +68,7 @@ class Service:
         return time.clock_gettime(~self.process.pid << 3 | 2)  # the CPU clock of another process, clock_getcpuclockid(3)
 
     def stop(self) -> None:
-        self.process.stdin.close()
-        self.process.terminate()
+        self.process.stdin.close()  # which ends it
         self.process.wait(60)
 
 
@@ -135,7 +134,7 @@ def _measured(frames: str, results: str, transport: str, frame: Callable[[], pb.
 def _grpc(service: Service, side: int, options: pb.ResultOptions) -> Iterator[Ask]:
     import queue
 
-    with grpc.insecure_channel(service.grpc, client_options()) as channel:
+    with grpc.insecure_channel(service.grpc, client_options(service.grpc)) as channel:
         start, requests = _start(channel, side, options), queue.SimpleQueue()
         track = channel.stream_stream("/ddakf_api.v1.TrackingService/Track")  # bytes in, bytes out
         requests.put(start)
@@ -152,7 +151,7 @@ def _grpc(service: Service, side: int, options: pb.ResultOptions) -> Iterator[As
 
 @contextlib.contextmanager
 def _websocket(service: Service, side: int, options: pb.ResultOptions) -> Iterator[Ask]:
-    with grpc.insecure_channel(service.grpc, client_options()) as channel:
+    with grpc.insecure_channel(service.grpc, client_options(service.grpc)) as channel:
         start = _start(channel, side, options)
     name = pb.TrackRequest.FromString(start).start.name
     address = f"{service.http.replace('http', 'ws', 1)}/v1/{name}/stream"

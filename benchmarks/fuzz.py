@@ -47,6 +47,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"unknown targets {', '.join(sorted(unknown))}; there are {', '.join(known)}", file=sys.stderr)
         return 2
     if arguments.replay:
+        if len(arguments.only or ()) != 1 or arguments.only[0] in (HTTP, COST):
+            print("replay: expected --only with the target of the input", file=sys.stderr)
+            return 2
         all_targets()[arguments.only[0]]().run(arguments.replay.read_bytes())
         return 0
     chosen = [name for name in arguments.only or known if name not in (HTTP, COST)]

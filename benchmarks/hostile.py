@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("address")
     parser.add_argument("--seconds", type=float, default=20.0)
     a = parser.parse_args(argv)
-    with grpc.insecure_channel(a.address, client_options()) as channel:
+    with grpc.insecure_channel(a.address, client_options(a.address)) as channel:
         print(json.dumps(_attack(TrackingServiceStub(channel), a.seconds)))
     return 0
 

@@ -39,11 +39,15 @@ class Run:
 
     def tracker(self, config: ddakf.Config | None = None) -> ddakf.Tracker:
         """A tracker at the true frame 0."""
+        tracker = self.unplaced(config)
+        tracker.reset(vertices=self.sequence.garment_vertices[0])
+        return tracker
+
+    def unplaced(self, config: ddakf.Config | None = None) -> ddakf.Tracker:
+        """A tracker whose garment is where its template is, so that the first frame is searched for it."""
         s = self.sequence
         body = ddakf.Mesh(s.body_vertices[0], s.body_faces) if self.body else None
-        tracker = ddakf.Tracker(ddakf.Mesh(s.template, s.garment_faces), body=body, config=config)
-        tracker.reset(vertices=s.garment_vertices[0])
-        return tracker
+        return ddakf.Tracker(ddakf.Mesh(s.template, s.garment_faces), body=body, config=config)
 
     def frames(self) -> Iterator[tuple[int, Cloud, dict]]:
         """Number in the sequence, cloud, and the other arguments of ``Tracker.step``."""

@@ -18,7 +18,6 @@ import random
 import signal
 import sys
 import time
-import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -74,7 +73,7 @@ async def _row(a: argparse.Namespace, script: traffic.Script, process: ServicePr
         playing = asyncio.create_task(traffic.play(stub, name, script, a.rate, 3600.0, record))
         busy = []
         while len(killed) < a.kills and not playing.done():
-            await _until(lambda: _has_spare(process), playing)
+            await _until(lambda: traffic.spare_workers(process) > 0, playing)
             due = killed[-1] + random_.uniform(*PAUSE) if killed else 0.0
             await asyncio.sleep(max(random_.random(), due - time.monotonic()))
             busy.append(os.getloadavg()[0])
@@ -132,11 +131,6 @@ def _failures_of_restart(row: dict) -> list[str]:
     if row["answers_missing"]:
         found.append(f"{row['answers_missing']} answers are missing")
     return found
-
-
-def _has_spare(process: ServiceProcess) -> bool:
-    with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
-        return b"ddakf_workers_spare 1.0" in answer.read()
 
 
 def _parser() -> argparse.ArgumentParser:

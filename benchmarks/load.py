@@ -12,14 +12,17 @@ import argparse
 import asyncio
 import contextlib
 import json
+import os
 import sys
 import time
 from pathlib import Path
 
+import grpc
 import numpy as np
 import traffic
 from committed import parsed
 from ddakf_api.codec import CODECS, DEFAULT_CODEC
+from ddakf_api.errors import from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from rich.console import Console
@@ -37,14 +40,20 @@ def main(argv: list[str] | None = None) -> int:
     """Returns the exit status: 0 if no stream ended with an error, even with dropped frames; otherwise 1."""
     a = parsed(_parser(), argv)
     script = traffic.Script(a.vertices, a.points, view=a.view, codec_name=a.codec, body=a.body)
-    rows = [_run(a, script, clients) for clients in a.clients]
     report = {"name": "load", "commit": machine.commit(), "machine": machine.describe(), "date": time.strftime("%Y-%m-%d")}
-    report["load"] = rows
+    rows = report["load"] = []
     a.out.parent.mkdir(parents=True, exist_ok=True)
-    a.out.write_text(json.dumps(report, indent=1) + "\n")
-    _show(rows)
-    print(a.out)
-    return 1 if any(row["ended"] for row in rows) else 0
+    for clients in a.clients:
+        try:
+            rows.append(_run(a, script, clients))
+        except grpc.RpcError as error:
+            print(f"{clients} clients: {from_rpc_error(error)}", file=sys.stderr)
+            break
+        a.out.write_text(json.dumps(report, indent=1) + "\n")  # the next load may be refused
+    if rows:
+        _show(rows)
+        print(a.out)
+    return 1 if len(rows) < len(a.clients) or any(row["ended"] for row in rows) else 0
 
 
 def _run(a: argparse.Namespace, script: traffic.Script, clients: int) -> dict:
@@ -52,7 +61,7 @@ def _run(a: argparse.Namespace, script: traffic.Script, clients: int) -> dict:
     with contextlib.ExitStack() as stack:
         address, pid = a.server, None
         if address is None:
-            process = stack.enter_context(traffic.service(["--workers", str(a.workers)]))
+            process = stack.enter_context(traffic.service(["--workers", str(a.workers), "--max-sessions", str(max(clients, 64))]))
             address, pid = process.grpc, process.pid
         return asyncio.run(_load(a, script, clients, address, traffic.Usage(pid) if pid else None))
 
@@ -60,7 +69,8 @@ def _run(a: argparse.Namespace, script: traffic.Script, clients: int) -> dict:
 async def _load(a: argparse.Namespace, script: traffic.Script, clients: int, address: str, usage: traffic.Usage | None) -> dict:
     records = [traffic.StreamLog() for _ in range(clients)]
     async with contextlib.AsyncExitStack() as stack:
-        stubs = [TrackingServiceStub(await stack.enter_async_context(traffic.channel_to(address))) for _ in records]
+        channels = [traffic.channel_to(address, a.api_key, a.tls_ca) for _ in records]
+        stubs = [TrackingServiceStub(await stack.enter_async_context(channel)) for channel in channels]
         garments = [0 if a.one_garment else k for k in range(clients)]
         names = await asyncio.gather(*(traffic.created(stub, script, number=k) for stub, k in zip(stubs, garments, strict=True)))
         before, own, begun = usage.cpu_seconds() if usage else 0.0, time.process_time(), time.monotonic()
@@ -142,7 +152,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--rate", type=float, default=30.0, help="frames per second of each client")
     parser.add_argument("--vertices", type=int, default=2_500)
     parser.add_argument("--points", type=int, default=10_000)
-    parser.add_argument("--view", default="full", help="full, ring4 or front")
+    parser.add_argument("--view", default="full", choices=("full", "front"))
     parser.add_argument("--body", action="store_true", help="the body's vertices travel with every frame")
     parser.add_argument("--one-garment", action="store_true", help="of all clients, so that their sessions share constants")
     parser.add_argument("--codec", choices=CODECS, default=DEFAULT_CODEC)
@@ -150,6 +160,8 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--workers", type=int, default=2, help="of the service that is started")
     parser.add_argument("--server", metavar="HOST:PORT", help="a service that runs, instead of one of our own")
+    parser.add_argument("--api-key", default=os.environ.get("DDAKF_API_KEY"), help="of that service (default: $DDAKF_API_KEY)")
+    parser.add_argument("--tls-ca", type=Path, metavar="PEM", help="certificates that its own is signed by; none: not encrypted")
     parser.add_argument("--out", type=Path, default=RESULT)
     return parser
 

@@ -22,7 +22,6 @@ import os
 import signal
 import sys
 import time
-import urllib.request
 from dataclasses import asdict
 from pathlib import Path
 
@@ -36,6 +35,7 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from ddakf_service.commands.service_process import ServiceProcess
 from fleet import NODE_CORES, RESERVE, TOLERANCE, Figures, disagreements, plan, simulated
+from service_metrics import metrics_of
 
 from ddakf.evaluation import machine
 
@@ -90,7 +90,7 @@ def measured(script: traffic.Script) -> tuple[Figures, list[dict]]:
         before = _memory(process)  # with the pages of the template that any session copies
         many = asyncio.run(_streamed(process, script, 8, 20.0, 2.0, keep=True))
         after = _memory(process)
-        written = _metrics(process)
+        written = metrics_of(process)
     restores = [_killed(script, n) for n in (1, 4, 8)]
     low, high = restores[0]["longest_s"], restores[-1]["longest_s"]
     per_session = max((high - low) / (restores[-1]["sessions"] - restores[0]["sessions"]), 1e-3)
@@ -236,12 +236,6 @@ def _memory(process: ServiceProcess) -> tuple[int, int]:
     """Allocated bytes of the network process and of the worker."""
     sizes = traffic.Usage(process.pid).memory()
     return sizes[process.pid], sizes[traffic.workers(process.pid)[0]]
-
-
-def _metrics(process: ServiceProcess) -> dict[str, float]:
-    with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
-        lines = answer.read().decode().splitlines()
-    return {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines if not line.startswith("#")}
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -22,6 +22,7 @@ import numpy as np
 import traffic
 from committed import parsed
 from ddakf_api import API_VERSION
+from ddakf_api.errors import ServiceError, from_detail, from_rpc_error
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
 from rich.console import Console
@@ -36,6 +37,7 @@ WARM = 0.3  # share of the run after which the first readings are taken
 WAYS = ("in order", "half closed", "cancelled", "gone")  # to leave
 DEPARTURE = 3.0  # seconds after which the session of a client that is gone expires
 POOLED = 5  # descriptors that a process may open at any time and keep: connections to the database
+ANSWERED = 0.5  # share of the frames of the clients that stream all the time, at least
 FRAMES = 3  # of a client that comes and leaves
 
 
@@ -87,7 +89,9 @@ async def _short_clients(a: argparse.Namespace, script, address: str, record: tr
             async with traffic.channel_to(address) as channel:
                 await _visit(TrackingServiceStub(channel), script, WAYS[k % len(WAYS)])
         except grpc.RpcError as error:
-            record.failed(traffic.from_rpc_error(error))
+            record.failed(from_rpc_error(error))
+        except ServiceError as error:
+            record.failed(error)
         done[0] += 1
 
 
@@ -97,8 +101,7 @@ async def _visit(stub: TrackingServiceStub, script: traffic.Script, way: str) ->
     await call.write(pb.TrackRequest(start=pb.Start(name=name, api_version=API_VERSION, flow_mode=pb.FLOW_MODE_LOSSLESS)))
     for number in range(1, FRAMES + 1):
         await call.write(script.frame(number, 30.0))
-    for _ in range(2):
-        await call.read()
+    await _first_result(call)
     if way == "gone":
         return  # the channel is closed above the stream's head; nobody deletes the session
     if way == "cancelled":
@@ -108,6 +111,16 @@ async def _visit(stub: TrackingServiceStub, script: traffic.Script, way: str) ->
         while await call.read() is not grpc.aio.EOF:
             pass
     await stub.DeleteSession(pb.DeleteSessionRequest(name=name))
+
+
+async def _first_result(call: grpc.aio.StreamStreamCall) -> None:
+    """Reads until a frame has its result; raises the error of one that was refused."""
+    while (response := await call.read()) is not grpc.aio.EOF:
+        if response.HasField("result"):
+            return
+        if response.HasField("frame_error"):
+            raise from_detail(response.frame_error.error)
+    raise ServiceError("the stream ended without a result")
 
 
 async def _read(seconds: float, usage: traffic.Usage, readings: list, done: list[int], cycles: int) -> None:
@@ -141,10 +154,13 @@ def _judged(a, records, cycles, done: int, readings, idle: dict[int, int], descr
         failed.append(f"{left} sessions were left over")
     if errors:
         failed.append(f"errors: {errors}")
+    sent, answered = sum(r.sent for r in records), sum(r.answered for r in records)
+    if answered < ANSWERED * sent:
+        failed.append(f"the clients that stream all the time got {answered} results of {sent} frames")
     return {
         "seconds": a.seconds,
         "cycles": done,
-        "frames": sum(r.answered for r in records),
+        "frames": answered,
         "dropped": sum(r.dropped for r in records),
         "memory_growth": [round(after / before - 1, 4) for before, after in growth.values()],
         "memory_mib": [round(after / 2**20, 1) for _, after in growth.values()],

@@ -12,7 +12,6 @@ import math
 import os
 import tempfile
 import time
-import urllib.request
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
@@ -27,8 +26,9 @@ from ddakf_api.errors import ServiceError, from_detail, from_rpc_error
 from ddakf_api.transport import client_options
 from ddakf_api.v1 import tracking_pb2 as pb
 from ddakf_api.v1.tracking_pb2_grpc import TrackingServiceStub
+from ddakf_client.calls import metadata_for
 from ddakf_service.commands.service_process import ServiceProcess
-from prometheus_client.parser import text_string_to_metric_families
+from service_metrics import metrics_of
 
 from ddakf import data
 from ddakf.evaluation import metrics
@@ -135,11 +135,30 @@ class StreamLog:
         return name
 
 
+class _WithKey(grpc.aio.UnaryUnaryClientInterceptor, grpc.aio.StreamStreamClientInterceptor):
+    """Sends a key with every call."""
+
+    def __init__(self, key: str):
+        self._metadata = metadata_for(key)
+
+    async def intercept_unary_unary(self, continuation, client_call_details, request):
+        return await continuation(client_call_details._replace(metadata=self._metadata), request)
+
+    async def intercept_stream_stream(self, continuation, client_call_details, request_iterator):
+        return await continuation(client_call_details._replace(metadata=self._metadata), request_iterator)
+
+
 @asynccontextmanager
-async def channel_to(address: str) -> AsyncIterator[grpc.aio.Channel]:
-    """A connection of its own, as every client has one."""
-    options = [*client_options(), ("grpc.use_local_subchannel_pool", 1)]
-    async with grpc.aio.insecure_channel(address, options) as channel:
+async def channel_to(address: str, key: str | None = None, authority: Path | None = None) -> AsyncIterator[grpc.aio.Channel]:
+    """A connection of its own, as every client has one; encrypted where the certificates of an authority are given."""
+    options = [*client_options(address), ("grpc.use_local_subchannel_pool", 1)]
+    interceptors = [_WithKey(key)] if key else []
+    if authority:
+        credentials = grpc.ssl_channel_credentials(authority.read_bytes())
+        opened = grpc.aio.secure_channel(address, credentials, options, interceptors=interceptors)
+    else:
+        opened = grpc.aio.insecure_channel(address, options, interceptors=interceptors)
+    async with opened as channel:
         yield channel
 
 
@@ -222,9 +241,7 @@ def service(arguments: list[str], *, folder: Path | None = None) -> Iterator[Ser
 
 def spare_workers(process: ServiceProcess) -> int:
     """Warm workers that wait, as the service's metrics tell."""
-    with urllib.request.urlopen(f"{process.http}/metrics", timeout=30) as answer:
-        families = text_string_to_metric_families(answer.read().decode())
-    return next(int(sample.value) for family in families for sample in family.samples if sample.name == "ddakf_workers_spare")
+    return int(metrics_of(process)["ddakf_workers_spare"])
 
 
 class Usage:

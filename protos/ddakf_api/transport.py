@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ipaddress
+
 MAX_MESSAGE_BYTES = 64 * 1024 * 1024
 CLIENT_KEEPALIVE_SECONDS = 3.0
 """Time without data after which a client pings while a call is open."""
@@ -20,9 +22,20 @@ CONNECT_SECONDS = 3.0
 Options = list[tuple[str, int]]
 
 
-def client_options(max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
-    """Options of a client's channel."""
+def is_loopback(host: str) -> bool:
+    """Whether a host, a name or an address with or without brackets, is this machine."""
+    host = host.strip("[]")
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def client_options(target: str, max_message_bytes: int = MAX_MESSAGE_BYTES) -> Options:
+    """Options of a client's channel to "host:port"."""
     return [
+        # gRPC, unlike browsers, asks the proxy of http_proxy for this machine too
+        ("grpc.enable_http_proxy", int(not is_loopback(target.rpartition(":")[0]))),
         *_message_limits(max_message_bytes),
         *_pings(CLIENT_KEEPALIVE_SECONDS, CLIENT_KEEPALIVE_TIMEOUT_SECONDS),
         ("grpc.keepalive_permit_without_calls", 0),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import ipaddress
 import logging
 import os
 import signal
 from collections.abc import Callable
 from typing import NamedTuple
+
+from ddakf_api.transport import is_loopback
 
 import ddakf
 
@@ -246,15 +247,9 @@ def _anonymous(settings: Settings) -> bool:
 def _unreachable(settings: Settings) -> str:
     """One sentence where other gateways send clients to an address at which this one does not listen; empty: they do not."""
     address, host = settings.gateway_address, settings.host
-    if not (settings.share_sessions and address and _is_loopback(host)) or _is_loopback(address.rpartition(":")[0].strip("[]")):
+    if not (settings.share_sessions and address and is_loopback(host)) or is_loopback(address.rpartition(":")[0]):
         return ""
     return f"gateway_address is {address}, but host is {host}: clients come here only through a proxy on this machine"
-
-
-def _is_loopback(host: str) -> bool:
-    with contextlib.suppress(ValueError):
-        return ipaddress.ip_address(host).is_loopback
-    return host == "localhost"
 
 
 def _bracketed(host: str) -> str:

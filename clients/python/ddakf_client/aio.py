@@ -64,9 +64,9 @@ def aconnect(
 
     targets = calls.targets_of(target)
     calls.require_timeout(timeout)
-    options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.aio.Channel:
+        options = client_options(target, max_message_bytes)
         if credentials is None:
             return grpc.aio.insecure_channel(target, options)
         return grpc.aio.secure_channel(target, credentials, options)

@@ -60,9 +60,9 @@ def connect(
     """
     targets = calls.targets_of(target)
     calls.require_timeout(timeout)
-    options = client_options(max_message_bytes)
 
     def open_channel(target: str) -> grpc.Channel:
+        options = client_options(target, max_message_bytes)
         if credentials is None:
             return grpc.insecure_channel(target, options)
         return grpc.secure_channel(target, credentials, options)

@@ -95,7 +95,7 @@ def _limits(info) -> Finding:
 
 def _open(server: Server, package) -> Finding:
     """Whether calls without a key are refused where others can reach the server."""
-    local = server.target.rpartition(":")[0].strip("[]") in ("127.0.0.1", "::1", "localhost")
+    local = _is_local(server.target)
     try:
         with server._replace(api_key=None).connect() as client:
             next(iter(client.sessions()), None)
@@ -107,13 +107,24 @@ def _open(server: Server, package) -> Finding:
     return Finding("access", WARNING, f"anyone who reaches {server.target} may use the server: it asks for no key")
 
 
+def _is_local(address: str) -> bool:
+    """Whether "host:port" is on this machine."""
+    return address.rpartition(":")[0].strip("[]") in ("127.0.0.1", "::1", "localhost")
+
+
+def _opener(address: str, context: ssl.SSLContext | None) -> urllib.request.OpenerDirector:
+    """What opens pages of "host:port"; of this machine without a proxy."""
+    proxies = urllib.request.ProxyHandler({} if _is_local(address) else None)
+    return urllib.request.build_opener(proxies, urllib.request.HTTPSHandler(context=context))
+
+
 def _storage(server: Server, http: str) -> tuple[str, str]:
     scheme = "https" if server.tls_ca or server.tls_certificate else "http"
     context = _context(server) if scheme == "https" else None
     headers = {"Authorization": f"Bearer {server.api_key}"} if server.api_key else {}
     try:
         request = urllib.request.Request(f"{scheme}://{http}/readyz", headers=headers)
-        with urllib.request.urlopen(request, timeout=_PATIENCE, context=context) as answer:
+        with _opener(http, context).open(request, timeout=_PATIENCE) as answer:
             state = json.load(answer)
     except urllib.error.HTTPError as error:
         raise _Wrong(f"{http} is not ready: {error.read(500).decode(errors='replace')}") from None

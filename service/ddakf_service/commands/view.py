@@ -8,10 +8,12 @@ import signal
 import sys
 import tempfile
 import urllib.error
+import urllib.parse
 import urllib.request
 import webbrowser
 from pathlib import Path
 
+from ddakf_api.transport import is_loopback
 from rich.console import Console
 
 from ddakf.errors import DdakfError, InvalidArgument
@@ -40,8 +42,10 @@ def _view_server(args: argparse.Namespace) -> int:
     if not re.search(r":[0-9]+$", host) and not args.server.startswith("http"):
         host = f"{host}:{Settings.model_fields['http_port'].default}"
     address = f"{'https' if args.server.startswith('https') else 'http'}://{host}/"
+    proxies = {} if is_loopback(urllib.parse.urlsplit(address).hostname or "") else None  # None: those of the environment
+    opener = urllib.request.build_opener(urllib.request.ProxyHandler(proxies))
     try:
-        with urllib.request.urlopen(f"{address}healthz", timeout=_PATIENCE):
+        with opener.open(f"{address}healthz", timeout=_PATIENCE):
             pass
     except (urllib.error.URLError, OSError) as error:
         raise DdakfError(f"{address} does not answer: {getattr(error, 'reason', error)}") from None
