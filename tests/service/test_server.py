@@ -151,7 +151,15 @@ def test_a_log_for_programs_holds_nothing_else(tmp_path):
     assert (ready["version"], ready["build"]) == (ddakf.__version__, build())
 
 
-def test_the_end_of_its_terminal_stops_a_service_in_order(own_service, sheet):
+@pytest.fixture
+def hangup():
+    """The signal as it is in a terminal; tests under nohup would hand it on as ignored."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+def test_the_end_of_its_terminal_stops_a_service_in_order(hangup, own_service, sheet):
     """The system sends the signal to every process of the service, and the shell again."""
     api = Api(own_service.grpc)
     talk = Talk(api, api.create(sheet).name)
