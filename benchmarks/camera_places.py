@@ -1,0 +1,152 @@
+"""One camera in other places than in front: ``python benchmarks/camera_places.py [--held-out] [--procs N]``.
+
+Clips of training recordings as a depth camera sees them beside, behind, above and below the wearer, near, far, on its way around,
+in a shaking hand, with the garment half outside of the image, and with somebody who passes; alone, and with the body. Printed
+are RMSE, reliability, the share of all vertices in their 90 % ellipsoids and that of the vertices that are seen. ``--held-out``
+tracks the held-out recordings instead, on which nothing was chosen. Writes benchmarks/results/camera_places.json unless ``--out``
+says otherwise; ``--table`` prints the table of docs/results/conditions.md from it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import multiprocessing
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from committed import parsed
+from conditions import FIRST, FRAMES, INSIDE, add_recordings, geometric, recordings
+
+import ddakf
+from ddakf.evaluation import machine
+from ddakf.evaluation.datasets import collection
+from ddakf.evaluation.sensors import Camera, Intrinsics
+from ddakf.evaluation.sensors.captured_frame import Cloud
+from ddakf.files.sequence import Sequence
+
+RESULT = Path(__file__).parent / "results" / "camera_places.json"
+LENS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
+MOST, NOISE = 10_000, 0.003  # points, and their noise in m
+BAND, PASSING = 0.12, 25  # m, width of what passes, and frames that it takes
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the camera is, about the garment's centroid in the first frame of the recording."""
+
+    azimuth: float = 0.0  # degrees about the vertical, from the wearer's front to their left
+    turn: float = 0.0  # degrees per frame by which that grows
+    distance: float = 2.0  # m
+    rise: float = 0.2  # m
+    beside: float = 0.0  # m from the centroid to what the camera looks at
+    shake: float = 0.0  # m, standard deviation of its place from frame to frame
+    told_off: float = 0.0  # m, the same of the place that the tracker is told
+    passing: bool = False  # somebody passes in front of the wearer
+
+
+PLACES = {
+    "in front": Place(),
+    "beside": Place(azimuth=90.0),
+    "behind": Place(azimuth=180.0),
+    "above": Place(distance=1.5, rise=1.6),
+    "below": Place(distance=1.8, rise=-0.8),
+    "near": Place(distance=0.8, rise=0.1),
+    "far": Place(distance=5.0, rise=0.5),
+    "on its way around": Place(turn=4.0),
+    "in a hand": Place(shake=0.03, told_off=0.02),
+    "half outside": Place(distance=1.2, beside=0.55),
+    "somebody passes": Place(passing=True),
+}
+
+
+def seen_from(place: Place, sequence: Sequence, frame: int, rng: np.random.Generator) -> Cloud:
+    """The garment's points in a frame, and where the tracker is told that the camera is."""
+    centre = np.asarray(sequence.garment_vertices[0], np.float64).mean(axis=0)
+    angle = math.radians(place.azimuth + place.turn * (frame - FIRST))
+    away = np.array([place.distance * math.sin(angle), place.rise, place.distance * math.cos(angle)])
+    eye = centre + away + place.shake * rng.normal(size=3)
+    camera = Camera.looking_at(LENS, eye, centre + [place.beside, 0.0, 0.0])
+    meshes = [(sequence.garment_vertices[frame], sequence.garment_faces), (sequence.body_vertices[frame], sequence.body_faces)]
+    depth, face = camera.render(meshes)
+    points = camera.unproject(depth, (face >= 0) & (face < len(sequence.garment_faces)))
+    if place.passing:
+        middle = centre[0] + (frame - FIRST) % PASSING / PASSING * 0.8 - 0.4
+        points = points[np.abs(points[:, 0] - middle) > 0.5 * BAND]
+    if len(points) > MOST:
+        points = points[np.sort(rng.permutation(len(points))[:MOST])]
+    points = points + NOISE * rng.normal(size=points.shape)
+    return Cloud(points.astype(np.float32), eye + place.told_off * rng.normal(size=3))
+
+
+def run(job: tuple[str, bool, int]) -> list[dict]:
+    """The rows of a recording, one per place, with the body or without, of so many frames."""
+    name, with_body, frames = job
+    sequence = collection.load(name)
+    body = ddakf.Mesh(sequence.body_vertices[FIRST], sequence.body_faces) if with_body else None
+    tracker = ddakf.Tracker(ddakf.Mesh(sequence.template, sequence.garment_faces), body=body)
+    rows = []
+    for title, place in PLACES.items():
+        tracker.reset(vertices=sequence.garment_vertices[FIRST])
+        found = []
+        for k in range(FIRST + 1, min(FIRST + 1 + frames, len(sequence))):
+            cloud = seen_from(place, sequence, k, np.random.default_rng([1, k]))
+            pose = sequence.body_vertices[k] if with_body else None
+            result = tracker.step(
+                cloud.points, timestamp=k / sequence.fps, sensor_origin=cloud.sensor_origin, body_vertices=pose
+            )
+            off = result.vertices - sequence.garment_vertices[k]
+            squared = np.einsum("va,va->v", off, np.linalg.solve(result.covariance, off[:, :, None])[:, :, 0])
+            rmse = 1e3 * np.sqrt(np.square(off).sum(axis=1).mean())
+            found.append((rmse, result.reliability, (squared < INSIDE).mean(), result.observed.mean()))
+        means = zip(("rmse_mm", "reliability", "coverage", "seen"), np.mean(found, axis=0), strict=True)
+        row = {"recording": name, "body": with_body, "place": title}
+        rows.append(row | {key: round(float(value), 4) for key, value in means})
+    return rows
+
+
+def table(rows: list[dict]) -> list[str]:
+    """Lines of a table in Markdown: geometric means of the RMSE, and means."""
+    lines = ["| one camera | seen | RMSE mm | in ellipsoids | reliability | body: RMSE mm | in ellipsoids | reliability |"]
+    lines.append("|---" * 8 + "|")
+    for place in PLACES:
+        mine = [[row for row in rows if (row["place"], row["body"]) == (place, body)] for body in (False, True)]
+        cells = [place, f"{np.mean([row['seen'] for row in mine[0]]):.0%}"]
+        for some in mine:
+            inside, reliable = (np.mean([row[key] for row in some]) for key in ("coverage", "reliability"))
+            cells += [f"{geometric(some, 'rmse_mm'):.1f}", f"{inside:.0%}", f"{reliable:.2f}"]
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Runs and prints; returns the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    add_recordings(parser)
+    parser.add_argument("--frames", type=int, default=FRAMES)
+    parser.add_argument("--procs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=RESULT, metavar="JSON")
+    parser.add_argument("--table", action="store_true", help="print that file in Markdown, and track nothing")
+    arguments = parsed(parser, argv)
+    if arguments.table:
+        print("\n".join(table(json.loads(arguments.out.read_text())["rows"])))
+        return 0
+    jobs = list(itertools.product(recordings(parser, arguments), (False, True), [arguments.frames]))
+    rows = []
+    with multiprocessing.get_context("spawn").Pool(arguments.procs) as pool:
+        for found in pool.imap(run, jobs):
+            rows += found
+            print(f"{found[0]['recording']}, {len(rows)} of {len(PLACES) * len(jobs)}", file=sys.stderr, flush=True)
+    head = {"commit": machine.commit(), "held_out": arguments.held_out, "frames": arguments.frames}
+    lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)
+    arguments.out.write_text(f'{json.dumps(head)[:-1]}, "rows": [\n{lines}\n]}}\n')
+    print("\n".join(table(rows)))
+    return 0
+
+
+if __name__ == "__main__":  # the workers are spawned: they import this file
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""The places of the camera in benchmarks/camera_places.py: what a camera sees from there, and the rows of a short run."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import camera_places
+import numpy as np
+import pytest
+from camera_places import FIRST, PLACES, Place
+from conditions import RECORDINGS
+
+from ddakf.evaluation.datasets import collection
+
+
+@pytest.fixture(scope="module")
+def sequence():
+    return collection.load(RECORDINGS[-1])
+
+
+def cloud(sequence, place: Place, frame: int = FIRST):
+    return camera_places.seen_from(place, sequence, frame, np.random.default_rng(1))
+
+
+@pytest.mark.parametrize("name", PLACES)
+def test_a_place_sees_the_side_of_the_garment_that_faces_it(name, sequence):
+    points, eye = cloud(sequence, replace(PLACES[name], shake=0.0, told_off=0.0))
+    vertices = sequence.garment_vertices[FIRST]
+    towards = eye - vertices.mean(axis=0)
+    towards = towards / np.linalg.norm(towards)
+    assert len(points) > 400
+    assert (points @ towards).mean() > (vertices @ towards).mean() + 0.01
+
+
+def test_places_are_where_their_names_say(sequence):
+    middle = sequence.garment_vertices[0].mean(axis=0)
+    away = {name: cloud(sequence, place).sensor_origin - middle for name, place in PLACES.items()}
+    assert away["in front"][2] > 1.9
+    assert away["behind"][2] < -1.9
+    assert away["beside"][0] > 1.9
+    assert away["above"][1] > 1.5 > 0 > away["below"][1]
+    assert np.linalg.norm(away["near"]) < 1.0 < 4.5 < np.linalg.norm(away["far"])
+    later = cloud(sequence, PLACES["on its way around"], FIRST + 45).sensor_origin - middle
+    assert later[2] < -1.9
+
+
+def test_half_of_a_garment_is_outside_of_the_image_or_behind_who_passes(sequence):
+    names = "in front", "half outside", "somebody passes"
+    front, half, passing = (cloud(sequence, PLACES[name], FIRST + 12).points for name in names)
+    assert half[:, 0].min() > front[:, 0].min() + 0.05
+    gaps = np.diff(np.sort(passing[:, 0]))
+    assert gaps.max() > 0.8 * camera_places.BAND > np.diff(np.sort(front[:, 0])).max()
+
+
+def test_a_run_has_a_row_for_every_place_and_its_table_a_line():
+    rows = [row for body in (False, True) for row in camera_places.run((RECORDINGS[-1], body, 2))]
+    assert [row["place"] for row in rows] == [*PLACES, *PLACES]
+    assert all(0 < row["rmse_mm"] < 40 for row in rows)
+    lines = camera_places.table(rows)
+    assert len(lines) == 2 + len(PLACES)
+    assert len({line.count("|") for line in lines}) == 1
