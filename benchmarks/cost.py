@@ -1,9 +1,10 @@
 """Cost of adversarial frames over that of spread ones of the same size: ``python benchmarks/cost.py [--sizes V:M ...]``.
 
-A session of six frames runs in a process of its own, on one thread, from a fresh tracker: the first frame is searched, others
-are tracked, doubted and lost. Its processor time, of each stage, of its longest frame and in all, is divided by that of the
-dearest session with a spread cloud: tracked, 5 cm beside, shaken by 5 cm, or elsewhere in every frame. Each is the least of some
-repetitions. A stage that takes less than a twentieth of the dearest spread session counts as one that takes this much.
+A session of six frames runs in a process of its own, on one thread, from the true start; frames are tracked, doubted and lost.
+With ``--search`` nobody has placed the template, and the first frame is searched for it. Its processor time, of each stage, of
+its longest frame and in all, is divided by that of the dearest session with a spread cloud: tracked, 5 cm beside, shaken by 5
+cm, or elsewhere in every frame. Each is the least of some repetitions. A stage that takes less than a twentieth of the dearest
+spread session counts as one that takes this much.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--presets", nargs="+", default=["default"], choices=["default", "paper"])
     parser.add_argument("--views", nargs="+", default=["full", "front+body"], choices=["full", "front", "front+body"])
     parser.add_argument("--only", nargs="+", metavar="SCENE")
+    parser.add_argument("--search", action="store_true", help="nobody has placed the template")
     parser.add_argument("--repeats", type=int, default=REPEATS)
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parsed(parser, argv)
@@ -45,7 +47,7 @@ def main(argv: list[str] | None = None) -> int:
     report = {"commit": machine.commit(), "machine": machine.describe(), "frames": FRAMES, "rows": []}
     for size in arguments.sizes:
         for view in arguments.views:
-            session = Session(*map(int, size.split(":")), view)
+            session = Session(*map(int, size.split(":")), view, arguments.search)
             for preset in arguments.presets:
                 print("\n" + TABLE.format("V:M", f"{view}, {preset}", "seconds", "ratio", "MiB", "stages above 1.5"))
                 for row in rows(session, preset, arguments):
@@ -122,13 +124,13 @@ def compared(one: dict, spread: dict[str, float]) -> dict:
 class Session:
     """A garment of a size and clouds of a size, tracked from the start under one scene after the other."""
 
-    def __init__(self, vertices: int, points: int, view: str):
+    def __init__(self, vertices: int, points: int, view: str, search: bool = False):
         import inputs
 
         from ddakf import data
 
         view, _, body = view.partition("+")
-        self.body = bool(body)
+        self.body, self.search = bool(body), search
         sequence = inputs.resampled(inputs.shortened(data.sample(), FRAMES), vertices)
         self.run = inputs.run_of(sequence, FRAMES, view, points, body=self.body)
 
@@ -147,7 +149,8 @@ class Session:
         from ddakf.planning import clock
 
         run, seconds, refused, rng = self.run, {}, "", np.random.default_rng(1)
-        tracker = run.unplaced(ddakf.Config() if preset == "default" else ddakf.Config.paper())
+        begin = run.unplaced if self.search else run.tracker
+        tracker = begin(ddakf.Config() if preset == "default" else ddakf.Config.paper())
         if scene.garment is not None:
             start = run.sequence.garment_vertices[0].astype(float)
             try:

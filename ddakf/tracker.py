@@ -40,7 +40,7 @@ class Tracker:
         config: ``Config()`` or ``Config.paper()``, or a variation of them.
 
     Raises:
-        InvalidMesh: not meshes, metres beyond 10 km, or a garment beyond 10 m, or ten times as large as its body.
+        InvalidMesh: not meshes, metres beyond 10 km, a garment or body beyond 10 m, or a garment ten times as large as its body.
         InvalidConfig: no configuration.
     """
 

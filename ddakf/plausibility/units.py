@@ -65,14 +65,15 @@ def edge_lengths(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def require_size(garment: Mesh, body: Mesh | None) -> None:
-    """Refuses a garment whose unit cannot be metres.
+    """Refuses a garment or a body whose unit cannot be metres.
 
     Raises:
-        InvalidMesh: larger than 10 m, or ten times as large as its body.
+        InvalidMesh: larger than 10 m, or a garment ten times as large as its body.
     """
-    if garment.size > LARGEST:
-        unit = "millimetres" if garment.size > 20.0 * LARGEST else "centimetres or inches"
-        raise InvalidMesh("garment", f"metres, at most {LARGEST:g} in size", f"{garment.size:.3g}, which looks like {unit}")
+    for name, mesh in (("garment", garment), ("body", body)):
+        if mesh is not None and mesh.size > LARGEST:
+            unit = "millimetres" if mesh.size > 20.0 * LARGEST else "centimetres or inches"
+            raise InvalidMesh(name, f"metres, at most {LARGEST:g} in size", f"{mesh.size:.3g}, which looks like {unit}")
     if body is not None and garment.size > SCALE * body.size:
         expected = f"a garment for the body, which is {body.size:.2g} m in size"
         raise InvalidMesh("garment", expected, f"{garment.size:.3g} m{_as_if(garment.size / body.size)}")

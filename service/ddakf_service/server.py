@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import logging
 import os
+import shlex
 import signal
 from collections.abc import Callable
 from typing import NamedTuple
@@ -213,8 +214,15 @@ class Server:
     def _follow_keys(self) -> None:
         """Logs a warning when nobody has access; the server may be ready now."""
         if not (_anonymous(self._settings) or len(self._keys)):
-            log.warning("calls need a key, but no key exists: ddakf keys create NAME --scope stream")
+            log.warning("calls need a key, but no key exists: ddakf keys create NAME --scope stream%s", self._key_options())
         self._update_health()
+
+    def _key_options(self) -> str:
+        """The options with which ``ddakf keys`` finds the database of this service; a URL may have a password."""
+        if self._settings.database_url:
+            return " --database-url URL, with that of this service"
+        default = Settings.model_fields["data_dir"].default
+        return "" if self._settings.data_dir == default else f" --data-dir {shlex.quote(self._settings.data_dir)}"
 
     def _follow_workers(self) -> None:
         health = self._pool.health()

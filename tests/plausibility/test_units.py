@@ -60,6 +60,15 @@ def test_a_garment_may_start_crumpled_or_thrown():
     Tracker(TUBE).reset(vertices=0.01 * TUBE.vertices, velocities=np.full_like(TUBE.vertices, 30.0))
 
 
+@pytest.mark.parametrize("factor", [1000, 100])
+def test_a_garment_or_a_body_of_another_unit_is_refused(factor):
+    large = Mesh(factor * TUBE.vertices, TUBE.faces)
+    for given, field in (({"garment": large}, "garment"), ({"garment": TUBE, "body": large}, "body")):
+        with pytest.raises(InvalidMesh, match="at most 10 in size") as refused:
+            Tracker(**given)
+        assert refused.value.field == field
+
+
 def test_few_points_have_no_size():
     Tracker(TUBE).step(1000 * cloud(0)[:50], timestamp=0.0)
 

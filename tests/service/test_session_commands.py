@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 
 import httpx
 import pytest
@@ -61,6 +62,8 @@ def test_the_history_has_the_frames_of_an_ended_session(sessions, api, sheet):
     assert history["states"][-1]["state"] == "closed"
     long_ago = ("--start", "2019-01-01", "--end", "2020-01-01T00:00:00", "--json")
     assert json.loads(sessions("history", session_id, *long_ago))["applied"] == []
+    since = "--start", str(time.time() - 3600), "--json"
+    assert sum(json.loads(sessions("history", session_id, *since))["applied"]) == 3
     table = sessions("history", session_id)
     assert "reliability" in table
     assert table.splitlines()[-1].endswith("closed")

@@ -60,6 +60,17 @@ def test_the_dashboard_of_a_server_is_named(service, capsys):
         assert capsys.readouterr().out == f"{service.http}/\n"
 
 
+def test_the_port_of_grpc_is_not_that_of_the_dashboard(service):
+    with pytest.raises(InvalidArgument, match="server: expected the HTTP port"):
+        view(arguments(server=service.grpc))
+
+
+def test_a_server_of_this_machine_is_asked_without_a_proxy(service, monkeypatch):
+    for name in ("http_proxy", "https_proxy", "all_proxy"):
+        monkeypatch.setenv(name, "http://127.0.0.1:9")
+    assert view(arguments(server=service.http)) == 0
+
+
 def test_what_cannot_be_shown_is_refused(tmp_path):
     other = tmp_path / "notes.txt"
     other.touch()

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import time
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 
 from rich.console import Console
 
@@ -153,7 +154,11 @@ def _key_value(text: str) -> tuple[str, str]:
 
 
 def _time(name: str, text: str | None) -> datetime | None:
+    if text is None:
+        return None
+    with contextlib.suppress(ValueError):
+        return datetime.fromisoformat(text).astimezone()
     try:
-        return None if text is None else datetime.fromisoformat(text).astimezone()
-    except ValueError:
-        raise InvalidArgument(name, "a time such as 2026-01-31T12:00:00", text) from None
+        return datetime.fromtimestamp(float(text), UTC)
+    except (ValueError, OverflowError, OSError):  # no number, or no time that there is
+        raise InvalidArgument(name, "a time such as 2026-01-31T12:00:00, or seconds since 1970", text) from None

@@ -11,6 +11,7 @@ import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import timedelta
+from http.client import HTTPException
 from importlib import metadata
 from typing import NamedTuple
 
@@ -128,6 +129,8 @@ def _storage(server: Server, http: str) -> tuple[str, str]:
             state = json.load(answer)
     except urllib.error.HTTPError as error:
         raise _Wrong(f"{http} is not ready: {error.read(500).decode(errors='replace')}") from None
+    except HTTPException:
+        raise _Wrong(f"{http} speaks another protocol than HTTP: --http wants that port, 7702 by default") from None
     except (OSError, ValueError) as error:
         return WARNING, f"not asked: {http} gives no answer ({getattr(error, 'reason', error)}); --http has its address"
     if state.get("problems"):

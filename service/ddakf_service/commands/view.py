@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import http.client
 import re
 import signal
 import sys
@@ -47,6 +48,9 @@ def _view_server(args: argparse.Namespace) -> int:
     try:
         with opener.open(f"{address}healthz", timeout=_PATIENCE):
             pass
+    except http.client.HTTPException:
+        got = f"{args.server}, which speaks another protocol"
+        raise InvalidArgument("server", "the HTTP port, 7702 by default", got) from None
     except (urllib.error.URLError, OSError) as error:
         raise DdakfError(f"{address} does not answer: {getattr(error, 'reason', error)}") from None
     _show(address, args.browser)

@@ -50,6 +50,12 @@ def test_the_findings_are_lines_for_a_person(plain, capsys):
     assert any("--http" in line for line in lines), "the default port of REST is not this server's"
 
 
+def test_the_port_of_grpc_in_place_of_the_other_is_told(plain, capsys):
+    assert cli.main(["doctor", "--server", plain.grpc, "--http", plain.grpc, "--json"]) == 1
+    (storage,) = (finding for finding in json.loads(capsys.readouterr().out) if finding["check"] == "storage")
+    assert "another protocol than HTTP" in storage["message"]
+
+
 def test_no_server_is_one_failure(capsys):
     with socket.create_server(("127.0.0.1", 0)) as nobody:
         port = nobody.getsockname()[1]
