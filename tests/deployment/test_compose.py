@@ -84,7 +84,9 @@ class Project:
 def of_version_1(text: str, profiles: tuple[str, ...], variables: dict[str, str]) -> str:
     """The file without alternatives of variables, optional dependencies and restarts with them, and without some services."""
     domain = variables.get("DDAKF_DOMAIN")
-    text = text.replace("${DDAKF_DOMAIN:+https://${DDAKF_DOMAIN}}", f"https://{domain}" if domain else '""')
+    origins = "${DDAKF_CORS_ORIGINS:-${DDAKF_DOMAIN:+https://${DDAKF_DOMAIN}}}"
+    assert origins in text
+    text = text.replace(origins, f"https://{domain}" if domain else '""')
     content = {name: value for name, value in yaml.safe_load(text).items() if name in ("services", "volumes")}
     services = content["services"]
     for name in os.environ.get("DDAKF_COMPOSE_WITHOUT", "").split():
