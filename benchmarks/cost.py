@@ -44,7 +44,8 @@ def main(argv: list[str] | None = None) -> int:
     from ddakf.evaluation import machine
 
     warmup.warm()
-    report = {"commit": machine.commit(), "machine": machine.describe(), "frames": FRAMES, "rows": []}
+    report = {"commit": machine.commit(), "machine": machine.describe(), "frames": FRAMES, "search": arguments.search}
+    report["rows"] = []
     for size in arguments.sizes:
         for view in arguments.views:
             session = Session(*map(int, size.split(":")), view, arguments.search)

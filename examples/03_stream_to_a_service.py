@@ -47,13 +47,9 @@ def main(address: str) -> None:
         print(f"{info.applied} frames tracked, {info.dropped} dropped, {info.rejected} refused")
 
 
-def progress(activity: str, done: int, total: int, name: str) -> None:
-    print(f"{activity} kernels: {done} of {total}")
-
-
 if __name__ == "__main__":
     if len(sys.argv) > 1:
         main(sys.argv[1])
     else:
-        with running_service(["--workers", "1"], progress=progress) as service:
+        with running_service(["--workers", "1"]) as service:
             main(service.grpc)

@@ -56,6 +56,7 @@ def test_a_run_has_a_row_for_every_place_and_its_table_a_line():
     rows = [row for body in (False, True) for row in camera_places.run((RECORDINGS[-1], body, 2))]
     assert [row["place"] for row in rows] == [*PLACES, *PLACES]
     assert all(0 < row["rmse_mm"] < 40 for row in rows)
-    lines = camera_places.table(rows)
+    *lines, empty, last = camera_places.table(rows)
     assert len(lines) == 2 + len(PLACES)
     assert len({line.count("|") for line in lines}) == 1
+    assert (empty, last.split(" of ")[0]) == ("", "0")

@@ -68,6 +68,8 @@ def test_the_port_of_grpc_is_not_that_of_the_dashboard(service):
 def test_a_server_of_this_machine_is_asked_without_a_proxy(service, monkeypatch):
     for name in ("http_proxy", "https_proxy", "all_proxy"):
         monkeypatch.setenv(name, "http://127.0.0.1:9")
+    for name in ("no_proxy", "NO_PROXY"):
+        monkeypatch.delenv(name, raising=False)
     assert view(arguments(server=service.http)) == 0
 
 

@@ -22,14 +22,11 @@ class ServiceFailed(RuntimeError):
 
 
 @contextmanager
-def running_service(
-    arguments: Sequence[str] = (), *, progress: Progress = lambda activity, done, total, name: None
-) -> Iterator[ServiceProcess]:
-    """A service that is ready and ends with the block, with a temporary log.
+def running_service(arguments: Sequence[str] = ()) -> Iterator[ServiceProcess]:
+    """A service that is ready and ends with the block, with a temporary log; kernels that it loads are told on standard error.
 
     Args:
         arguments: of ``ddakf serve``, as for :class:`ServiceProcess`.
-        progress: told of kernels that are loaded or compiled.
 
     Raises:
         ServiceFailed: the service ended before it was ready.
@@ -37,10 +34,14 @@ def running_service(
     with tempfile.TemporaryDirectory(prefix="ddakf-log-") as folder:
         process = ServiceProcess(arguments, log=Path(folder) / "service.log")
         try:
-            process.wait_until_ready(progress)
+            process.wait_until_ready(_told)
             yield process
         finally:
             process.stop()
+
+
+def _told(activity: str, done: int, total: int, name: str) -> None:
+    print(f"{activity} kernels: {done} of {total}", file=sys.stderr)
 
 
 class ServiceProcess:

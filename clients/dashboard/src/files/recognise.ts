@@ -147,8 +147,8 @@ async function npzArrays(file: File, bytes: Uint8Array<ArrayBuffer>): Promise<Pa
 }
 
 /**
- * Images `depth/*.png` with `camera.json` or `intrinsics.txt`, perhaps with `mask/*.png`, with `color/*.png` or `color/*.jpg`, and with
- * `timestamps.txt`; without such a folder, all images beside masks and colours.
+ * Images `depth/*.png` with `camera.json` or `intrinsics.txt`, perhaps with `mask/*.png`, with `color/*.png` or `color/*.jpg`,
+ * and with `timestamps.txt`; without such a folder, all images beside masks and colours.
  */
 function depthImages(images: Placed[], placed: readonly Placed[]): Partial<Recognised> {
   const [camera] = CAMERAS.flatMap((name) => placed.filter(({ file }) => name.test(file.name))).map(({ file }) => file);
