@@ -9,11 +9,13 @@ import {
   ddakf,
   exported,
   figure,
+  garmentHeight,
   hasBand,
   lastMoment,
   overflow,
   picture,
   setUp,
+  slide,
   stopPlaying,
   type Setting,
 } from "./dashboard.js";
@@ -69,6 +71,28 @@ describe("a server without keys", () => {
     const first = await picture(page);
     await expect.poll(async () => (await picture(page)).equals(first)).toBe(false);
     await expect.poll(() => figure(page, "reliability")).toBeGreaterThan(0.5);
+  });
+
+  test("the view goes along with a wearer who squats, and stays where it is without Follow", async () => {
+    await expect.poll(() => lastMoment(page), { timeout: 60_000 }).toBeGreaterThan(110);
+    await page.getByRole("button", { name: "Pause" }).click();
+    for (const layer of ["Body", "Points"]) await page.getByRole("button", { name: layer }).click();
+    const span = async () => {
+      const heights: number[] = [];
+      for (let moment = 0; moment <= 110; moment += 15) {
+        await slide(page, "Moment", moment);
+        await page.waitForTimeout(100);
+        heights.push(await garmentHeight(page));
+      }
+      return Math.max(...heights) - Math.min(...heights);
+    };
+    const along = await span();
+    await page.getByRole("button", { name: "Follow" }).click();
+    const still = await span();
+    console.log(`the garment's middle moves by ${along.toFixed(2)} of the view's height, without Follow by ${still.toFixed(2)}`);
+    expect(still).toBeGreaterThan(0.15);
+    expect(along).toBeLessThan(0.6 * still);
+    for (const name of ["Body", "Points", "Follow", "Live"]) await page.getByRole("button", { name }).click();
   });
 
   test("axe finds no serious problem in the view of a session", async () => {

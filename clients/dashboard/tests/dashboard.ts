@@ -74,6 +74,27 @@ export function picture(page: Page): Promise<Buffer> {
   return page.locator(".canvas-place").screenshot();
 }
 
+/** Height of the garment's middle in its view, 0 to 1 from the top: of all pixels that are coloured, the mean. */
+export async function garmentHeight(page: Page): Promise<number> {
+  const shown = (await picture(page)).toString("base64");
+  return page.evaluate(async (base64) => {
+    const bytes = Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+    const { width, height, data } = await createImageBitmap(new Blob([bytes])).then((bitmap) => {
+      const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d")!;
+      context.drawImage(bitmap, 0, 0);
+      return context.getImageData(0, 0, bitmap.width, bitmap.height);
+    });
+    let [sum, count] = [0, 0];
+    for (let at = 0; at < width * height; at++) {
+      const channels = data.subarray(4 * at, 4 * at + 3);
+      if (Math.max(...channels) - Math.min(...channels) < 60) continue;
+      sum += at / width;
+      count++;
+    }
+    return sum / count / height;
+  }, shown);
+}
+
 /** The figure of this name in the title of a session. */
 export async function figure(page: Page, name: string): Promise<number> {
   return Number.parseFloat(await page.locator(".key-figure", { hasText: name }).locator("strong").innerText());

@@ -23,6 +23,6 @@ export function turnByKeys(scene: Scene): void {
     const turn = TURNS[event.key];
     if (!turn || (event.shiftKey && event.key.startsWith("Arrow"))) return; // with shift the picked vertex moves
     event.preventDefault();
-    scene.orbit(...turn);
+    scene.view.orbit(...turn);
   });
 }

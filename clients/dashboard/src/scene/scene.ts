@@ -1,6 +1,5 @@
 /** Scene: the garment with its body and cloud, drawn when something has changed. */
 import * as three from "three";
-import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { distancesTo, vertexNormals } from "../session/surface.js";
 import type { Cloud } from "../session/cloud.js";
 import type { Shape } from "../session/memory.js";
@@ -10,10 +9,7 @@ import { RADIUS_90, ellipsoid90 } from "./ellipsoid.js";
 import { objects, put } from "./objects.js";
 import { Picker } from "./picker.js";
 import { Resolution, isSoftware } from "./resolution.js";
-
-export type Up = "y" | "z";
-
-const MARGIN = 1.25; // radius of the view over the garment's
+import { Viewpoint } from "./viewpoint.js";
 
 /** What is drawn besides the garment. */
 export interface Layers {
@@ -25,16 +21,12 @@ export interface Layers {
 export class Scene {
   readonly canvas: HTMLCanvasElement;
   readonly picker: Picker;
+  readonly view: Viewpoint;
   mode: Mode = "reliability";
   layers: Layers = { body: true, cloud: true, wires: false };
-  up: Up = "y";
-  /** Called after the user has turned or moved the view. */
-  onView: () => void = () => undefined;
 
   private readonly renderer: three.WebGLRenderer;
   private readonly scene = new three.Scene();
-  private readonly camera = new three.PerspectiveCamera(38, 1, 0.01, 100);
-  private readonly controls: OrbitControls;
   private readonly objects = objects();
   private floor = new three.GridHelper();
   private readonly resolution: Resolution;
@@ -43,25 +35,21 @@ export class Scene {
   private framed = false;
   private requested = false;
   private closed = false;
-  private following = false; // the view of another scene
   private readonly observer: ResizeObserver;
 
   constructor(container: HTMLElement) {
     this.renderer = new three.WebGLRenderer({ antialias: !isSoftware(), alpha: true, powerPreference: "high-performance" });
     this.canvas = this.renderer.domElement;
     container.append(this.canvas);
-    this.picker = new Picker(this.canvas, this.camera, this.objects.garment);
+    this.view = new Viewpoint(this.canvas);
+    this.view.onChange = this.invalidate;
+    this.picker = new Picker(this.canvas, this.view.camera, this.objects.garment);
     this.resolution = new Resolution(this.renderer, this.render);
     this.scene.add(new three.HemisphereLight(0xffffff, 0x5b6270, 2.2));
     const sun = new three.DirectionalLight(0xffffff, 1.6);
     sun.position.set(0.6, 1, 0.9);
-    this.camera.add(sun);
-    this.scene.add(this.camera, ...Object.values(this.objects));
-    this.controls = new OrbitControls(this.camera, this.canvas);
-    this.controls.addEventListener("change", this.invalidate);
-    this.controls.addEventListener("change", () => {
-      if (!this.following) this.onView();
-    });
+    this.view.camera.add(sun);
+    this.scene.add(this.view.camera, ...Object.values(this.objects));
     this.observer = new ResizeObserver(this.resize);
     this.observer.observe(container);
     this.applyTheme();
@@ -70,7 +58,7 @@ export class Scene {
   close(): void {
     this.closed = true;
     this.observer.disconnect();
-    this.controls.dispose();
+    this.view.close();
     this.renderer.dispose();
     this.renderer.forceContextLoss();
   }
@@ -119,45 +107,14 @@ export class Scene {
   frame(): void {
     const box = new three.Box3().setFromObject(this.objects.garment);
     if (box.isEmpty()) return;
-    const sphere = box.getBoundingSphere(new three.Sphere());
-    const from = this.shape?.cloud?.sensor;
-    const direction = from ? new three.Vector3(...from).sub(sphere.center) : new three.Vector3(0, 0, 1);
-    const upward = this.upward;
-    direction.addScaledVector(upward, -direction.dot(upward));
-    if (direction.lengthSq() < 1e-6) direction.set(1, 0, 0);
-    direction.normalize().applyAxisAngle(upward, 0.45).addScaledVector(upward, 0.18).normalize();
-    const distance = (MARGIN * sphere.radius) / Math.sin((Math.PI / 360) * this.camera.fov * Math.min(1, this.camera.aspect));
-    this.camera.up.copy(upward);
-    this.camera.position.copy(sphere.center).addScaledVector(direction, distance);
-    this.controls.target.copy(sphere.center);
-    this.controls.update();
+    this.view.lookAt(this.sphere, this.shape?.cloud?.sensor);
     this.placeFloor(this.objects.body.visible ? new three.Box3().setFromObject(this.objects.body) : box);
     this.invalidate();
   }
 
-  /** Looks from where another scene looks. */
-  lookAs(other: Scene): void {
-    this.following = true;
-    this.camera.position.copy(other.camera.position);
-    this.camera.up.copy(other.camera.up);
-    this.controls.target.copy(other.controls.target);
-    this.controls.update();
-    this.following = false;
-    this.invalidate();
-  }
-
-  /** Turns (radians) and moves (factor of the distance) the camera about its target. */
-  orbit(azimuth: number, elevation: number, distance: number): void {
-    const offset = this.camera.position.clone().sub(this.controls.target);
-    const turned = new three.Quaternion().setFromUnitVectors(this.upward, new three.Vector3(0, 1, 0));
-    const spherical = new three.Spherical().setFromVector3(offset.applyQuaternion(turned));
-    spherical.theta += azimuth;
-    spherical.phi = Math.min(Math.PI - 0.05, Math.max(0.05, spherical.phi + elevation));
-    spherical.radius *= distance;
-    offset.setFromSpherical(spherical).applyQuaternion(turned.invert());
-    this.camera.position.copy(this.controls.target).add(offset);
-    this.controls.update();
-    this.invalidate();
+  /** Lets the view go along with a garment that moves away, from where it is now. */
+  setFollowing(follows: boolean): void {
+    this.view.setFollowing(follows, this.sphere);
   }
 
   /** Shows the 90 % ellipsoid of a vertex; undefined: none. */
@@ -199,14 +156,15 @@ export class Scene {
 
   /** The view as a PNG. */
   picture(): Promise<Blob | null> {
-    this.renderer.render(this.scene, this.camera);
+    this.renderer.render(this.scene, this.view.camera);
     return new Promise((resolve) => {
       this.canvas.toBlob(resolve, "image/png");
     });
   }
 
-  private get upward(): three.Vector3 {
-    return this.up === "y" ? new three.Vector3(0, 1, 0) : new three.Vector3(0, 0, 1);
+  /** About the garment. */
+  private get sphere(): three.Sphere {
+    return this.objects.garment.geometry.boundingSphere ?? new three.Sphere();
   }
 
   /** Points in the colours that their sensor saw, where it saw any. */
@@ -234,7 +192,7 @@ export class Scene {
       this.framed = true;
       this.guessUp();
       this.frame();
-    }
+    } else this.view.follow(this.sphere);
     this.objects.cloud.visible = this.layers.cloud;
     this.objects.wires.visible = this.layers.wires;
     this.objects.body.visible = this.layers.body && this.objects.body.geometry.index !== null;
@@ -256,7 +214,7 @@ export class Scene {
   private guessUp(): void {
     if (!this.objects.body.visible) return;
     const size = new three.Box3().setFromObject(this.objects.body).getSize(new three.Vector3());
-    this.up = size.z > size.y && size.z > size.x ? "z" : "y";
+    this.view.up = size.z > size.y && size.z > size.x ? "z" : "y";
   }
 
   private placeFloor(box: three.Box3): void {
@@ -265,8 +223,10 @@ export class Scene {
     const size = Math.max(1, 2 * Math.ceil(box.getSize(new three.Vector3()).length()));
     this.floor = new three.GridHelper(size, 4 * size, colour("grid-strong"), colour("grid"));
     const centre = box.getCenter(new three.Vector3());
-    this.floor.quaternion.setFromUnitVectors(new three.Vector3(0, 1, 0), this.upward);
-    this.floor.position.copy(centre).addScaledVector(this.upward, this.up === "y" ? box.min.y - centre.y : box.min.z - centre.z);
+    this.floor.quaternion.setFromUnitVectors(new three.Vector3(0, 1, 0), this.view.upward);
+    this.floor.position
+      .copy(centre)
+      .addScaledVector(this.view.upward, this.view.up === "y" ? box.min.y - centre.y : box.min.z - centre.z);
     this.scene.add(this.floor);
   }
 
@@ -274,7 +234,7 @@ export class Scene {
     this.objects.sensor.visible = sensor !== undefined && this.layers.cloud;
     if (!sensor) return;
     this.objects.sensor.position.set(...sensor);
-    const away = this.objects.sensor.position.clone().sub(this.controls.target).normalize();
+    const away = this.objects.sensor.position.clone().sub(this.view.target).normalize();
     this.objects.sensor.quaternion.setFromUnitVectors(new three.Vector3(0, 1, 0), away);
   }
 
@@ -287,14 +247,14 @@ export class Scene {
 
   /** Draws at once, also after a new size has cleared the canvas. */
   private readonly render = (): void => {
-    this.renderer.render(this.scene, this.camera);
+    this.renderer.render(this.scene, this.view.camera);
   };
 
   private readonly resize = (): void => {
     const { clientWidth: width, clientHeight: height } = this.canvas.parentElement!;
     if (width === 0 || height === 0) return;
-    this.camera.aspect = width / height;
-    this.camera.updateProjectionMatrix();
+    this.view.camera.aspect = width / height;
+    this.view.camera.updateProjectionMatrix();
     this.renderer.setSize(width, height, false);
     this.render();
   };

@@ -169,8 +169,9 @@ export class CompareSide {
     this.scene.setMeshes(garment.faces, garment.vertices, body);
     set(this.scene.canvas, { role: "img", "aria-label": `Garment in 3D, ${this.label}. Both turn together. ${TURNING}` });
     turnByKeys(this.scene);
-    this.scene.onView = () => {
-      if (this.other?.scene && this.scene) this.other.scene.lookAs(this.scene);
+    this.scene.setFollowing(!this.other?.scene); // the other one leads
+    this.scene.view.onMove = () => {
+      if (this.other?.scene && this.scene) this.other.scene.view.lookAs(this.scene.view);
     };
   }
 }

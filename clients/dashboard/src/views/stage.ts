@@ -37,6 +37,15 @@ export class Stage {
     },
     { class: "chip", title: "Vertical axis of the client's coordinates" },
   );
+  private readonly follow = button(
+    "Follow",
+    () => {
+      if (!this.scene) return;
+      this.scene.setFollowing(!this.scene.view.follows);
+      set(this.follow, { "aria-pressed": String(this.scene.view.follows) });
+    },
+    { class: "chip", "aria-pressed": "true", title: "The view goes along with the garment" },
+  );
   private scene: Scene | undefined;
 
   constructor() {
@@ -51,6 +60,7 @@ export class Stage {
       {},
       h("label.colour-by", {}, h("span", {}, "Colour"), this.modes),
       ...layers,
+      this.follow,
       this.up,
       reset,
       this.legend,
@@ -109,13 +119,13 @@ export class Stage {
 
   private turnUp(): void {
     if (!this.scene) return;
-    this.scene.up = this.scene.up === "y" ? "z" : "y";
+    this.scene.view.up = this.scene.view.up === "y" ? "z" : "y";
     this.scene.frame();
     this.showUp();
   }
 
   private showUp(): void {
-    text(this.up, this.scene?.up === "z" ? "Z up" : "Y up");
+    text(this.up, this.scene?.view.up === "z" ? "Z up" : "Y up");
   }
 }
 
