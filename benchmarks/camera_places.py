@@ -1,10 +1,12 @@
-"""One camera in other places than in front: ``python benchmarks/camera_places.py [--held-out] [--procs N]``.
+"""One camera in other places than in front, and in a scene: ``python benchmarks/camera_places.py [--held-out] [--procs N]``.
 
 Clips of training recordings as a depth camera sees them beside, behind, above and below the wearer, near, far, on its way around,
-in a shaking hand, with the garment half outside of the image, and with somebody who passes; alone, and with the body. Printed
-are RMSE, reliability, the share of all vertices in their 90 % ellipsoids and that of the vertices that are seen. ``--held-out``
-tracks the held-out recordings instead, on which nothing was chosen. Writes benchmarks/results/camera_places.json unless ``--out``
-says otherwise; ``--table`` prints the table of docs/results/conditions.md from it.
+in a shaking hand, with the garment half outside of the image, and with somebody who passes; and with all that is in the image
+instead of the garment alone: the wearer, a floor and a wall, a table in between, somebody beside in the same clothes. Each alone,
+and with the body. Printed are RMSE, reliability, the share of all vertices in their 90 % ellipsoids and that of the vertices that
+are seen. ``--held-out`` tracks the held-out recordings instead, on which nothing was chosen. Writes
+benchmarks/results/camera_places.json unless ``--out`` says otherwise; ``--table`` prints the table of docs/results/conditions.md
+from it.
 """
 
 from __future__ import annotations
@@ -34,6 +36,10 @@ LENS = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
 MOST, NOISE = 10_000, 0.003  # points, and their noise in m
 FAR_OFF = 60.0  # mm
 BAND, PASSING = 0.12, 25  # m, width of what passes, and frames that it takes
+SCENE_MOST = 40_000  # points of a scene, about as many of them on the garment
+FLOOR, WALL, DEPTH = 3.0, 2.4, 0.9  # m: side of the floor, height of the wall, and how far it is behind the garment's middle
+TABLE, CLOSE = np.array([0.7, 0.24, 0.2]), 0.2  # m: the table's size, and how far its edge is in front of the garment
+BESIDE = np.array([0.65, 0.0, 0.05], np.float32)  # m, from the wearer to who stands beside
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,7 @@ class Place:
     shake: float = 0.0  # m, standard deviation of its place from frame to frame
     told_off: float = 0.0  # m, the same of the place that the tracker is told
     passing: bool = False  # somebody passes in front of the wearer
+    scene: str | None = None  # what is seen besides garment and wearer; None: the garment alone, cut out of the image
 
 
 PLACES = {
@@ -62,24 +69,55 @@ PLACES = {
     "in a hand": Place(shake=0.03, told_off=0.02),
     "half outside": Place(distance=1.2, past=0.55),
     "somebody passes": Place(passing=True),
+    "not cut out": Place(scene="nothing"),
+    "not cut out, in a room": Place(scene="room"),
+    "not cut out, a table in between": Place(scene="table"),
+    "not cut out, somebody beside": Place(scene="person"),
 }
+CORNERS = np.array(list(itertools.product([-0.5, 0.5], repeat=3)))
+SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+
+
+def box(middle: np.ndarray, size: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (8, 3) and faces (12, 3) of a box."""
+    return middle + size * CORNERS, np.concatenate([SIDES[:, [0, 1, 2]], SIDES[:, [0, 2, 3]]])
+
+
+def things(scene: str, sequence: Sequence, frame: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Meshes of what is seen besides the wearer in a garment."""
+    garment = np.asarray(sequence.garment_vertices[0], np.float64)
+    middle, ground = garment.mean(axis=0), float(sequence.body_vertices[..., 1].min())
+    match scene:
+        case "room":
+            floor = box(np.array([middle[0], ground - 0.05, middle[2]]), np.array([FLOOR, 0.1, FLOOR]))
+            return [floor, box(middle - [0.0, 0.0, DEPTH], np.array([FLOOR, WALL, 0.04]))]
+        case "table":
+            edge = np.array([middle[0], garment[:, 1].min() + 0.15, garment[:, 2].max() + CLOSE])
+            return [box(edge + [0.0, 0.0, 0.5 * TABLE[2]], TABLE)]
+        case "person":
+            body, shirt = sequence.body_vertices[frame] + BESIDE, sequence.garment_vertices[frame] + BESIDE
+            return [(body, sequence.body_faces), (shirt, sequence.garment_faces)]
+    return []
 
 
 def seen_from(place: Place, sequence: Sequence, frame: int, rng: np.random.Generator) -> Cloud:
-    """The garment's points in a frame, and where the tracker is told that the camera is."""
+    """The garment's points in a frame, or all points of its scene, and where the tracker is told that the camera is."""
     centre = np.asarray(sequence.garment_vertices[0], np.float64).mean(axis=0)
     angle = math.radians(place.azimuth + place.turn * (frame - FIRST))
     away = np.array([place.distance * math.sin(angle), place.rise, place.distance * math.cos(angle)])
     eye = centre + away + place.shake * rng.normal(size=3)
     camera = Camera.looking_at(LENS, eye, centre + [place.past, 0.0, 0.0])
     meshes = [(sequence.garment_vertices[frame], sequence.garment_faces), (sequence.body_vertices[frame], sequence.body_faces)]
+    if place.scene is not None:
+        meshes += things(place.scene, sequence, frame)
     depth, face = camera.render(meshes)
-    points = camera.unproject(depth, (face >= 0) & (face < len(sequence.garment_faces)))
+    most, last = (MOST, len(sequence.garment_faces)) if place.scene is None else (SCENE_MOST, np.inf)
+    points = camera.unproject(depth, (face >= 0) & (face < last))
     if place.passing:
         middle = centre[0] + (frame - FIRST) % PASSING / PASSING * 0.8 - 0.4
         points = points[np.abs(points[:, 0] - middle) > 0.5 * BAND]
-    if len(points) > MOST:
-        points = points[np.sort(rng.permutation(len(points))[:MOST])]
+    if len(points) > most:
+        points = points[np.sort(rng.permutation(len(points))[:most])]
     points = points + NOISE * rng.normal(size=points.shape)
     return Cloud(points.astype(np.float32), eye + place.told_off * rng.normal(size=3))
 

@@ -262,6 +262,7 @@ REASONS = {
     "Relocalization.highest_cost": "chosen: below the cost of something else",
     "Relocalization.overturned_ratio": "chosen: alike upside down and upright, as a skirt, is no sign",
     "Relocalization.cost_ratio": "chosen: a search must clearly gain",
+    "Relocalization.off_body": "chosen: what moves on its body stays about as near to it",
     "Relocalization.heading_separation": "chosen: registration reaches nearer headings",
     "Relocalization.candidates": "chosen for time",
     "Relocalization.strain_cost": "chosen: only a distorted garment fits the wrong heading",

@@ -73,6 +73,7 @@ class Relocalization(Checked):
     highest_cost: float = bounded(0.04, 0, 1)  # m: a cloud whose best cost is higher is of something else
     overturned_ratio: float = bounded(0.6, 0, 1)  # cost upside down over the cost upright, below which a cloud is upside down
     cost_ratio: float = bounded(0.8, 0, 1)  # best cost over the cost in place, at most
+    off_body: float = bounded(0.05, 0, 10)  # m, mean distance from the body over that of the prediction, of a worn garment
     heading_separation: float = bounded(30.0, 0, 180)  # degrees between candidate poses, at least
     candidates: int = bounded(3, 1, 12)  # poses of each shape that are registered
     strain_cost: float = bounded(0.03, 0, 10)  # m per RMS strain of a registered candidate

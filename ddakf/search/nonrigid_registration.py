@@ -63,7 +63,7 @@ class Target(NamedTuple):
             sensors = eye = sensor_origin[None] @ turn.T - origin
         else:
             sensors, eye = (o @ turn.T - origin for o in (distinct(sensor_origin), sensor_origin[some][chosen]))
-            sensors = sensors[:: -(-len(sensors) // config.sensors)]
+            sensors = np.ascontiguousarray(sensors[:: -(-len(sensors) // config.sensors)])  # the layout that kernels know
         normal[:, np.einsum("an,na->n", normal, eye - sample.T) < 0] *= -1.0
         return cls(origin, sample, normal, signed, dense, sensors)
 

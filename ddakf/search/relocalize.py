@@ -12,13 +12,18 @@ from ddakf.config import Config, Relocalization
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.reliability import strains
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
+from ddakf.kernels.visibility import VisibilityLimits, mark_visible
 from ddakf.physics import rigidity
 from ddakf.physics.size import stretched
-from ddakf.search.nonrigid_registration import Target, register, rows
+from ddakf.search.nonrigid_registration import NO_ORIGIN, NO_SURFELS, Target, register, rows
 from ddakf.stages import skin_removal
+from ddakf.stages.grid import spread_rows
 from ddakf.types import Drift, FrameInput, Health, Model, Problem, Rival, State
 
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
+FARTHEST = 0.3  # m from the body: a point beyond is not of the garment, and a vertex beyond counts as this far
+BODY_SAMPLES = 1500  # vertices of the body to which the garment's distance is measured
+LEAST_SEEN = 0.25  # of the vertices that face a sensor; a garment of which less is seen is not where it was predicted
 
 
 class Search(NamedTuple):
@@ -28,6 +33,16 @@ class Search(NamedTuple):
     target: Target  # the cloud
     config: Config
     size: np.ndarray = np.zeros((3, 3))  # logarithm of the stretch of the template
+    body: np.ndarray | None = None  # (3, B) float32 m, a sample of its vertices in this frame
+    farthest: float = math.inf  # m, mean distance from the body of a garment that is worn
+
+    def off_body(self, position: np.ndarray) -> float:
+        """Mean distance of a garment, at (V, 3) metres, from the body; 0 without one."""
+        if self.body is None:
+            return 0.0
+        some = rows(position[:: max(1, len(position) // self.config.relocalization.cost_samples)])
+        asking, answers = (np.ones(sample.shape[1], np.float32) for sample in (some, self.body))
+        return mean_distance(some, self.body, asking, answers, FARTHEST)
 
 
 class CandidatePose(NamedTuple):
@@ -283,13 +298,13 @@ def locate(problem: Problem) -> Problem:
     starting, given = health.state == "initializing", problem.resting is not None and problem.resting.given
     doubt = rule.heading_doubt if starting and not given else 0.0  # a start that the caller gave faces as the wearer does
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
-    search = Search(model, _target(frame, config), config, problem.last.size)
+    frame, search = _search(frame, problem)
     shapes = [shape @ turn.T for shape in shapes]
     found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
         problem = problem._replace(overturned=_overturned(shapes[-1], search, heading))
     accepted = cost <= min(rule.cost_ratio * staying, rule.highest_cost)
-    part = _of_garment(frame, found @ turn, problem)
+    part = _of_garment(frame, prior.position if math.isinf(cost) else found @ turn, problem)
     if part is not frame:
         again = _best(shapes, search._replace(target=_target(part, config)), heading)
         narrowed = again[1] <= min(rule.cost_ratio * staying, rule.narrowed_cost)
@@ -309,6 +324,30 @@ def locate(problem: Problem) -> Problem:
     )
 
 
+def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
+    """The points of a frame that may be of the garment, and the search in them.
+
+    A worn garment is around its body, and about as near to it as it was predicted: elsewhere is something else, such as a
+    neighbour. Where nothing of the cloud is where the garment was predicted, the body may be wrong and is not asked.
+    """
+    config, prior = problem.config, problem.prior
+    rule, turn, least = config.relocalization, config.start.to_y_up, config.start.least_points
+    if problem.body is None or _near(frame, prior.position, rule.truncation).sum() < least:
+        return frame, Search(problem.model, _target(frame, config), config, problem.last.size)
+    body = problem.body.vertices
+    around = _near(frame, body, FARTHEST)
+    if around.sum() >= least:
+        frame = frame.only(around)
+    sampled = rows(body[:: max(1, len(body) // BODY_SAMPLES)] @ turn.T)
+    search = Search(problem.model, _target(frame, config), config, problem.last.size, sampled)
+    return frame, search._replace(farthest=search.off_body(prior.position @ turn.T) + rule.off_body)
+
+
+def _near(frame: FrameInput, vertices: np.ndarray, distance: float) -> np.ndarray:
+    """(N,) bool: points within so many metres of (V, 3) vertices."""
+    return ~skin_removal.apart(frame.points, vertices, distance)
+
+
 def _found_at(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> Problem:
     """The problem whose prior is a garment as a search finds it, (V, 3) metres and metres per second; its R is kept."""
     sd = problem.config.relocalization.found_sd
@@ -326,7 +365,7 @@ def _of_garment(frame: FrameInput, position: np.ndarray, problem: Problem) -> Fr
     config, radius = problem.config, problem.config.relocalization.narrow_distance
     if radius == 0.0:
         return frame
-    near = ~skin_removal.apart(frame.points, position, radius)
+    near = _near(frame, position, radius)
     if near.mean() >= 1.0 - config.evidence.foreign_share or np.count_nonzero(near) < config.start.least_points:
         return frame
     coloured = segmentation.of_garment_colors(frame, problem, position)
@@ -394,27 +433,57 @@ def _moved(prior: State, position: np.ndarray, sd: float) -> State:
 
 
 def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
-    """Metres: the cost of the prediction; of a cloud of more than the garment, garment to cloud alone.
+    """Metres: the cost of the prediction; of a cloud of more than the garment, that of :func:`_cost_of_the_seen`.
 
     A start that the first cloud lies on is right, however little of it is seen.
     """
     position, config = problem.prior.position, problem.config.relocalization
     if len(garment.points) == 0:
         return config.truncation
+    near = _near(garment, position, config.truncation)
+    if near.mean() < 1.0 - problem.config.evidence.foreign_share:
+        return _cost_of_the_seen(garment, near, problem)
     target = _target(garment, problem.config)
     surface = Surface.from_garment(position @ problem.config.start.to_y_up.T, problem.model, target)
     there, back = _distances(surface, target, config.cost_samples, config)
-    if skin_removal.apart(garment.points, position, config.truncation).mean() > problem.config.evidence.foreign_share:
-        return back
     if problem.health.state == "initializing" and there < config.partial_view_cost:
         return there
     return 0.5 * (there + back)
 
 
+def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> float:
+    """Metres: mean truncated distance garment to cloud, of the vertices that nothing hides from a sensor.
+
+    Where hardly a vertex is left it is of all that face a sensor: the garment is behind what it should be.
+
+    Args:
+        frame: the cloud, of more than the garment.
+        near: (N,) bool, points that are not farther than the truncation.
+        problem: of the frame.
+    """
+    config, rule, model = problem.config.relocalization, problem.config.registration, problem.model
+    if not near.any():
+        return config.truncation
+    target, turn = _target(frame.only(near), problem.config), problem.config.start.to_y_up
+    surface = Surface.from_garment(problem.prior.position @ turn.T, model, target)
+    asking = surface.facing(target)
+    if target.sensors is not None:
+        limits = VisibilityLimits(rule.occluder_cell * model.edge_length, rule.hidden_depth, rule.facing_cosine)
+        between = frame.points[spread_rows(len(near), rule.input_points)].astype(np.float64) @ turn.T - target.origin
+        seen = np.empty(len(asking), bool)
+        mark_visible(surface.position, surface.normal, between, NO_SURFELS, NO_ORIGIN, target.sensors, limits, seen)
+        if (asking * seen).sum() >= LEAST_SEEN * asking.sum():
+            asking *= seen
+    few, answers = rows(surface.sampled(config.cost_samples).position), np.ones(target.dense.shape[1], np.float32)
+    every = max(1, len(asking) // config.cost_samples)
+    return mean_distance(few, target.dense, np.ascontiguousarray(asking[::every]), answers, config.truncation)
+
+
 def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, Rival | None]:
     """The shape that fits the cloud best after registration, (V, 3) metres, its cost, and its :func:`_rival`.
 
-    The wrong heading may fit as well as the right one until both are registered.
+    The wrong heading may fit as well as the right one until both are registered. The cost is infinite where no candidate is on
+    the body: something else fits.
     """
     model, config, trial = search.model, search.config.relocalization, search.config.registration.trial()
     trials, squared = [], np.empty(len(shapes[0]))
@@ -426,9 +495,9 @@ def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tupl
             strain = math.sqrt(strains(registered, model.start, model.neighbour, rest_length, squared))
             total = pose._replace(cost=(cost + config.strain_cost * strain) * (1.0 + config.template_cost * k))
             order = _negative_log_posterior(total, config.registered_samples, prior)
-            trials.append((order, len(trials), cost, registered, total))
-    _, _, cost, found, best = min(trials, key=lambda trial: trial[:2])
-    return found, cost, _rival(best, [trial[-1] for trial in trials], config)
+            trials.append((search.off_body(registered) > search.farthest, order, len(trials), cost, registered, total))
+    off, _, _, cost, found, best = min(trials, key=lambda trial: trial[:3])
+    return found, math.inf if off else cost, _rival(best, [trial[-1] for trial in trials], config)
 
 
 def _rival(best: CandidatePose, others: list[CandidatePose], config: Relocalization) -> Rival | None:
