@@ -468,6 +468,14 @@ print(json.dumps(told))
     );
   });
 
+  test("of two meshes, or two recordings, one has to be chosen", async () => {
+    const two = await recognise([file("walk/template.obj", mesh), file("walk/template.OBJ", mesh)]);
+    expect(two.mesh?.name).toBe("template.obj");
+    expect(two.problems).toEqual(["template.OBJ: a second mesh beside template.obj: choose one of them"]);
+    const { problems } = await recognise([file("one.mcap"), file("two.mcap")]);
+    expect(problems).toEqual(["two.mcap: a second recording beside one.mcap: choose one of them"]);
+  });
+
   test("what is neither is said", async () => {
     expect((await recognise([file("notes.doc")])).problems[0]).toContain("Neither a mesh");
     expect((await recognise([file("cloud.obj", cloud)])).problems[0]).toContain("points without faces");

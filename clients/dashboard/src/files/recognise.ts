@@ -44,14 +44,18 @@ export async function recognise(given: readonly Placed[]): Promise<Recognised> {
   const found: Recognised = { problems: [] };
   const take = async (name: string, read: () => Promise<Partial<Recognised>>) => {
     try {
-      Object.assign(found, await read());
+      const { mesh, source } = await read();
+      const first = (mesh && found.mesh) ?? (source && found.source);
+      if (first) throw new Error(`a second ${mesh ? "mesh" : "recording"} beside ${first.name}: choose one of them`);
+      Object.assign(found, mesh && { mesh }, source && { source });
     } catch (error) {
       found.problems.push(named(name, error).message);
     }
   };
   for (const { file } of placed)
     if (/\.npz$/i.test(file.name)) await take(file.name, () => npzFile(file));
-    else if (/\.mcap$/i.test(file.name)) found.source = { kind: "mcap", name: file.name, file };
+    else if (/\.mcap$/i.test(file.name))
+      await take(file.name, () => Promise.resolve({ source: { kind: "mcap", name: file.name, file } }));
   const images = placed.filter(({ file }) => /\.png$/i.test(file.name));
   if (images.length > 0) await take("Depth images", () => Promise.resolve(depthImages(images, placed)));
   const surfaces = surfacesOf(placed, found.source !== undefined);
