@@ -22,6 +22,7 @@ from ddakf.types import Drift, FrameInput, Health, Model, Problem, Rival, State
 
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
 FARTHEST = 0.3  # m from the body: a point beyond is not of the garment, and a vertex beyond counts as this far
+ON_BODY = 0.2  # m, mean distance from the body of a garment that is on it, at most
 BODY_SAMPLES = 1500  # vertices of the body to which the garment's distance is measured
 LEAST_SEEN = 0.25  # of the vertices that face a sensor; a garment of which less is seen is not where it was predicted
 
@@ -299,6 +300,8 @@ def locate(problem: Problem) -> Problem:
     doubt = rule.heading_doubt if starting and not given else 0.0  # a start that the caller gave faces as the wearer does
     heading = HeadingPrior(math.radians(rule.heading_sd + rule.heading_rate * unseen), doubt)
     frame, search = _search(frame, problem)
+    if len(frame.points) < config.start.least_points:
+        return problem
     shapes = [shape @ turn.T for shape in shapes]
     found, cost, rival = _best(shapes, search, heading)
     if cost > rule.in_place_cost:
@@ -327,20 +330,25 @@ def locate(problem: Problem) -> Problem:
 def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
     """The points of a frame that may be of the garment, and the search in them.
 
-    A worn garment is around its body, and about as near to it as it was predicted: elsewhere is something else, such as a
-    neighbour. Where nothing of the cloud is where the garment was predicted, the body may be wrong and is not asked.
+    A worn garment is within FARTHEST of its body, and in the mean about as near to it as predicted; elsewhere is something else,
+    such as a neighbour. A body that the garment was not on before, or that a first cloud is not near, may be given wrongly: it is
+    not asked.
     """
-    config, prior = problem.config, problem.prior
-    rule, turn, least = config.relocalization, config.start.to_y_up, config.start.least_points
-    if problem.body is None or _near(frame, prior.position, rule.truncation).sum() < least:
-        return frame, Search(problem.model, _target(frame, config), config, problem.last.size)
-    body = problem.body.vertices
-    around = _near(frame, body, FARTHEST)
-    if around.sum() >= least:
-        frame = frame.only(around)
-    sampled = rows(body[:: max(1, len(body) // BODY_SAMPLES)] @ turn.T)
-    search = Search(problem.model, _target(frame, config), config, problem.last.size, sampled)
-    return frame, search._replace(farthest=search.off_body(prior.position @ turn.T) + rule.off_body)
+    config, prior, body = problem.config, problem.prior, problem.body
+    rule, turn = config.relocalization, config.start.to_y_up
+    search = Search(problem.model, _target(frame, config), config, problem.last.size)
+    if body is None:
+        return frame, search
+    search = search._replace(body=rows(body.vertices[:: max(1, len(body.vertices) // BODY_SAMPLES)] @ turn.T))
+    away, starting = search.off_body(prior.position @ turn.T), problem.health.state == "initializing"
+    if starting and _near(frame, prior.position, rule.truncation).sum() < config.start.least_points:
+        return frame, search._replace(body=None)
+    if away > ON_BODY and not starting:
+        return frame, search._replace(body=None)
+    near = _near(frame, body.vertices, FARTHEST)
+    if near.any():
+        search = search._replace(target=_target(frame.only(near), config), farthest=away + rule.off_body)
+    return frame.only(near), search
 
 
 def _near(frame: FrameInput, vertices: np.ndarray, distance: float) -> np.ndarray:
@@ -454,7 +462,8 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
 def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> float:
     """Metres: mean truncated distance garment to cloud, of the vertices that nothing hides from a sensor.
 
-    Where hardly a vertex is left it is of all that face a sensor: the garment is behind what it should be.
+    Where hardly a vertex is left, a garment that was tracked is taken to be out of sight, and costs nothing until it is lost. One
+    that was not is behind what it should be, and all vertices that face a sensor count.
 
     Args:
         frame: the cloud, of more than the garment.
@@ -462,18 +471,22 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
         problem: of the frame.
     """
     config, rule, model = problem.config.relocalization, problem.config.registration, problem.model
-    if not near.any():
-        return config.truncation
-    target, turn = _target(frame.only(near), problem.config), problem.config.start.to_y_up
-    surface = Surface.from_garment(problem.prior.position @ turn.T, model, target)
-    asking = surface.facing(target)
-    if target.sensors is not None:
+    scene, turn = _target(frame, problem.config), problem.config.start.to_y_up
+    surface = Surface.from_garment(problem.prior.position @ turn.T, model, scene)
+    asking = surface.facing(scene)
+    if scene.sensors is not None:
         limits = VisibilityLimits(rule.occluder_cell * model.edge_length, rule.hidden_depth, rule.facing_cosine)
-        between = frame.points[spread_rows(len(near), rule.input_points)].astype(np.float64) @ turn.T - target.origin
+        between = frame.points[spread_rows(len(near), rule.input_points)].astype(np.float64) @ turn.T - scene.origin
         seen = np.empty(len(asking), bool)
-        mark_visible(surface.position, surface.normal, between, NO_SURFELS, NO_ORIGIN, target.sensors, limits, seen)
+        mark_visible(surface.position, surface.normal, between, NO_SURFELS, NO_ORIGIN, scene.sensors, limits, seen)
         if (asking * seen).sum() >= LEAST_SEEN * asking.sum():
             asking *= seen
+        elif problem.health.state in ("tracking", "recovering"):
+            return 0.0
+    if not near.any():
+        return config.truncation
+    target = _target(frame.only(near), problem.config)
+    surface = surface._replace(position=surface.position + (scene.origin - target.origin))
     few, answers = rows(surface.sampled(config.cost_samples).position), np.ones(target.dense.shape[1], np.float32)
     every = max(1, len(asking) // config.cost_samples)
     return mean_distance(few, target.dense, np.ascontiguousarray(asking[::every]), answers, config.truncation)
