@@ -71,6 +71,14 @@ def distance(points, scene):
     return cKDTree(scene).query(points)[0]
 
 
+def test_a_mask_that_is_too_narrow_leaves_the_rims_out_and_one_too_wide_has_skin(sequence):
+    names = "in front", "cut out too narrowly", "cut out too widely"
+    right, narrow, wide = (cloud(sequence, PLACES[name]).points for name in names)
+    assert len(narrow) < 0.9 * len(right) < len(right) < 0.95 * len(wide)
+    assert narrow[:, 1].min() > right[:, 1].min() + 0.01
+    assert (distance(wide, right) > 0.015).mean() > 0.03
+
+
 def test_a_run_has_a_row_for_every_place_and_its_table_a_line():
     rows = [row for body in (False, True) for row in camera_places.run((RECORDINGS[-1], body, 2))]
     assert [row["place"] for row in rows] == [*PLACES, *PLACES]
