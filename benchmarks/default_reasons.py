@@ -263,6 +263,7 @@ REASONS = {
     "Relocalization.overturned_ratio": "chosen: alike upside down and upright, as a skirt, is no sign",
     "Relocalization.cost_ratio": "chosen: a search must clearly gain",
     "Relocalization.off_body": "chosen: what moves on its body stays about as near to it",
+    "Relocalization.register_beyond": "chosen: at 20 frames per second and more the passes reach far enough",
     "Relocalization.heading_separation": "chosen: registration reaches nearer headings",
     "Relocalization.candidates": "chosen for time",
     "Relocalization.strain_cost": "chosen: only a distorted garment fits the wrong heading",

@@ -89,6 +89,7 @@ class Relocalization(Checked):
     found_sd: float = bounded(0.03, 1e-4, 10)  # m, of the vertices of a relocalized garment
     settling_frames: int = bounded(4, 0, 30)  # frames after a search in which the garment is registered further
     settling_sd: float = bounded(0.01, 1e-4, 10)  # m, of a vertex after such a registration
+    register_beyond: float = bounded(0.055, 0, 100)  # s between frames: beyond, predictions without a body may be registered
 
 
 @dataclass(frozen=True)
@@ -128,3 +129,7 @@ class Registration(Checked):
     def settling(self) -> Registration:
         """The registration of a relocalized garment in the frames that follow."""
         return replace(self, first_reach=self.settling_reach)
+
+    def catching_up(self) -> Registration:
+        """The registration of a prediction that misses the cloud: as of a candidate pose, and as far as of a settling garment."""
+        return replace(self.trial(), first_reach=self.settling_reach)

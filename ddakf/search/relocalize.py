@@ -271,7 +271,7 @@ def locate(problem: Problem) -> Problem:
     place. In a cloud of more than the garment, such as a whole person's, it is repeated with what is the garment by colour or
     place, as it was found. A relocalized garment is registered again in the ``settling_frames`` that follow. One that was out of
     sight and is where it was predicted stays there, as certain as one that is found. A search that exceeds the frame's budget is
-    due in the next one.
+    due in the next one. Without a body a prediction over a long step is registered as well, if it misses the cloud.
     """
     prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
     rule = config.relocalization
@@ -282,7 +282,7 @@ def locate(problem: Problem) -> Problem:
     if not problem.effort.search:
         return problem._replace(health=health._replace(postponed=searching, settling=max(health.settling - 1, 0)))
     if not searching:
-        return _settle(problem)
+        return _settle(problem) if health.settling > 0 else _caught_up(problem)
     health = health._replace(postponed=False)
     problem = problem._replace(health=health)
     turn = config.start.to_y_up  # the search turns garments about y
@@ -392,12 +392,13 @@ def _overturned(shape: np.ndarray, search: Search, prior: HeadingPrior) -> tuple
 
 
 def due(problem: Problem) -> bool:
-    """Whether :func:`locate` has something to do: a search, or a registration after one."""
+    """Whether :func:`locate` has something to do: a search, a registration after one, or a look at a prediction far ahead."""
     health, config = problem.health, problem.config
     if not config.start.search or len(problem.frame.points) < config.start.least_points:
         return False
     rule = config.relocalization
-    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
+    ahead = problem.body is None and problem.dt > rule.register_beyond
+    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule) or ahead
 
 
 def search_due(health: Health, config: Relocalization) -> bool:
@@ -425,6 +426,25 @@ def _settle(problem: Problem) -> Problem:
     position = register(prior.position @ turn.T, _target(garment, config), model, settling) @ turn
     prior = _moved(prior, position, config.relocalization.settling_sd)
     return problem._replace(prior=prior, motion_start=position, rotation=rigidity.rotations(position, model), health=health)
+
+
+def _caught_up(problem: Problem) -> Problem:
+    """The problem of a garment that was tracked, its prior registered to a cloud that it misses.
+
+    What moves on its own is predicted badly over a long step, and passes over all vertices do not reach as far.
+    """
+    prior, model, config = problem.prior, problem.model, problem.config
+    rule, turn = config.relocalization, config.start.to_y_up
+    frame = segmentation.of_garment_colors(problem.frame, problem)
+    staying = _cost_of_staying(frame, problem)
+    if staying < rule.in_place_cost:
+        return problem
+    target = _target(_of_garment(frame, prior.position, problem), config)
+    position = register(prior.position @ turn.T, target, model, config.registration.catching_up()) @ turn
+    caught = problem._replace(prior=_moved(prior, position, rule.settling_sd))
+    if _cost_of_staying(frame, caught) > rule.cost_ratio * staying:
+        return problem
+    return caught._replace(motion_start=position, rotation=rigidity.rotations(position, model))
 
 
 def _moved(prior: State, position: np.ndarray, sd: float) -> State:

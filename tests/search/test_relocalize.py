@@ -86,6 +86,36 @@ def test_a_garment_in_its_place_stays_there_while_one_side_is_not_seen():
     assert rms(result.vertices - truth) < 0.006
 
 
+@pytest.mark.parametrize("view", ["full", "front"])
+def test_a_garment_that_jumps_between_slow_frames_is_caught_at_once(view):
+    """Its prediction stands still, and the passes do not reach as far."""
+    start = SAMPLE.garment_vertices[0].astype(float)
+    tracker = Tracker(SHIRT)
+    tracker.reset(start)
+    for k, shift in enumerate([0.0, 0.0, 0.0, 0.25]):
+        truth = start + [0.6 * shift, 0.8 * shift, 0.0]
+        points, eye = captured(view, truth, k)
+        result = tracker.step(points, timestamp=0.1 * k, sensor_origin=eye)
+    assert rms(result.vertices - truth) < 0.03
+    assert result.reliability > 0.5
+
+
+def test_a_prediction_is_registered_only_over_a_long_step_and_where_it_misses_the_cloud(monkeypatch):
+    start, calls = SAMPLE.garment_vertices[0].astype(float), []
+    register = relocalize.register
+    monkeypatch.setattr(relocalize, "register", lambda *given: calls.append(1) or register(*given))
+
+    def registered(dt, shift):
+        tracker = Tracker(SHIRT)
+        tracker.reset(start)
+        for k in range(3):
+            calls.clear()
+            tracker.step(captured("full", start + [shift * (k == 2), 0.0, 0.0], k)[0], timestamp=k * dt)
+        return len(calls)  # of the last frame
+
+    assert (registered(1 / 30, 0.05), registered(0.1, 0.0), registered(0.1, 0.05)) == (0, 0, 1)
+
+
 @pytest.mark.parametrize("degrees", [0, 15, 30, 45, 100, -80])
 def test_a_candidate_pose_recovers_the_motion(degrees):
     start = SAMPLE.garment_vertices[40].astype(float)
