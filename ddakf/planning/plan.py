@@ -14,15 +14,18 @@ from ddakf.planning.work import Costs, Effort
 from ddakf.search import relocalize
 from ddakf.types import Estimate, Problem, Track
 
+CATCHING_UP = 0.3  # of the cost of a search: that of registering a prediction which misses the cloud
+
 
 def search(clock: Clock, problem: Problem) -> Problem:
     """The problem, a search allowed or not. One that does not fit is allowed all the same once in a hundred frames."""
-    if clock.budget is None or not relocalize.due(problem):
+    due = relocalize.due(problem)
+    if clock.budget is None or not (due or relocalize.far_ahead(problem)):
         return problem
     costs = _costs(problem)
     least = (len(problem.frame.points) + SPARE_POINTS) * bound(costs.points) + _least(problem, costs)
-    fits = clock.left() > bound(costs.search) + least
-    return problem._replace(effort=Effort(search=fits or costs.overruns >= 1.0))
+    fits = clock.left() > (1.0 if due else CATCHING_UP) * bound(costs.search) + least
+    return problem._replace(effort=Effort(search=fits or (due and costs.overruns >= 1.0)))
 
 
 def points(clock: Clock, problem: Problem) -> Problem:

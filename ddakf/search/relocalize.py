@@ -276,13 +276,13 @@ def locate(problem: Problem) -> Problem:
     prior, model, health, config = problem.prior, problem.model, problem.health, problem.config
     rule = config.relocalization
     if not due(problem):
-        return problem
+        return _caught_up(problem) if problem.effort.search and far_ahead(problem) else problem
     after_gap = interrupted(health, problem.dt, rule)
     searching = search_due(health, rule) or after_gap
     if not problem.effort.search:
         return problem._replace(health=health._replace(postponed=searching, settling=max(health.settling - 1, 0)))
     if not searching:
-        return _settle(problem) if health.settling > 0 else _caught_up(problem)
+        return _settle(problem)
     health = health._replace(postponed=False)
     problem = problem._replace(health=health)
     turn = config.start.to_y_up  # the search turns garments about y
@@ -392,13 +392,20 @@ def _overturned(shape: np.ndarray, search: Search, prior: HeadingPrior) -> tuple
 
 
 def due(problem: Problem) -> bool:
-    """Whether :func:`locate` has something to do: a search, a registration after one, or a look at a prediction far ahead."""
+    """Whether :func:`locate` has something to do: a search, or a registration after one."""
     health, config = problem.health, problem.config
     if not config.start.search or len(problem.frame.points) < config.start.least_points:
         return False
     rule = config.relocalization
-    ahead = problem.body is None and problem.dt > rule.register_beyond
-    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule) or ahead
+    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
+
+
+def far_ahead(problem: Problem) -> bool:
+    """Whether :func:`locate` looks at a prediction that may miss the cloud, as its step is long and no body carries it."""
+    config = problem.config
+    if not config.start.search or len(problem.frame.points) < config.start.least_points:
+        return False
+    return problem.body is None and problem.dt > config.relocalization.register_beyond
 
 
 def search_due(health: Health, config: Relocalization) -> bool:

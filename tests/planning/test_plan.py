@@ -7,6 +7,7 @@ from ddakf import Config, Tracker
 from ddakf.errors import InvalidArgument
 from ddakf.planning import costs, plan
 from ddakf.planning.work import Effort
+from ddakf.search import relocalize
 from tests.planning.simulated_processor import SEARCH, SimulatedProcessor
 from tests.stages.scenes import FPS, scan, tube
 from tests.tracker_runs import EYE, SAMPLE, SHIRT, assert_same
@@ -148,6 +149,20 @@ def test_a_search_is_postponed_not_forgotten(processor):
     found = tracker.step(shaken(4) + np.float32([0.5, 0.0, 0.0]), timestamp=5 + 4 / FPS, sensor_origin=EYE)
     assert not tracker._track.health.postponed
     assert np.abs(found.vertices.mean(axis=0) - GARMENT.vertices.mean(axis=0))[0] > 0.4
+
+
+@pytest.mark.parametrize(("budget", "made"), [(None, 1), (0.040, 1), (0.004, 0)])
+def test_a_prediction_is_registered_where_the_budget_allows_it(monkeypatch, budget, made):
+    calls, register = [], relocalize.register
+    monkeypatch.setattr(relocalize, "register", lambda *given: calls.append(1) or register(*given))
+    tracker = Tracker(GARMENT)
+    for k, shift in enumerate([0.0, 0.0, 0.1]):
+        calls.clear()
+        with pytest.MonkeyPatch.context() as patch:
+            SimulatedProcessor(patch)
+            points = scan(GARMENT.vertices, GARMENT, 1500, 0.002, seed=k) + np.float32([shift, 0.0, 0.0])
+            tracker.step(points, timestamp=0.1 * k, sensor_origin=EYE, budget=budget)
+    assert len(calls) == made
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan"), "fast"])
