@@ -73,28 +73,6 @@ describe("a server without keys", () => {
     await expect.poll(() => figure(page, "reliability")).toBeGreaterThan(0.5);
   });
 
-  test("the view goes along with a wearer who squats, and stays where it is without Follow", async () => {
-    await expect.poll(() => lastMoment(page), { timeout: 60_000 }).toBeGreaterThan(110);
-    await page.getByRole("button", { name: "Pause" }).click();
-    for (const layer of ["Body", "Points"]) await page.getByRole("button", { name: layer }).click();
-    const span = async () => {
-      const heights: number[] = [];
-      for (let moment = 0; moment <= 110; moment += 15) {
-        await slide(page, "Moment", moment);
-        await page.waitForTimeout(100);
-        heights.push(await garmentHeight(page));
-      }
-      return Math.max(...heights) - Math.min(...heights);
-    };
-    const along = await span();
-    await page.getByRole("button", { name: "Follow" }).click();
-    const still = await span();
-    console.log(`the garment's middle moves by ${along.toFixed(2)} of the view's height, without Follow by ${still.toFixed(2)}`);
-    expect(still).toBeGreaterThan(0.15);
-    expect(along).toBeLessThan(0.6 * still);
-    for (const name of ["Body", "Points", "Follow", "Live"]) await page.getByRole("button", { name }).click();
-  });
-
   test("axe finds no serious problem in the view of a session", async () => {
     expect(await seriousProblems(page)).toEqual([]);
   });
@@ -178,6 +156,29 @@ describe("a server without keys", () => {
     await expect.poll(() => lastMoment(page)).toBeGreaterThan(then + 5);
     expect(await figure(page, "dropped")).toBeLessThanOrEqual(dropped);
     await page.locator(TRACKING).waitFor();
+  });
+
+  test("the view goes along with a wearer who squats, and stays where it is without Follow", async () => {
+    await expect.poll(() => lastMoment(page), { timeout: 60_000 }).toBeGreaterThan(110);
+    await page.getByRole("button", { name: "Pause" }).click();
+    for (const layer of ["Body", "Points"]) await page.getByRole("button", { name: layer }).click();
+    const span = async () => {
+      const heights: number[] = [];
+      const last = await lastMoment(page);
+      for (let step = 0; step <= 8; step++) {
+        await slide(page, "Moment", Math.floor((step * last) / 8));
+        await page.waitForTimeout(100);
+        heights.push(await garmentHeight(page));
+      }
+      return Math.max(...heights) - Math.min(...heights);
+    };
+    const along = await span();
+    await page.getByRole("button", { name: "Follow" }).click();
+    const still = await span();
+    console.log(`the garment's middle moves by ${along.toFixed(2)} of the view's height, without Follow by ${still.toFixed(2)}`);
+    expect(still).toBeGreaterThan(0.15);
+    expect(along).toBeLessThan(0.75 * still);
+    for (const name of ["Body", "Points", "Follow", "Live", "Reset the view"]) await page.getByRole("button", { name }).click();
   });
 
   test("a hidden tab gets numbers without arrays", async () => {
