@@ -32,6 +32,7 @@ from ddakf.types import Drift, FrameInput, Health, Problem, Rival, State
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
 ON_BODY = 0.2  # m, mean distance from the body of a garment that is on it, at most
 LEAST_SEEN = 0.25  # of the vertices that face a sensor; a garment of which less is seen is not where it was predicted
+OUT_OF_SIGHT = -1.0  # cost of staying of a garment that something hides: there is nothing to judge it by
 BODY_SAMPLES = 1500  # vertices of the body to which the garment's distance is measured
 
 
@@ -64,6 +65,8 @@ def locate(problem: Problem) -> Problem:
     frame = segmentation.of_garment_colors(problem.frame, problem)
     margin = config.skin_removal.cloth_distance
     staying = _cost_of_staying(skin_removal.remove_skin(frame, problem, prior.position, margin), problem)
+    if staying == OUT_OF_SIGHT:
+        return problem
     if staying < rule.in_place_cost:
         # a covariance that has grown out of sight would let each vertex follow its own points
         return _found_at(problem, prior.position, prior.velocity) if health.empty_for > 0.0 or after_gap else problem
@@ -111,16 +114,18 @@ def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
     search = Search(problem.model, _target(frame, config), config, problem.last.size)
     if body is None:
         return frame, search
-    search = search._replace(body=rows(body.vertices[:: max(1, len(body.vertices) // BODY_SAMPLES)] @ turn.T))
-    away, starting = search.off_body(prior.position @ turn.T), problem.health.state == "initializing"
-    if starting and _near(frame, prior.position, rule.truncation).sum() < config.start.least_points:
-        return frame, search._replace(body=None)
-    if away > ON_BODY and not starting:
-        return frame, search._replace(body=None)
+    worn = search._replace(body=rows(body.vertices[:: max(1, len(body.vertices) // BODY_SAMPLES)] @ turn.T))
+    away = worn.off_body(prior.position @ turn.T)
+    if problem.health.state == "initializing":
+        doubtful = _near(frame, prior.position, rule.truncation).sum() < config.start.least_points
+    else:
+        doubtful = away > ON_BODY
+    if doubtful:
+        return frame, search
     near = _near(frame, body.vertices, FARTHEST)
     if near.any():
-        search = search._replace(target=_target(frame.only(near), config), farthest=away + rule.off_body)
-    return frame.only(near), search
+        worn = worn._replace(target=_target(frame.only(near), config), farthest=away + rule.off_body)
+    return frame.only(near), worn
 
 
 def _found_at(problem: Problem, position: np.ndarray, velocity: np.ndarray) -> Problem:
@@ -155,19 +160,20 @@ def _overturned(shape: np.ndarray, search: Search, prior: HeadingPrior) -> tuple
 
 def due(problem: Problem) -> bool:
     """Whether :func:`locate` has something to do: a search, or a registration after one."""
-    health, config = problem.health, problem.config
-    if not config.start.search or len(problem.frame.points) < config.start.least_points:
-        return False
-    rule = config.relocalization
-    return health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
+    health, rule = problem.health, problem.config.relocalization
+    return _searchable(problem) and (
+        health.settling > 0 or search_due(health, rule) or interrupted(health, problem.dt, rule)
+    )
 
 
 def far_ahead(problem: Problem) -> bool:
     """Whether :func:`locate` looks at a prediction that may miss the cloud, as its step is long and no body carries it."""
-    config = problem.config
-    if not config.start.search or len(problem.frame.points) < config.start.least_points:
-        return False
-    return problem.body is None and problem.dt > config.relocalization.register_beyond
+    return _searchable(problem) and problem.body is None and problem.dt > problem.config.relocalization.register_beyond
+
+
+def _searchable(problem: Problem) -> bool:
+    start = problem.config.start
+    return start.search and len(problem.frame.points) >= start.least_points
 
 
 def search_due(health: Health, config: Relocalization) -> bool:
@@ -211,7 +217,7 @@ def _caught_up(problem: Problem) -> Problem:
     target = _target(_of_garment(frame, prior.position, problem), config)
     position = register(prior.position @ turn.T, target, model, config.registration.catching_up()) @ turn
     caught = problem._replace(prior=_moved(prior, position, rule.settling_sd))
-    if _cost_of_staying(frame, caught) > rule.cost_ratio * staying:
+    if not 0.0 <= _cost_of_staying(frame, caught) <= rule.cost_ratio * staying:  # nor is it hidden there
         return problem
     return caught._replace(motion_start=position, rotation=rigidity.rotations(position, model))
 
@@ -261,8 +267,8 @@ def _cost_of_staying(garment: FrameInput, problem: Problem) -> float:
 def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> float:
     """Metres: mean truncated distance garment to cloud, of the vertices that nothing hides from a sensor.
 
-    Where hardly a vertex is left, a garment that was tracked is taken to be out of sight, and costs nothing until it is lost. One
-    that was not is behind what it should be, and all vertices that face a sensor count.
+    Where hardly a vertex is left, a garment that was tracked is :data:`OUT_OF_SIGHT` until it is lost. One that was not is behind
+    what it should be, and all vertices that face a sensor count.
 
     Args:
         frame: the cloud, of more than the garment.
@@ -281,7 +287,7 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
         if (asking * seen).sum() >= LEAST_SEEN * asking.sum():
             asking *= seen
         elif problem.health.state in ("tracking", "recovering"):
-            return 0.0
+            return OUT_OF_SIGHT
     if not near.any():
         return config.truncation
     target = _target(frame.only(near), problem.config)

@@ -77,3 +77,14 @@ def test_without_a_body_a_garment_in_its_place_stays_there_beside_a_neighbour():
 def test_a_door_that_passes_in_front_takes_no_worn_garment_along(away):
     tracker = tracker_at(SAMPLE.garment_vertices[FIRST], True)
     assert max(errors(tracker, "a door passes", PASSING + 5, away)) < 0.04
+
+
+def test_a_garment_that_is_hidden_after_a_gap_is_as_uncertain_as_without_points():
+    """A door is in front of it when frames come again."""
+    k, sigma = FIRST + PASSING // 2, []
+    cloud = Sensor("front", 40_000, segmented=False).capture(scene("a door passes", 0.9), k, np.random.default_rng(k))
+    for points in (cloud.points, cloud.points[:0]):
+        tracker = tracker_at(SAMPLE.garment_vertices[FIRST], False)
+        list(errors(tracker, "wall", 3))
+        sigma.append(tracker.step(points, timestamp=k / FPS + 0.5, sensor_origin=cloud.sensor_origin).sigma.mean())
+    assert sigma[0] > 0.9 * sigma[1]
