@@ -14,18 +14,20 @@ from ddakf.planning.work import Costs, Effort
 from ddakf.search import relocalize
 from ddakf.types import Estimate, Problem, Track
 
-CATCHING_UP = 0.3  # of the cost of a search: that of registering a prediction which misses the cloud
-
 
 def search(clock: Clock, problem: Problem) -> Problem:
-    """The problem, a search allowed or not. One that does not fit is allowed all the same once in a hundred frames."""
+    """The problem, a search allowed or not. One that does not fit is allowed all the same once in a hundred frames.
+
+    A prediction that misses the cloud is registered where a search would fit, though that takes a third of it: registered in
+    every frame of a crowded worker, it would cost more frames than it saves.
+    """
     due = relocalize.due(problem)
     if clock.budget is None or not (due or relocalize.far_ahead(problem)):
         return problem
     costs = _costs(problem)
     least = (len(problem.frame.points) + SPARE_POINTS) * bound(costs.points) + _least(problem, costs)
-    fits = clock.left() > (1.0 if due else CATCHING_UP) * bound(costs.search) + least
-    return problem._replace(effort=Effort(search=fits or (due and costs.overruns >= 1.0)))
+    fits = clock.left() > bound(costs.search) + least
+    return problem._replace(effort=Effort(search=fits or (due and costs.overruns >= 1.0), due=due))
 
 
 def points(clock: Clock, problem: Problem) -> Problem:
@@ -36,7 +38,7 @@ def points(clock: Clock, problem: Problem) -> Problem:
     left = clock.left() - _least(problem, costs)
     least = min(1.0, rule.sparsest * len(problem.prior.position) / max(count, 1))
     share = min(1.0, max(least, (left / bound(costs.points) - SPARE_POINTS) / max(count, 1)))
-    return problem._replace(effort=Effort(planned=True, points=share))
+    return problem._replace(effort=Effort(planned=True, due=problem.effort.due, points=share))
 
 
 def clusters(clock: Clock, problem: Problem) -> Problem:
@@ -81,7 +83,7 @@ def learned(clock: Clock, track: Track, problem: Problem, estimate: Estimate) ->
         measured["later"] = sum(each[1:]) / (len(each) - 1)
     measured["end"] = clock.spent("uncertainty", "reliability", "output")[0]
     overruns, searched = costs.overruns + OVERRUN_SHARE, clock.spent("predict")[0]
-    if searched > SAME_KIND * costs.search.mean:
+    if problem.effort.due and searched > SAME_KIND * costs.search.mean:
         measured["search"] = searched
         overruns -= searched > clock.budget
     return track._replace(costs=learning.learned(costs, measured)._replace(overruns=max(0.0, min(overruns, OVERRUNS))))

@@ -32,6 +32,7 @@ class Effort(NamedTuple):
 
     planned: bool = False  # there is a budget
     search: bool = True  # for the garment, where one is due
+    due: bool = False  # a search, or a registration after one
     points: float = 1.0  # share of the cloud
     passes: float = math.inf  # at most: of cluster alignment, or at full size, whichever comes next
 

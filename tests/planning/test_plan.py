@@ -151,18 +151,25 @@ def test_a_search_is_postponed_not_forgotten(processor):
     assert np.abs(found.vertices.mean(axis=0) - GARMENT.vertices.mean(axis=0))[0] > 0.4
 
 
-@pytest.mark.parametrize(("budget", "made"), [(None, 1), (0.040, 1), (0.004, 0)])
-def test_a_prediction_is_registered_where_the_budget_allows_it(monkeypatch, budget, made):
+@pytest.mark.parametrize(("budget", "made"), [(None, 1), (1.0, 1), (0.1, 0)])
+def test_a_prediction_is_registered_where_a_search_would_fit(processor, monkeypatch, budget, made):
+    """What it takes is not learned as the time of a search, which takes longer."""
     calls, register = [], relocalize.register
-    monkeypatch.setattr(relocalize, "register", lambda *given: calls.append(1) or register(*given))
+
+    def charged(*given):
+        calls.append(1)
+        processor.now += 2.0 * SEARCH
+        return register(*given)
+
+    monkeypatch.setattr(relocalize, "register", charged)
     tracker = Tracker(GARMENT)
     for k, shift in enumerate([0.0, 0.0, 0.1]):
         calls.clear()
-        with pytest.MonkeyPatch.context() as patch:
-            SimulatedProcessor(patch)
-            points = scan(GARMENT.vertices, GARMENT, 1500, 0.002, seed=k) + np.float32([shift, 0.0, 0.0])
-            tracker.step(points, timestamp=0.1 * k, sensor_origin=EYE, budget=budget)
+        before = tracker._track.costs
+        points = scan(GARMENT.vertices, GARMENT, 1500, 0.002, seed=k) + np.float32([shift, 0.0, 0.0])
+        tracker.step(points, timestamp=0.1 * k, sensor_origin=EYE, budget=budget)
     assert len(calls) == made
+    assert budget is None or tracker._track.costs.search == before.search
 
 
 @pytest.mark.parametrize("budget", [0.0, -1.0, float("nan"), "fast"])
