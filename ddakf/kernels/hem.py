@@ -163,6 +163,35 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
+def unmeasured_rim(position, normal, seen, distance, sensor, cosine):
+    """Share of the seen rim that has no measurement; 0 without a rim. Its vertices face every sensor by less than ``cosine``.
+
+    Args:
+        position, normal: (V, 3) metres, unit.
+        seen: (V,) bool, vertices that a sensor may see.
+        distance: (V,) metres to the vertex's surfel, negative where it has none.
+        sensor: (S, 3) metres.
+        cosine: of the angle between normal and direction to the sensor.
+    """
+    rim = unmeasured = 0
+    for v in range(position.shape[0]):
+        if not seen[v]:
+            continue
+        facing = False
+        for s in range(sensor.shape[0]):
+            along = squared = 0.0
+            for a in range(3):
+                to = sensor[s, a] - position[v, a]
+                along += normal[v, a] * to
+                squared += to * to
+            facing |= along > cosine * sqrt(squared)
+        if not facing:
+            rim += 1
+            unmeasured += int(distance[v] < 0.0)
+    return unmeasured / rim if rim > 0 else 0.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
 def add_ends_of_cloud(vertex, direction, offset, weight, variance, D, force):
     """Adds the measured ends of the cloud: D += k c c' and force += k offset c, k = weight / variance (1/m^2).
 

@@ -88,7 +88,7 @@ def hem_strain(problem: Problem, estimate: Estimate) -> float:
         return 0.0
     matrix, vector = np.diag([1e-12, ALIKE, ALIKE, ALIKE]), np.zeros(4)
     at = model.boundary[:, 0], model.mesh.vertices, problem.rotation
-    n, square = kernels.accumulate_hems(*at, *hem, matrix, vector)
+    n, square = kernels.accumulate_hems(*at, *hem[:3], matrix, vector)
     if n < FEWEST_HEMS:
         return 0.0
     inverse = np.linalg.inv(matrix)

@@ -20,6 +20,9 @@ from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
 FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
+RIM_COSINE = 0.5  # of normal and direction to a sensor: seen vertices that face none by more are its rim
+RIM_WHOLE, RIM_NONE = 0.65, 0.75  # of the rim have no measurement: up to the first all of a hem counts, from the second nothing
+RIM_MEMORY = 0.3  # s, time constant of that share
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
@@ -57,7 +60,7 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
                 _find_planes(problem, gate, (position, normal, eligible), FoundPlanes(target, plane, distance, searched_at))
             if only is not None:
                 return Measurement(target, plane, distance, searched_at, seen, None, judged_at)
-            hem, points = _hem(problem, position, normal, seen), _surface_points(problem, estimate)
+            hem, points = _hem(problem, (position, normal, seen, distance)), _surface_points(problem, estimate)
             return Measurement(target, plane, distance, searched_at, seen, hem, judged_at, points=points)
         case NearestPoint():
             n = len(position)
@@ -121,8 +124,17 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
     return found
 
 
-def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.ndarray) -> Hem | None:
-    """The end of the cloud beside each vertex of a boundary at ``position`` (V, 3), its unit ``normal`` (V, 3)."""
+def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> Hem | None:
+    """The end of the cloud beside each vertex of a boundary.
+
+    Where a camera's mask is too narrow the cloud ends before the cloth does, at hems as at the rim. The more of the rim has no
+    measurement, the less the ends count. Without a body, which holds the garment too, they count all the same.
+
+    Args:
+        problem: the frame.
+        vertices: (V, 3) positions and (V, 3) unit normals, (V,) seen, (V,) distances of the measurements.
+    """
+    position, normal, seen, distance = vertices
     model, cloud, config = problem.model, problem.cloud, problem.config.associate
     n = len(model.boundary)
     if cloud.empty or n == 0 or config.hem_reach == 0:
@@ -132,7 +144,19 @@ def _hem(problem: Problem, position: np.ndarray, normal: np.ndarray, seen: np.nd
     width = min(max(config.hem_width, config.hem_spacings * spacing), config.hem_reach)
     tube = Tube(config.hem_reach, width, config.hem_depth)
     hem_kernels.ends_of_cloud(position, normal, seen, model.boundary, cloud.points, cloud.grid, tube, ends)
-    return Hem(direction, offset, found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0)))
+    weight = found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0))
+    if problem.body is None or not cloud.oriented or len(cloud.sensor) > 1:
+        return Hem(direction, offset, weight)
+    rim = _unmeasured_rim(problem, hem_kernels.unmeasured_rim(position, normal, seen, distance, cloud.sensor, RIM_COSINE))
+    believed = min(max((RIM_NONE - rim) / (RIM_NONE - RIM_WHOLE), 0.0), 1.0)
+    return Hem(direction, offset, believed * weight, rim)
+
+
+def _unmeasured_rim(problem: Problem, now: float) -> float:
+    """Running mean of the share of the rim that has no measurement; ``now`` is that of this pass."""
+    before, starting = problem.health.unmeasured_rim, problem.health.state == "initializing"
+    gain = 1.0 if starting else -math.expm1(-problem.dt / RIM_MEMORY)
+    return before + gain * (now - before)
 
 
 def _surface_points(problem: Problem, estimate: Estimate) -> FoundFaces | None:

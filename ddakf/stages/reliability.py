@@ -178,7 +178,8 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     outcome = Outcome(s_k if paper else but_turned, coverage, len(points), estimate.rejected, enough)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
-    moved = moved._replace(spacing=spacing, reliability=but_turned)
+    rim = health.unmeasured_rim if measurement.hem is None else measurement.hem.unmeasured_rim
+    moved = moved._replace(spacing=spacing, reliability=but_turned, unmeasured_rim=rim)
     return Verdict(moved, reliability, s_k, score(errors, config), wider)
 
 

@@ -5,21 +5,25 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from ddakf import Config, Mesh, Tracker, snapshot
 from ddakf.errors import InvalidSnapshot
 from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.sensors.camera import Camera, Intrinsics
 from ddakf.garment import model
 from ddakf.mesh import vertex_normals
 from ddakf.physics import rigidity, size
+from ddakf.stages.associate import RIM_NONE, RIM_WHOLE
 from ddakf.types import Health, Hem, Measurement
 from tests.stages.scenes import FPS, problem_of, rms, scan, tube
-from tests.tracker_runs import SAMPLE, SHIRT, assert_same
+from tests.tracker_runs import SAMPLE, SHIRT, WEARER, assert_same
 
 TUBE = tube()
 GARMENT = model.build(TUBE, Config())
 NUMBERS = Config().physics
 OF_ONE_SIZE = dataclasses.replace(Config(), physics=dataclasses.replace(NUMBERS, size_memory=0.0))
+DEPTH_CAMERA = Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5)
 STRETCH = np.array([[0.05, 0.01, -0.02], [0.01, -0.04, 0.0], [-0.02, 0.0, 0.02]])
 
 
@@ -34,6 +38,25 @@ def worn(scale, config=None, frames=30, *, placed=False, view="full", body=False
         cloud = Sensor(view).capture(SAMPLE, k, rng)
         result = tracker.step(cloud.points, timestamp=k / FPS, sensor_origin=cloud.sensor_origin, body_vertices=poses[k])
         errors.append(rms(result.vertices - SAMPLE.garment_vertices[k]))
+    return tracker, np.array(errors)
+
+
+def cut_out(margin, frames=20):
+    """A tracker of the sample on its body, seen by a camera whose mask is so many pixels too narrow, and its errors in metres."""
+    tracker, rng, errors = Tracker(SHIRT, body=WEARER), np.random.default_rng(1), []
+    tracker.reset(vertices=SAMPLE.garment_vertices[0])
+    middle = SAMPLE.garment_vertices[0].mean(axis=0)
+    camera = Camera.looking_at(DEPTH_CAMERA, middle + [0.0, 0.2, 2.0], middle)
+    for k in range(1, frames + 1):
+        shirt, body = SAMPLE.garment_vertices[k], SAMPLE.body_vertices[k]
+        depth, face = camera.render([(shirt, SAMPLE.garment_faces), (body, SAMPLE.body_faces)])
+        mask = (face >= 0) & (face < len(SAMPLE.garment_faces))
+        if margin:
+            mask = ndimage.binary_erosion(mask, iterations=margin)
+        points = camera.unproject(depth, mask)
+        points = points + 0.003 * rng.normal(size=points.shape)
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=camera.eye, body_vertices=body)
+        errors.append(rms(result.vertices - shirt))
     return tracker, np.array(errors)
 
 
@@ -258,3 +281,13 @@ def test_a_lighter_tracker_goes_on_with_the_size_and_its_shape():
     tracker.continue_from(lighter)
     assert tracker._track.resting.source is None  # the shape of the start itself, and none that was carried over
     np.testing.assert_array_equal(tracker._track.size, grown)
+
+
+def test_a_mask_that_is_too_narrow_makes_no_smaller_garment():
+    """Its cloud ends before the hems do, but so it does at the rim, where cloth turns away from the camera."""
+    (exact, _), (narrow, errors) = cut_out(0), cut_out(3)
+    of_exact, of_narrow = (np.trace(tracker._track.size) / 3.0 for tracker in (exact, narrow))
+    rims = [tracker._track.health.unmeasured_rim for tracker in (exact, narrow)]
+    assert rims[0] < RIM_WHOLE < RIM_NONE < rims[1]
+    assert (of_exact, of_narrow) == pytest.approx((0.0, 0.0), abs=0.01)
+    assert errors[-1] < 0.02

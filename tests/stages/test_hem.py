@@ -7,6 +7,7 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.garment import model
+from ddakf.kernels.hem import unmeasured_rim
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import associated, cloud_of, rms, scan, tube
 
@@ -72,6 +73,20 @@ def test_a_vertex_that_is_not_seen_has_no_end():
     behind = np.array([0.15, 0.15, -2.0])
     cloud = cloud_of(scan(mesh.vertices, mesh, 6000, 0.002), behind, mesh.vertices, garment.area, CONFIG)
     assert not associated(mesh.vertices, cloud, garment, GATE, CONFIG.associate).hem.weight.any()
+
+
+def test_the_rim_of_a_ball_faces_its_sensors_least():
+    mesh = ball()
+    normal, eye = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True), np.array([[0.0, 0.0, 3.0]])
+    to_eye = eye - mesh.vertices
+    facing = np.einsum("va,va->v", normal, to_eye) / np.linalg.norm(to_eye, axis=1)
+    seen = facing > 0.1
+    for bare in (seen & (facing <= 0.5), seen & (facing > 0.5)):  # the rim is bare, and all but the rim
+        share = unmeasured_rim(mesh.vertices, normal, seen, np.where(bare, -1.0, 0.0), eye, 0.5)
+        assert share == (facing[bare] <= 0.5).all()
+    nowhere = np.full(len(seen), -1.0)
+    assert unmeasured_rim(mesh.vertices, normal, np.zeros(len(seen), bool), nowhere, eye, 0.5) == 0.0
+    assert unmeasured_rim(mesh.vertices, normal, seen, nowhere, np.concatenate([eye, -eye, eye[:, [2, 0, 1]]]), 0.0) == 0.0
 
 
 def test_a_closed_surface_has_no_boundary():
