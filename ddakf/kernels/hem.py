@@ -164,7 +164,9 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def unmeasured_rim(position, normal, seen, distance, sensor, cosine):
-    """Share of the seen rim that has no measurement; 0 without a rim. Its vertices face every sensor by less than ``cosine``.
+    """Share of the seen rim that has no measurement, less that of the other seen vertices; 0 where either are none.
+
+    Vertices of the rim face every sensor by less than ``cosine``. Outside an image or behind a thing nothing has a measurement.
 
     Args:
         position, normal: (V, 3) metres, unit.
@@ -173,22 +175,23 @@ def unmeasured_rim(position, normal, seen, distance, sensor, cosine):
         sensor: (S, 3) metres.
         cosine: of the angle between normal and direction to the sensor.
     """
-    rim = unmeasured = 0
+    count, unmeasured = np.zeros(2, np.int64), np.zeros(2, np.int64)  # of the rim, and of the others
     for v in range(position.shape[0]):
         if not seen[v]:
             continue
-        facing = False
+        facing = 0
         for s in range(sensor.shape[0]):
             along = squared = 0.0
             for a in range(3):
                 to = sensor[s, a] - position[v, a]
                 along += normal[v, a] * to
                 squared += to * to
-            facing |= along > cosine * sqrt(squared)
-        if not facing:
-            rim += 1
-            unmeasured += int(distance[v] < 0.0)
-    return unmeasured / rim if rim > 0 else 0.0
+            facing |= int(along > cosine * sqrt(squared))
+        count[facing] += 1
+        unmeasured[facing] += int(distance[v] < 0.0)
+    if count.min() == 0:
+        return 0.0
+    return max(unmeasured[0] / count[0] - unmeasured[1] / count[1], 0.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

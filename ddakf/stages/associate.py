@@ -21,7 +21,7 @@ from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
 FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
 RIM_COSINE = 0.5  # of normal and direction to a sensor: seen vertices that face none by more are its rim
-RIM_WHOLE, RIM_NONE = 0.65, 0.75  # of the rim have no measurement: up to the first all of a hem counts, from the second nothing
+RIM_WHOLE, RIM_NONE = 0.6, 0.7  # more of the rim have no measurement: up to the first hems count wholly, from the second not
 RIM_MEMORY = 0.3  # s, time constant of that share
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
@@ -153,7 +153,7 @@ def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray, n
 
 
 def _unmeasured_rim(problem: Problem, now: float) -> float:
-    """Running mean of the share of the rim that has no measurement; ``now`` is that of this pass."""
+    """Running mean of the share of the rim without a measurement, less that of the others; ``now`` is that of this pass."""
     before, starting = problem.health.unmeasured_rim, problem.health.state == "initializing"
     gain = 1.0 if starting else -math.expm1(-problem.dt / RIM_MEMORY)
     return before + gain * (now - before)

@@ -81,12 +81,14 @@ def test_the_rim_of_a_ball_faces_its_sensors_least():
     to_eye = eye - mesh.vertices
     facing = np.einsum("va,va->v", normal, to_eye) / np.linalg.norm(to_eye, axis=1)
     seen = facing > 0.1
-    for bare in (seen & (facing <= 0.5), seen & (facing > 0.5)):  # the rim is bare, and all but the rim
-        share = unmeasured_rim(mesh.vertices, normal, seen, np.where(bare, -1.0, 0.0), eye, 0.5)
-        assert share == (facing[bare] <= 0.5).all()
-    nowhere = np.full(len(seen), -1.0)
-    assert unmeasured_rim(mesh.vertices, normal, np.zeros(len(seen), bool), nowhere, eye, 0.5) == 0.0
-    assert unmeasured_rim(mesh.vertices, normal, seen, nowhere, np.concatenate([eye, -eye, eye[:, [2, 0, 1]]]), 0.0) == 0.0
+    rim, nothing = seen & (facing <= 0.5), np.zeros(len(seen), bool)
+    for bare, share in ((rim, 1.0), (seen & ~rim, 0.0), (seen, 0.0), (nothing, 0.0)):
+        distance = np.where(bare, -1.0, 0.0)
+        assert unmeasured_rim(mesh.vertices, normal, seen, distance, eye, 0.5) == share
+        assert unmeasured_rim(mesh.vertices, normal, nothing, distance, eye, 0.5) == 0.0
+    around = np.concatenate([eye, -eye, *(eye[:, order] for order in ([2, 0, 1], [1, 2, 0]))])
+    some = np.where(rim, -1.0, 0.0)
+    assert unmeasured_rim(mesh.vertices, normal, seen, some, around, 0.2) == 0.0, "from several sides nothing is a rim"
 
 
 def test_a_closed_surface_has_no_boundary():
