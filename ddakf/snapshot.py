@@ -51,7 +51,7 @@ VERSION = 26
 # law of the frame's error, which is not read; 18 has other names for fields of the configuration;
 # 19 has none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
 # size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the size; 25
-# lacks the share of the rim without a measurement, which begins at 0.
+# lacks the gap between rim and cloud, which begins at 0.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = {

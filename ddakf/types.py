@@ -275,7 +275,7 @@ class Health(NamedTuple):
     unexplained: float = 0.0  # share of the points
     least_unexplained: float = 1.0  # so far
     postponed: bool = False  # a search is due for which the last frame's budget did not suffice
-    unmeasured_rim: float = 0.0  # share of the seen rim without a measurement, running mean
+    rim_gap: float = 0.0  # between rim and cloud, over that of the other seen vertices, running mean
 
     def relocalized(self) -> Health:
         """The health where a search found the garment: the memory of the old track says nothing about the new one."""
@@ -418,7 +418,7 @@ class Hem(NamedTuple):
     direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
     offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
     weight: np.ndarray  # (H,) bisquare of the offset, 0 where the cloud does not end, less where a mask is too narrow
-    unmeasured_rim: float = 0.0  # share of the seen rim without a measurement, running mean; 0 where it is not asked
+    rim_gap: float = 0.0  # between rim and cloud, over that of the other seen vertices, running mean; 0 where it is not asked
 
 
 class Slide(NamedTuple):

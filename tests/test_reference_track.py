@@ -8,8 +8,8 @@ import pytest
 from tests import reference_track
 
 REFERENCE = json.loads(reference_track.REFERENCE.read_text())
-# Floating point differs between processors; with vector instructions switched off the differences are a tenth of these.
-ABSOLUTE = {"vertices": 1e-6, "velocities": 1e-4, "sd": 1e-5, "shear": 1e-3, "vertex_reliability": 1e-4, "observed": 1e-3,
+# Floating point differs between processors, of one name too: the largest seen are 6e-6 m and 3e-4 m/s.
+ABSOLUTE = {"vertices": 2e-5, "velocities": 1e-3, "sd": 1e-5, "shear": 1e-3, "vertex_reliability": 1e-4, "observed": 1e-3,
             "scores": 1e-4}  # fmt: skip
 
 

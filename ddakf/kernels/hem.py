@@ -8,11 +8,13 @@ from numba import njit
 
 from ddakf.kernels import FAST
 from ddakf.kernels.lanes import LANES, load_lanes, store_lanes
+from ddakf.kernels.visibility import NEAREST, perpendicular_axes
 
 NOWHERE = np.float32(-1e30)  # m
 LEAST_POINTS = 4  # in the tube
 BEYOND = 2.0  # mean distances between the tube's points: where cloth ends past the second last of them, on average
 GOES_ON = 0.6  # share of the radius; a cloud that extends that far has no end in the tube
+MOST_CELLS = 512  # across the view and up, in which points near the rim are sought
 MOST_SEEN = 16_384  # points around a vertex that are looked at; of more, an even sample is
 
 
@@ -162,36 +164,102 @@ def ends_of_cloud(position, normal, visible, boundary, points, grid, tube, ends)
         direction[h, 0], direction[h, 1], direction[h, 2] = cx, cy, cz
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def unmeasured_rim(position, normal, seen, distance, sensor, cosine):
-    """Share of the seen rim that has no measurement, less that of the other seen vertices; 0 where either are none.
+@njit(nogil=True, cache=True, error_model="numpy", inline="always")
+def across_view(x, y, z, eye, axes, away, spot):
+    """Writes where the ray to (x, y, z) is ``away`` metres from the eye, across the view. Returns False for what is behind it."""
+    dx, dy, dz = x - eye[0], y - eye[1], z - eye[2]
+    depth = axes[2, 0] * dx + axes[2, 1] * dy + axes[2, 2] * dz
+    if depth < NEAREST:
+        return False
+    scale = away / depth
+    spot[0] = (axes[0, 0] * dx + axes[0, 1] * dy + axes[0, 2] * dz) * scale
+    spot[1] = (axes[1, 0] * dx + axes[1, 1] * dy + axes[1, 2] * dz) * scale
+    return True
 
-    Vertices of the rim face every sensor by less than ``cosine``. Outside an image or behind a thing nothing has a measurement.
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
+    """Mean distance across the view from seen vertices to the nearest point: of the rim, and of the others.
+
+    Vertices of the rim face the sensor by less than ``cosine``. Those that have no point within ``reach`` do not count: they are
+    outside the image, or hidden. Points are moved along their rays to the distance of the garment's middle.
 
     Args:
-        position, normal: (V, 3) metres, unit.
-        seen: (V,) bool, vertices that a sensor may see.
-        distance: (V,) metres to the vertex's surfel, negative where it has none.
-        sensor: (S, 3) metres.
+        position, normal: (V, 3) metres, unit, relative to the origin of the points.
+        seen: (V,) bool, vertices that the sensor may see.
+        points: (3, M) float32 metres.
+        eye: (3,) the sensor, metres.
         cosine: of the angle between normal and direction to the sensor.
+        reach: metres.
+        gaps: (2,) metres out, of the rim and of the others; 0 where there are none.
     """
-    count, unmeasured = np.zeros(2, np.int64), np.zeros(2, np.int64)  # of the rim, and of the others
+    center, axes = np.zeros(3), np.empty((3, 3))
     for v in range(position.shape[0]):
-        if not seen[v]:
+        for a in range(3):
+            center[a] += position[v, a] / position.shape[0]
+    away = 0.0
+    for a in range(3):
+        axes[2, a] = center[a] - eye[a]
+        away += axes[2, a] ** 2
+    away = sqrt(away) + 1e-12
+    axes[2] /= away
+    perpendicular_axes(axes[2], axes)
+    here = np.full((position.shape[0], 2), np.inf)
+    left = bottom = np.inf
+    right = top = -np.inf
+    for v in range(position.shape[0]):
+        if seen[v] and across_view(position[v, 0], position[v, 1], position[v, 2], eye, axes, away, here[v]):
+            left, right = min(left, here[v, 0]), max(right, here[v, 0])
+            bottom, top = min(bottom, here[v, 1]), max(top, here[v, 1])
+    gaps[:] = 0.0
+    if left > right:
+        return
+    left, bottom, right, top = left - reach, bottom - reach, right + reach, top + reach
+    cell = max(reach / 4, (right - left) / MOST_CELLS, (top - bottom) / MOST_CELLS)
+    inverse = 1.0 / cell
+    columns, rows = int((right - left) * inverse) + 1, int((top - bottom) * inverse) + 1
+    start, place = np.zeros(columns * rows + 2, np.int32), np.empty(points.shape[1], np.int32)
+    spot, there = np.empty((points.shape[1], 2)), np.empty((points.shape[1], 2))
+    for k in range(points.shape[1]):
+        place[k] = -1
+        if across_view(points[0, k], points[1, k], points[2, k], eye, axes, away, spot[k]):
+            column, row = int((spot[k, 0] - left) * inverse), int((spot[k, 1] - bottom) * inverse)
+            if spot[k, 0] >= left and spot[k, 1] >= bottom and column < columns and row < rows:
+                place[k] = row * columns + column
+                start[place[k] + 2] += 1
+    for c in range(2, start.shape[0]):
+        start[c] += start[c - 1]
+    for k in range(points.shape[1]):
+        if place[k] >= 0:
+            slot = start[place[k] + 1]
+            start[place[k] + 1] += 1
+            there[slot, 0], there[slot, 1] = spot[k, 0], spot[k, 1]
+    rings, count = int(np.ceil(reach / cell)), np.zeros(2)
+    for v in range(position.shape[0]):
+        if not here[v, 0] < np.inf:
             continue
-        facing = 0
-        for s in range(sensor.shape[0]):
+        column, row, best = int((here[v, 0] - left) * inverse), int((here[v, 1] - bottom) * inverse), reach * reach
+        for ring in range(rings + 1):
+            for j in range(max(row - ring, 0), min(row + ring + 1, rows)):
+                whole = abs(j - row) == ring
+                for i in range(max(column - ring, 0), min(column + ring + 1, columns)):
+                    if whole or abs(i - column) == ring:
+                        c = j * columns + i
+                        for slot in range(start[c], start[c + 1]):
+                            best = min(best, (there[slot, 0] - here[v, 0]) ** 2 + (there[slot, 1] - here[v, 1]) ** 2)
+            if best <= (ring * cell) ** 2:
+                break
+        if best < reach * reach:
             along = squared = 0.0
             for a in range(3):
-                to = sensor[s, a] - position[v, a]
+                to = eye[a] - position[v, a]
                 along += normal[v, a] * to
                 squared += to * to
-            facing |= int(along > cosine * sqrt(squared))
-        count[facing] += 1
-        unmeasured[facing] += int(distance[v] < 0.0)
-    if count.min() == 0:
-        return 0.0
-    return max(unmeasured[0] / count[0] - unmeasured[1] / count[1], 0.0)
+            kind = int(along > cosine * sqrt(squared))
+            gaps[kind] += sqrt(best)
+            count[kind] += 1
+    for kind in range(2):
+        gaps[kind] /= max(count[kind], 1.0)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

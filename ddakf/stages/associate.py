@@ -20,9 +20,11 @@ from ddakf.stages.grid import nearest_vertices
 from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 
 FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
-RIM_COSINE = 0.5  # of normal and direction to a sensor: seen vertices that face none by more are its rim
-RIM_WHOLE, RIM_NONE = 0.6, 0.7  # more of the rim have no measurement: up to the first hems count wholly, from the second not
-RIM_MEMORY = 0.3  # s, time constant of that share
+RIM_COSINE = 0.5  # of normal and direction to a camera: seen vertices that face it by no more are its rim
+RIM_REACH = 0.04  # m across the view, within which the cloud is sought beside seen vertices
+RIM_FLOOR = 0.004  # m: a smaller mean gap of the other vertices is none
+RIM_WHOLE, RIM_NONE = 1.9, 2.3  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
+RIM_MEMORY = 0.3  # s, time constant of that ratio
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
 
@@ -60,7 +62,8 @@ def associate(problem: Problem, estimate: Estimate, gate: float, only: np.ndarra
                 _find_planes(problem, gate, (position, normal, eligible), FoundPlanes(target, plane, distance, searched_at))
             if only is not None:
                 return Measurement(target, plane, distance, searched_at, seen, None, judged_at)
-            hem, points = _hem(problem, (position, normal, seen, distance)), _surface_points(problem, estimate)
+            hem = _hem(problem, (position, normal, seen), estimate.evidence.measurement.hem)
+            points = _surface_points(problem, estimate)
             return Measurement(target, plane, distance, searched_at, seen, hem, judged_at, points=points)
         case NearestPoint():
             n = len(position)
@@ -124,17 +127,18 @@ def _visible(problem: Problem, position: np.ndarray, normal: np.ndarray) -> np.n
     return found
 
 
-def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> Hem | None:
+def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray], last: Hem | None) -> Hem | None:
     """The end of the cloud beside each vertex of a boundary.
 
-    Where a camera's mask is too narrow the cloud ends before the cloth does, at hems as at the rim. The more of the rim has no
-    measurement, the less the ends count. Without a body, which holds the garment too, they count all the same.
+    Where a camera's mask is too narrow the cloud ends before the cloth does, at hems as at the rim. The wider the gap beside the
+    rim, the less the ends count. Without a body, which holds the garment too, they count all the same.
 
     Args:
         problem: the frame.
-        vertices: (V, 3) positions and (V, 3) unit normals, (V,) seen, (V,) distances of the measurements.
+        vertices: (V, 3) positions and (V, 3) unit normals, (V,) seen.
+        last: of the pass before.
     """
-    position, normal, seen, distance = vertices
+    position, normal, seen = vertices
     model, cloud, config = problem.model, problem.cloud, problem.config.associate
     n = len(model.boundary)
     if cloud.empty or n == 0 or config.hem_reach == 0:
@@ -147,15 +151,18 @@ def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray, n
     weight = found * np.square(np.maximum(1.0 - np.square(offset / config.hem_reach), 0.0))
     if problem.body is None or not cloud.oriented or len(cloud.sensor) > 1:
         return Hem(direction, offset, weight)
-    rim = _unmeasured_rim(problem, hem_kernels.unmeasured_rim(position, normal, seen, distance, cloud.sensor, RIM_COSINE))
-    believed = min(max((RIM_NONE - rim) / (RIM_NONE - RIM_WHOLE), 0.0), 1.0)
-    return Hem(direction, offset, believed * weight, rim)
+    gap = _rim_gap(problem, vertices) if last is None else last.rim_gap
+    return Hem(direction, offset, min(max((RIM_NONE - gap) / (RIM_NONE - RIM_WHOLE), 0.0), 1.0) * weight, gap)
 
 
-def _unmeasured_rim(problem: Problem, now: float) -> float:
-    """Running mean of the share of the rim without a measurement, less that of the others; ``now`` is that of this pass."""
-    before, starting = problem.health.unmeasured_rim, problem.health.state == "initializing"
-    gain = 1.0 if starting else -math.expm1(-problem.dt / RIM_MEMORY)
+def _rim_gap(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
+    """Running mean of the gap between rim and cloud, across the view, over that of the other seen vertices; as :func:`_hem`."""
+    cloud, before, gaps, (position, normal, seen) = problem.cloud, problem.health.rim_gap, np.empty(2), vertices
+    hem_kernels.gaps_across_view(
+        position - cloud.origin, normal, seen, cloud.points, cloud.sensor[0] - cloud.origin, RIM_COSINE, RIM_REACH, gaps
+    )
+    now = float(gaps[0]) / max(float(gaps[1]), RIM_FLOOR)
+    gain = 1.0 if problem.health.state == "initializing" else -math.expm1(-problem.dt / RIM_MEMORY)
     return before + gain * (now - before)
 
 

@@ -178,8 +178,8 @@ def judge(problem: Problem, estimate: Estimate, posterior: Posterior) -> Verdict
     outcome = Outcome(s_k if paper else but_turned, coverage, len(points), estimate.rejected, enough)
     moved = advance(health, outcome, problem.dt, config)
     spacing = problem.last.health.spacing if problem.last.time is None else problem.dt
-    rim = health.unmeasured_rim if measurement.hem is None else measurement.hem.unmeasured_rim
-    moved = moved._replace(spacing=spacing, reliability=but_turned, unmeasured_rim=rim)
+    gap = health.rim_gap if measurement.hem is None else measurement.hem.rim_gap
+    moved = moved._replace(spacing=spacing, reliability=but_turned, rim_gap=gap)
     return Verdict(moved, reliability, s_k, score(errors, config), wider)
 
 

@@ -284,10 +284,10 @@ def test_a_lighter_tracker_goes_on_with_the_size_and_its_shape():
 
 
 def test_a_mask_that_is_too_narrow_makes_no_smaller_garment():
-    """Its cloud ends before the hems do, but so it does at the rim, where cloth turns away from the camera."""
+    """Its cloud ends before the hems do, but it ends before the rim as well, where cloth turns away from the camera."""
     (exact, _), (narrow, errors) = cut_out(0), cut_out(3)
     of_exact, of_narrow = (np.trace(tracker._track.size) / 3.0 for tracker in (exact, narrow))
-    rims = [tracker._track.health.unmeasured_rim for tracker in (exact, narrow)]
-    assert rims[0] < RIM_WHOLE < RIM_NONE < rims[1]
+    gaps = [tracker._track.health.rim_gap for tracker in (exact, narrow)]
+    assert gaps[0] < RIM_WHOLE < RIM_NONE < gaps[1]
     assert (of_exact, of_narrow) == pytest.approx((0.0, 0.0), abs=0.01)
     assert errors[-1] < 0.02

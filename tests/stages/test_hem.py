@@ -7,7 +7,7 @@ import pytest
 
 from ddakf import Config, Mesh, Tracker
 from ddakf.garment import model
-from ddakf.kernels.hem import unmeasured_rim
+from ddakf.kernels.hem import gaps_across_view
 from tests.physics.shapes import ball, grid_faces
 from tests.stages.scenes import associated, cloud_of, rms, scan, tube
 
@@ -75,20 +75,38 @@ def test_a_vertex_that_is_not_seen_has_no_end():
     assert not associated(mesh.vertices, cloud, garment, GATE, CONFIG.associate).hem.weight.any()
 
 
-def test_the_rim_of_a_ball_faces_its_sensors_least():
-    mesh = ball()
-    normal, eye = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True), np.array([[0.0, 0.0, 3.0]])
-    to_eye = eye - mesh.vertices
-    facing = np.einsum("va,va->v", normal, to_eye) / np.linalg.norm(to_eye, axis=1)
-    seen = facing > 0.1
-    rim, nothing = seen & (facing <= 0.5), np.zeros(len(seen), bool)
-    for bare, share in ((rim, 1.0), (seen & ~rim, 0.0), (seen, 0.0), (nothing, 0.0)):
-        distance = np.where(bare, -1.0, 0.0)
-        assert unmeasured_rim(mesh.vertices, normal, seen, distance, eye, 0.5) == share
-        assert unmeasured_rim(mesh.vertices, normal, nothing, distance, eye, 0.5) == 0.0
-    around = np.concatenate([eye, -eye, *(eye[:, order] for order in ([2, 0, 1], [1, 2, 0]))])
-    some = np.where(rim, -1.0, 0.0)
-    assert unmeasured_rim(mesh.vertices, normal, seen, some, around, 0.2) == 0.0, "from several sides nothing is a rim"
+def ball_from(eye, points) -> np.ndarray:
+    """Gaps beside the rim of a ball, and beside its other vertices that face the eye, in mm."""
+    mesh, gaps = ball(), np.empty(2)
+    normal = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+    seen = np.einsum("va,va->v", normal, eye - mesh.vertices) > 0.0
+    cloud = np.ascontiguousarray(np.asarray(points, np.float32).T)
+    gaps_across_view(mesh.vertices, normal, seen, cloud, eye, 0.5, 0.04, gaps)
+    return 1e3 * gaps
+
+
+@pytest.mark.parametrize("distance", [0.6, 2.0, 5.0])
+def test_a_mask_that_is_too_narrow_leaves_a_gap_beside_the_rim(distance):
+    """Across the view, however steep the surface is there, and as wide as at the middle of the ball from any distance."""
+    mesh, eye = ball(), np.array([0.0, 0.0, distance])
+    points = scan(mesh.vertices, mesh, 20_000, 0.0)
+    points = points[points @ eye > np.square(points).sum(axis=1)]  # of the half that faces the eye
+    across = np.linalg.norm(points[:, :2] / (distance - points[:, 2:]) * distance, axis=1)
+    rim, others = ball_from(eye, points)
+    assert max(rim, others) < 4.0
+    narrow, inside = ball_from(eye, points[across < across.max() - 0.02])
+    assert narrow > 2.0 * max(inside, 4.0)
+    assert narrow == pytest.approx(12.0, abs=5.0)
+
+
+def test_vertices_far_from_all_points_leave_no_gap():
+    """They are outside the image, or hidden: of half a ball the other half says nothing."""
+    mesh, eye = ball(), np.array([0.0, 0.0, 2.0])
+    points = scan(mesh.vertices, mesh, 20_000, 0.0)
+    assert ball_from(eye, points[points[:, 0] > 0.0]) == pytest.approx(ball_from(eye, points), abs=3.0)
+    assert (ball_from(eye, points + np.float32([1.0, 0.0, 0.0])) == 0.0).all()
+    assert (ball_from(eye, points[:0]) == 0.0).all()
+    assert (ball_from(eye, points * [1.0, 1.0, -1.0] + [0.0, 0.0, 9.0]) == 0.0).all(), "behind the eye"
 
 
 def test_a_closed_surface_has_no_boundary():
