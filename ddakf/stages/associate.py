@@ -23,7 +23,7 @@ FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
 RIM_COSINE = 0.5  # of normal and direction to a camera: seen vertices that face it by no more are its rim
 RIM_REACH = 0.04  # m across the view, within which the cloud is sought beside seen vertices
 RIM_FLOOR = 0.004  # m: a smaller mean gap of the other vertices is none
-RIM_WHOLE, RIM_NONE = 1.9, 2.3  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
+RIM_WHOLE, RIM_NONE = 2.3, 2.8  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
 RIM_MEMORY = 0.3  # s, time constant of that ratio
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
