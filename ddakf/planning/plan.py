@@ -18,8 +18,8 @@ from ddakf.types import Estimate, Problem, Track
 def search(clock: Clock, problem: Problem) -> Problem:
     """The problem, a search allowed or not. One that does not fit is allowed all the same once in a hundred frames.
 
-    A prediction that misses the cloud is registered where a search would fit, though that takes a third of it: registered in
-    every frame of a crowded worker, it would cost more frames than it saves.
+    A prediction that misses the cloud is registered where a search would fit, though that takes less: registered in every
+    frame of a crowded worker, it would cost more frames than it saves.
     """
     due = relocalize.due(problem)
     if clock.budget is None or not (due or relocalize.far_ahead(problem)):
