@@ -72,19 +72,24 @@ def test_without_a_body_nothing_happens(garment):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TOLD)
 def test_a_baseline_that_is_told_the_body_follows_what_it_does_not_see(name, garment, body):
-    """Seen from the front alone, the garment turns with its body."""
+    """Seen from the front alone, the garment turns with its body, whose back swells by half."""
+
+    def posed(vertices, k):
+        swollen = np.where(vertices[:, 2:] < 0, vertices * [1, 1, 1 + 0.04 * k], vertices)
+        return moved(swollen, 0.05 * k, [0.01 * k, 0, 0])
+
     errors = {}
     for known in (None, body):
         method, rng = make_baseline(name), np.random.default_rng(0)
         method.start(garment, garment.vertices, known)
         for k in range(1, 13):
-            truth = moved(garment.vertices, 0.05 * k, [0.01 * k, 0, 0])
+            truth = posed(garment.vertices, k)
             points = sample_surface(truth, garment.faces, 4000, rng)
             points = points[points[:, 2] > 0.02]
-            pose = None if known is None else moved(body.vertices, 0.05 * k, [0.01 * k, 0, 0])
+            pose = None if known is None else posed(body.vertices, k)
             estimate = method.step(CapturedFrame(k, k / 30, points, np.array([0.0, 0.3, 3.0]), pose))
         errors[known is not None] = rmse_mm(estimate, truth)
-    assert errors[True] < 0.9 * errors[False]
+    assert errors[True] < 0.75 * errors[False]
     assert errors[True] < 0.6 * rmse_mm(garment.vertices, truth)
 
 
