@@ -23,6 +23,7 @@ WarningCode = Literal[
     "split_seams",
     "mirrored",
     "points_behind_sensor",
+    "narrow_mask",
     "body_apart",
     "body_off",
     "sensors_off",

@@ -215,6 +215,7 @@ class BodyTrack(NamedTuple):
     turn: int = 0  # frames
     motion: np.ndarray | None = None  # (B, 3) float32 m/s, from its last pose but one to the last
     unposed: float = 0.0  # s since that pose, for which it has been moved on
+    span: float = 0.0  # s of which the velocities are a mean: frames may be very close
     intruded: tuple[float, float] = (0.0, 0.0)  # m^2, 1: squared depth of seen vertices inside the gap, and how many, over V
 
 
@@ -417,7 +418,8 @@ class Hem(NamedTuple):
 
     direction: np.ndarray  # (H, 3) unit, in the surface, across the boundary and outward
     offset: np.ndarray  # (H,) m, from the vertex along it to the end of the cloud
-    weight: np.ndarray  # (H,) bisquare of the offset, 0 where the cloud does not end, less where a mask is too narrow
+    weight: np.ndarray  # (H,) bisquare of the offset times the belief, 0 where the cloud does not end
+    belief: float = 1.0  # that the cloud ends where the cloth does, less where a mask is too narrow
     rim_gap: float = 0.0  # between rim and cloud, over that of the other seen vertices, running mean; 0 where it is not asked
 
 

@@ -97,7 +97,7 @@ def hem_strain(problem: Problem, estimate: Estimate) -> float:
     speed, along = np.einsum("ha,ha->h", hem.direction, moved) / problem.dt, np.zeros(4)
     kernels.accumulate_hems(*at, hem.direction, speed, hem.weight, np.zeros((4, 4)), along)
     flown = HEM_FLIGHT * inverse[0] @ along
-    told = SIZE_SD**2 / (SIZE_SD**2 + left * inverse[0, 0] + flown**2)
+    told = hem.belief * SIZE_SD**2 / (SIZE_SD**2 + left * inverse[0, 0] + flown**2)
     return min(float(strain * told), 0.0)
 
 

@@ -69,6 +69,15 @@ def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
     return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
 
 
+def narrow_mask(problem: Problem, estimate: Estimate) -> Sign | None:
+    """The sign of a cloud that ends before the garment does wherever the camera looks along it."""
+    hem = estimate.evidence.measurement.hem
+    if hem is None or hem.belief > 0.0:
+        return None
+    gap = f"the gap beside its rim is {hem.rim_gap:.1f} times that of its other vertices"
+    return Sign("points", f"the cloud ends before the garment does, as behind a mask that is too narrow: {gap}")
+
+
 def split_seams(problem: Problem, estimate: Estimate) -> Sign | None:
     """The sign of a garment that falls apart: along the seams of its texture, or where a part is not joined to the rest."""
     split, gap = problem.reference.split_edges, problem.reference.seam_gap

@@ -49,6 +49,7 @@ CHECKS: Mapping[WarningCode, Check] = {
     "split_seams": Check(placement.split_seams, 1),
     "mirrored": Check(handedness.mirrored, 5, spaced=True),
     "points_behind_sensor": Check(placement.points_behind_sensor, 2, spaced=True),
+    "narrow_mask": Check(placement.narrow_mask, 10),
     "body_apart": Check(placement.body_apart, 3),
     "body_off": Check(placement.body_off, 10),
     "sensors_off": Check(sensor_poses.misplaced, 10),

@@ -152,7 +152,8 @@ def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray], 
     if problem.body is None or not cloud.oriented or len(cloud.sensor) > 1:
         return Hem(direction, offset, weight)
     gap = _rim_gap(problem, vertices) if last is None else last.rim_gap
-    return Hem(direction, offset, min(max((RIM_NONE - gap) / (RIM_NONE - RIM_WHOLE), 0.0), 1.0) * weight, gap)
+    belief = min(max((RIM_NONE - gap) / (RIM_NONE - RIM_WHOLE), 0.0), 1.0)
+    return Hem(direction, offset, belief * weight, belief, gap)
 
 
 def _rim_gap(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:

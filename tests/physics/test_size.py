@@ -192,6 +192,13 @@ def test_hems_that_disagree_tell_less():
     assert clear < 1.5 * blurred < 0.0
 
 
+def test_hems_that_are_believed_by_half_tell_half():
+    problem, estimate = hems_of(0.95 * TUBE.vertices)
+    hem = estimate.evidence.measurement.hem
+    doubted = estimate_of(hem._replace(weight=0.5 * hem.weight, belief=0.5), position=estimate.position)
+    assert size.hem_strain(problem, doubted) == pytest.approx(0.5 * size.hem_strain(problem, estimate), rel=1e-3)
+
+
 def test_hems_that_fly_tell_less_and_hems_that_move_together_do_not():
     ends = 0.95 * TUBE.vertices
     still, moved, flown = (size.hem_strain(*hems_of(ends, velocity=v)) for v in (0.0, np.ones(3), -1.0 * TUBE.vertices))

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from ddakf import Mesh, Tracker
-from ddakf.evaluation.sensors import Sensor
+from ddakf.evaluation.sensors import Camera, Intrinsics, Sensor
 from tests.stages.scenes import FPS
 from tests.tracker_runs import BODY, EYE, SAMPLE, SHIRT, TUBE, WEARER, cloud, swaying, worn
 
@@ -137,3 +138,24 @@ def test_a_part_beside_the_rest_that_is_not_joined_to_it_is_told(apart, told):
 def _used(vertices, faces):
     kept, numbers = np.unique(faces, return_inverse=True)
     return vertices[kept], numbers.reshape(faces.shape)
+
+
+@pytest.mark.parametrize("pixels", [0, 1, 3])
+def test_a_mask_that_is_too_narrow_is_told(pixels):
+    """A pixel is 7 mm wide at the garment. One of them is no more than what the template's size may do."""
+    middle = SAMPLE.garment_vertices[0].mean(axis=0)
+    eye = middle + [0.0, 0.2, 2.0]
+    camera = Camera.looking_at(Intrinsics(width=320, height=240, fx=285.0, fy=285.0, cx=159.5, cy=119.5), eye, middle)
+    tracker, told = Tracker(SHIRT, body=WEARER), []
+    tracker.reset(SAMPLE.garment_vertices[0])
+    for k in range(1, 25):
+        shirt, wearer = SAMPLE.garment_vertices[k], SAMPLE.body_vertices[k]
+        depth, face = camera.render([(shirt, SAMPLE.garment_faces), (wearer, SAMPLE.body_faces)])
+        mask = (face >= 0) & (face < len(SAMPLE.garment_faces))
+        if pixels:
+            mask = ndimage.binary_erosion(mask, iterations=pixels)
+        points = camera.unproject(depth, mask).astype(np.float32)
+        result = tracker.step(points, timestamp=k / FPS, sensor_origin=eye, body_vertices=wearer)
+        told.append([(warning.code, warning.field) for warning in result.warnings])
+    assert not any(told[:8])
+    assert told[-1] == ([("narrow_mask", "points")] if pixels > 1 else [])

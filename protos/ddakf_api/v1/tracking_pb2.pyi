@@ -98,6 +98,7 @@ class WarningCode(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     WARNING_CODE_SENSORS_OFF: _ClassVar[WarningCode]
     WARNING_CODE_GARMENT_SIZE: _ClassVar[WarningCode]
     WARNING_CODE_WHOLE_PERSON: _ClassVar[WarningCode]
+    WARNING_CODE_NARROW_MASK: _ClassVar[WarningCode]
 
 class NoticeKind(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
     __slots__ = ()
@@ -167,6 +168,7 @@ WARNING_CODE_BODY_OFF: WarningCode
 WARNING_CODE_SENSORS_OFF: WarningCode
 WARNING_CODE_GARMENT_SIZE: WarningCode
 WARNING_CODE_WHOLE_PERSON: WarningCode
+WARNING_CODE_NARROW_MASK: WarningCode
 NOTICE_KIND_UNSPECIFIED: NoticeKind
 NOTICE_KIND_DRAINING: NoticeKind
 NOTICE_KIND_SLOW_DOWN: NoticeKind

@@ -2715,6 +2715,13 @@ export enum WarningCode {
    * @generated from enum value: WARNING_CODE_WHOLE_PERSON = 17;
    */
   WHOLE_PERSON = 17,
+
+  /**
+   * The cloud of one camera ends before the garment does, as behind a mask that is too narrow.
+   *
+   * @generated from enum value: WARNING_CODE_NARROW_MASK = 18;
+   */
+  NARROW_MASK = 18,
 }
 
 /**
