@@ -42,8 +42,9 @@ from ddakf.types import (
 )
 
 MAGIC = b"DDAKFSNP"
+LARGEST_OF_BODY = 1e6  # m, m/s or faces
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
-VERSION = 26
+VERSION = 27
 # 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none; 12 has a law of the
 # vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the error's
 # size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16 has
@@ -51,7 +52,7 @@ VERSION = 26
 # law of the frame's error, which is not read; 18 has other names for fields of the configuration;
 # 19 has none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
 # size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the size; 25
-# lacks the gap between rim and cloud, which begins at 0.
+# lacks the gap between rim and cloud, which begins at 0; 26 lacks the time of which the body's velocities are a mean, as well.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = {
@@ -173,7 +174,7 @@ def build(numbers: dict, arrays: dict[str, np.ndarray], kind):
 
 def _body_arrays(track: BodyTrack) -> dict[str, np.ndarray]:
     arrays = {"contact_vertices": track.vertices, "contact_present": np.array(track.present)}
-    arrays["contact_turn"] = np.array(track.turn)
+    arrays |= {"contact_turn": np.array(track.turn), "contact_span": np.array(track.span)}
     if track.velocity is not None:
         arrays["contact_velocity"] = track.velocity
     if track.motion is not None:
@@ -192,29 +193,41 @@ def _body(body: BodyModel, arrays: dict[str, np.ndarray], n: int) -> BodyTrack:
     Raises:
         ValueError: arrays that do not belong to this body and garment.
     """
-    shapes = {"vertices": body.mesh.vertices.shape, "velocity": (n, 3), "asked_at": (n, 3), "face": (n,), "distance": (n,)}
-    shapes |= {"barycentric": (n, 3), "point": (n, 3), "normal": (n, 3), "gap": (n,), "motion": body.mesh.vertices.shape}
-    for name, shape in shapes.items():
-        array = arrays.get(f"contact_{name}")
-        if array is not None and (array.shape != shape or np.isnan(array).any()):
-            raise ValueError(f"contact_{name} is not of shape {shape} or not a number")
+    of_body, vectors, numbers = body.mesh.vertices, np.zeros((n, 3)), np.zeros(n)
+    models = {"vertices": of_body, "motion": of_body.astype(np.float32), "velocity": vectors, "gap": numbers}
+    models |= {"face": np.zeros(n, np.int32), "barycentric": vectors, "point": vectors, "normal": vectors, "distance": numbers}
+    models["asked_at"] = vectors
+    found = {name: _bounded(arrays.get(f"contact_{name}"), name, model) for name, model in models.items()}
     contacts = None
-    if "contact_face" in arrays:
-        face = arrays["contact_face"]
-        if face.dtype != np.int32 or face.min() < -1 or face.max() >= len(body.tree.faces):
+    if (face := found["face"]) is not None:
+        if face.min() < -1 or face.max() >= len(body.tree.faces):
             raise ValueError("contact_face is no face of the body")
-        closest = Contact(*(arrays[f"contact_{name}"] for name in Contact._fields))
-        contacts = Contacts(closest, arrays["contact_asked_at"])
+        contacts = Contacts(Contact(*(arrays[f"contact_{name}"] for name in Contact._fields)), arrays["contact_asked_at"])
     vertices, present = arrays["contact_vertices"], bool(arrays["contact_present"])
-    turn = int(arrays.get("contact_turn", 0))  # absent from earlier snapshots
-    motion, unposed = arrays.get("contact_motion"), float(arrays.get("contact_unposed", 0.0))
-    if not 0.0 <= unposed < math.inf or (motion is not None and motion.dtype != np.float32):
-        raise ValueError("contact_motion is no motion")
-    velocity, gap = arrays.get("contact_velocity"), arrays.get("contact_gap")
-    intruded = tuple(arrays.get("contact_intruded", np.zeros(2)).tolist())  # absent from earlier snapshots
-    if len(intruded) != 2 or not all(0.0 <= value < math.inf for value in intruded):
-        raise ValueError("contact_intruded is no pair of numbers that are not negative")
-    return BodyTrack(vertices, present, velocity, contacts, gap, turn, motion, unposed, intruded)
+    turn = int(arrays.get("contact_turn", 0))  # this and the next are absent from earlier snapshots
+    unposed, span = (float(arrays.get(f"contact_{name}", 0.0)) for name in ("unposed", "span"))
+    intruded = tuple(arrays.get("contact_intruded", np.zeros(2)).tolist())
+    if len(intruded) != 2 or not all(0.0 <= value < math.inf for value in (unposed, span, *intruded)):
+        raise ValueError("contact_unposed, contact_span or contact_intruded is no number that is not negative")
+    return BodyTrack(
+        vertices, present, found["velocity"], contacts, found["gap"], turn, found["motion"], unposed, span, intruded
+    )
+
+
+def _bounded(array: np.ndarray | None, name: str, model: np.ndarray) -> np.ndarray | None:
+    """The array, if there is one, which must have the shape and type of ``model`` and numbers that a body can have.
+
+    Raises:
+        ValueError: others.
+    """
+    if array is None or (array.shape == model.shape and array.dtype == model.dtype and _possible(array, name).all()):
+        return array
+    what = f"{model.dtype} of shape {model.shape}, up to {LARGEST_OF_BODY:g}"
+    raise ValueError(f"contact_{name}: expected {what}, got {array.dtype} of shape {array.shape}")
+
+
+def _possible(array: np.ndarray, name: str) -> np.ndarray:
+    return (np.abs(array) <= LARGEST_OF_BODY) | ((name == "distance") & (array == np.inf))  # of a vertex without a closest point
 
 
 def like(model: np.ndarray, arrays: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -326,10 +339,10 @@ def _sensors(arrays: dict[str, np.ndarray], values: list | None) -> Sensors | No
         return None
     time, wait = values
     count = len(arrays["sensors_origin"])
-    fresh = sensor_poses.unknown(np.zeros((count, 3)))
-    found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}") for name in FOUND}
     if not 1 <= count <= MAX_SENSORS or not _like_number(wait, 0):
         raise InvalidSnapshot("snapshot.sensors", f"1 to {MAX_SENSORS} sensors, and a count", f"{count} sensors, {wait!r}")
+    fresh = sensor_poses.unknown(np.zeros((count, 3)))
+    found = {name: like(getattr(fresh, name), arrays, f"sensors_{name}") for name in FOUND}
     if np.linalg.norm(found["shift"], axis=1).max() > 1.001 * sensor_poses.FARTHEST:
         raise InvalidSnapshot("snapshot.sensors_shift", f"at most {sensor_poses.FARTHEST:g} m", "more")
     if np.linalg.eigvalsh(found["information"])[0] < -1e-6 * np.abs(found["information"]).max():

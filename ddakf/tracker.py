@@ -156,7 +156,7 @@ class Tracker:
         posterior = posterior._replace(state=predict.with_given_velocity(problem, posterior.state))
         posterior, offset = follow.follow(problem, estimate, posterior)
         track = _learned(self._setup, problem, estimate, posterior, verdict)._replace(offset=offset)
-        result = _result(problem, estimate, posterior, verdict, track.shown(posterior.state.position))
+        result = _result(problem, estimate, posterior, verdict, track)
         return track, self._working.result(result, track.rotation)
 
     def predicted(self, result: FrameResult, seconds: float) -> FrameResult:
@@ -319,12 +319,12 @@ def _learned(
 
 
 def _result(
-    problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict, vertices: np.ndarray
+    problem: Problem, estimate: Estimate, posterior: Posterior, verdict: reliability.Verdict, track: Track
 ) -> FrameResult:
-    state, carried = posterior.state, problem.carried
+    state, carrying = posterior.state, None if track.body is None else track.body.velocity
     return FrameResult(
-        vertices=vertices.copy(),
-        velocities=state.velocity.copy() if carried is None else state.velocity + carried / problem.dt,
+        vertices=track.shown(state.position).copy(),
+        velocities=state.velocity.copy() if carrying is None else state.velocity + carrying,
         covariance=posterior.covariance.copy(),
         sigma=np.sqrt(variances(posterior.covariance)),
         vertex_reliability=verdict.vertex_reliability,

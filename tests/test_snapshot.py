@@ -320,6 +320,11 @@ def health(name, value):
     return lambda numbers, arrays: numbers["health"].__setitem__(name, value)
 
 
+def a_million_sensors(numbers, arrays):
+    numbers["sensors"] = [1.0, 0]
+    arrays |= {f"sensors_{name}": np.zeros((10**6, 3)) for name in ("origin", "shift")}
+
+
 FOREIGN = {
     "no configuration": number("config", None),
     "an unknown configuration": number("config", {"nonsense": {}}),
@@ -337,6 +342,11 @@ UNCHECKED = {
     "a body's pose of another size": put("contact_vertices", np.zeros((5, 3))),
     "a body that is seen inside by less than nothing": put("contact_intruded", np.array([-1.0, 0.1])),
     "a body that is seen inside by what is no pair": put("contact_intruded", np.zeros(3)),
+    "a body that moves without bounds": put("contact_velocity", np.full(GARMENT.vertices.shape, np.inf)),
+    "a body beyond all bounds": put("contact_vertices", np.full(BODY.vertices.shape, 1e300)),
+    "a gap that is no number of its type": put("contact_gap", np.zeros(GARMENT.n_vertices, bool)),
+    "a body whose velocity is a mean of less than no time": put("contact_span", np.array(-1.0)),
+    "as many sensors as need all memory": a_million_sensors,
     "an unknown state": number("health", {"state": "happy", "physics_lambda": 1.0, "poor_for": 0.0, "empty_for": 0.0}),
     "settled for fewer than no frames": health("settling", -1),
     "a search in half a frame": health("frames_unplaced", 2.5),

@@ -11,6 +11,7 @@ from ddakf.mesh import Mesh
 from ddakf.types import BodyModel, BodyPose, BodyTrack, Bound, Contacts, Estimate, Problem, State
 
 MOTION_LASTS = 0.1  # s, time constant with which the motion of a body without a new pose ends
+SHORTEST = 1.0 / 60.0  # s: over less, velocities are those of the scatter of poses and timestamps
 LONGEST_UNPOSED = 0.3  # s after which the pose of such a body is unknown
 FEW = 0.02  # of the vertices: as many that are seen inside say as much of the body's error as a first guess
 
@@ -105,7 +106,7 @@ def carry(
     )
     carried, velocity = motion.position - state.position, state.velocity
     if track.velocity is None and velocity.any():  # of the world until now; one of zero is not known
-        velocity = velocity - carried / dt
+        velocity = velocity - carried / max(dt, SHORTEST)
     return state._replace(velocity=np.exp(-friction * dt * motion.weight)[:, None] * velocity), carried
 
 
@@ -207,7 +208,6 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyT
     if track is None:
         return None
     vertices = track.vertices if pose is None else pose.vertices
-    velocity = None if problem.carried is None else problem.carried / problem.dt
     gap, intruded, observed = track.gap, track.intruded, estimate.learnable
     if gap is not None and estimate.contacts is not None and observed.any():
         found, old, measurement = estimate.contacts.closest, np.exp(-problem.dt / config.gap_time), estimate.evidence.measurement
@@ -219,8 +219,8 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyT
         change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
         gap = np.where(observed & (found.face >= 0), gap + (1.0 - old) * change, gap)
     motion, unposed = _motion(problem)
-    present = pose is not None
-    return BodyTrack(vertices, present, velocity, estimate.contacts, gap, track.turn + 1, motion, unposed, intruded)
+    present, turn, span = pose is not None, track.turn + 1, _remembered(problem.dt) * track.span + problem.dt
+    return BodyTrack(vertices, present, velocity(problem), estimate.contacts, gap, turn, motion, unposed, span, intruded)
 
 
 def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:
@@ -233,4 +233,21 @@ def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:
     if not track.present:
         return None, 0.0
     last = track.vertices if track.unposed == 0.0 else track.vertices - _travelled(track.unposed) * track.motion
-    return ((given - last) / (track.unposed + dt)).astype(np.float32), 0.0
+    return _mean_velocity(track.motion, given - last, track.span, track.unposed + dt).astype(np.float32), 0.0
+
+
+def velocity(problem: Problem) -> np.ndarray | None:
+    """(V, 3) m/s with which the body carries each vertex; None where it does not."""
+    track = problem.last.body
+    return None if problem.carried is None else _mean_velocity(track.velocity, problem.carried, track.span, problem.dt)
+
+
+def _mean_velocity(before: np.ndarray | None, moved: np.ndarray, span: float, dt: float) -> np.ndarray:
+    """(N, 3) m/s, the mean of one ``before`` over ``span`` seconds, None: at rest, and of what ``moved`` (N, 3) metres in dt."""
+    old = _remembered(dt) * (SHORTEST if before is None else span)
+    return moved / (old + dt) if before is None or old == 0.0 else (old * before + moved) / (old + dt)
+
+
+def _remembered(dt: float) -> float:
+    """Share of the last velocity that a new one is the mean with: none of one over ``SHORTEST`` seconds."""
+    return max(1.0 - dt / SHORTEST, 0.0)

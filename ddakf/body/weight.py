@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ddakf.body import contact
 from ddakf.kernels import fuse as fusion
 from ddakf.kernels import strain as kernels
 from ddakf.kernels.normals import vertex_normals
@@ -103,8 +104,9 @@ def _pressed(problem: Problem, up: np.ndarray) -> np.ndarray:
 def _left_behind(problem: Problem) -> np.ndarray | float:
     """(V, 3) times gravity: the share of the body's acceleration that its cloth does not take part in at once."""
     before, config = problem.last.body.velocity, problem.config.physics
-    if problem.carried is None or before is None:
+    now = contact.velocity(problem)
+    if now is None or before is None:
         return 0.0
-    acceleration = (problem.carried / problem.dt - before) / (GRAVITY * problem.dt)
+    acceleration = (now - before) / (GRAVITY * max(problem.dt, contact.SHORTEST))
     size = np.sqrt(np.einsum("va,va->v", acceleration, acceleration))
     return config.inertia * np.minimum(1.0, config.strongest_inertia / np.maximum(size, 1e-9))[:, None] * acceleration

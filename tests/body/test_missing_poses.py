@@ -6,7 +6,7 @@ import pytest
 from ddakf import Tracker
 from ddakf.body import contact
 from tests.stages.scenes import rms
-from tests.tracker_runs import BODY, EYE, FPS, SAMPLE, TUBE, cloud, worn
+from tests.tracker_runs import BODY, EYE, FPS, SAMPLE, TUBE, cloud, swaying, worn
 
 SPEED = np.array([0.6, 0.0, 0.0])  # m/s
 
@@ -51,6 +51,28 @@ def test_a_missing_pose_costs_hidden_cloth_nothing():
     every, some = (np.mean([row[1:] for row in errors if row[0] == missing], axis=0) for missing in (99, 7))
     assert some[0] < 1.1 * every[0]
     assert some[1] < 1.1 * every[1]
+
+
+def in_pairs(tracker, apart, pose, count=16, missing=99):
+    """Results of frames two of which are ``apart`` seconds apart, of a garment at ``pose(time)``, the body's scatter 3 mm."""
+    rng = np.random.default_rng(0)
+    for k in range(2, count):
+        time = k // 2 / 15 + k % 2 * apart
+        body = None if k % missing == missing - 1 else BODY.vertices + pose(time) + 0.003 * rng.normal(size=3)
+        how = {"sensor_origin": EYE + pose(time), "body_vertices": body}
+        yield time, tracker.step(cloud(k - k % 2) + np.float32(pose(time)), timestamp=time, **how)
+
+
+@pytest.mark.parametrize("apart", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("speed", [0.0, 1.0])
+def test_frames_that_are_very_close_do_not_throw_a_garment_whose_body_scatters(apart, speed):
+    """As those of two cameras: what a body scatters by is no motion of so short a time."""
+    tracker, walk = Tracker(TUBE, body=BODY), np.array([speed, 0.0, 0.0])
+    for k, (time, result) in enumerate(in_pairs(tracker, apart, lambda time: time * walk, missing=5), 2):
+        assert rms(result.vertices - swaying(k - k % 2) - time * walk) < 0.03
+        assert k == 2 or rms(result.velocities - walk) < 3.0
+    ahead = tracker.predicted(result, 0.05).vertices - result.vertices
+    assert rms(ahead - 0.05 * walk) < 0.15
 
 
 @pytest.mark.parametrize("given", [True, False])
