@@ -84,6 +84,36 @@ print(json.dumps({name: load_sequence(f"{sys.argv[1]}/{name}.npz").garment_verti
   });
 });
 
+describe("a garment in motion from a file in millimetres", () => {
+  test("without a rest shape, of two frames and of one", async () => {
+    python(`
+grid = 20.0 * np.stack(np.meshgrid(np.arange(20), np.arange(20)), axis=-1).reshape(-1, 2)
+sheet = np.column_stack([grid, np.zeros(400)]).astype(np.float32)
+corner = (np.arange(19)[:, None] * 20 + np.arange(19)).ravel()
+faces = np.concatenate([np.stack([corner, corner + 1, corner + 20], 1), np.stack([corner + 1, corner + 21, corner + 20], 1)])
+for name, count in (("one", 1), ("two", 2)):
+    frames = sheet + 10.0 * np.arange(count)[:, None, None].astype(np.float32)
+    np.savez(f"{sys.argv[1]}/{name}.npz", garment_V=frames, garment_F=faces, fps=30.0)
+print("null")
+`);
+    for (const [name, count] of [
+      ["one", 1],
+      ["two", 2],
+    ] as const) {
+      const source = await openSource({ kind: "motion", file: new File([bytes(`${name}.npz`)], `${name}.npz`), unit: "mm" });
+      const { garment, first } = source.begun;
+      expect(Math.max(...garment!.vertices)).toBeCloseTo(0.38, 6);
+      expect(Array.from(garment!.vertices)).toEqual(Array.from(first!));
+      for (let k = 0; k < 3; k++) {
+        const { points } = (await source.frame(k, { noise: 0, hidden: 0 })) as Captured;
+        expect(points.length).toBeGreaterThan(300);
+        const left = points.filter((_, i) => i % 3 === 0).reduce((least, x) => Math.min(least, x), Infinity);
+        expect(left).toBeCloseTo(0.01 * (k % count), 2);
+      }
+    }
+  });
+});
+
 describe("meshes and clouds", () => {
   test("PLY files in text and both byte orders, with further properties, are those of Python", () => {
     const told = python(`

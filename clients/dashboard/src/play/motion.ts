@@ -20,7 +20,7 @@ export async function readMotion(npz: Uint8Array<ArrayBuffer>): Promise<Motion> 
   if (!arrays.has("garment_F")) throw new Error("an NPZ archive without garment_F: no sequence of a garment");
   const garmentFaces = Uint32Array.from(numbers(arrays, "garment_F"));
   const garment = framesOf(arrays, "garment", garmentFaces);
-  const rest = arrays.has("garment_rest") ? Float32Array.from(numbers(arrays, "garment_rest")) : garment[0]!;
+  const rest = Float32Array.from(arrays.has("garment_rest") ? numbers(arrays, "garment_rest") : garment[0]!);
   const bodyFaces = arrays.has("body_F") && Uint32Array.from(numbers(arrays, "body_F"));
   const body = bodyFaces ? { faces: bodyFaces, frames: framesOf(arrays, "body", bodyFaces) } : undefined;
   return { fps: numbers(arrays, "fps")[0]!, rest, garmentFaces, garment, body };

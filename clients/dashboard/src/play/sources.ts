@@ -51,7 +51,7 @@ class MotionSource implements Source {
   frame(k: number, disturbance: Disturbance): Promise<Captured> {
     const { garment, body, garmentFaces: faces, fps } = this.motion;
     const last = garment.length - 1;
-    const at = k % (2 * last);
+    const at = last === 0 ? 0 : k % (2 * last);
     const index = at <= last ? at : 2 * last - at;
     const wearer = body && { vertices: body.frames[index]!, faces: body.faces };
     const points = this.camera.capture({ vertices: garment[index]!, faces }, wearer, disturbance);
