@@ -126,7 +126,7 @@ def test_attempts_to_reconnect_that_hang_end_with_the_time_for_them(hanging, mes
         begun = time.monotonic()
         with pytest.raises(errors.Unavailable):
             list(stream)
-        assert time.monotonic() - begun < 3
+        assert time.monotonic() - begun < 6
 
 
 async def test_so_they_do_in_the_asynchronous_client(hanging, mesh, frames):
@@ -139,7 +139,7 @@ async def test_so_they_do_in_the_asynchronous_client(hanging, mesh, frames):
         begun = time.monotonic()
         with pytest.raises(errors.Unavailable):
             [_ async for _ in stream]
-        assert time.monotonic() - begun < 4
+        assert time.monotonic() - begun < 6
 
 
 DETECTION = transport.CLIENT_KEEPALIVE_SECONDS + transport.CLIENT_KEEPALIVE_TIMEOUT_SECONDS

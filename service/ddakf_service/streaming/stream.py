@@ -148,7 +148,8 @@ class Stream:
         if queued is None or queued.refusal is not None:
             return queued
         self._held = 1
-        rate = await self._pause_for_frame_rate()
+        with self._waiting_notices():
+            rate = await self._pause_for_frame_rate()
         if self.ending.is_set():
             return None
         self._held = 0
@@ -362,8 +363,12 @@ class Stream:
 
     def _notify_waiting(self, began: float) -> None:
         self._schedule_waiting_notice(began)
-        lost = "the session's worker was lost and it is not in another one yet: its frames wait"
-        message = "the frame is still being tracked" if self.session.has_worker else lost
+        if self._held:
+            message = "the frame waits for its turn: the session or its key may have fewer frames per second than arrive"
+        elif self.session.has_worker:
+            message = "the frame is still being tracked"
+        else:
+            message = "the session's worker was lost and it is not in another one yet: its frames wait"
         self.notify(pb.Notice(kind=pb.NOTICE_KIND_WAITING, message=message, value=monotonic() - began))
 
     async def _wait_for_worker(self) -> None:

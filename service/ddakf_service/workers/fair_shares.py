@@ -51,6 +51,7 @@ class _Demand:
         granted: processor seconds per second; infinite before the first frame with a budget, and in lossless flow.
         lighter: its lighter tracker is wanted.
         is_lighter: its lighter tracker has tracked its last frame.
+        has_lighter: it has such a tracker, as far as is known; otherwise it pays with frames alone.
         short: number of frames in a row for which its share did not suffice.
         roomy_since: since when the worker would have room for its own tracker (monotonic clock, seconds).
         returned: when it went back to its own tracker (monotonic clock, seconds).
@@ -66,6 +67,7 @@ class _Demand:
     granted: float = math.inf
     lighter: bool = False
     is_lighter: bool = False
+    has_lighter: bool = True
     short: int = 0
     roomy_since: float = math.inf
     returned: float = -math.inf
@@ -154,6 +156,8 @@ class FairShares:
         Both are decided by what usual frames take: a share is short for a second after each frame that takes long.
         """
         settled = now - self._changed > _SETTLED
+        if not demand.has_lighter:
+            return
         if not demand.lighter:
             load = sum(other.expected for other in self._demands.values())
             several = len(self._demands) > 1
@@ -175,7 +179,7 @@ class FairShares:
 
     def _gives_way(self, demand: _Demand, excess: float) -> bool:
         """Time is short, and still is when the sessions that take more have changed to their lighter trackers."""
-        own = (other.load for other in self._demands.values() if not other.lighter and other.has_budget)
+        own = (other.load for other in self._demands.values() if other.has_lighter and not other.lighter and other.has_budget)
         return excess > (1.0 - _LIGHTER) * sum(load for load in own if load > demand.load)
 
     def affordable_rate(self, session_id: str) -> float:
@@ -207,6 +211,8 @@ class FairShares:
         demand = self._demands.get(session_id)
         if demand is None:  # it took longer than an absence
             return
+        demand.has_lighter = spent.has_lighter
+        demand.lighter = demand.lighter and spent.has_lighter
         if spent.lighter != demand.is_lighter:
             self._record_change(demand, spent.lighter)
         first = math.isinf(demand.seconds)

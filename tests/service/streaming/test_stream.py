@@ -216,6 +216,21 @@ def test_a_client_is_told_that_its_frame_takes_long(service, api, session, sheet
         assert result.result.sequence_number == 2
 
 
+@pytest.mark.parametrize("flow", [pb.FLOW_MODE_REALTIME, pb.FLOW_MODE_LOSSLESS])
+def test_a_client_is_told_that_its_frame_waits_for_its_rate(api, sheet, flow):
+    """Else a client whose timeout is shorter would lose the rest of a recording."""
+    name = api.create(sheet, limits=pb.SessionLimits(max_frame_rate=0.2)).name
+    with Talk(api, name, flow=flow) as talk:
+        talk.ask(frame_of(sheet, 1))
+        talk.send(frame_of(sheet, 2))
+        notice = next(answer.notice for answer in talk.answers if answer.HasField("notice"))
+        assert notice.kind == pb.NOTICE_KIND_WAITING
+        assert "waits for its turn" in notice.message
+        assert next(answer for answer in talk.answers if answer.HasField("result")).result.sequence_number == 2
+        talk.end()
+    api.delete(name)
+
+
 def test_deleting_a_session_ends_its_stream(api, sheet):
     name = api.create(sheet).name
     with Talk(api, name) as talk:

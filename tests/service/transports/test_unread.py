@@ -65,7 +65,7 @@ def test_answers_that_nobody_reads_end_their_connection(port, size):
 
 def test_answers_that_are_read_slowly_come_whole(port, size):
     with ask(port) as connection:
-        assert read(connection, pause=READER_TIMEOUT / 4) > COUNT * size
+        assert read(connection, pause=READER_TIMEOUT / 8) > COUNT * size
 
 
 @pytest.mark.slow

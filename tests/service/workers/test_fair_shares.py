@@ -32,14 +32,14 @@ def test_what_suffices_is_granted(wanted):
 class Load:
     """Sessions that send frames in turn, at 30 per second each; frames that need more than their budget are cut to it.
 
-    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it there is none. The first frame of a
-    tracker takes ``cold`` times as long, and the next four a sixth of the difference more.
+    A lighter tracker takes the share ``lighter`` of the time of a session's own; without it, and for those in ``fixed``, there is
+    none. The first frame of a tracker takes ``cold`` times as long, and the next four a sixth of the difference more.
     """
 
-    def __init__(self, seconds: dict[str, float], speed: float = 1.0, lighter: float = 0.0, cold: float = 1.0):
+    def __init__(self, seconds: dict[str, float], speed: float = 1.0, lighter: float = 0.0, cold: float = 1.0, fixed=()):
         self.shares, self.seconds, self.speed, self.lighter, self.cold = FairShares(), dict(seconds), speed, lighter, cold
         self.now, self.light, self.changes = 0.0, dict.fromkeys(seconds, False), 0
-        self.tracked = dict.fromkeys(seconds, 0)
+        self.tracked, self.fixed = dict.fromkeys(seconds, 0), fixed if lighter else tuple(seconds)
 
     def budgets(self, frames: int = 200, rate: float = 30.0) -> dict[str, float]:
         """The last ones."""
@@ -48,7 +48,7 @@ class Load:
             self.now += 1 / 30
             for name, needed in self.seconds.items():
                 found[name], lighter = self.shares.grant(name, rate, self.now)
-                lighter = lighter and self.lighter > 0
+                lighter = lighter and name not in self.fixed
                 changed = lighter != self.light[name]
                 self.changes += changed
                 self.light[name] = lighter
@@ -57,7 +57,8 @@ class Load:
                 first = self.tracked[name] == 1
                 needed *= 1.0 + (self.cold - 1.0) * (1.0 if first else 1 / 6 if self.tracked[name] <= 5 else 0.0)
                 used = min(needed, found[name] or math.inf)
-                self.shares.record(name, Spent(used, 0.0, used / self.speed, 1.5 if used < needed else 1.0, lighter))
+                trackers = (lighter, name not in self.fixed)
+                self.shares.record(name, Spent(used, 0.0, used / self.speed, 1.5 if used < needed else 1.0, *trackers))
         return found
 
 
@@ -254,6 +255,15 @@ def test_a_session_without_a_lighter_tracker_goes_on_with_its_own():
     load = Load({"one": 0.02, "two": 0.02})
     load.budgets(frames=300)
     assert load.shares.affordable_rate("one") > 0
+
+
+@pytest.mark.parametrize("fixed", ["dearer", "cheaper"])
+def test_another_changes_where_a_session_has_no_lighter_tracker(fixed):
+    load = Load({"dearer": 0.0168, "cheaper": 0.0165}, lighter=0.5, fixed=(fixed,))
+    load.budgets(frames=100)
+    assert load.light == {"dearer": fixed != "dearer", "cheaper": fixed != "cheaper"}
+    assert used(load) < 0.85
+    assert all(load.shares.affordable_rate(name) == 0.0 for name in load.seconds)
 
 
 def test_without_budgets_a_session_has_its_own_tracker():

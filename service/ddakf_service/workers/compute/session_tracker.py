@@ -33,6 +33,11 @@ class SessionTracker:
         if self._lighter is not None:
             wait([self._lighter], patience)
 
+    @property
+    def has_lighter(self) -> bool:
+        """There is a lighter tracker, or may be one: the lightest configurations and meshes of one's own have none."""
+        return self._lighter is None or not self._lighter.done() or self._lighter.result() is not None
+
     def another(self, garment: ddakf.Mesh, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker | None:
         """A tracker at the start that shares constants with this one; None if its garment or its body is another."""
         alike = same_mesh(self._own.garment, garment) and same_mesh(self._own.body, body)

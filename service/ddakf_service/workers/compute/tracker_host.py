@@ -142,7 +142,8 @@ class TrackerHost:
         numbers.timings["encode"] = ended - tracked
         numbers.usage.processor_seconds, numbers.usage.budget_seconds = spent, sent.grant.budget
         numbers.usage.lighter = session.is_lighter
-        spent = Spent(spent, result.usage.prediction, self.busy.taken(), result.usage.widening, session.is_lighter)
+        prediction, trackers = result.usage.prediction, (session.is_lighter, session.has_lighter)
+        spent = Spent(spent, prediction, self.busy.taken(), result.usage.widening, *trackers)
         return pack_result(numbers.SerializeToString(), arrays.SerializeToString(), spent)
 
     def _tracker_of(self, garment: ddakf.Mesh, *, body: ddakf.Mesh | None, config: ddakf.Config) -> ddakf.Tracker:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 _HEADER = struct.Struct("<BIHQ")  # kind, request number, bytes of the session id, bytes of the content
 _FRAME = struct.Struct("<Id?I")  # points that the frame may have, its grant, bytes of the options
-_RESULT = struct.Struct("<Idddd?")  # bytes of the numbers, what the frame took
+_RESULT = struct.Struct("<Idddd??")  # bytes of the numbers, what the frame took
 _ERROR = struct.Struct("<dd")  # processor and busy seconds, as in Spent
 
 
@@ -90,6 +90,7 @@ class Spent(NamedTuple):
         busy: seconds since the worker's last answer in which it tracked this frame or others.
         widening: factor for what the budget left out; 1: nothing.
         lighter: the session's lighter tracker has tracked it.
+        has_lighter: the session has such a tracker, or may get one when it is wanted.
     """
 
     processor: float = 0.0
@@ -97,6 +98,7 @@ class Spent(NamedTuple):
     busy: float = 0.0
     widening: float = 1.0
     lighter: bool = False
+    has_lighter: bool = True
 
 
 def frame_request_head(options: bytes, max_points: int, grant: Grant = WHOLE) -> bytes:

@@ -42,6 +42,13 @@ def test_frames_go_on_while_the_lighter_tracker_is_built(builder):
     assert session.is_lighter
 
 
+@pytest.mark.parametrize(("config", "has"), [(Config(), True), (Config.fast(), False)])
+def test_whether_there_is_a_lighter_tracker_is_known_once_it_is_wanted(builder, config, has):
+    session = SessionTracker(Tracker(TUBE, config=config), builder)
+    assert session.has_lighter
+    assert waiting(session).has_lighter is has
+
+
 def test_the_session_is_one_track(builder):
     session = SessionTracker(Tracker(SHIRT), builder)
     waiting(session)

@@ -2767,7 +2767,8 @@ export enum NoticeKind {
   RESUMED = 4,
 
   /**
-   * Frames wait, because the worker of the session is lost and no other is ready, or a frame takes long. Repeated meanwhile.
+   * Frames wait, because the worker of the session is lost and no other is ready, a frame takes long, or more arrive than the
+   * session or its key may have. Repeated meanwhile.
    *
    * @generated from enum value: NOTICE_KIND_WAITING = 5;
    */
