@@ -6,6 +6,7 @@ exceeded, from two running means.
 
 from __future__ import annotations
 
+import statistics
 from collections.abc import Mapping
 
 from ddakf.planning.work import Costs, Rate
@@ -40,23 +41,25 @@ def bound(rate: Rate) -> float:
     return rate.mean + DEVIATIONS * rate.deviation
 
 
-def learned(costs: Costs, measured: Mapping[str, float]) -> Costs:
+def learned(costs: Costs, measured: Mapping[str, float], model: Model) -> Costs:
     """The costs after a frame.
 
     Args:
         costs: before.
-        measured: seconds of a unit of work, by the names of the costs. Parts never measured are scaled by the others' speed.
+        measured: seconds of a unit of work, by the names of the costs. Parts never measured are typical ones of a processor as
+            fast as this one is in the others, in their median.
+        model: of the garment.
     """
-    new = [name for name in SPEED if name in measured and not getattr(costs, name).known]
-    speed = sum(measured[name] / getattr(costs, name).mean for name in new) / len(new) if new else 1.0
-    rates = {}
-    for name in Costs._fields[:-1]:
-        rate = getattr(costs, name)
-        if name in measured:
-            rates[name] = _followed(rate, measured[name])
-        elif not rate.known:
-            rates[name] = Rate(speed * rate.mean, speed * rate.deviation)
-    return costs._replace(**rates)
+    rates = {name: _followed(getattr(costs, name), seconds) for name, seconds in measured.items()}
+    now, guessed = costs._replace(**rates), typical(model)
+    speeds = [rate.mean / getattr(guessed, name).mean for name in SPEED if (rate := getattr(now, name)).known]
+    speed = statistics.median(speeds) if speeds else 1.0
+    unknown = [name for name in Costs._fields[:-1] if not getattr(now, name).known]
+    return now._replace(**{name: _scaled(getattr(guessed, name), speed) for name in unknown})
+
+
+def _scaled(rate: Rate, factor: float) -> Rate:
+    return Rate(factor * rate.mean, factor * rate.deviation)
 
 
 def _followed(rate: Rate, seconds: float) -> Rate:

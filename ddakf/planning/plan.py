@@ -86,7 +86,8 @@ def learned(clock: Clock, track: Track, problem: Problem, estimate: Estimate) ->
     if problem.effort.due and searched > SAME_KIND * costs.search.mean:
         measured["search"] = searched
         overruns -= searched > clock.budget
-    return track._replace(costs=learning.learned(costs, measured)._replace(overruns=max(0.0, min(overruns, OVERRUNS))))
+    new = learning.learned(costs, measured, problem.model)
+    return track._replace(costs=new._replace(overruns=max(0.0, min(overruns, OVERRUNS))))
 
 
 def _costs(problem: Problem) -> Costs:

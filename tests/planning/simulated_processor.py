@@ -8,11 +8,11 @@ from ddakf.planning import clock
 from ddakf.search import relocalize
 from ddakf.stages import fuse, preprocess, uncertainty
 
-POINT, ROW, PASS, SEARCH, END = 2e-7, 5e-7, 2e-4, 0.05, 1e-3  # seconds
+POINT, ROW, PASS, SEARCH, REGISTRATION, END = 2e-7, 5e-7, 2e-4, 0.025, 0.0075, 1e-3  # seconds
 
 
 class SimulatedProcessor:
-    """Advances with the points that are preprocessed, with the vertices that a pass moves, and with searches.
+    """Advances with the points that are preprocessed, with the vertices that a pass moves, with searches and registrations.
 
     Attributes:
         now: processor seconds so far.
@@ -25,6 +25,7 @@ class SimulatedProcessor:
         self._charge(patch, preprocess, "cloud", lambda frame, *_: POINT * (len(frame.points) + 3000))
         self._charge(patch, fuse, "fuse", lambda problem, *_: PASS + ROW * len(problem.prior.position))
         self._charge(patch, relocalize, "_best", lambda *_: SEARCH)
+        self._charge(patch, relocalize, "register", lambda *_: REGISTRATION)
         self._charge(patch, uncertainty, "marginals", lambda *_: END)
 
     def _charge(self, patch: pytest.MonkeyPatch, module, name: str, seconds) -> None:
