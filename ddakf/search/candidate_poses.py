@@ -11,6 +11,7 @@ from ddakf.config import Config, Relocalization
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.search.nonrigid_registration import Target, rows
+from ddakf.stages.grid import sampled_rows
 from ddakf.types import Model
 
 FARTHEST = 0.3  # m from the body: a point beyond is not of the garment, and a vertex beyond counts as this far
@@ -30,7 +31,7 @@ class Search(NamedTuple):
         """Mean distance of a garment, at (V, 3) metres, from the body; 0 without one."""
         if self.body is None:
             return 0.0
-        some = rows(position[:: max(1, len(position) // self.config.relocalization.cost_samples)])
+        some = rows(position[sampled_rows(len(position), self.config.relocalization.cost_samples)])
         asking, answers = (np.ones(sample.shape[1], np.float32) for sample in (some, self.body))
         return mean_distance(some, self.body, asking, answers, FARTHEST)
 
@@ -78,8 +79,8 @@ class Surface(NamedTuple):
 
     def sampled(self, count: int) -> Surface:
         """About so many of the vertices."""
-        every = max(1, len(self.position) // count)
-        return Surface(self.position[::every], self.normal[::every], self.share[::every])
+        some = sampled_rows(len(self.position), count)
+        return Surface(self.position[some], self.normal[some], self.share[some])
 
     def moved(self, pose: CandidatePose) -> Surface:
         """The vertices in a pose."""

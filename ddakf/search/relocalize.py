@@ -26,7 +26,7 @@ from ddakf.search.candidate_poses import (
 )
 from ddakf.search.nonrigid_registration import NO_ORIGIN, NO_SURFELS, Target, register, rows
 from ddakf.stages import skin_removal
-from ddakf.stages.grid import spread_rows
+from ddakf.stages.grid import sampled_rows, spread_rows
 from ddakf.types import Drift, FrameInput, Health, Problem, Rival, State
 
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
@@ -114,7 +114,7 @@ def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
     search = Search(problem.model, _target(frame, config), config, problem.last.size)
     if body is None:
         return frame, search
-    worn = search._replace(body=rows(body.vertices[:: max(1, len(body.vertices) // BODY_SAMPLES)] @ turn.T))
+    worn = search._replace(body=rows(body.vertices[sampled_rows(len(body.vertices), BODY_SAMPLES)] @ turn.T))
     away = worn.off_body(prior.position @ turn.T)
     if problem.health.state == "initializing":
         doubtful = _near(frame, prior.position, rule.truncation).sum() < config.start.least_points
@@ -292,9 +292,8 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
         return config.truncation
     target = _target(frame.only(near), problem.config)
     surface = surface._replace(position=surface.position + (scene.origin - target.origin))
-    few, answers = rows(surface.sampled(config.cost_samples).position), np.ones(target.dense.shape[1], np.float32)
-    every = max(1, len(asking) // config.cost_samples)
-    return mean_distance(few, target.dense, np.ascontiguousarray(asking[::every]), answers, config.truncation)
+    some, answers = sampled_rows(len(asking), config.cost_samples), np.ones(target.dense.shape[1], np.float32)
+    return mean_distance(rows(surface.position[some]), target.dense, asking[some], answers, config.truncation)
 
 
 def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, Rival | None]:
