@@ -100,6 +100,7 @@ class Model(NamedTuple):
     boundary: np.ndarray  # (H, 3) int32: vertex of an open boundary, the one before and the one after it
     inside: np.ndarray  # (V,) int32: nearest vertex away from all boundaries, where a cloud's points are cloth
     hanging: np.ndarray  # (V,) float32 m of cloth between a vertex and the garment's top, at rest
+    curve: np.ndarray  # (V,) int32: the vertices along a curve that fills space, every so-many-th of which are spread evenly
     area: float  # m^2
     vertex_share: np.ndarray  # (V,) float32 area of each vertex over the mean
     edge_length: float  # m, mean

@@ -13,6 +13,8 @@ from ddakf.types import Model
 
 TOP = 0.03  # m: as far below a garment's highest vertex reach waistbands and collars, by which it hangs
 
+CURVE_BITS = 20  # per axis: a million cells
+
 
 def build(mesh: Mesh, config: Config | None = None) -> Model:
     """Model of a garment.
@@ -58,6 +60,7 @@ def build(mesh: Mesh, config: Config | None = None) -> Model:
         boundary=boundary,
         inside=_inside(graph, boundary[:, 0], config.segmentation.boundary_distance),
         hanging=_hanging(graph, mesh.vertices @ config.start.to_y_up[1]),
+        curve=_curve(mesh.vertices, mesh.edge_length),
         area=float(area.sum()),
         vertex_share=(vertex_area / vertex_area.mean()).astype(np.float32),
         edge_length=mesh.edge_length,
@@ -107,6 +110,16 @@ def _hanging(graph: geodesic.Graph, height: np.ndarray) -> np.ndarray:
     below = height.max() - height
     distance, _ = geodesic.distances(graph, np.flatnonzero(below <= TOP))
     return np.where(np.isfinite(distance), distance, below).astype(np.float32)
+
+
+def _curve(vertices: np.ndarray, cell: float) -> np.ndarray:
+    """(V,) int32: the (V, 3) vertices along a Z-order curve through cells of so many metres (Morton 1966, "A computer oriented
+    geodetic data base"). Its parts are compact, so that each has its share of a sample, however the vertices are numbered."""
+    place = ((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
+    code = np.zeros(len(vertices), np.int64)
+    for bit in range(CURVE_BITS):
+        code |= (place >> bit & 1) @ [1, 2, 4] << 3 * bit
+    return np.argsort(code, kind="stable").astype(np.int32)
 
 
 def _boundary(mesh: Mesh) -> np.ndarray:

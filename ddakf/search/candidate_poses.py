@@ -11,7 +11,6 @@ from ddakf.config import Config, Relocalization
 from ddakf.kernels.normals import vertex_normals
 from ddakf.kernels.relocalize import OrientedVertices, Pairing, correspond, mean_distance
 from ddakf.search.nonrigid_registration import Target, rows
-from ddakf.stages.grid import sampled_rows
 from ddakf.types import Model
 
 FARTHEST = 0.3  # m from the body: a point beyond is not of the garment, and a vertex beyond counts as this far
@@ -31,7 +30,7 @@ class Search(NamedTuple):
         """Mean distance of a garment, at (V, 3) metres, from the body; 0 without one."""
         if self.body is None:
             return 0.0
-        some = rows(position[sampled_rows(len(position), self.config.relocalization.cost_samples)])
+        some = rows(position[self.model.curve[:: max(1, len(position) // self.config.relocalization.cost_samples)]])
         asking, answers = (np.ones(sample.shape[1], np.float32) for sample in (some, self.body))
         return mean_distance(some, self.body, asking, answers, FARTHEST)
 
@@ -42,6 +41,11 @@ class CandidatePose(NamedTuple):
     rotation: np.ndarray  # (3, 3)
     translation: np.ndarray  # (3,) m
     cost: float = math.inf  # m, mean truncated distance: half of it cloud to garment, half of it garment to cloud
+
+    @property
+    def heading(self) -> float:
+        """Radians about the vertical."""
+        return math.atan2(self.rotation[0, 2], self.rotation[0, 0])
 
     def apply(self, positions: np.ndarray) -> np.ndarray:
         """(N, 3) positions in this pose, metres."""
@@ -72,15 +76,15 @@ class Surface(NamedTuple):
 
     @classmethod
     def from_garment(cls, position: np.ndarray, model: Model, target: Target) -> Surface:
-        """All vertices of a garment at (V, 3) ``position``, metres."""
-        normal = np.empty_like(position)
+        """All vertices of a garment at (V, 3) ``position``, metres, along its curve."""
+        normal, curve = np.empty_like(position), model.curve
         vertex_normals(position, model.faces, normal)
-        return cls(position - target.origin, normal, model.vertex_share)
+        return cls(position[curve] - target.origin, normal[curve], model.vertex_share[curve])
 
     def sampled(self, count: int) -> Surface:
-        """About so many of the vertices."""
-        some = sampled_rows(len(self.position), count)
-        return Surface(self.position[some], self.normal[some], self.share[some])
+        """About so many of the vertices, evenly spread."""
+        every = max(1, len(self.position) // count)
+        return Surface(self.position[::every], self.normal[::every], self.share[::every])
 
     def moved(self, pose: CandidatePose) -> Surface:
         """The vertices in a pose."""
@@ -164,7 +168,13 @@ def cost_in_place(position: np.ndarray, search: Search) -> float:
 
 def negative_log_posterior(pose: CandidatePose, samples: float, prior: HeadingPrior) -> float:
     """Cost of a pose as probability: ``samples`` Laplace distances of unknown scale, and the heading."""
-    return samples * np.log(pose.cost) + prior.cost(math.atan2(pose.rotation[0, 2], pose.rotation[0, 0]))
+    return samples * np.log(pose.cost) + prior.cost(pose.heading)
+
+
+def turn_between(first: np.ndarray, second: np.ndarray) -> float:
+    """Radians about the vertical by which (V, 3) ``second`` has turned from (V, 3) ``first``, in the least-squares sense."""
+    (x, _, z), (u, _, w) = ((vertices - vertices.mean(axis=0)).T for vertices in (first, second))
+    return math.atan2(float(z @ u - x @ w), float(x @ u + z @ w))
 
 
 def _initial(surface: Surface, target: Target, heading: float) -> CandidatePose:

@@ -92,7 +92,7 @@ def register(position: np.ndarray, target: Target, model: Model, config: Registr
     """
     source, clusters, K = position - target.origin, model.clusters, model.n_clusters
     every = max(1, config.decimation * len(source) // config.vertices)
-    chosen = spread_rows(len(source), -(-len(source) // every))
+    chosen = np.sort(model.curve[::every])
     normal = np.empty_like(source)
     vertex_normals(source, model.faces, normal)
     start, normal, cluster = source[chosen], normal[chosen], model.cluster[chosen]

@@ -23,10 +23,11 @@ from ddakf.search.candidate_poses import (
     cost_in_place,
     distances,
     negative_log_posterior,
+    turn_between,
 )
 from ddakf.search.nonrigid_registration import NO_ORIGIN, NO_SURFELS, Target, register, rows
 from ddakf.stages import skin_removal
-from ddakf.stages.grid import sampled_rows, spread_rows
+from ddakf.stages.grid import spread_rows
 from ddakf.types import Drift, FrameInput, Health, Problem, Rival, State
 
 MOST_ROUNDS = 32  # of the search interval between searches, however long the garment has not been found
@@ -92,11 +93,12 @@ def locate(problem: Problem) -> Problem:
         return problem
     found, unplaced = found @ turn, starting and not given
     problem = _found_at(problem, found, np.zeros_like(found))
-    if unplaced and rival is not None:
+    told = unplaced or not starting
+    if told and rival is not None:
         problem = problem._replace(last=problem.last._replace(drift=problem.last.drift._replace(unseen_turn=rival.expected)))
     return problem._replace(
         motion_start=found,
-        rival=rival if unplaced else None,
+        rival=rival if told else None,
         rotation=rigidity.rotations(found, model),
         health=health.relocalized()._replace(settling=rule.settling_frames),
     )
@@ -114,7 +116,7 @@ def _search(frame: FrameInput, problem: Problem) -> tuple[FrameInput, Search]:
     search = Search(problem.model, _target(frame, config), config, problem.last.size)
     if body is None:
         return frame, search
-    worn = search._replace(body=rows(body.vertices[sampled_rows(len(body.vertices), BODY_SAMPLES)] @ turn.T))
+    worn = search._replace(body=rows(body.vertices[spread_rows(len(body.vertices), BODY_SAMPLES)] @ turn.T))
     away = worn.off_body(prior.position @ turn.T)
     if problem.health.state == "initializing":
         doubtful = _near(frame, prior.position, rule.truncation).sum() < config.start.least_points
@@ -292,8 +294,9 @@ def _cost_of_the_seen(frame: FrameInput, near: np.ndarray, problem: Problem) -> 
         return config.truncation
     target = _target(frame.only(near), problem.config)
     surface = surface._replace(position=surface.position + (scene.origin - target.origin))
-    some, answers = sampled_rows(len(asking), config.cost_samples), np.ones(target.dense.shape[1], np.float32)
-    return mean_distance(rows(surface.position[some]), target.dense, asking[some], answers, config.truncation)
+    few, answers = rows(surface.sampled(config.cost_samples).position), np.ones(target.dense.shape[1], np.float32)
+    every = max(1, len(asking) // config.cost_samples)
+    return mean_distance(few, target.dense, np.ascontiguousarray(asking[::every]), answers, config.truncation)
 
 
 def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tuple[np.ndarray, float, Rival | None]:
@@ -314,19 +317,26 @@ def _best(shapes: list[np.ndarray], search: Search, prior: HeadingPrior) -> tupl
             order = negative_log_posterior(total, config.registered_samples, prior)
             trials.append((search.off_body(registered) > search.farthest, order, len(trials), cost, registered, total))
     off, _, _, cost, found, best = min(trials, key=lambda trial: trial[:3])
-    return found, math.inf if off else cost, _rival(best, [trial[-1] for trial in trials], config)
+    others = [(registered, total) for *_, registered, total in trials]
+    return found, math.inf if off else cost, _rival((found, best), others, config, prior)
 
 
-def _rival(best: CandidatePose, others: list[CandidatePose], config: Relocalization) -> Rival | None:
+Registered = tuple[np.ndarray, CandidatePose]  # (V, 3) m, and the pose that was registered, with its cost after that
+
+
+def _rival(best: Registered, others: list[Registered], config: Relocalization, prior: HeadingPrior) -> Rival | None:
     """Of the other headings that by which the garment is off most, if each is right with a probability that falls with its cost.
 
-    A garment that is alike from several sides, such as a skirt, fits in each of them.
+    A garment that is alike from several sides, such as a skirt, fits in each of them. Where it was tracked before, it is less
+    likely to have turned far.
     """
-    rivals = []
-    for other in others:
-        turned = best.rotation.T @ other.rotation
-        degrees = math.degrees(math.atan2(turned[0, 2], turned[0, 0]))
-        if abs(degrees) >= config.heading_separation:
-            probability = math.exp(min(1.0 - other.cost / max(best.cost, 1e-12), 0.0) / config.rival_excess)
-            rivals.append(Rival(degrees, 2.0 * math.sin(math.radians(abs(degrees)) / 2.0) * probability))
+    rivals, tracked = [], prior.doubt == 0.0
+    for position, pose in others:
+        turned = turn_between(best[0], position)
+        if abs(math.degrees(turned)) >= config.heading_separation:
+            excess = (pose.cost / max(best[1].cost, 1e-12) - 1.0) / config.rival_excess
+            if tracked:
+                excess += prior.cost(pose.heading) - prior.cost(best[1].heading)
+            expected = 2.0 * math.sin(abs(turned) / 2.0) * math.exp(-max(excess, 0.0))
+            rivals.append(Rival(math.degrees(turned), expected))
     return max(rivals, key=lambda rival: rival.expected, default=None)

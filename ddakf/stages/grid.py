@@ -71,11 +71,6 @@ def spread_rows(n: int, count: int) -> np.ndarray:
     return ((at + at * GOLDEN % 1.0) * n / count).astype(np.int64)
 
 
-def sampled_rows(n: int, count: int) -> np.ndarray:
-    """At least ``count`` of n rows, less than twice as many, spread as by :func:`spread_rows`: meshes have patterns as well."""
-    return spread_rows(n, -(-n // max(1, n // count)))
-
-
 def nearest_vertices(points: np.ndarray, position: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
     """Index (N,) of the vertex nearest to each of (N, 3) points and its distance, metres; -1 and infinite beyond the reach.
 

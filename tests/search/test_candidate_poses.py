@@ -7,8 +7,9 @@ from ddakf import Config, Mesh
 from ddakf.data import sample
 from ddakf.evaluation.sensors import sample_surface
 from ddakf.garment import model
+from ddakf.mesh import vertex_normals
 from ddakf.search.candidate_poses import HeadingPrior, Search, Surface, candidate_poses, cost_in_place
-from ddakf.search.nonrigid_registration import Target
+from ddakf.search.nonrigid_registration import Target, register
 from tests.stages.scenes import rms, scan, tube, turn
 
 SAMPLE = sample()
@@ -47,6 +48,29 @@ def flat_tube(depth):
 
 def headings(found):
     return [float(np.degrees(np.arctan2(p.rotation[0, 2], p.rotation[0, 0]))) for p in found]
+
+
+def alternating(mesh):
+    """The mesh with its vertices in another order: in turn one of its front and one of its back, as in a grid of two panels."""
+    z = mesh.vertices[:, 2]
+    front, back = np.flatnonzero(z > np.median(z)), np.flatnonzero(z <= np.median(z))
+    order = np.concatenate([np.stack([front, back[: len(front)]], axis=1).ravel(), back[len(front) :]])
+    return Mesh(mesh.vertices[order], np.argsort(order)[mesh.faces])
+
+
+def test_the_order_of_the_vertices_has_no_influence():
+    """What looks at every second vertex of two panels may see one of them alone."""
+    points = scan(SHIRT.vertices, SHIRT, 5000, seed=1)
+    for heading in (0, 180):
+        costs, shares = [], []
+        front = vertex_normals(SHIRT.vertices, SHIRT.faces)[:, 2] * np.cos(np.radians(heading)) > 0
+        for mesh in (SHIRT, alternating(SHIRT)):
+            search, position = search_of(points, model.build(mesh)), mesh.vertices @ turn(heading).T
+            costs.append(cost_in_place(register(position, search.target, search.model, search.config.registration), search))
+            some = Surface.from_garment(position, search.model, search.target).sampled(RULE.rough_vertices)
+            shares.append((some.normal[:, 2] > 0).mean())
+        assert costs[0] == pytest.approx(costs[1], rel=0.02)
+        assert shares == pytest.approx([front.mean()] * 2, abs=0.03)
 
 
 def test_candidate_poses_have_different_headings_and_the_nearest_of_equals_comes_first():

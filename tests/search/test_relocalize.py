@@ -18,6 +18,7 @@ from ddakf.search import relocalize
 from ddakf.search.relocalize import MOST_ROUNDS, _cost_of_staying, interrupted, locate, search_due
 from ddakf.stages.predict import predict
 from ddakf.types import Drift, Health, State, Track
+from tests.search.test_candidate_poses import flat_tube
 from tests.stages.scenes import FPS, frame_of, problem_of, random_state, rms, scan, tube, turn
 
 SAMPLE = sample()
@@ -82,7 +83,7 @@ def test_a_garment_that_jumps_between_slow_frames_is_caught_at_once(view):
         truth = start + [0.6 * shift, 0.8 * shift, 0.0]
         points, eye = captured(view, truth, k)
         result = tracker.step(points, timestamp=0.1 * k, sensor_origin=eye)
-    assert rms(result.vertices - truth) < 0.03
+    assert rms(result.vertices - truth) < 0.04
     assert result.reliability > 0.5
 
 
@@ -141,6 +142,21 @@ def test_that_a_garment_fits_turned_as_well_is_told_unless_its_start_was_given(g
     assert ("heading_uncertain" in told) is not given
 
 
+@pytest.mark.parametrize(("gap", "doubtful"), [(0.5, False), (6.0, True)])
+def test_a_gap_in_which_a_garment_of_alike_sides_may_have_turned_is_told(gap, doubtful):
+    """Its heading before is the best guess, which is worth the less the longer nobody saw it."""
+    flat, told = flat_tube(0.6), set()
+    tracker = Tracker(flat)
+    tracker.reset(flat.vertices)
+    for k in range(6):
+        truth = flat.vertices + [0.15 if k > 2 else 0.0, 0.0, 0.0]
+        result = tracker.step(scan(truth, flat, seed=k), timestamp=k / FPS + (gap if k > 2 else 0.0))
+        told |= {warning.code for warning in result.warnings}
+    assert rms(result.vertices - truth) < 0.02
+    assert ("heading_uncertain" in told) == doubtful
+    assert (result.reliability < 0.4) == doubtful
+
+
 @pytest.mark.parametrize(("garment", "alike"), [(TUBE, True), (SHIRT, False)], ids=["tube", "shirt"])
 def test_the_covariance_of_a_found_garment_knows_of_the_headings_that_suit_it(garment, alike):
     """The state does not: neither stiffer cloth nor another search would help."""
@@ -152,7 +168,7 @@ def test_the_covariance_of_a_found_garment_knows_of_the_headings_that_suit_it(ga
         for k in range(6):
             results[given] = tracker.step(scan(truth, garment, 5000, seed=k), timestamp=k / FPS)
     wider = np.median(results[False].sigma) / np.median(results[True].sigma)
-    assert (wider > 2.0) == alike
+    assert (wider > 4.0) == alike
     assert (results[False].reliability < 0.6 * results[True].reliability) == alike
     assert {result.state for result in results.values()} == {"tracking"}
 
