@@ -11,6 +11,7 @@ SAMPLE = 128  # planes that are looked at
 LYING = 0.6  # times its width, below which the height of a body is that of one that lies
 UPRIGHT = 1.8  # times its width, from which on a body stands straight, with arms at its sides
 OVERTURNED, OVERTURNED_WIDE = 0.49, 0.45  # height of the middle of its surface, over its own; people have more than half of it
+WHOLE = 1.2  # m: a lower body may be a part of one, of which half of the surface need not be above the middle
 HOLLOW = -0.1  # mean cosine between normals and the directions from the middle; of a standing person it is 0.25
 TURNED = 0.4  # rad, from which on the turn that is expected of a garment is told
 FITS = 0.35  # reliability of the last frame above which a hollow shape is right
@@ -53,7 +54,8 @@ def wrong_up(problem: Problem, estimate: Estimate) -> Sign | None:
 def fallen(body: Mesh, to_y_up: np.ndarray) -> str:
     """What tells that a body does not stand along the vertical, or on its head, in a sentence; empty: nothing does.
 
-    A standing person is higher than wide, but for arms held out, and more than half of its surface is in its upper half.
+    A standing person is higher than wide, but for arms held out, and more than half of its surface is in its upper half. A body
+    of less than ``WHOLE`` metres may be a part of one, such as a torso, of which that is not known.
 
     Args:
         body: in the pose of the start.
@@ -66,6 +68,8 @@ def fallen(body: Mesh, to_y_up: np.ndarray) -> str:
     widest = max(width, depth)
     if height < LYING * widest:
         return f"the body is {height:.2g} m high and {widest:.2g} m wide: is another axis up, or does it lie?"
+    if height < WHOLE:
+        return ""
     middle = (float(weight @ corners[:, :, 1].mean(axis=1)) / float(weight.sum()) - lowest[1]) / height
     if middle < (OVERTURNED if height > UPRIGHT * widest else OVERTURNED_WIDE):
         return f"the body stands on its head: the middle of its surface is at {middle:.0%} of its height"

@@ -19,7 +19,7 @@ CENTRAL = 0.8  # share of the points, and of the extent of an even cloud, that i
 NEAR = 0.01  # share of the points about the garment with which a large cloud is a scene that contains it
 LONG_STEP, SHORT_STEP = 5.0, 2e-4  # s: no sensor is slower, or faster
 LONG_GAP = 86_400.0  # s: no recording pauses longer, so that a clock was set or another one read
-LARGEST = 10.0  # m: no garment is
+LARGEST, LEAST = 10.0, 0.15  # m: no garment is larger, hardly one smaller
 OTHER_SIZE = 0.05  # growth along an axis of the template, from which on it is of another size
 LIKE = 3.0  # ratio of two time steps that are alike
 POSE = 1.6  # a pose, or a view, changes a size by less
@@ -80,8 +80,10 @@ def require_size(garment: Mesh, body: Mesh | None) -> None:
 
 
 def length_unit(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of a cloud in another unit than the garment, in a frame that was tracked all the same."""
+    """The sign of a garment that is too small, or of a cloud in another unit, in a frame that was tracked all the same."""
     points, garment = problem.frame.points, problem.model.mesh.size
+    if garment < LEAST:
+        return Sign("garment", f"the garment is {garment:.2g} m in size, smaller than any: is it in another unit?")
     if len(points) < ENOUGH or estimate.observed.mean() > SEEN:
         return None
     size = extent(points)

@@ -93,3 +93,13 @@ def test_a_body_that_does_not_stand_along_the_vertical_is_told(up, told):
 def test_people_stand_upright_with_their_arms_down_and_out():
     for frame in range(0, len(SAMPLE), 10):
         assert fallen(Mesh(SAMPLE.body_vertices[frame], SAMPLE.body_faces), Start().to_y_up) == ""
+
+
+def test_a_torso_with_its_head_is_no_person_upside_down():
+    """It ends at the hips, and most of its surface is below its middle."""
+    vertices, faces = WEARER.vertices, WEARER.faces
+    hips = np.quantile(SHIRT.vertices[:, 1], 0.05)
+    torso, _ = Mesh.cleaned(vertices, faces[(vertices[faces][:, :, 1] > hips).all(axis=1)])
+    assert np.ptp(torso.vertices[:, 1]) < 1.0
+    assert fallen(torso, Start().to_y_up) == ""
+    assert "high" in fallen(torso, Start(up="z").to_y_up)

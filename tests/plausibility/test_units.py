@@ -28,6 +28,15 @@ def test_a_first_cloud_of_another_scale_is_refused_and_the_next_good_one_tracked
     assert_same(tracker.step(cloud(0), timestamp=0.0, sensor_origin=EYE), fresh.step(cloud(0), timestamp=0.0, sensor_origin=EYE))
 
 
+@pytest.mark.parametrize(("factor", "told"), [(0.1, True), (0.5, False)])
+def test_a_garment_that_is_smaller_than_any_is_told(factor, told):
+    """Garment and cloud in the wrong unit agree with each other."""
+    tracker = Tracker(Mesh(factor * TUBE.vertices, TUBE.faces))
+    for k in range(4):
+        result = tracker.step(factor * cloud(k), timestamp=k / FPS, sensor_origin=factor * EYE)
+    assert ("length_unit" in codes(result)) == told
+
+
 @pytest.mark.parametrize("factor", [0.2, 1, 5])
 def test_a_cloud_of_about_the_scale_is_tracked(factor):
     Tracker(TUBE).step(factor * cloud(0), timestamp=0.0)

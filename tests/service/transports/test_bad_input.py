@@ -100,7 +100,7 @@ BAD_FRAMES = {
         lambda f: (depth(f), f.sensors.append(pb.Sensor(origin=pb.Vector3(z=1)))), "InvalidFrame", "sensors"
     ),
     "depth of 20 km": Bad(lambda f: depth(f, data=np.full(4, 2e4, "<f4").tobytes()), "InvalidFrame", "depth_image"),
-    "display before capture": Bad(lambda f: setattr(f, "display_time", 1e-3), "InvalidFrame", "display_time", ("0.066667",)),
+    "display before capture": Bad(lambda f: setattr(f, "display_time", 1e-3), "InvalidFrame", "display_time", ("-0.0656667",)),
     "display in a second": Bad(lambda f: setattr(f, "display_time", 1.1), "InvalidFrame", "display_time", ("0.5 s",)),
     "display at no time": Bad(lambda f: setattr(f, "display_time", float("nan")), "InvalidFrame", "display_time"),
     "5 million points": Bad(
@@ -269,6 +269,7 @@ def test_a_bad_body_is_refused_with_its_field(http, case):
     [
         ({"garment": GARMENT, "colour": "red"}, 'colour: expected no field of this name, got "red"'),
         ({"session": {"garment": GARMENT, "colour": 1}}, "colour: expected no field of this name, got 1"),
+        ({"session": {"fabrik": "x"}}, 'fabrik: expected no field of this name, got "x"; did you mean fabric?'),
         ({"session": {"garment": 5}}, "garment: expected an object, got 5"),
         ({"session": [], "garment": GARMENT}, "session: expected an object, got []"),
         ({}, "garment: expected a mesh, got nothing"),

@@ -17,6 +17,8 @@ from ddakf_api.v1 import tracking_pb2 as pb
 from google.protobuf.descriptor import Descriptor, FieldDescriptor
 from google.protobuf.message import Message
 
+from ddakf.errors import nearest
+
 from ..truncation import printable
 from . import earlier
 
@@ -102,7 +104,8 @@ def _fill(message: Message, values: Any, path: str, whole: str) -> None:
     fields = fields_of(message.DESCRIPTOR)
     for name, value in earlier.renamed(values, message.DESCRIPTOR).items():
         if (field := fields.get(name)) is None:
-            raise _invalid(printable(path + name), "no field of this name", value)
+            meant = nearest(name, message.DESCRIPTOR.fields_by_name)
+            raise InvalidArgument(field=printable(path + name), expected="no field of this name", got=shown(value) + meant)
         if value is None:
             continue
         if (group := field.containing_oneof) is not None and (other := message.WhichOneof(group.name)):

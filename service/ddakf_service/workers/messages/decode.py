@@ -117,8 +117,8 @@ def prediction_seconds(frame: pb.Frame) -> float:
         return 0.0
     ahead = frame.display_time - frame.capture_time
     if not 0 <= ahead <= _MAX_PREDICTION:  # also false for a NaN
-        expected = f"0, or {frame.capture_time:.6f} to {_MAX_PREDICTION} s later"
-        raise InvalidFrame(field="display_time", expected=expected, got=f"{frame.display_time:.6f}")
+        expected = f"0, or from capture_time to {_MAX_PREDICTION} s after it"
+        raise InvalidFrame(field="display_time", expected=expected, got=f"{ahead:.6g} s after it")
     return ahead
 
 
