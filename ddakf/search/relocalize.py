@@ -95,7 +95,9 @@ def locate(problem: Problem) -> Problem:
     problem = _found_at(problem, found, np.zeros_like(found))
     told = unplaced or not starting
     if told and rival is not None:
-        problem = problem._replace(last=problem.last._replace(drift=problem.last.drift._replace(unseen_turn=rival.expected)))
+        drift = problem.last.drift
+        drift = drift._replace(unseen_turn=max(drift.unseen_turn, rival.expected))
+        problem = problem._replace(last=problem.last._replace(drift=drift))
     return problem._replace(
         motion_start=found,
         rival=rival if told else None,
