@@ -6,11 +6,13 @@ import numpy as np
 
 from ddakf.body import contact
 from ddakf.kernels.preprocess import bounds
+from ddakf.plausibility import sidedness
 from ddakf.stages.grid import nearest_vertices, spread_rows
 from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
+ALL_SIDES = 0.75  # of the share that is behind others in a garment from all sides; one camera's clouds have up to 0.55
 BESIDE = 0.25  # m from the garment, within which its wearer is looked for
 BEYOND = 0.1  # share of the points there that lie beyond a boundary of the garment
 ENOUGH = 20  # points there that have such a share
@@ -51,7 +53,7 @@ def whole_person(problem: Problem, estimate: Estimate) -> Sign | None:
 
 
 def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
-    """The sign of points near the garment on opposite sides of their sensor."""
+    """The sign of points near the garment on opposite sides of their sensor, or on sides of it that one sensor cannot see."""
     cloud, origin = problem.cloud, problem.frame.sensor_origin
     if origin is None or cloud.empty:
         return None
@@ -64,9 +66,20 @@ def points_behind_sensor(problem: Problem, estimate: Estimate) -> Sign | None:
     toward /= np.sqrt(np.einsum("na,na->n", toward, toward) + 1e-18)[:, None]
     mean = np.eye(len(cloud.sensor))[:, sensor] @ toward
     behind = float((np.einsum("na,na->n", toward, mean[sensor]) < 0.0).mean())
-    if behind < BEHIND:
+    if behind >= BEHIND:
+        return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
+    if origin.ndim > 1 or problem.last.view.one_sided:  # each has its own, or none came and this one is a guess
         return None
-    return Sign("sensor_origin", f"{behind:.0%} of the points lie behind their sensor as it looks at the others")
+    return _of_several_sensors(problem)
+
+
+def _of_several_sensors(problem: Problem) -> Sign | None:
+    """The sign of points with one origin, from which a sensor sees no more than some of them."""
+    sides, hidden = problem.reference.sides, sidedness.hidden_from(problem.frame.sensor_origin, problem)
+    if sides.sheet or hidden < ALL_SIDES * sides.hidden_share:
+        return None
+    what = f"{hidden:.0%} of the points lie behind others as their sensor sees them"
+    return Sign("sensor_origin", f"{what}: points of several sensors need an origin each")
 
 
 def narrow_mask(problem: Problem, estimate: Estimate) -> Sign | None:

@@ -17,7 +17,7 @@ from ddakf.kernels import sidedness as kernels
 from ddakf.kernels.preprocess import bounds, crop
 from ddakf.kernels.visibility import perpendicular_axes
 from ddakf.stages.grid import spread_rows
-from ddakf.types import FrameInput, Model, Setup, Sides, Track, View
+from ddakf.types import FrameInput, Model, Problem, Setup, Sides, Track, View
 
 BESIDE = 0.5  # least cosine between directions of one plateau
 STEEP = 0.5  # cosine to the vertical up to which a direction is level
@@ -91,6 +91,17 @@ def sides(garment: Model, config: Sidedness, up: np.ndarray) -> Sides:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = np.linalg.norm(normal.sum(axis=0)) > FLAT * np.linalg.norm(normal, axis=1).sum()
     return Sides(level, True, bool(flat) or level < config.one_sided)
+
+
+def hidden_from(origin: np.ndarray, problem: Problem) -> float:
+    """Share of a frame's points near the garment that lie behind others, seen from (3,) ``origin``, metres; 0 of a few points."""
+    points, config = np.ascontiguousarray(problem.cloud.points.T), problem.config.sidedness
+    if len(points) < config.least_points:
+        return 0.0
+    axes, toward = np.empty((1, 3, 3)), origin - problem.cloud.origin - points.mean(axis=0)
+    axes[0, 2] = toward / max(float(np.linalg.norm(toward)), 1e-9)
+    perpendicular_axes(axes[0, 2], axes[0])
+    return float(hidden_shares(*thinned(points, problem.model.area, config), axes, config)[0])
 
 
 def _level(axes: np.ndarray, up: np.ndarray) -> np.ndarray:

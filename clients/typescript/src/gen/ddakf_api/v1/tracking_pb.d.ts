@@ -2646,7 +2646,7 @@ export enum WarningCode {
   MIRRORED = 7,
 
   /**
-   * Points lie on opposite sides of their sensor.
+   * Points lie on opposite sides of their sensor, or on sides of the garment that one sensor cannot see.
    *
    * @generated from enum value: WARNING_CODE_POINTS_BEHIND_SENSOR = 8;
    */
