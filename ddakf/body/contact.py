@@ -219,8 +219,9 @@ def learned(problem: Problem, estimate: Estimate, position: np.ndarray) -> BodyT
         change = np.clip(distance, -config.deepest_gap, config.thickness) - gap
         gap = np.where(observed & (found.face >= 0), gap + (1.0 - old) * change, gap)
     motion, unposed = _motion(problem)
+    velocity = None if problem.carried is None else _mean_velocity(track.velocity, problem.carried, track.span, problem.dt)
     present, turn, span = pose is not None, track.turn + 1, _remembered(problem.dt) * track.span + problem.dt
-    return BodyTrack(vertices, present, velocity(problem), estimate.contacts, gap, turn, motion, unposed, span, intruded)
+    return BodyTrack(vertices, present, velocity, estimate.contacts, gap, turn, motion, unposed, span, intruded)
 
 
 def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:
@@ -234,12 +235,6 @@ def _motion(problem: Problem) -> tuple[np.ndarray | None, float]:
         return None, 0.0
     last = track.vertices if track.unposed == 0.0 else track.vertices - _travelled(track.unposed) * track.motion
     return _mean_velocity(track.motion, given - last, track.span, track.unposed + dt).astype(np.float32), 0.0
-
-
-def velocity(problem: Problem) -> np.ndarray | None:
-    """(V, 3) m/s with which the body carries each vertex; None where it does not."""
-    track = problem.last.body
-    return None if problem.carried is None else _mean_velocity(track.velocity, problem.carried, track.span, problem.dt)
 
 
 def _mean_velocity(before: np.ndarray | None, moved: np.ndarray, span: float, dt: float) -> np.ndarray:

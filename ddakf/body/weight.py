@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ddakf.body import contact
 from ddakf.kernels import fuse as fusion
 from ddakf.kernels import strain as kernels
 from ddakf.kernels.normals import vertex_normals
@@ -25,6 +24,7 @@ from ddakf.kernels.strain import StrainConstants
 from ddakf.types import Problem, Setup
 
 GRAVITY = 9.81  # m/s^2
+SHORTEST = 1.0 / 60.0  # s: over less, a change of the body's velocity is that of the scatter of its poses
 MOST = 2.0  # times the weight, that strain of the start balances; noise of a start strains it more
 TOP = 0.2  # m of cloth below the garment's top, within which it is carried
 LYING = 0.1  # cosine squared of its normals to the vertical, that cloth has at least there: a waistband carries too
@@ -104,9 +104,9 @@ def _pressed(problem: Problem, up: np.ndarray) -> np.ndarray:
 def _left_behind(problem: Problem) -> np.ndarray | float:
     """(V, 3) times gravity: the share of the body's acceleration that its cloth does not take part in at once."""
     before, config = problem.last.body.velocity, problem.config.physics
-    now = contact.velocity(problem)
-    if now is None or before is None:
+    if problem.carried is None or before is None:
         return 0.0
-    acceleration = (now - before) / (GRAVITY * max(problem.dt, contact.SHORTEST))
+    time = max(problem.dt, SHORTEST)
+    acceleration = (problem.dt / time) * (problem.carried / problem.dt - before) / (GRAVITY * time)
     size = np.sqrt(np.einsum("va,va->v", acceleration, acceleration))
     return config.inertia * np.minimum(1.0, config.strongest_inertia / np.maximum(size, 1e-9))[:, None] * acceleration
