@@ -12,7 +12,7 @@ from ddakf.types import Estimate, Problem, Sign
 
 SAMPLE = 128  # points that are looked at
 BEHIND = 0.05  # share of a sensor's points on its other side
-ALL_SIDES = 0.75  # of the share that is behind others in a garment from all sides; one camera's clouds have up to 0.55
+ALL_SIDES = 0.75  # of the share that is behind others in a garment from all sides: no camera sees as many alone
 BESIDE = 0.25  # m from the garment, within which its wearer is looked for
 BEYOND = 0.1  # share of the points there that lie beyond a boundary of the garment
 ENOUGH = 20  # points there that have such a share
