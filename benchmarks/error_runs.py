@@ -42,7 +42,7 @@ class Rows(NamedTuple):
     """Vertices of frames of runs; N rows."""
 
     run: np.ndarray  # (N,) of the list of runs
-    frame: np.ndarray  # (N,) number in the recording
+    frame: np.ndarray  # (N,) number in the run
     group: np.ndarray  # (N,) of GROUPS
     along2: np.ndarray  # (N,) m^2, squared error along the normal
     across2: np.ndarray  # (N,) m^2, squared error across it, of a covariance whose mean variance there is 1
@@ -56,7 +56,7 @@ class Frames(NamedTuple):
     """Frames of runs; N rows."""
 
     run: np.ndarray  # (N,) of the list of runs
-    frame: np.ndarray  # (N,) number in the recording
+    frame: np.ndarray  # (N,) number in the run
     rmse: np.ndarray  # (N,) m
     reliability: np.ndarray  # (N,)
     sigma: np.ndarray  # (N,) m, root mean trace of the covariances
@@ -83,7 +83,8 @@ def captured(name: str) -> collection.Listed:
 
 
 def play(runs: list[Run], frames: int, procs: int, preset: str = "default") -> tuple[Rows, Frames]:
-    """Plays the runs, each up to this many frames of its recording, with a configuration of PRESETS."""
+    """Plays the runs, each of this many frames, with a configuration of PRESETS. A recording that is shorter is played backwards
+    from its end."""
     jobs = [(number, run, frames, preset) for number, run in enumerate(runs)]
     rows, of_frames = [], []
     with multiprocessing.get_context("spawn").Pool(procs) as pool:
@@ -156,12 +157,13 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
     sensor, kept, of_frames, seen = Sensor(view=view, **CONDITIONS[run.condition]), [], [], []
     chosen = np.random.default_rng(number).permutation(len(sequence.template))[:VERTICES]
     with _watched(seen):
-        for k in range(sensor.every, min(frames, len(sequence)), sensor.every):
-            cloud = sensor.capture(sequence, k, np.random.default_rng([1, k]))
-            pose = None if given is None else given[k]
+        for k in range(sensor.every, frames, sensor.every):
+            shown = _there_and_back(k, len(sequence))
+            cloud = sensor.capture(sequence, shown, np.random.default_rng([1, k]))
+            pose = None if given is None else given[shown]
             step = dict(timestamp=k / sequence.fps, sensor_origin=cloud.sensor_origin, body_vertices=pose)
             seen.clear()
-            result, truth = tracker.step(cloud.points, **step), sequence.garment_vertices[k]
+            result, truth = tracker.step(cloud.points, **step), sequence.garment_vertices[shown]
             off = result.vertices - truth
             claim = np.sqrt(3.0 * np.square(result.sigma).mean())
             rmse = np.sqrt(np.square(off).sum(axis=1).mean())
@@ -176,6 +178,12 @@ def _played(job: tuple[int, Run, int, str]) -> tuple[Rows, Frames]:
     table = np.array(of_frames)
     scores = Frames(np.full(len(table), number), *table.T)
     return Rows(np.full(len(group), number), frame, group, *parts), scores
+
+
+def _there_and_back(k: int, count: int) -> int:
+    """The frame of a recording of ``count`` that is shown as number k: forward to its end, back to its start, and so on."""
+    k %= 2 * (count - 1)
+    return min(k, 2 * (count - 1) - k)
 
 
 def _rows(result, seen: tuple, truth: np.ndarray, faces: np.ndarray, chosen: np.ndarray) -> tuple:

@@ -1,10 +1,10 @@
-"""Laws of the error's size along and across the normal: ``python benchmarks/error_size.py [--fit] [--procs 2] [--frames 60]``.
+"""Laws of the error's size along and across the normal: ``python benchmarks/error_size.py [--fit] [--procs 2] [--frames 120]``.
 
 Tracks the recordings of the collection, and the captures of DDAKF_DATA, in five views, and in three of them with a slow, a
 sparse and a noisy sensor. Prints by garment and by sensor, for each group of vertices, the share of the vertices in their 90 %
 ellipsoids, NEES/3, and the NEES along the normal and across it, each over its directions. Then, by view, over all sensors and
-for the undisturbed one, the rank correlation of sigma and error within a frame, and that of reliability and error; and the RMSE
-of the frames by what their reliability says.
+for the undisturbed one, the rank correlation of sigma and error within a frame, and that of reliability and error; the RMSE
+of the frames by what their reliability says; and errors and claims in the course of a run: with ``--frames 960`` of 32 s.
 Training recordings, captures and held-out recordings, on which nothing is chosen, stand apart.
 Draws the shares in the ellipsoids of all levels.
 
@@ -44,9 +44,11 @@ INSIDE = float(chi2.ppf(0.9, 3))  # squared Mahalanobis distance of the 90 % ell
 DEGREES = 20.0  # of freedom: errors have heavier tails, but laws of such tails pass over the failures that they should tell
 WITHIN = 0.92  # share that the 90 % ellipsoids hold in the mean of the undisturbed runs that are fitted
 CAPTURED_WITHIN = 0.90  # the same of the captures
+WIDEST = 5.0  # logarithm of the widening for them, at most
 RIDGE = 1e-3  # on the powers: one that says nothing is zero
 FAILED = 0.05  # m, RMSE of a frame that has failed
 BETTER = 0.85  # share of the fitted frames that have less error than is predicted
+TIMES = (0, 1, 2, 4, 8, 16, 32)  # s since the start
 BANDS = (0.0, 0.31, 0.5, 0.64, 0.8, 0.94, 1.0)  # of the reliability
 LEAST_VERTICES = 10  # of a group in a frame, for a rank correlation
 DIAGRAM = Path(__file__).resolve().parents[1] / "out/error_size.png"
@@ -107,18 +109,26 @@ def fitted(rows: Rows, captured: Rows | None, usual: np.ndarray, powers: np.ndar
 
 
 def _widened(fit: Fit, captured: Rows, usual: np.ndarray) -> Fit:
-    """The laws with wider bases across the normal where too few vertices of a group of the captures are in their ellipsoids."""
+    """The laws with wider bases where too few vertices of a group of the captures are in their ellipsoids.
+
+    Across the normal, and where no width there is enough, in both directions.
+    """
     _, along, across = fit.distances(captured).T
     bases = fit.bases.copy()
     for group in range(len(GROUPS)):
         chosen = (captured.group == group) & usual[captured.run]
         runs = [chosen & (captured.run == run) for run in np.unique(captured.run[chosen])]
 
-        def lack(wider: float, runs: list[np.ndarray] = runs) -> float:
-            inside = along + across * np.exp(-2 * wider) < INSIDE
+        def lack(wider: float, fixed: np.ndarray, free: np.ndarray, runs: list[np.ndarray] = runs) -> float:
+            inside = fixed + free * np.exp(-2 * wider) < INSIDE
             return float(np.mean([inside[run].mean() for run in runs])) - CAPTURED_WITHIN
 
-        bases[1, group] += 0.0 if lack(0.0) >= 0.0 else brentq(lack, 0.0, 5.0)
+        if lack(0.0, along, across) >= 0.0:
+            continue
+        if lack(WIDEST, along, across) > 0.0:
+            bases[1, group] += brentq(lack, 0.0, WIDEST, (along, across))
+        else:
+            bases[:, group] += brentq(lack, 0.0, WIDEST, (np.zeros_like(along), along + across))
     return fit._replace(bases=bases)
 
 
@@ -226,6 +236,22 @@ def said(title: str, frames: Frames, half_error: float) -> list[dict]:
     return found
 
 
+def course(title: str, frames: Frames, runs: list[Run]) -> list[dict]:
+    """Prints and returns by view and time since the start, of the undisturbed runs: geometric means of RMSE and claimed RMSE."""
+    print(f"\n{title}: RMSE and claimed RMSE in the course of undisturbed runs, mm")
+    view, usual, found = np.array([run.view for run in runs]), _undisturbed(runs), []
+    seconds, last = frames.frame / 30.0, frames.frame.max() / 30.0
+    for name in dict.fromkeys(view):
+        of_view = ((view == name) & usual)[frames.run]
+        for low, high in pairwise(edge for edge in TIMES if edge < 2 * last):
+            chosen = of_view & (seconds > low) & (seconds <= high)
+            mean = [1e3 * np.exp(np.log(values[chosen]).mean()) for values in (frames.rmse, frames.sigma)]
+            times, sizes = {"from_s": low, "to_s": high}, {"rmse_mm": mean[0], "claimed_mm": mean[1]}
+            found.append({"view": name} | times | {key: _rounded(value) for key, value in sizes.items()})
+            print("  ".join(f"{key} {value}" for key, value in found[-1].items()))
+    return found
+
+
 def _undisturbed(runs: list[Run]) -> np.ndarray:
     return np.array([run.condition == "" for run in runs])
 
@@ -268,7 +294,7 @@ def report(
 ) -> dict:
     """Prints the tables of all splits; with ``fit``, those of fitted laws and the laws. Only the default's powers are fitted."""
     found = {"machine": machine.describe(), "commit": machine.commit(), "preset": preset}
-    found |= {"tables": {}, "levels": {}, "rankings": {}, "said": {}}
+    found |= {"tables": {}, "levels": {}, "rankings": {}, "said": {}, "course": {}}
     split = np.array([run.listed.split for run in runs])
     splits = [name for name in (collection.TRAINING, CAPTURED, collection.HELD_OUT) if name in split]
     of = {name: Rows(*(column[split[rows.run] == name] for column in rows)) for name in splits}
@@ -277,6 +303,7 @@ def report(
         found["tables"][name] = table(f"{name}, as reported", part.reported, part, runs)
         found["levels"][name] = curves(part.reported, part)
         found["rankings"][name] = rankings(name, part, of_frames, runs)
+        found["course"][name] = course(name, of_frames, runs)
         found["said"][name] = said(name, of_frames, PRESETS[preset]().reliability.half_error)
         today = present(preset).distances(part)  # other numbers than those reported where --rows are older than the laws
         found["tables"][f"{name}, present laws"] = table(f"{name}, by the present laws", today, part, runs)
@@ -340,7 +367,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--fit", action="store_true", help="fit the laws to the training recordings")
     parser.add_argument("--keep-powers", action="store_true", help="with --fit: the bases alone")
     parser.add_argument("--preset", choices=PRESETS, default="default")
-    parser.add_argument("--frames", type=int, default=60, help="per recording (default 60)")
+    parser.add_argument("--frames", type=int, default=120, help="of a run, which plays to and fro (default 120)")
     parser.add_argument("--procs", type=int, default=2, help="processes (default 2)")
     parser.add_argument("--recordings", nargs="+", metavar="NAME", help="default: the collection, captures")
     parser.add_argument("--rows", type=Path, metavar="FILE", help=".npz of the runs: read if it is there, else written")

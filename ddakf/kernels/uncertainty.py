@@ -135,22 +135,23 @@ def patch_means(sums, persistence, least_bend, means):
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
-def grow(covariance, likeness, growth2, ceiling_sd, grown):
-    """The errors of the patches after they have grown, alike in all directions and together as the patches are alike.
+def grow(covariance, kept, likeness, growth2, ceiling_sd, grown):
+    """The errors of the patches after they have faded and grown, alike in all directions and together as the patches are alike.
 
     Args:
         covariance: (3L, 3L) float32 m^2.
+        kept: share of it that has not faded.
         likeness: (L, L) float32 correlation of the patches.
         growth2: (L,) m^2 in each direction.
         ceiling_sd: metres, of the largest standard deviation; where it is larger all are scaled.
         grown: (3L, 3L) float32 m^2, out.
     """
-    root, largest = np.sqrt(growth2).astype(np.float32), np.float32(1e-12)
+    root, largest, share = np.sqrt(growth2).astype(np.float32), np.float32(1e-12), np.float32(kept)
     for k in range(likeness.shape[0]):
         for a in range(3):
             r = 3 * k + a
             for c in range(grown.shape[1]):
-                grown[r, c] = covariance[r, c]
+                grown[r, c] = share * covariance[r, c]
             for m in range(likeness.shape[0]):
                 grown[r, 3 * m + a] += root[k] * likeness[k, m] * root[m]
             largest = max(largest, grown[r, r])

@@ -9,6 +9,7 @@ each covariance its shape; :mod:`ddakf.stages.error_size` its sizes.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -182,7 +183,8 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     the measurements' information. So an error e, grown by what the prediction missed, becomes F e with F = I - (C + M)^-1 M, to
     which the noise of the measurements adds (C + M)^-1 M (C + M)^-1: a covariance analysis of the gain that is used, whether or
     not it is the best one (Gelb 1974, "Applied optimal estimation", section 7.2). It knows that what is hidden is dragged along,
-    drags along what is seen, and does not come back of its own.
+    drags along what is seen. That cloth and body pull errors back the matrices do not know, yet those of streams of half a minute
+    stay as large as after the first seconds: errors fade, the sooner the more of the garment is seen.
 
     Args:
         problem: the frame, with the drift after the last one.
@@ -192,10 +194,16 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     model, limits, drift = problem.model, problem.config.uncertainty, problem.last.drift
     growth2, speed2, missed = _growth(problem, evidence, coupling)
     covariance = np.empty_like(drift.covariance)
-    kernels.grow(drift.covariance, model.likeness, growth2, limits.ceiling_sd, covariance)
+    kernels.grow(drift.covariance, remaining(problem, evidence), model.likeness, growth2, limits.ceiling_sd, covariance)
     if evidence.observed.any():
         covariance = _updated(problem, covariance, evidence, coupling.B)
     return drift._replace(covariance=covariance, speed2=speed2, stored2=coupling.stored2, missed=missed)
+
+
+def remaining(problem: Problem, evidence: PatchEvidence) -> float:
+    """Share of the errors' covariance that has not faded since the last frame."""
+    coverage = evidence.observed.sum() / evidence.size.sum()
+    return math.exp(-2.0 * coverage * problem.dt / problem.config.uncertainty.return_time)
 
 
 def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:

@@ -60,8 +60,8 @@ def test_errors_grow_and_are_updated_as_matrices_are(measured):
     assert not kernels.update_errors(P.astype(np.float32), np.full((n, n), np.nan, np.float32), information, got)
     similar, growth2 = np.exp(-rng.random((count, count))).astype(np.float32), rng.uniform(0, 1e-3, count)
     for ceiling in (10.0, 0.01):
-        kernels.grow(P.astype(np.float32), similar, growth2, ceiling, got)
-        expected = P + np.kron(np.sqrt(growth2)[:, None] * similar * np.sqrt(growth2), np.eye(3))
+        kernels.grow(P.astype(np.float32), 0.7, similar, growth2, ceiling, got)
+        expected = 0.7 * P + np.kron(np.sqrt(growth2)[:, None] * similar * np.sqrt(growth2), np.eye(3))
         expected *= min(1.0, ceiling**2 / expected.diagonal().max())
         np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max())
 

@@ -398,6 +398,20 @@ def test_the_bases_of_the_laws_scale_the_standard_deviations_of_their_group(seen
     np.testing.assert_allclose(other, factor * one, rtol=1e-9)
 
 
+@pytest.mark.parametrize("seen", ["all", "half"])
+def test_errors_fade_the_sooner_the_more_is_seen(seen):
+    run = solved(MESHES["tube"], seen)
+    evidence, times = evidence_of(run), np.array([0.5, 1.0, 2.0])
+    coverage = evidence.observed.sum() / evidence.size.sum()
+    assert coverage == (1.0 if seen == "all" else 0.5)
+    shares = []
+    for seconds in times:
+        limits = dataclasses.replace(LIMP.uncertainty, return_time=seconds)
+        problem = run.problem._replace(model=run.garment, config=dataclasses.replace(LIMP, uncertainty=limits))
+        shares.append(uncertainty.remaining(problem, evidence))
+    np.testing.assert_allclose(shares, np.exp(-2.0 * coverage * run.problem.dt / times))
+
+
 def test_what_nothing_shows_stays_on_a_body_and_is_lost_without():
     """In half a second without points."""
     body = inner_body(GARMENT)
@@ -489,6 +503,18 @@ def test_what_shows_a_turn_leaves_the_garment_reliable(shown_by):
     tracker, result = standing(FOLDED if shown_by == "folds" else PLAIN, body, frames=15)
     assert tracker._track.drift.unseen_turn == 0.0
     assert result.reliability > 0.9
+
+
+def test_a_garment_in_view_is_as_certain_after_many_seconds_as_after_a_few():
+    """Also its hidden half: nothing shows that it strays."""
+    tracker, sizes = Tracker(FOLDED), []
+    tracker.reset(FOLDED.vertices)
+    for k in range(1, 241):
+        cloud = scan(FOLDED.vertices, FOLDED, 4000, 0.003, seed=k)
+        result = tracker.step(cloud[cloud[:, 2] > 0], timestamp=k / 30, sensor_origin=[0.0, 0.3, 3.0])
+        sizes.append([np.median(result.sigma[chosen]) for chosen in (result.observed, ~result.observed)])
+    early, late = np.mean(sizes[30:60], axis=0), np.mean(sizes[-30:], axis=0)
+    assert (late < 1.1 * early).all()
 
 
 def test_a_garment_may_have_turned_by_a_part_of_a_circle_at_most():
