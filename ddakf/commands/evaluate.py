@@ -45,6 +45,8 @@ def register(commands: argparse._SubParsersAction) -> None:
     )
     what = "run these systems again, or all, if their runs are of another commit or did not apply"
     parser.add_argument("--again", default="", metavar="A,B", help=what)
+    what = "runs that are made again keep their earlier times: times of two machines do not compare"
+    parser.add_argument("--keep-times", action="store_true", help=what)
     what = "a tracker of your own, by import: a class with start and step (docs/benchmark.md); beside --methods"
     parser.add_argument("--submit", action="append", default=[], metavar="MODULE:CLASS", help=what)
     what = "write into results/ of the checkout although its code has uncommitted changes"
@@ -86,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
     plan.check()
     plan.require_all_frames()
     console, again = Console(stderr=True), systems_again(arguments.again, plan.systems)
-    result = run_study(plan, arguments.json, arguments.procs, console, again, allow_dirty=arguments.allow_dirty)
+    result = run_study(plan, arguments.json, arguments.procs, console, again, **_how(arguments))
     shown = Console()
     shown.width = max(shown.width, WIDE)
     shown.print(table(result))
@@ -94,6 +96,10 @@ def run(arguments: argparse.Namespace) -> int:
         shown.print(reason, markup=False, soft_wrap=True)
     console.print(str(arguments.json))
     return 1 if all("failed" in cell for cell in result["results"]) else 0
+
+
+def _how(arguments: argparse.Namespace) -> dict[str, bool]:
+    return {"keep_times": arguments.keep_times, "allow_dirty": arguments.allow_dirty}
 
 
 def _refuse_beside_paper(arguments: argparse.Namespace) -> None:
@@ -141,7 +147,7 @@ def _paper(arguments: argparse.Namespace, console) -> int:
     for number, (name, plan) in enumerate(plans.items(), 1):
         console.print(f"[bold]{name}[/bold], study {number} of {len(plans)}: {len(plan.trials())} runs")
         out = arguments.results / f"{name}.json"
-        run_study(plan, out, arguments.procs, console, again, others=everything, allow_dirty=arguments.allow_dirty)
+        run_study(plan, out, arguments.procs, console, again, others=everything, **_how(arguments))
     figures = [name for name in ERROR_MAPS if name in chosen]
     paper_studies.save_error_maps(figures, size, arguments.results, console, again=bool(again))
     console.print(f"ddakf report --results {arguments.results} renders them")

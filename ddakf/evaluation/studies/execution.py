@@ -8,7 +8,7 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from contextlib import closing
 from dataclasses import fields
 from pathlib import Path
@@ -30,7 +30,15 @@ SPEED_OVER = 3600.0  # s: window of the runs from which the remaining time is es
 ALL = "all"  # stands for all systems in --again
 
 
-def execute(wanted: list[Trial], row_log: RowLog, procs: int, console: Console, again: Collection[str] = ()) -> None:
+def execute(
+    wanted: list[Trial],
+    row_log: RowLog,
+    procs: int,
+    console: Console,
+    again: Collection[str] = (),
+    *,
+    keep_times: bool = False,
+) -> None:
     """Runs the trials that the log lacks, and appends each row when it is finished.
 
     Args:
@@ -39,6 +47,7 @@ def execute(wanted: list[Trial], row_log: RowLog, procs: int, console: Console, 
         procs: processes; each computes with one thread.
         console: for progress.
         again: systems, or :data:`ALL`, whose trials run again if they are of another commit or did not apply.
+        keep_times: a trial that runs again keeps its earlier times, with their commit: this machine is not that of the others.
     """
     code = machine.code_version()
 
@@ -54,7 +63,14 @@ def execute(wanted: list[Trial], row_log: RowLog, procs: int, console: Console, 
         console.print(f"{len(done_trials)} of {len(wanted)} runs are in {row_log.path}")
         _report_other_commits(row_log.rows(done_trials), code, console)
     if missing := [trial for trial in wanted if trial not in set(done_trials)]:
-        _run(missing, row_log, procs, console, {"commit": code, "processes": procs})
+        earlier = {Trial.from_row(row): row for row in row_log.rows(missing)} if keep_times else {}
+        for row in _run(missing, procs, console):
+            trial = Trial.from_row(row)
+            digest = digest_of(trial)
+            inputs = {} if digest is None else {"inputs": digest}
+            times = study_summary.times(earlier[trial]) if trial in earlier and "per_frame" in row else {}
+            load = {"load_average": round(os.getloadavg()[0], 2)}
+            row_log.add({"commit": code, "processes": procs} | inputs | load | row | times)
 
 
 def systems_again(text: str, systems: Collection[str]) -> list[str]:
@@ -84,7 +100,8 @@ def _report_other_commits(rows: list[dict], code: str, console: Console) -> None
     console.print(f"{len(others)} of them are of other code than {code} ({commits}); --again {systems} runs them again")
 
 
-def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, origin: dict) -> None:
+def _run(missing: list[Trial], procs: int, console: Console) -> Iterator[dict]:
+    """The row of each trial when it is finished, with progress."""
     columns = (TextColumn("{task.fields[what]:36.36s}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
                TextColumn("left:"), TimeRemainingColumn())  # fmt: skip
     with (
@@ -93,9 +110,7 @@ def _run(missing: list[Trial], row_log: RowLog, procs: int, console: Console, or
     ):
         task = bar.add_task("", total=len(missing), what="starting")
         for row in rows:
-            digest = digest_of(Trial.from_row(row))
-            inputs = {} if digest is None else {"inputs": digest}
-            row_log.add(origin | inputs | {"load_average": round(os.getloadavg()[0], 2)} | row)
+            yield row
             bar.update(task, advance=1, what=title(row))
             if not console.is_terminal:  # no bar in a log
                 console.print(_line(bar.tasks[0], title(row)), markup=False)
@@ -120,6 +135,7 @@ def run_study(
     console: Console,
     again: Collection[str] = (),
     *,
+    keep_times: bool = False,
     others: Collection[Path] = (),
     allow_dirty: bool = False,
 ) -> dict:
@@ -130,7 +146,7 @@ def run_study(
         out: result file; the row log lies beside it.
         procs: processes.
         console: for progress.
-        again: see :func:`execute`.
+        again, keep_times: see :func:`execute`.
         others: result files of other studies, whose runs are taken over where they are of the same trial.
         allow_dirty: also with uncommitted code.
 
@@ -143,7 +159,7 @@ def run_study(
         if taken := row_log.take_over(wanted, _log_of(other, append=False)):
             console.print(f"{taken} of {len(wanted)} runs are taken over from {other.stem}")
     try:
-        execute(wanted, row_log, procs, console, again)
+        execute(wanted, row_log, procs, console, again, keep_times=keep_times)
     except KeyboardInterrupt:
         done = sum(map(row_log.done, wanted))
         console.print(f"interrupted; {done} of {len(wanted)} runs are in {row_log.path}, the same command goes on from there")

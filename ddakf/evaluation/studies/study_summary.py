@@ -65,6 +65,8 @@ TESTED = (
 )  # fmt: skip
 HIGHER_IS_BETTER = ("iou", "held_out_share")
 KEPT = "kept"  # field of a row that stands for a run of a result
+KEPT_TIMES = "kept_times"  # field of a row with the times of an earlier run, see times()
+TIMES = ("ms_per_frame", "ms_per_frame_p99", "cpu_ms_per_frame", "fps", "load_average")  # of a run, and the load that they had
 RECOVERED, BEFORE = 1.5, 10  # a run has recovered at this multiple of its mean error in the frames BEFORE
 
 
@@ -111,12 +113,20 @@ def has_result(row: dict) -> bool:
     return "failed" not in row and "not_applicable" not in row
 
 
+def times(row: dict) -> dict:
+    """The times of a row as a field of a later row of the same trial, with their commit; nothing where it has none."""
+    if not {KEPT, "per_frame"} & set(row):
+        return {}
+    run = _run(row)
+    return {KEPT_TIMES: {"times_commit": run["commit"]} | {name: run[name] for name in (*TIMES, "times_commit") if name in run}}
+
+
 def _run(row: dict) -> dict:
     if KEPT in row:
         return row[KEPT]
     run = {"seed": row["seed"], "commit": row["commit"], "processes": row.get("processes"), "seconds": row.get("seconds")}
     run |= {"inputs": row["inputs"]} if "inputs" in row else {}
-    run |= {name: row.get(key) for name, key in VALUES.items()}
+    run |= {name: row.get(key) for name, key in VALUES.items()} | row.get(KEPT_TIMES, {})
     frames = row["per_frame"]
     for score in ("reliability", "paper_score"):
         for error in ("rmse_mm", "penetration_mm"):

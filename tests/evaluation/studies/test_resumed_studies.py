@@ -102,6 +102,27 @@ def test_runs_of_older_code_are_kept_and_named_and_those_of_some_systems_run_aga
     assert (tmp_path / "out.rows.jsonl").read_bytes() == before, "these are of this code already"
 
 
+def test_runs_that_are_made_again_keep_their_times_where_asked(systems, tmp_path, code):
+    out = tmp_path / "out.json"
+    code("old")
+    run_study(plan("frozen"), out, 1, QUIET)
+    result = json.loads(out.read_text())
+    (first,) = result["results"][0]["runs"]
+    out.write_text(json.dumps(result).replace(f'"ms_per_frame": {first["ms_per_frame"]}', '"ms_per_frame": 7000.0'))
+    (tmp_path / "out.rows.jsonl").unlink()
+    for name in ("new", "newer"):
+        code(name)
+        (cell,) = run_study(plan("frozen"), out, 1, QUIET, again=["frozen"], keep_times=True)["results"]
+        (again,) = cell["runs"]
+        assert (again["commit"], again["times_commit"], again["ms_per_frame"]) == (name, "old", 7000.0)
+        assert again["rmse_mm"] == first["rmse_mm"]
+        assert cell["mean"]["ms_per_frame"] == 7000.0
+    code("newest")
+    (cell,) = run_study(plan("frozen"), out, 1, QUIET, again=["frozen"])["results"]
+    assert cell["runs"][0]["ms_per_frame"] < 7000.0
+    assert "times_commit" not in cell["runs"][0]
+
+
 def test_uncommitted_code_is_not_known_to_be_the_same_and_what_did_not_apply_may_now(systems, tmp_path, code):
     out, rows = tmp_path / "out.json", tmp_path / "out.rows.jsonl"
     for name, lines in (("one-dirty", 2), ("one-dirty", 4)):
