@@ -50,6 +50,7 @@ FAILED = 0.05  # m, RMSE of a frame that has failed
 BETTER = 0.85  # share of the fitted frames that have less error than is predicted
 TIMES = (0, 1, 2, 4, 8, 16, 32)  # s since the start
 BANDS = (0.0, 0.31, 0.5, 0.64, 0.8, 0.94, 1.0)  # of the reliability
+LEAST_OF_RUN = 100  # vertices of a group in the frames of a capture, for it to count
 LEAST_VERTICES = 10  # of a group in a frame, for a rank correlation
 DIAGRAM = Path(__file__).resolve().parents[1] / "out/error_size.png"
 
@@ -118,6 +119,7 @@ def _widened(fit: Fit, captured: Rows, usual: np.ndarray) -> Fit:
     for group in range(len(GROUPS)):
         chosen = (captured.group == group) & usual[captured.run]
         runs = [chosen & (captured.run == run) for run in np.unique(captured.run[chosen])]
+        runs = [run for run in runs if np.count_nonzero(run) >= LEAST_OF_RUN]
 
         def lack(wider: float, fixed: np.ndarray, free: np.ndarray, runs: list[np.ndarray] = runs) -> float:
             inside = fixed + free * np.exp(-2 * wider) < INSIDE
