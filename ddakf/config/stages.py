@@ -230,7 +230,7 @@ class Uncertainty(Checked):
     strain_reach: float = bounded(0.15, 0, 10)  # m, length of cloth along which present strain adds up
     missed_share: float = bounded(0.2, 0, 10)  # of an innovation that stays as an error of the patch's place
     unseen_motion: float = bounded(2.0, 0, 100)  # of its own motion that an unseen patch may have moved otherwise
-    return_time: float = bounded(1.0, 1e-3, 1e9)  # s in which errors of a garment that is seen all over fade to 1/e
+    return_time: float = bounded(1.0, 1e-3, 1e9)  # s in which errors fade to 1/e where all is seen and reliable
     plane_persistence: float = bounded(4.0, 0.1, 1000)  # frames over which plane fits repeat their error
     vertex_share: float = bounded(0.3, 0, 10)  # variance of a vertex about its patch, over the variance of the patch
     growth_sd: float = bounded(0.0005, 0, 1)  # m per frame, growth that no measurement shows

@@ -184,7 +184,7 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     which the noise of the measurements adds (C + M)^-1 M (C + M)^-1: a covariance analysis of the gain that is used, whether or
     not it is the best one (Gelb 1974, "Applied optimal estimation", section 7.2). It knows that what is hidden is dragged along,
     drags along what is seen. That cloth and body pull errors back the matrices do not know, yet those of streams of half a minute
-    stay as large as after the first seconds: errors fade, the sooner the more of the garment is seen.
+    stay as large as after the first seconds: errors fade, the sooner the more of the garment is seen and the more reliable it is.
 
     Args:
         problem: the frame, with the drift after the last one.
@@ -201,9 +201,9 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
 
 
 def remaining(problem: Problem, evidence: PatchEvidence) -> float:
-    """Share of the errors' covariance that has not faded since the last frame."""
-    coverage = evidence.observed.sum() / evidence.size.sum()
-    return math.exp(-2.0 * coverage * problem.dt / problem.config.uncertainty.return_time)
+    """Share of the errors' covariance that has not faded since the last frame; of a garment that may be lost, all."""
+    rate = problem.health.reliability * evidence.observed.sum() / evidence.size.sum() / problem.config.uncertainty.return_time
+    return math.exp(-2.0 * rate * problem.dt)
 
 
 def _updated(problem: Problem, P: np.ndarray, evidence: PatchEvidence, B: np.ndarray) -> np.ndarray:

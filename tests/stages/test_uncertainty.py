@@ -398,8 +398,9 @@ def test_the_bases_of_the_laws_scale_the_standard_deviations_of_their_group(seen
     np.testing.assert_allclose(other, factor * one, rtol=1e-9)
 
 
+@pytest.mark.parametrize("reliability", [0.0, 0.4, 1.0])
 @pytest.mark.parametrize("seen", ["all", "half"])
-def test_errors_fade_the_sooner_the_more_is_seen(seen):
+def test_errors_fade_the_sooner_the_more_is_seen_and_the_more_reliable_it_is(seen, reliability):
     run = solved(MESHES["tube"], seen)
     evidence, times = evidence_of(run), np.array([0.5, 1.0, 2.0])
     coverage = evidence.observed.sum() / evidence.size.sum()
@@ -407,9 +408,10 @@ def test_errors_fade_the_sooner_the_more_is_seen(seen):
     shares = []
     for seconds in times:
         limits = dataclasses.replace(LIMP.uncertainty, return_time=seconds)
-        problem = run.problem._replace(model=run.garment, config=dataclasses.replace(LIMP, uncertainty=limits))
+        config, health = dataclasses.replace(LIMP, uncertainty=limits), Health(reliability=reliability)
+        problem = run.problem._replace(model=run.garment, config=config, health=health)
         shares.append(uncertainty.remaining(problem, evidence))
-    np.testing.assert_allclose(shares, np.exp(-2.0 * coverage * run.problem.dt / times))
+    np.testing.assert_allclose(shares, np.exp(-2.0 * reliability * coverage * run.problem.dt / times))
 
 
 def test_what_nothing_shows_stays_on_a_body_and_is_lost_without():
