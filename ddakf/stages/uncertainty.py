@@ -183,8 +183,8 @@ def advance(problem: Problem, evidence: PatchEvidence, coupling: Coupling) -> Dr
     the measurements' information. So an error e, grown by what the prediction missed, becomes F e with F = I - (C + M)^-1 M, to
     which the noise of the measurements adds (C + M)^-1 M (C + M)^-1: a covariance analysis of the gain that is used, whether or
     not it is the best one (Gelb 1974, "Applied optimal estimation", section 7.2). It knows that what is hidden is dragged along,
-    drags along what is seen. That cloth and body pull errors back the matrices do not know, yet those of streams of half a minute
-    stay as large as after the first seconds: errors fade, the sooner the more of the garment is seen and the more reliable it is.
+    and drags along what is seen. It does not know that cloth and body pull errors back, which stay as large as they are after a
+    few seconds: errors fade, the sooner the more of the garment is seen and the more reliable it is.
 
     Args:
         problem: the frame, with the drift after the last one.
