@@ -45,14 +45,15 @@ MAGIC = b"DDAKFSNP"
 LARGEST_OF_BODY = 1e6  # m, m/s or faces
 MAX_BYTES = 1 << 28  # of an unpacked snapshot: 100,000 vertices over as large a body take less than half of it
 VERSION = 27
-# 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none, and errors do not fade
-# in it; 12 has a law of the vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws of the
-# error's size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the body as well; 16
-# has another guess of how far it deviates along the normal, which is not read, and the template's lengths at rest; 17 has another
-# law of the frame's error, which is not read; 18 has other names for fields of the configuration;
-# 19 has none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
-# size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the size; 25
-# lacks the gap between rim and cloud, which begins at 0; 26 lacks the time of which the body's velocities are a mean, as well.
+# 11 lacks the last frame's reliability, which begins at 0: the frame that follows is held against none, and errors do not
+# fade in it; 12 has a law of the vertices' errors, and 13 another law of the frame's, which are not read; 14 has other laws
+# of the error's size, which are not read, and lacks the offset of hidden cloth; 15 has learned how far cloth slips on the
+# body as well; 16 has another guess of how far it deviates along the normal, which is not read, and the template's lengths at
+# rest; 17 has another law of the frame's error, which is not read; 18 has other names for fields of the configuration; 19 has
+# none for the rigidity of coarse meshes, which is the default's; 20 lacks two of colours; 21 has other laws of the error's
+# size and of the frame's error, and 22 of the size, which are not read; 23 has no palette; 24 has two more slacks of the
+# size; 25 lacks the gap between rim and cloud, which begins at 0; 26 lacks the time of which the body's velocities are a
+# mean, as well.
 READ = range(11, VERSION + 1)
 LEARNED = ("seen", "squares", "measured")  # of the body anchor
 DROPPED = {
