@@ -227,7 +227,7 @@ REASONS = {
     "Uncertainty.ceiling_sd": "chosen: the bound of section 2.7",
     "Uncertainty.ceiling_speed_sd": "chosen: the bound of section 2.7",
     "Uncertainty.missed_share": "chosen",
-    "Uncertainty.return_time": "chosen: claims stay in proportion to errors for 32 s",
+    "Uncertainty.return_time": "chosen: claims stay in proportion to errors as a stream goes on",
     "Uncertainty.unseen_motion": "chosen",
     "Uncertainty.plane_persistence": "chosen: plane fits of neighbouring frames share their error",
     "Uncertainty.vertex_share": "chosen",

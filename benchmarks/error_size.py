@@ -125,7 +125,7 @@ def _widened(fit: Fit, captured: Rows, usual: np.ndarray) -> Fit:
             inside = fixed + free * np.exp(-2 * wider) < INSIDE
             return float(np.mean([inside[run].mean() for run in runs])) - CAPTURED_WITHIN
 
-        if lack(0.0, along, across) >= 0.0:
+        if not runs or lack(0.0, along, across) >= 0.0:
             continue
         if lack(WIDEST, along, across) > 0.0:
             bases[1, group] += brentq(lack, 0.0, WIDEST, (along, across))
