@@ -159,26 +159,33 @@ describe("a server without keys", () => {
   });
 
   test("the view goes along with a wearer who squats, and stays where it is without Follow", async () => {
-    await expect.poll(() => lastMoment(page), { timeout: 60_000 }).toBeGreaterThan(110);
+    const step = 6;
+    const count = 26; // moments shown: together longer than the sample, whose wearer squats once
+    await expect.poll(() => lastMoment(page)).toBeGreaterThan(step * count);
     await page.getByRole("button", { name: "Pause" }).click();
     for (const layer of ["Body", "Points"]) await page.getByRole("button", { name: layer }).click();
     const span = async () => {
       const heights: number[] = [];
       const last = await lastMoment(page);
-      for (let step = 0; step <= 8; step++) {
-        await slide(page, "Moment", Math.floor((step * last) / 8));
+      for (let back = count; back >= 0; back--) {
+        await slide(page, "Moment", last - step * back);
         await page.waitForTimeout(100);
         heights.push(await garmentHeight(page));
       }
       return Math.max(...heights) - Math.min(...heights);
     };
-    const along = await span();
-    await page.getByRole("button", { name: "Follow" }).click();
-    const still = await span();
-    console.log(`the garment's middle moves by ${along.toFixed(2)} of the view's height, without Follow by ${still.toFixed(2)}`);
-    expect(still).toBeGreaterThan(0.15);
-    expect(along).toBeLessThan(0.75 * still);
-    for (const name of ["Body", "Points", "Follow", "Live", "Reset the view"]) await page.getByRole("button", { name }).click();
+    try {
+      const along = await span();
+      await page.getByRole("button", { name: "Follow" }).click();
+      const still = await span();
+      console.log(
+        `the garment's middle moves by ${along.toFixed(2)} of the view's height, without Follow by ${still.toFixed(2)}`,
+      );
+      expect(still).toBeGreaterThan(0.15);
+      expect(along).toBeLessThan(0.85 * still);
+    } finally {
+      for (const name of ["Body", "Points", "Follow", "Live", "Reset the view"]) await page.getByRole("button", { name }).click();
+    }
   });
 
   test("a hidden tab gets numbers without arrays", async () => {
