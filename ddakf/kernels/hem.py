@@ -180,10 +180,11 @@ def across_view(x, y, z, eye, axes, away, spot):
 
 @njit(nogil=True, cache=True, error_model="numpy")
 def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
-    """Mean distance across the view from seen vertices to the nearest point: of the rim, and of the others.
+    """Median distance across the view from seen vertices to the nearest point: of the rim, and of the others.
 
-    Vertices of the rim face the sensor by less than ``cosine``. Those that have no point within ``reach`` do not count: they are
-    outside the image, or hidden. Points are moved along their rays to the distance of the garment's middle.
+    A mask that is too narrow moves all of the rim away from the cloud, a garment that is misplaced only a part of it, but far:
+    hence the median. Vertices of the rim face the sensor by less than ``cosine``. Those that have no point within ``reach`` do
+    not count: they are outside the image, or hidden. Points are moved along their rays to the distance of the garment's middle.
 
     Args:
         position, normal: (V, 3) metres, unit, relative to the origin of the points.
@@ -193,6 +194,9 @@ def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
         cosine: of the angle between normal and direction to the sensor.
         reach: metres.
         gaps: (2,) metres out, of the rim and of the others; 0 where there are none.
+
+    Returns:
+        How many of either there are, (2,).
     """
     center, axes = np.zeros(3), np.empty((3, 3))
     for v in range(position.shape[0]):
@@ -205,7 +209,7 @@ def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
     away = sqrt(away) + 1e-12
     axes[2] /= away
     perpendicular_axes(axes[2], axes)
-    here = np.full((position.shape[0], 2), np.inf)
+    here, count = np.full((position.shape[0], 2), np.inf), np.zeros(2, np.int64)
     left = bottom = np.inf
     right = top = -np.inf
     for v in range(position.shape[0]):
@@ -214,7 +218,7 @@ def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
             bottom, top = min(bottom, here[v, 1]), max(top, here[v, 1])
     gaps[:] = 0.0
     if not left <= right:
-        return
+        return count
     left, bottom, right, top = left - reach, bottom - reach, right + reach, top + reach
     cell = max(reach / 4, (right - left) / MOST_CELLS, (top - bottom) / MOST_CELLS)
     inverse = 1.0 / cell
@@ -235,7 +239,7 @@ def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
             slot = start[place[k] + 1]
             start[place[k] + 1] += 1
             there[slot, 0], there[slot, 1] = spot[k, 0], spot[k, 1]
-    rings, count = int(np.ceil(reach / cell)), np.zeros(2)
+    rings, found = int(np.ceil(reach / cell)), np.empty((2, position.shape[0]))
     for v in range(position.shape[0]):
         if not here[v, 0] < np.inf:
             continue
@@ -258,10 +262,12 @@ def gaps_across_view(position, normal, seen, points, eye, cosine, reach, gaps):
                 along += normal[v, a] * to
                 squared += to * to
             kind = int(along > cosine * sqrt(squared))
-            gaps[kind] += sqrt(best)
+            found[kind, count[kind]] = sqrt(best)
             count[kind] += 1
     for kind in range(2):
-        gaps[kind] /= max(count[kind], 1.0)
+        if count[kind] > 0:
+            gaps[kind] = np.median(found[kind, : count[kind]])
+    return count
 
 
 @njit(nogil=True, cache=True, error_model="numpy")

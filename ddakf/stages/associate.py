@@ -22,8 +22,9 @@ from ddakf.types import Estimate, Hem, Measurement, Problem, Surfels
 FACE_REACH = 1.25  # edges: a vertex of the face beneath a point is as near
 RIM_COSINE = 0.5  # of normal and direction to a camera: seen vertices that face it by no more are its rim
 RIM_REACH = 0.04  # m across the view, within which the cloud is sought beside seen vertices
-RIM_FLOOR = 0.004  # m: a smaller mean gap of the other vertices is none
-RIM_WHOLE, RIM_NONE = 2.3, 2.8  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
+RIM_FLOOR = 0.003  # m: a smaller median gap of the other vertices is none
+RIM_WHOLE, RIM_NONE = 1.9, 2.5  # gap of the rim over theirs: up to the first hems count wholly, from the second on not at all
+RIM_MOST = 1.5  # vertices of the rim over the others: of a garment that is seen along itself the rim tells less
 RIM_MEMORY = 0.3  # s, time constant of that ratio
 NEAR_CELLS = 3.99  # search radius in the cells of a dense cloud; four rings
 
@@ -157,12 +158,13 @@ def _hem(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray], 
 
 
 def _rim_gap(problem: Problem, vertices: tuple[np.ndarray, np.ndarray, np.ndarray]) -> float:
-    """Running mean of the gap between rim and cloud, across the view, over that of the other seen vertices; as :func:`_hem`."""
+    """Running mean of the gap between rim and cloud over that of the other seen vertices, across the view; as :func:`_hem`."""
     cloud, before, gaps, (position, normal, seen) = problem.cloud, problem.health.rim_gap, np.empty(2), vertices
-    hem_kernels.gaps_across_view(
-        position - cloud.origin, normal, seen, cloud.points, cloud.sensor[0] - cloud.origin, RIM_COSINE, RIM_REACH, gaps
+    eye = cloud.sensor[0] - cloud.origin
+    rim, others = hem_kernels.gaps_across_view(
+        position - cloud.origin, normal, seen, cloud.points, eye, RIM_COSINE, RIM_REACH, gaps
     )
-    now = float(gaps[0]) / max(float(gaps[1]), RIM_FLOOR)
+    now = float(gaps[0]) / max(float(gaps[1]), RIM_FLOOR) * min(RIM_MOST * others / max(rim, 1), 1.0)
     gain = 1.0 if problem.health.state == "initializing" else -math.expm1(-problem.dt / RIM_MEMORY)
     return before + gain * (now - before)
 

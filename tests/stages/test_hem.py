@@ -96,7 +96,7 @@ def test_a_mask_that_is_too_narrow_leaves_a_gap_beside_the_rim(distance):
     assert max(rim, others) < 4.0
     narrow, inside = ball_from(eye, points[across < across.max() - 0.02])
     assert narrow > 2.0 * max(inside, 4.0)
-    assert narrow == pytest.approx(12.0, abs=5.0)
+    assert 8.0 < narrow < 22.0
 
 
 def test_vertices_far_from_all_points_leave_no_gap():
